@@ -44,8 +44,14 @@ def connect_dask(address: str) -> Iterator[tuple[Executor, int]]:
         if not number.isdecimal() or not 1 <= int(number) <= 1024:
             form = "local:N, e.g. local:4, or tcp://host:8786"
             raise ConfigurationError("dask", diagnose("not-of-the-form", given=address, form=form))
+        # Port 0: any free port. Without an address Dask uses port 8787, and warns if another
+        # cluster of this machine uses it.
         cluster = distributed.LocalCluster(
-            n_workers=int(number), threads_per_worker=1, processes=True, dashboard_address=None
+            n_workers=int(number),
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address="localhost:0",
+            scheduler_kwargs={"dashboard": False},
         )
     try:
         try:

@@ -10,9 +10,10 @@ import signal
 import socket
 import subprocess
 import sys
+import warnings
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -31,14 +32,27 @@ def make_study(number: int) -> Any:
     return pa.Study("v3", {"kp": gains}, ["peak_torque"])
 
 
+@contextmanager
+def occupy_port(number: int) -> Iterator[None]:
+    """Listen on a port of this machine, unless another process does."""
+    with socket.socket() as listener:
+        with suppress(OSError):
+            listener.bind(("127.0.0.1", number))
+            listener.listen()
+        yield
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # of Dask and its dependencies
 def test_killed_worker_of_a_dask_cluster_loses_no_row(tmp_path: Path) -> None:
-    """Reference: the serial run, to the last digit; each design is stored once."""
+    """Reference: the serial run, to the last digit; each design is stored once. The default port
+    of Dask is in use, as if another study ran.
+    """
     with ThreadPoolExecutor(1) as thread:
         serial = make_study(24).run(tmp_path / "serial", executor=thread)
     killed: list[int] = []
-    with connect_dask("local:2") as (executor, workers):
+    warnings.filterwarnings("error", "Port")
+    with occupy_port(8787), connect_dask("local:2") as (executor, workers):
         assert workers == 2
         processes = executor._client.run(os.getpid)  # type: ignore[attr-defined]
         assert len(processes) == 2
@@ -56,6 +70,18 @@ def test_killed_worker_of_a_dask_cluster_loses_no_row(tmp_path: Path) -> None:
     assert table["design"].is_unique
     assert len(pa.read_study(folder)) == 24
     assert table.equals(serial)
+
+
+def find_free_port() -> int:
+    """Return a free port below those that Linux assigns to sockets without a stated port.
+
+    A worker of the cluster, or another test, could be assigned the port before the scheduler is.
+    """
+    for port in range(20_000 + os.getpid() % 10_000, 32_768):
+        with socket.socket() as free, suppress(OSError):
+            free.bind(("127.0.0.1", port))
+            return port
+    raise AssertionError("no free port")
 
 
 @contextmanager
@@ -93,9 +119,7 @@ def test_killed_worker_and_restarted_scheduler_lose_no_row(tmp_path: Path) -> No
     """
     with ThreadPoolExecutor(1) as thread:
         serial = make_study(60).run(tmp_path / "serial", executor=thread)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = find_free_port()
     address, folder = f"tcp://127.0.0.1:{port}", tmp_path / "cluster"
     with run_cluster(port) as (scheduler, worker, _):
 
