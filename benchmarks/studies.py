@@ -348,9 +348,11 @@ class RecordedExecutor(Executor):
 
     def __init__(self, executor: Executor) -> None:
         self.executor = executor
+        self.num_chunks = 0
 
     def submit(self, _function: object, /, *given: object, **named: object) -> Future[object]:  # type: ignore[override]
-        """Submit `return_rows` with the arguments of the evaluation."""
+        """Submit `return_rows` with the arguments of the evaluation, and count the chunk."""
+        self.num_chunks += 1
         return self.executor.submit(return_rows, *given, **named)  # type: ignore[arg-type]
 
 
@@ -401,11 +403,11 @@ def measure_scheduler(count: int, num_workers: int) -> None:
             study = pa.Study("v3", {"kp": pa.study.linspace(5.0, 20.0, count)}, SAG)
             executor = RecordedExecutor(client.get_executor())
             done = study.execute(folder, executor=executor, workers=num_workers)
-            chunks = done.work / running.CHUNK_SECONDS
+            chunks = executor.num_chunks
             spent = sum(watched.cpu_times()[:2]) - before
             memory = watched.memory_info().rss / 1e6
             mine = processor_time() - used
-            print(f"{num_workers} workers, {done.done} designs, about {chunks:.0f} chunks:")
+            print(f"{num_workers} workers, {done.done} designs, {chunks} chunks:")
             print(f"scheduler {1e3 * spent / chunks:.2f} ms of processor a chunk, {memory:.0f} MB")
             print(
                 f"client {1e3 * mine / chunks:.2f} ms of processor a chunk, {peak_memory():.0f} MB"

@@ -228,7 +228,13 @@ CHUNK_SECONDS = 0.5
 """Intended duration of the evaluation of a chunk of designs by a worker [s]. Chosen, not tuned:
 sending a chunk takes about 1 % of this time."""
 
-MAX_CHUNK_DESIGNS = 256
+CHUNK_SECONDS_PER_WORKER = 0.01
+"""Least duration of the evaluation of a chunk [s], per worker, so that at most
+100 chunks per second reach the scheduler of a large cluster. Measured with 1,000 workers: a chunk
+takes 5.7 ms of processor time of Dask's scheduler and 3.0 ms of this process
+(``benchmarks/studies.py scheduler``)."""
+
+MAX_CHUNK_DESIGNS = 512
 """Largest number of designs per chunk. If a worker crashes, all chunks in flight are evaluated
 again. Chosen, not tuned."""
 
@@ -311,6 +317,23 @@ class _RecordingContext(multiprocessing.context.SpawnContext):
         process = super().Process(*arguments, **named)
         self.processes.append(process)
         return process
+
+
+def choose_chunk_size(progress: Progress, num_workers: int) -> int:
+    """Return the number of designs per chunk; 1 until a design has been evaluated.
+
+    A chunk takes about `CHUNK_SECONDS`, or `CHUNK_SECONDS_PER_WORKER` times the number of workers
+    if this is longer.
+
+    Args:
+        progress: Progress of the run, with the time that workers have spent on designs.
+        num_workers: Number of workers.
+    """
+    if not progress.done:
+        return 1
+    seconds_per_design = max(progress.work / progress.done, 1e-6)
+    duration = max(CHUNK_SECONDS, CHUNK_SECONDS_PER_WORKER * num_workers)
+    return int(np.clip(duration / seconds_per_design, 1, MAX_CHUNK_DESIGNS))
 
 
 class WorkerPool:
@@ -457,7 +480,7 @@ class StudyRun:
             workers: Number of workers, or None.
         """
         pool = WorkerPool(executor, workers)
-        source = self._make_chunks(self._find_missing(blocks))
+        source = self._make_chunks(self._find_missing(blocks), pool.workers)
         try:
             first = next(source, None)
             if first is not None:
@@ -499,26 +522,22 @@ class StudyRun:
             if len(new):
                 yield [names[index] for index in new], numbers[new]
 
-    def _make_chunks(self, blocks: Iterable[tuple[list[str], Array]]) -> Iterator[Chunk]:
+    def _make_chunks(
+        self, blocks: Iterable[tuple[list[str], Array]], num_workers: int
+    ) -> Iterator[Chunk]:
         """Yield the designs in chunks, each for one worker, sized by the measured times.
 
         Args:
             blocks: (hashes of n designs, variable values, shape (n, variables)) of each block.
+            num_workers: Number of workers.
         """
         for names, numbers in blocks:
             start = 0
             while start < len(names):
-                part = slice(start, start + self._choose_chunk_size())
+                part = slice(start, start + choose_chunk_size(self.progress, num_workers))
                 start = part.stop
                 rows = tuple(map(tuple, numbers[part].tolist()))
                 yield Chunk(self.work, tuple(names[part]), rows)
-
-    def _choose_chunk_size(self) -> int:
-        """Return the number of designs that take about `CHUNK_SECONDS`; at first 1."""
-        if not self.progress.done:
-            return 1
-        seconds_per_design = self.progress.work / self.progress.done
-        return int(np.clip(CHUNK_SECONDS / max(seconds_per_design, 1e-6), 1, MAX_CHUNK_DESIGNS))
 
     def _run_chunks(self, pool: WorkerPool, first: Chunk, source: Iterator[Chunk]) -> None:
         """Evaluate chunks (groups of designs) in worker processes until no chunk is left."""

@@ -538,6 +538,16 @@ def test_interrupted_study_can_be_resumed_and_leaves_no_process(tmp_path: Path) 
     assert left_over(process.pid) == []
 
 
+def test_chunks_last_longer_on_more_workers() -> None:
+    """Closed form for designs of 25 ms: 0.5 s, or 100 chunks per second of all workers."""
+    progress = running.Progress(10_000, done=4, work=0.1)
+    sizes = [running.choose_chunk_size(progress, number) for number in (1, 8, 100, 1000)]
+    assert sizes == [20, 20, 40, 400]
+    slow = running.Progress(10_000, done=4, work=40.0)
+    assert [running.choose_chunk_size(slow, number) for number in (8, 3000)] == [1, 3]
+    assert running.choose_chunk_size(running.Progress(10), 1000) == 1
+
+
 def test_remaining_time_follows_from_the_rate_of_this_run() -> None:
     """Closed form: of 10 designs 4 are stored, and 2 take 1 s, so the other 4 take 2 s."""
     assert running.Progress(10, num_stored=4, done=2, seconds=1.0).remaining_time == 2.0
