@@ -185,6 +185,19 @@ class EffortLimit(Result):
         """Whether the limit is zero or negative, so that the motor gives no torque."""
         return self.code in (EffortCode.ZERO, EffortCode.NEGATIVE)
 
+    def without_file(self, file: str) -> EffortLimit:
+        """Return the limit without the statements of a file; unchanged if they determine it.
+
+        For a file that was generated from the other file, and that a reader does not know.
+        """
+        others = tuple(statement for statement in self.stated if statement.file != file)
+        origin = min(others, key=lambda statement: statement.symmetric_torque, default=None)
+        lower = max((statement.lower for statement in others), default=-math.inf)
+        upper = min((statement.upper for statement in others), default=math.inf)
+        if not (math.isclose(lower, self.lower) and math.isclose(upper, self.upper)):
+            return self
+        return replace(self, origin=origin, stated=others)
+
     @property
     def positive_statement(self) -> EffortStatement | None:
         """Statement of the smallest positive torque limit in the files; None if there is none."""

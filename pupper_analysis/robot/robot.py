@@ -597,9 +597,12 @@ class Robot(EngineModels):
 
     @cached_property
     def efforts(self) -> tuple[EffortLimit, ...]:
-        """Effort limit of each joint from both files, with the source, in actuator order."""
+        """Effort limit of each joint from both files, with the source, in actuator order.
+
+        If a model was converted, the source is in the given file if it states the same limit.
+        """
         robot = self.before_servos
-        return efforts_of(
+        limits = efforts_of(
             robot.mj_model,
             self.pin_model,
             self.pin_convention,
@@ -607,6 +610,8 @@ class Robot(EngineModels):
             robot.description.efforts,
             robot.description.null_efforts,
         )
+        generated = self.description.converted.upper()
+        return tuple(limit.without_file(generated) for limit in limits) if generated else limits
 
     @cached_property
     def effort_ranges(self) -> Array:

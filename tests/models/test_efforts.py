@@ -547,3 +547,14 @@ def test_affine_bias_that_opposes_the_servo_reduces_its_stiffness() -> None:
     away = '<general joint="hinge" gainprm="40" biastype="affine" biasprm="0 40 0"/>'
     assert classify_drive(position(30) + away) is Drive.WRONG_SIGN
     assert classify_drive(position(50) + away) is Drive.SERVO
+
+
+def test_limits_of_a_file_alone_are_in_this_file(tmp_path: Path) -> None:
+    """The URDF that is generated from the MJCF states the same limits, and is in no folder."""
+    pair = quadruped(tmp_path, floor=True, actuators="position")
+    rewrite_file(pair.mjcf, ('kp="150"', 'kp="150" forcerange="-20 20"'))
+    for files, file in (((pair.mjcf,), "MJCF"), ((pair.urdf,), "URDF")):
+        robot = pa.load_robot(*files)
+        origins = [limit.origin for limit in robot.efforts]
+        assert {origin.file for origin in origins if origin is not None} == {file}
+        assert np.isfinite(robot.effort_limits).all()
