@@ -7,6 +7,7 @@ as driven by a servo, a motor, a velocity servo or another actuator (`classify_j
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -71,8 +72,89 @@ def group_actuators_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
 
 
 def tendon_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Return the actuators at fixed tendons in which a joint has a nonzero coefficient."""
-    return [actuator for actuator, joints in fixed_tendon_levers(model).items() if joint in joints]
+    """Return the actuators at tendons whose length depends on the position of a joint."""
+    return [actuator for actuator, joints in list_tendon_joints(model).items() if joint in joints]
+
+
+def list_tendon_joints(model: mujoco.MjModel) -> dict[int, set[int]]:
+    """Return {actuator at a tendon: joints on whose positions the length of the tendon depends}.
+
+    A fixed tendon depends on the joints with a nonzero coefficient; a spatial tendon on the joints
+    that move some, but not all points of a branch of its path. Tendons with a gear of zero, and
+    spatial tendons that depend on a free joint or a ball joint, have no joints.
+    """
+    found = {actuator: set(levers) for actuator, levers in fixed_tendon_levers(model).items()}
+    for actuator in found:
+        if actuator_gear(model, actuator)[0] == 0:
+            continue
+        for bodies in _list_branches(model, int(model.actuator_trnid[actuator, 0])):
+            chains = [_list_ancestors(model, body) for body in bodies]
+            shared = chains[0].intersection(*chains[1:])
+            between = chains[0].union(*chains[1:]) - shared
+            moving = {
+                joint for joint in range(model.njnt) if int(model.jnt_bodyid[joint]) in between
+            }
+            found[actuator] |= moving
+        if any(model.jnt_type[joint] not in _SCALAR_JOINT_KINDS for joint in found[actuator]):
+            found[actuator] = set()
+    return found
+
+
+def _list_branches(model: mujoco.MjModel, tendon: int) -> list[list[int]]:
+    """Return the bodies of the points of each branch of a spatial tendon; pulleys end a branch."""
+    branches: list[list[int]] = [[]]
+    first = int(model.tendon_adr[tendon])
+    for wrap in range(first, first + int(model.tendon_num[tendon])):
+        kind, target = int(model.wrap_type[wrap]), int(model.wrap_objid[wrap])
+        if kind == mujoco.mjtWrap.mjWRAP_PULLEY:
+            branches.append([])
+        elif kind == mujoco.mjtWrap.mjWRAP_SITE:
+            branches[-1].append(int(model.site_bodyid[target]))
+        elif kind != _WRAPS_JOINT:
+            branches[-1].append(int(model.geom_bodyid[target]))
+    return [bodies for bodies in branches if bodies]
+
+
+def _list_ancestors(model: mujoco.MjModel, body: int) -> set[int]:
+    """Return a body and its ancestors, without the world."""
+    found = set()
+    while body:
+        found.add(body)
+        body = int(model.body_parentid[body])
+    return found
+
+
+def measure_tendon_levers(
+    model: mujoco.MjModel, qpos: Array, actuators: Sequence[int]
+) -> tuple[Array, Array]:
+    """Compute the lengths and levers of actuators, for example at tendons, at a configuration.
+
+    The torque at a joint is the force of the actuator times the lever, d(length)/d(position).
+
+    Args:
+        model: MuJoCo model.
+        qpos: Configuration, shape (model.nq,).
+        actuators: Ids of n actuators.
+
+    Returns:
+        Lengths, shape (n,), and levers at all degrees of freedom, shape (n, model.nv); both contain
+        the gear.
+    """
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    for step in (
+        mujoco.mj_kinematics,
+        mujoco.mj_comPos,
+        mujoco.mj_tendon,
+        mujoco.mj_transmission,
+    ):
+        step(model, data)
+    levers = np.zeros((model.nout, model.nv))
+    mujoco.mju_sparse2dense(
+        levers, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+    )
+    outputs = model.actuator_outadr[list(actuators)]
+    return data.actuator_length[outputs], levers[outputs]
 
 
 def fixed_tendon_levers(model: mujoco.MjModel) -> dict[int, dict[int, float]]:
@@ -107,7 +189,7 @@ _WRAPS_JOINT = mujoco.mjtWrap.mjWRAP_JOINT.value
 
 
 def list_tendon_servos(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Return the position servos at fixed tendons in which a joint has a nonzero coefficient."""
+    """Return the position servos at tendons whose length depends on the position of a joint."""
     return [
         actuator
         for actuator in tendon_actuators(model, joint)
@@ -207,8 +289,8 @@ def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
 
     Several actuators are classified together: if an actuator is ``WRONG_SIGN``, the sum of the
     stiffnesses decides between this type and ``SERVO``; otherwise the first type in
-    ``_TYPE_PRIORITY`` is returned. Without an actuator, the type is ``TENDON`` if an actuator acts
-    on a fixed tendon of the joint, and else ``NONE``.
+    ``_TYPE_PRIORITY`` is returned. Without an actuator, the type is ``TENDON`` if the length of a
+    tendon with an actuator depends on the joint (`list_tendon_joints`), and else ``NONE``.
 
     Args:
         model: Unmodified model of the MJCF.
@@ -234,7 +316,7 @@ first of these types is that of the joint."""
 
 
 def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:
-    """Return the type of an actuator at a hinge, slide or fixed tendon, from its force law."""
+    """Return the type of an actuator at a hinge, slide or tendon, from its force law."""
     if model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_DCMOTOR.value:
         return Drive.OTHER if _depends_on_position(model, motor) else Drive.FORCE
     if model.actuator_gaintype[motor] != mujoco.mjtGain.mjGAIN_FIXED.value:

@@ -469,7 +469,7 @@ def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
     """Yield actuators at no hinge or slide, and slow actuator filters, as candidate causes.
 
-    Servos at fixed tendons that drive joints without actuator are commanded, and left out.
+    Servos at tendons that drive joints without actuator are commanded, and left out.
     """
     model = published.model
     commanded = {

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
@@ -125,7 +125,11 @@ def judge_simulation(
     loaded_more = robot.total_mass > loaded.total_mass * (1 + _MASS_RTOL)
     given = servos.source is ServoSource.GIVEN
     overloaded_motors = (
-        () if statics is None else _list_overloaded_joints(robot, statics, tendons=not given)
+        ()
+        if statics is None
+        else _list_overloaded_joints(
+            robot, statics, None if given else stand.joint_positions(robot)
+        )
     )
     remarks = (
         *(remark for remark in (null, masses, unknown) if remark is not None),
@@ -190,15 +194,18 @@ def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic 
 
 
 def _list_overloaded_joints(
-    robot: Robot, statics: GravityCompensation, *, tendons: bool
+    robot: Robot, statics: GravityCompensation, positions: NDArray[np.float64] | None
 ) -> tuple[str, ...]:
     """Return the motors beyond the limits, without motors whose limit is zero.
 
-    ``tendons`` is False if servos at the joints replace the actuators of tendons.
+    Actuators of tendons are evaluated at the joint ``positions``, shape (nu,) [rad, m]; None if
+    servos at the joints replace these actuators.
     """
     null = {limit.joint for limit in robot.efforts if limit.without_torque}
     overloaded = (
-        list_overloaded_joints(robot, statics) if tendons else find_overloaded_motors(statics)
+        find_overloaded_motors(statics)
+        if positions is None
+        else list_overloaded_joints(robot, statics, positions)
     )
     return tuple(name for name in overloaded if name not in null)
 

@@ -20,7 +20,7 @@ from pupper_analysis.models.efforts import (
     EffortStatement,
     read_tendon_forces,
 )
-from pupper_analysis.models.transmission import Drive, fixed_tendon_levers
+from pupper_analysis.models.transmission import Drive, list_tendon_joints, measure_tendon_levers
 from pupper_analysis.robot.alike import sibling_joints
 from pupper_analysis.robot.joints import force_unit, free_joints
 from pupper_analysis.robot.robot import Robot
@@ -67,16 +67,24 @@ def describe_loaded_passive_joints(robot: Robot, statics: GravityCompensation) -
     return diagnose("passive-joints-loaded", joints=loaded, hardest=hardest, torque=torque)
 
 
-def list_overloaded_joints(robot: Robot, statics: GravityCompensation) -> tuple[str, ...]:
+def list_overloaded_joints(
+    robot: Robot, statics: GravityCompensation, positions: Array
+) -> tuple[str, ...]:
     """Return the joints whose motors exceed their torque limits in a stance.
 
-    Joints that the MJCF drives through fixed tendons are evaluated with the forces F of the
-    tendons' actuators, which follow from the torques tau of these joints: tau = M F with the levers
-    M. A motor at another joint of such a tendon exerts the remaining torque, tau - M F. A joint
-    counts as overloaded as well if the tendons cannot exert its torque. The tendons of a robot with
-    closed loops or couplings, which transfer torques between joints, are not evaluated.
+    Joints that the MJCF drives through tendons are evaluated with the forces F of the tendons'
+    actuators, which follow from the torques tau of these joints: tau = M F with the levers M at the
+    joint positions. A motor at another joint of such a tendon exerts the remaining torque,
+    tau - M F. A joint counts as overloaded as well if the tendons cannot exert its torque. The
+    tendons of a robot with closed loops or couplings, which transfer torques between joints, are
+    not evaluated.
+
+    Args:
+        robot: Robot.
+        statics: Static equilibrium.
+        positions: Joint positions of the stance, shape (nu,) [rad, m].
     """
-    tendons = _find_tendon_drives(robot)
+    tendons = _find_tendon_drives(robot, positions)
     if tendons is None:
         return find_overloaded_motors(statics)
     model, rows, actuators, levers = tendons
@@ -95,9 +103,13 @@ def list_overloaded_joints(robot: Robot, statics: GravityCompensation) -> tuple[
 
 
 def _find_tendon_drives(
-    robot: Robot,
+    robot: Robot, positions: Array
 ) -> tuple[mujoco.MjModel, list[int], list[int], Array] | None:
-    """Return the actuators at fixed tendons that drive joints without an actuator of their own.
+    """Return the actuators at tendons that drive joints without an actuator of their own.
+
+    Args:
+        robot: Robot.
+        positions: Joint positions, shape (nu,) [rad, m], at which the levers are measured.
 
     Returns:
         Model of the file; indices of these joints; ids of the actuators; levers of the actuators at
@@ -110,15 +122,21 @@ def _find_tendon_drives(
     }
     if file is None or not driven or robot.closure is not None:
         return None
-    model, by_actuator = file.model, fixed_tendon_levers(file.model)
+    model, by_actuator = file.model, list_tendon_joints(file.model)
     rows = [row for row, name in enumerate(robot.joint_names) if name in driven]
     # A joint without a name in the file has the id -1, and no lever.
     kind = mujoco.mjtObj.mjOBJ_JOINT
     joints = [mujoco.mj_name2id(model, kind, name) for name in robot.joint_names]
     at_rows = {joints[row] for row in rows}
     actuators = [actuator for actuator, own in by_actuator.items() if at_rows & set(own)]
-    levers = [[by_actuator[actuator].get(joint, 0.0) for actuator in actuators] for joint in joints]
-    return model, rows, actuators, np.array(levers)
+    qpos = model.qpos0.copy()
+    levers = np.zeros((robot.nu, len(actuators)))
+    known = np.array(joints) >= 0
+    in_file = np.array(joints)[known]
+    qpos[model.jnt_qposadr[in_file]] = positions[known]
+    _, at_dofs = measure_tendon_levers(model, qpos, actuators)
+    levers[known] = at_dofs[:, model.jnt_dofadr[in_file]].T
+    return model, rows, actuators, levers
 
 
 def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:

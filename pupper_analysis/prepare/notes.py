@@ -18,6 +18,7 @@ from pupper_analysis.models.transmission import (
     MadeServo,
     fixed_tendon_levers,
     is_at_one_joint,
+    list_tendon_joints,
 )
 from pupper_analysis.prepare.feet import Foot, has_ellipsoids, is_ball
 from pupper_analysis.robot.joints import (
@@ -66,7 +67,7 @@ def report_passive_joints(robot: Robot) -> Iterator[Diagnostic]:
 
 
 def report_tendon_joints(robot: Robot) -> Iterator[Diagnostic]:
-    """Report the joints that the MJCF drives through fixed tendons, and that got an added servo.
+    """Report the joints that the MJCF drives through tendons, and that got an added servo.
 
     Results such as static deflection and payload are computed with the added servo. The simulations
     of the unmodified file use the actuators at the tendons.
@@ -77,10 +78,18 @@ def report_tendon_joints(robot: Robot) -> Iterator[Diagnostic]:
     ]
     if file is None or not driven:
         return
-    model, levers = file.model, fixed_tendon_levers(file.model)
+    model, moved = file.model, list_tendon_joints(file.model)
     joints = [model.joint(name).id for name in driven]
-    actuators = [actuator for actuator, lever in levers.items() if set(lever) & set(joints)]
-    matrix = [[levers[actuator].get(joint, 0.0) for actuator in actuators] for joint in joints]
+    actuators = [actuator for actuator, others in moved.items() if others & set(joints)]
+    dependence = np.array([[joint in moved[cable] for cable in actuators] for joint in joints])
+    # Levers of spatial tendons change with the configuration: their rank is that of any numbers.
+    numbers = np.random.default_rng(0).uniform(0.5, 1.5, dependence.shape)
+    fixed = fixed_tendon_levers(model)
+    matrix = np.where(dependence, numbers, 0.0)
+    spatial = [actuator for actuator in actuators if not fixed[actuator]]
+    for column, actuator in enumerate(actuators):
+        if actuator not in spatial:
+            matrix[:, column] = [fixed[actuator].get(joint, 0.0) for joint in joints]
     yield diagnose(
         "joints-at-tendons",
         joints=driven,
@@ -92,6 +101,7 @@ def report_tendon_joints(robot: Robot) -> Iterator[Diagnostic]:
             )
         ),
         too_few=int(np.linalg.matrix_rank(matrix)) < len(driven),
+        spatial=[model.actuator(actuator).name or f"#{actuator}" for actuator in spatial],
     )
 
 

@@ -454,7 +454,7 @@ def _unheld_joints(
 ) -> list[JointOff]:
     """Return the joints without position servo that moved by more than ``MIN_UNHELD_DISPLACEMENT``.
 
-    Joints that a position servo at a fixed tendon drives are excluded, and coupled joints (no
+    Joints that a position servo at a tendon drives are excluded, and coupled joints (no
     actuator, and no added servo). The result is empty unless more than half of the joints have a
     position servo.
     """

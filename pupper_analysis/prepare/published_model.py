@@ -34,10 +34,10 @@ from pupper_analysis.models.transmission import (
     Drive,
     MadeServo,
     classify_joint_drive,
-    fixed_tendon_levers,
     is_at_one_joint,
     list_joint_actuators,
     list_tendon_servos,
+    measure_tendon_levers,
     read_actuator_law,
 )
 from pupper_analysis.robot.fall import count_resets, was_reset_by_mujoco
@@ -458,7 +458,7 @@ def compute_hold_commands(
 ) -> HoldCommands:
     """Compute the commands with which the joints of a published model hold target positions.
 
-    Joints without actuator in a fixed tendon are held by the tendon's position servos, whose forces
+    Joints without actuator at a tendon are held by the tendon's position servos, whose forces
     are those of smallest norm that give the torques of these joints. Own actuators of other joints
     in the tendon compensate the tendon's torque there.
 
@@ -479,7 +479,7 @@ def compute_hold_commands(
     rows: list[tuple[float, ...]] = []
     motors: dict[int, tuple[int, float, float]] = {}
     wanted = np.zeros(robot.nu) if torques is None else np.array(torques)
-    at_tendons = _set_tendon_commands(published, robot, ctrl, targets, wanted)
+    at_tendons = _set_tendon_commands(published, robot, data.qpos, ctrl, targets, wanted)
     for index, name in enumerate(robot.joint_names):
         joint, drive = model.joint(name).id, published.drives[index]
         torque = float(wanted[index])
@@ -505,13 +505,19 @@ def compute_hold_commands(
 
 
 def _set_tendon_commands(
-    published: PublishedModel, robot: Robot, ctrl: Array, targets: Array, torques: Array
+    published: PublishedModel,
+    robot: Robot,
+    qpos: Array,
+    ctrl: Array,
+    targets: Array,
+    torques: Array,
 ) -> set[int]:
-    """Set the controls of position servos at fixed tendons that drive joints without actuator.
+    """Set the controls of position servos at tendons that drive joints without actuator.
 
     Args:
         published: Published model.
         robot: Prepared robot.
+        qpos: Configuration of the published model, shape (model.nq,); the base is used.
         ctrl: Controls, shape (model.nu,); those of these servos are set.
         targets: Target positions, shape (nu,) [rad, m].
         torques: Joint torques, shape (nu,) [N m]; the torques of these servos are subtracted.
@@ -529,13 +535,14 @@ def _set_tendon_commands(
     servos = sorted({servo for group in servos_by_joint.values() for servo in group})
     if not servos:
         return set()
-    levers = fixed_tendon_levers(model)
-    matrix = np.array([[levers[servo].get(joint, 0.0) for servo in servos] for joint in joints])
+    commanded = qpos.copy()
+    commanded[model.jnt_qposadr[joints]] = targets
+    lengths, levers = measure_tendon_levers(model, commanded, servos)
+    matrix = levers[:, model.jnt_dofadr[joints]].T
     rows = list(servos_by_joint)
     forces = np.linalg.lstsq(matrix[rows], torques[rows], rcond=None)[0]
-    for servo, force in zip(servos, forces.tolist(), strict=True):
+    for servo, force, length in zip(servos, forces.tolist(), lengths.tolist(), strict=True):
         law = read_actuator_law(model, servo)
-        length = float(targets @ matrix[:, servos.index(servo)])
         command = (force + law.stiffness * length) / law.gain
         ctrl[int(model.actuator_ctrladr[servo])] = command
     torques -= matrix @ forces

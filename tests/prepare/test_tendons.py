@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.models.transmission import Drive
+from pupper_analysis.models.transmission import (
+    Drive,
+    list_tendon_joints,
+    measure_tendon_levers,
+)
 from pupper_analysis.prepare.limits import list_overloaded_joints
 from pupper_analysis.prepare.own_run import get_published_model
 from pupper_analysis.prepare.published_model import (
@@ -157,11 +161,13 @@ def test_motors_at_a_tendon_exert_what_the_tendon_leaves(
     The knee needs 1.976 N m, the pitch joint nothing: 0.494 N m and 0.988 N.
     """
     robot = with_tendon(tmp_path, pitch=pitch, tendon=tendon)
-    statics = pa.stance.stand_statics(robot, pa.solve_stand_as_simulated(robot))
+    stand = pa.solve_stand_as_simulated(robot)
+    statics = pa.stance.stand_statics(robot, stand)
+    positions = stand.joint_positions(robot)
     torques = dict(zip(statics.joint_names, statics.joint_torques.tolist(), strict=True))
     assert torques["FL_knee"] == pytest.approx(1.976, abs=1e-3)
     assert torques["FL_pitch"] == pytest.approx(0.0, abs=1e-9)
-    assert list_overloaded_joints(robot, statics) == overloaded
+    assert list_overloaded_joints(robot, statics, positions) == overloaded
 
 
 @pytest.mark.slow
@@ -207,8 +213,10 @@ def test_a_tendon_at_coupled_joints_loads_no_motor_of_the_dependent_joint(tmp_pa
     robot = pa.load_robot(pair.urdf, pair.mjcf)
     assert robot.closure is not None
     assert [servo.instead_of for servo in robot.description.made_servos] == [Drive.TENDON]
-    statics = pa.stance.stand_statics(robot, pa.solve_stand_as_simulated(robot))
-    assert list_overloaded_joints(robot, statics) == ()
+    stand = pa.solve_stand_as_simulated(robot)
+    statics = pa.stance.stand_statics(robot, stand)
+    positions = stand.joint_positions(robot)
+    assert list_overloaded_joints(robot, statics, positions) == ()
     model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -217,3 +225,120 @@ def test_a_tendon_at_coupled_joints_loads_no_motor_of_the_dependent_joint(tmp_pa
     assert data.qpos[2] > 0.95 * height
     verdict = pa.judge_stand(robot, pa.solve_stand(robot))
     assert not verdict.overloaded_motors
+
+
+SITES = (("FL_thigh", "-0.04 0 -0.08"), ("FL_calf", "-0.04 0 -0.05"))
+"""Bodies and positions of the ends of a spatial tendon across FL_knee."""
+
+
+def with_spatial_tendon(folder: Path, more: str = "") -> pa.Robot:
+    """Load a quadruped whose FL_knee is driven by the servo ``winch`` of a spatial tendon.
+
+    In the keyframe the tendon is commanded to its length.
+    """
+    folder.mkdir(exist_ok=True)
+    pair = standing(folder)
+    winch = f'<position name="winch" tendon="cord" kp="2e5" kv="400" {more}/>'
+    text, count = re.subn(KNEE, winch, pair.mjcf.read_text())
+    assert count == 1
+    for body, place in SITES:
+        tag = re.search(rf'<body name="{body}"[^>]*>', text)
+        assert tag is not None
+        text = text.replace(tag[0], f'{tag[0]}<site name="on_{body}" pos="{place}"/>')
+    path = "".join(f'<site site="on_{body}"/>' for body, _ in SITES)
+    text = text.replace(
+        "<actuator>", f'<tendon><spatial name="cord">{path}</spatial></tendon><actuator>', 1
+    )
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    length = float(data.ten_length[0])
+    text = re.sub(r'ctrl="0 0.6 -1.2', f'ctrl="0 0.6 {length!r}', text)
+    pair.mjcf.write_text(text)
+    return pa.load_robot(pair.urdf, pair.mjcf)
+
+
+def test_joints_of_a_tendon_are_those_on_which_its_length_depends() -> None:
+    """Reference: finite differences of the length."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body name="a"><joint name="one"/><geom size=".1"/>'
+        '<site name="s"/><site name="v" pos=".1 0 0"/>'
+        '<body pos=".3 0 0"><joint name="two" axis="0 1 0"/><geom size=".1"/>'
+        '<site name="t" pos=".1 0 .05"/><body pos=".3 0 0"><joint name="three" axis="0 1 0"/>'
+        '<geom name="g" size=".02" pos=".1 0 0"/><site name="u" pos=".2 0 .05"/></body></body>'
+        "</body></worldbody><tendon>"
+        '<spatial name="across"><site site="s"/><geom geom="g"/><site site="u"/></spatial>'
+        '<spatial name="inside"><site site="t"/><site site="u"/><pulley divisor="2"/>'
+        '<site site="s"/><site site="v"/></spatial>'
+        '<fixed name="sum"><joint joint="one" coef="2"/><joint joint="three" coef="0"/></fixed>'
+        "</tendon><actuator>"
+        '<motor tendon="across"/><motor tendon="inside" gear="3"/><motor tendon="sum"/>'
+        '<motor tendon="across" gear="0"/></actuator></mujoco>'
+    )
+    joints = {name: model.joint(name).id for name in ("one", "two", "three")}
+    assert list_tendon_joints(model) == {
+        0: {joints["two"], joints["three"]}, 1: {joints["three"]}, 2: {joints["one"]}, 3: set(),
+    }  # fmt: skip
+    qpos, step = np.array([0.3, -0.4, 0.7]), 1e-6
+    _, levers = measure_tendon_levers(model, qpos, range(4))
+    for joint in range(3):
+        ends = [
+            measure_tendon_levers(model, qpos + side * step * np.eye(3)[joint], range(4))[0]
+            for side in (-1, 1)
+        ]
+        assert levers[:, joint] == pytest.approx((ends[1] - ends[0]) / (2 * step), abs=1e-8)
+
+
+@pytest.mark.slow
+def test_the_servo_of_a_spatial_tendon_holds_its_joint_in_the_published_file(
+    tmp_path: Path,
+) -> None:
+    """Reference: bare MuJoCo, which stands from the keyframe for 5 s, and ``qfrc_actuator``."""
+    robot = with_spatial_tendon(tmp_path)
+    assert [servo.instead_of for servo in robot.description.made_servos] == [Drive.TENDON]
+    stand = pa.solve_stand(robot)
+    verdict = pa.judge_stand(robot, stand)
+    assert verdict.passed
+    [remark] = [one for one in verdict.remarks if one.code == "joints-at-tendons"]
+    assert remark.values["joints"] == ("FL_knee",)
+    assert remark.values["spatial"] == ("winch",)
+    held = pa.solve_stand_as_simulated(robot, stand)
+    torques = pa.stance.stand_statics(robot, held).joint_torques
+    model = get_published_model(robot)
+    assert model is not None
+    published = PublishedModel.from_model(model, robot)
+    data = place_published(published, robot, held.qpos)
+    assert data is not None
+    hold = compute_hold_commands(published, robot, data, torques, held.joint_positions(robot))
+    assert not len(hold.external[0])
+    data.ctrl[:] = hold.ctrl
+    mujoco.mj_forward(model, data)
+    dofs = [int(model.jnt_dofadr[model.joint(name).id]) for name in robot.joint_names]
+    assert data.qfrc_actuator[dofs] == pytest.approx(torques, abs=1e-9)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_step(model, data, nstep=round(5.0 / model.opt.timestep))
+    assert data.xmat[published.base_body, 8] > np.cos(np.radians(2.0))
+
+
+@pytest.mark.slow
+def test_force_range_of_a_spatial_tendon_is_compared_at_the_stand(tmp_path: Path) -> None:
+    """Closed form: the knee's torque of 1.976 N m divided by the lever of the tendon."""
+    robot = with_spatial_tendon(tmp_path)
+    stand = pa.solve_stand_as_simulated(robot)
+    statics = pa.stance.stand_statics(robot, stand)
+    positions = stand.joint_positions(robot)
+    knee = robot.joint_names.index("FL_knee")
+    first, second = np.array([-0.04, -0.08]), np.array([-0.04, -0.05])  # x, z; calf at (0, -0.2)
+    angle = positions[knee]
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    end = np.array([0.0, -0.2]) + turn @ second
+    along = (end - first) / np.linalg.norm(end - first)
+    arm = end - np.array([0.0, -0.2])
+    lever = arm[1] * along[0] - arm[0] * along[1]
+    force = float(abs(statics.joint_torques[knee] / lever))
+    for share, overloaded in ((1.01, ()), (0.99, ("FL_knee",))):
+        limited = with_spatial_tendon(
+            tmp_path / str(share), f'forcerange="{-share * force!r} {share * force!r}"'
+        )
+        assert list_overloaded_joints(limited, statics, positions) == overloaded

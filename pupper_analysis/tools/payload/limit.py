@@ -704,10 +704,11 @@ class _PayloadSearch:
         None without such a motor or without a stand.
         """
         loaded = self.get_loaded_stand(mass)
-        if loaded.statics is None:
+        if loaded.statics is None or loaded.stand is None:
             return None
         if self._kp is None and self._kd is None:
-            overloaded = list_overloaded_joints(loaded.robot, loaded.statics)
+            positions = loaded.stand.joint_positions(loaded.robot)
+            overloaded = list_overloaded_joints(loaded.robot, loaded.statics, positions)
         else:  # the servos at the joints replace the actuators of tendons
             overloaded = find_overloaded_motors(loaded.statics)
         return (Failure.MOTOR, overloaded) if overloaded else None
