@@ -233,6 +233,8 @@ class Source:
         breadth_first: Whether the trainer sorts joints by depth in the tree.
         observations: Observations of the policy, in order.
         notes: Content that could not be read.
+        unlimited: {joint: file and line of its actuator} of a model's joints with an actuator but
+            without an effort limit.
     """
 
     name: str
@@ -246,6 +248,7 @@ class Source:
     breadth_first: bool = False
     observations: tuple[ObservedTerm, ...] = ()
     notes: tuple[Diagnostic, ...] = ()
+    unlimited: Mapping[str, Place] = field(default_factory=dict)
 
     def make_fact(self, statement: Statement, joint: str = "") -> Fact:
         """Create a `Fact` from a `Statement`: a number of this file, for a joint of the robot.

@@ -144,6 +144,7 @@ def find_disagreements(
             disagreements += _compare_quantity(quantity, kind, placed, joints)
             if kind.mirrored:
                 disagreements += _compare_sides(quantity, kind, placed, model)
+    disagreements += _find_unlimited_efforts(placed)
     offsets = {finding.joints for finding in disagreements if finding.kind == "default angle"}
     kept = [
         finding
@@ -267,6 +268,49 @@ def facts_agree(first: Fact, second: Fact) -> bool:
             ):
                 return True
     return False
+
+
+def _find_unlimited_efforts(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
+    """Yield a disagreement for each model without the effort limits that another source states.
+
+    The limits are those of the first source that limits a joint which the model drives without a
+    limit. MuJoCo then simulates a motor of any torque. `crosscheck` reports the same difference
+    between a URDF and an MJCF.
+    """
+    for model in placed:
+        limits = dict[str, Fact]()
+        for name in model.source.unlimited:
+            joint = model.names.get(name, name)
+            facts = (other.facts.get(("effort", joint)) for other in placed if other is not model)
+            stated = (fact for fact in facts if fact is not None and fact.value is not None)
+            first = next((fact for fact in stated if math.isfinite(fact.number)), None)
+            source = next(iter(limits.values()), first)
+            if first is not None and source is not None and first.source == source.source:
+                limits[name] = first
+        if not limits:
+            continue
+        head, fact = next(iter(limits.items()))
+        numbers = [each.number for each in limits.values()]
+        kind = QUANTITIES["effort"]
+        message = diagnose(
+            "contract-effort-unlimited",
+            joints=tuple(each.joint for each in limits.values()),
+            low=Quantity(min(numbers), kind.unit),
+            high=Quantity(max(numbers), kind.unit) if max(numbers) > min(numbers) else None,
+            first=fact.source,
+            second=model.source.name,
+        )
+        yield Disagreement(
+            "effort",
+            "",
+            tuple(each.joint for each in limits.values()),
+            (fact.source, model.source.name),
+            (fact.value, None),
+            kind.unit,
+            kind.severity or Severity.NOTE,
+            message,
+            (fact.place, str(model.source.unlimited[head])),
+        )
 
 
 FactPair = tuple[Fact, Fact]

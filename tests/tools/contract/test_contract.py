@@ -12,6 +12,7 @@ import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.present.document import Number, Table, word
+from pupper_analysis.robot.compare.compare import compare_files
 from pupper_analysis.tools.contract import Contract, read_contract
 from pupper_analysis.tools.contract.document import contract_document
 from tests.tools.contract.sources import (
@@ -596,3 +597,54 @@ def test_limits_of_moveit_count_if_they_are_enabled(sources: dict[str, Path]) ->
     assert (effort.kind, effort.values, effort.joints) == ("effort", (4.5, 3.0), (JOINTS[1],))
     assert (velocity.kind, velocity.joints) == ("velocity", (JOINTS[0],))
     assert velocity.places[0] == f"{path}:4"
+
+
+def test_missing_effort_limit_of_a_model_is_one_finding(tmp_path: Path) -> None:
+    """As `crosscheck` reports it; a limited motor and a joint without a motor are no finding."""
+    joints = ("hip", "knee", "ankle", "toe")
+    bodies = "".join(
+        f'<body pos="0 0 -0.1"><joint name="{joint}" axis="0 1 0"/><geom size="0.02"/>'
+        for joint in joints
+    )
+    actuators = (
+        '<position joint="hip" kp="30"/>\n<motor name="knee_motor" joint="knee"/>\n'
+        '<motor joint="ankle" forcerange="-9 9"/>'
+    )
+    model, driver = tmp_path / "leg.xml", tmp_path / "driver.yaml"
+    model.write_text(
+        f"<mujoco><worldbody>{bodies}{'</body>' * 4}</worldbody>\n"
+        f"<actuator>\n{actuators}\n</actuator></mujoco>"
+    )
+    driver.write_text(
+        "joint_names: [hip, knee, ankle, toe]\ntorque_limits: [20.0, 25.0, 9.0, 3.0]\n"
+    )
+    found = read_contract(model, driver, stand=False)
+    (finding,) = found.findings
+    assert finding.diagnostic.code == "contract-effort-unlimited"
+    assert finding.joints == ("hip", "knee")
+    assert finding.values == (20.0, None)
+    assert [place.rpartition(":")[2] for place in finding.places] == ["2", "3"]
+    assert "20 N m to 25 N m in driver.yaml, no limit in leg.xml" in finding.message
+    assert not found.passed
+    urdf = tmp_path / "leg.urdf"
+    parents, efforts = ("base", *joints), (20, 25, 9, 3)
+    body = (
+        '<inertial><mass value="1"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" '
+        'iyz="0"/></inertial>'
+    )
+    urdf.write_text(
+        '<robot name="leg"><link name="base"/>'
+        + "".join(
+            f'<link name="{joint}">{body}</link>'
+            f'<joint name="{joint}" type="revolute"><origin xyz="0 0 -0.1"/>'
+            f'<parent link="{parent}"/><child link="{joint}"/><axis xyz="0 1 0"/>'
+            f'<limit lower="-3" upper="3" effort="{effort}" velocity="9"/></joint>'
+            for parent, joint, effort in zip(parents, joints, efforts, strict=False)
+        )
+        + "</robot>"
+    )
+    efforts_differ = [
+        each for each in compare_files(urdf, model).result.differences if each.kind == "effort"
+    ]
+    subjects = [each.diagnostic.subject for each in efforts_differ]
+    assert {subject.name for subject in subjects if subject} >= {"hip", "knee"}

@@ -6,6 +6,7 @@ moving joint, each with its line. The joint order is limb by limb, as in MuJoCo.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -58,8 +59,11 @@ def read(request: Request) -> Iterator[Source]:
         if joint.moves
         for statement in _list_joint_statements(model, joint, drives.get(joint.name, []))
     ]
+    unlimited = dict[str, Place]()
     if isinstance(model, MjcfModel) and compiled is not None:
         for name, driving in drives.items():
+            if driving and name in model.joints and math.isinf(model.joints[name].effort):
+                unlimited[name] = _find_actuator_place(model, driving[-1], ())
             statements += [
                 statement
                 for drive in driving
@@ -74,6 +78,7 @@ def read(request: Request) -> Iterator[Source]:
             tuple(statements),
             order=order,
             notes=tuple(notes),
+            unlimited=unlimited,
         )
 
 
