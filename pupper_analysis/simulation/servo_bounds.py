@@ -2,7 +2,8 @@
 
 `bound_servo_gains` scales the present gains of all joints by common factors. The least stiffness is
 that without feed-forward (``stance/sag/stiffness.py``); the largest damping is that of an explicit
-PD controller with one command per time step (`ControlledStand`).
+PD controller with one command per time step (`ControlledStand`). `find_soft_servos` scales the
+gains of single classes of joints, to find the class that alone makes a stand fail.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from pupper_analysis.simulation.controlled_stand import (
     find_largest_damping_factor,
 )
 from pupper_analysis.simulation.rollout import make_stand_start
-from pupper_analysis.simulation.verify import verify_stand
+from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sag.stiffness import estimate_minimum_stiffness, minimum_stiffness
 from pupper_analysis.stance.stand import Stand
 
@@ -76,6 +77,31 @@ class ServoClass(Result):
     @property
     def units(self) -> JointUnits:
         """Units of the quantities of the joints."""
+        return select_joint_units(slides=self.are_slides)
+
+
+@dataclass(frozen=True)
+class SoftServos(Result):
+    """Servos whose stiffness alone makes a stand fail, as simulations show.
+
+    Attributes:
+        name: Common part of the joints' names, with * for the rest; several are joined by commas.
+        joints: Joints.
+        kp: Lowest present stiffness of these joints (N m/rad or N/m).
+        factor: Smallest simulated factor on the gains of these joints with which the robot stands
+            with feed-forward, while all other gains are unchanged (1).
+        are_slides: Whether the joints with the lowest stiffness are slides.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    kp: float = field(metadata={"unit": STIFFNESS_UNIT})
+    factor: float = field(metadata={"unit": "1"})
+    are_slides: bool = False
+
+    @property
+    def units(self) -> JointUnits:
+        """Units of the quantities of the joints with the lowest stiffness."""
         return select_joint_units(slides=self.are_slides)
 
 
@@ -199,6 +225,80 @@ def _find_holding_factor(robot: Robot, stand: Stand, drive: Servos, least: float
         )
         if run.stays:
             return factor
+    return None
+
+
+_SINGLE_FACTORS = (2.0, 4.0, 8.0, 16.0)
+"""Factors on the gains of a class of servos, in the order of the simulations. Chosen, not tuned:
+TienKung stands with 10 times the stiffness of its ankles, and falls with 8 times."""
+
+_MAX_SUSPECTS = 3
+"""Largest number of classes of servos that are simulated, since each takes up to four simulations.
+Chosen, not tuned."""
+
+_MODE_CODES = ("mode-buckles", "mode-shakes")
+"""Codes of failures that name the joints of an unstable mode."""
+
+
+def find_soft_servos(
+    robot: Robot,
+    stand: Stand,
+    run: StandVerification,
+    *,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+) -> SoftServos | None:
+    """Find the servos whose stiffness alone makes a stand with feed-forward fail.
+
+    Simulated are the joints of the unstable modes that ``run`` names, with the other joints of
+    their class: first each class alone, then these classes together. Their stiffness and damping
+    are multiplied by `_SINGLE_FACTORS` until the robot stands.
+
+    Args:
+        robot: Robot, with the contacts of the stand.
+        stand: Stand on MuJoCo's soft ground.
+        run: Simulation of the stand with feed-forward and these gains.
+        kp: Present stiffness [N m/rad], scalar or shape (nu,); default: the model's.
+        kd: Present damping [N m s/rad], scalar or shape (nu,); default: the model's.
+
+    Returns:
+        Servos of the first class that suffices. None if the robot stands, if its failures name no
+        unstable mode, or if no tried factor suffices.
+
+    Raises:
+        The errors of `bound_servo_gains`.
+    """
+    named: list[object] = []
+    for failure in run.failures:
+        joints_of_mode = failure.values.get("joints") if failure.code in _MODE_CODES else None
+        named += joints_of_mode if isinstance(joints_of_mode, tuple) else ()
+    if run.stays or not named or not robot.floating:
+        return None
+    drive = make_stand_start(robot, stand, kp=kp, kd=kd).drive
+    stiffness, damping = np.array(drive.kp), np.array(drive.kd)
+    classes = [
+        members
+        for members in group_joints(robot, stiffness, damping)
+        if stiffness[members[0]] > 0 and any(robot.joint_names[joint] in named for joint in members)
+    ][:_MAX_SUSPECTS]
+    groups = [[members] for members in classes]
+    for group in [*groups, classes] if len(classes) > 1 else groups:
+        joints = [joint for members in group for joint in members]
+        for factor in _SINGLE_FACTORS:
+            gains = stiffness.copy(), damping.copy()
+            for values in gains:
+                values[joints] *= factor
+            run = verify_stand(robot, stand, kp=gains[0], kd=gains[1], until_failure=True)
+            if run.stays:
+                names = [[robot.joint_names[joint] for joint in members] for members in group]
+                softest = min(joints, key=lambda joint: float(stiffness[joint]))
+                return SoftServos(
+                    name=", ".join(map(name_joints, names)),
+                    joints=tuple(robot.joint_names[joint] for joint in joints),
+                    kp=float(stiffness[softest]),
+                    factor=factor,
+                    are_slides=is_slide(robot, robot.joint_names[softest]),
+                )
     return None
 
 

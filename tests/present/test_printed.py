@@ -74,6 +74,7 @@ def test_stance_document_states_why_a_stance_fails() -> None:
         verdict=judge_stance(run(0.0, passed=False), None, SERVOS),
         minimum_stiffness=None,
         servos=None,
+        soft_servos=None,
         presses=(),
     )
     text = " ".join(print_words(stance_document(failing)))

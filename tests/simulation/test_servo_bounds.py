@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import copy
+
+import mujoco
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.simulation.controlled_stand import ControlledStand
 from pupper_analysis.simulation.rollout import make_stand_start
-from pupper_analysis.simulation.servo_bounds import bound_servo_gains
+from pupper_analysis.simulation.servo_bounds import bound_servo_gains, find_soft_servos
 from pupper_analysis.stance.sag.stiffness import minimum_stiffness
+from pupper_analysis.stance.stand import stand_statics
 from tests.support.variants import load
 
 
@@ -55,3 +59,38 @@ def test_servos_without_damping_have_no_largest_damping() -> None:
     bounds = bound_servo_gains(robot, stand, kp=5.0, kd=0.0)
     assert bounds.largest_kd_factor is None
     assert all(one.largest_kd is None for one in bounds.classes)
+
+
+def simulate_in_bare_mujoco(robot: pa.Robot, stand: pa.Stand, kp: np.ndarray) -> float:
+    """Return the distance [m] that the base moves in 30 s, with position servos and feed-forward."""
+    torques = stand_statics(robot, stand).joint_torques
+    model, joints = copy.copy(robot.mj_model), stand.joint_positions(robot)
+    servos = robot.mj_convention.actuator_index
+    model.actuator_gainprm[servos, 0], model.actuator_biasprm[servos, 1] = kp, -kp
+    data = mujoco.MjData(model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    data.ctrl[servos] = joints + torques / kp
+    start = data.qpos[:3].copy()
+    data.qvel[:2] = 0.02
+    mujoco.mj_step(model, data, nstep=round(30.0 / model.opt.timestep))
+    return float(np.linalg.norm(data.qpos[:3] - start))
+
+
+@pytest.mark.slow
+def test_class_of_servos_that_alone_is_too_soft_is_found() -> None:
+    """Reference: bare MuJoCo with these servos, once as given and once with the found factor."""
+    robot = load("v3")
+    stand = pa.solve_stand_as_simulated(robot)
+    joints = [index for index, name in enumerate(robot.joint_names) if name.endswith("_1")]
+    kp = np.full(12, 5.0)
+    kp[joints] = 0.2
+    run = pa.verify_stand(robot, stand, kp=kp)
+    assert not run.stays
+    soft = find_soft_servos(robot, stand, run, kp=kp)
+    assert soft is not None
+    assert (soft.name, soft.kp) == ("leg_*_1", 0.2)
+    assert {robot.joint_names[index] for index in joints} == set(soft.joints)
+    assert simulate_in_bare_mujoco(robot, stand, kp) > 0.03
+    kp[joints] *= soft.factor
+    assert simulate_in_bare_mujoco(robot, stand, kp) < 1e-3
+    assert find_soft_servos(robot, stand, pa.verify_stand(robot, stand, kp=kp), kp=kp) is None

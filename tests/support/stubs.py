@@ -308,6 +308,7 @@ def stance(**changes: Any) -> Any:
         ),
         "unsettled": None,
         "minimum_stiffness": 4.567,
+        "soft_servos": None,
         "servos": SERVO_BOUNDS,
         "sagging": Stub(stays=False),
         "passed": False,

@@ -6,6 +6,7 @@ format, with values in printed units. The verdict and the limiting motor come fi
 
 from __future__ import annotations
 
+import fnmatch
 import math
 from collections.abc import Iterable
 from typing import overload
@@ -191,6 +192,8 @@ def _select_next_step(stance: Stance) -> NextStep:
     soft = own is not None and any(cause.code == "soft-servos" for cause in own.causes)
     if verdict.code is VerdictCode.OWN_DRIVES_FAIL and soft:
         step = _stiffen_servos(stance.verification)
+    if verdict.code is VerdictCode.FAILS and stance.soft_servos is not None:
+        step = _stiffen_soft_servos(stance) or step
     if stance.minimum_stiffness is not None and "--minimum-stiffness" in step.words:
         step = NextStep("payload")
     return step
@@ -207,6 +210,27 @@ def _stiffen_servos(run: StandVerification) -> NextStep:
         return NextStep("stand", ("--minimum-stiffness",))
     kp, kd = (f"{STIFFNESS_FACTOR * values[0]:g}" for values in (run.kp, run.kd))
     return NextStep("stand", ("--kp", kp, "--kd", kd))
+
+
+def _stiffen_soft_servos(stance: Stance) -> NextStep | None:
+    """Return ``stand`` with the gains with which a failing stand holds (`SoftServos`).
+
+    None if the names of the classes, as patterns, match further joints.
+    """
+    servos, soft = stance.servos, stance.soft_servos
+    if servos is None or soft is None:
+        return None
+    classes = [each for each in servos.classes if set(each.joints) <= set(soft.joints)]
+    words: list[str] = []
+    for each in classes:
+        matching = [
+            joint for joint in stance.statics.joint_names if fnmatch.fnmatchcase(joint, each.name)
+        ]
+        if sorted(matching) != sorted(each.joints):
+            return None
+        words += ["--kp", f"{each.name}={soft.factor * each.kp:g}"]
+        words += ["--kd", f"{each.name}={soft.factor * each.kd:g}"] if each.kd > 0 else []
+    return NextStep("stand", tuple(words))
 
 
 def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
@@ -291,8 +315,16 @@ def _round_bound(bound: float | None) -> float | None:
 
 
 def _describe_soft_servos(stance: Stance) -> Iterable[doc.Words]:
-    """State the least stiffness of servos that are too soft, and the simulated stiffness."""
-    servos = stance.servos
+    """State the servos that alone make the stand fail, and the least stiffness of all servos."""
+    servos, soft = stance.servos, stance.soft_servos
+    if soft is not None:
+        yield text(
+            "servos-too-soft-alone",
+            joints=soft.name,
+            kp=f"{soft.kp:.3g}",
+            unit=soft.units.stiffness,
+            factor=f"{soft.factor:g}",
+        )
     if servos is None or stance.sagging.stays or servos.least_kp_factor is None:
         return
     if servos.least_kp_factor <= 1:

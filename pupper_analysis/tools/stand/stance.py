@@ -34,7 +34,12 @@ from pupper_analysis.prepare.passes import LoadRequest, PassRun, prepare_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import list_position_units
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.servo_bounds import ServoBounds, bound_servo_gains
+from pupper_analysis.simulation.servo_bounds import (
+    ServoBounds,
+    SoftServos,
+    bound_servo_gains,
+    find_soft_servos,
+)
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
@@ -76,6 +81,8 @@ class Stance(Tabular):
             (N m/rad or N/m); None if not requested, or if no tested kp suffices.
         servos: Present gains of the servos, and bounds of these gains; None if the stand has no
             linear model.
+        soft_servos: Servos whose stiffness alone makes the stand with feed-forward fail; None if
+            there are none, or if they are unknown.
     """
 
     name: str
@@ -94,6 +101,7 @@ class Stance(Tabular):
     presses: tuple[LargestPress, ...]
     minimum_stiffness: float | None = field(metadata={"unit": STIFFNESS_UNIT})
     servos: ServoBounds | None
+    soft_servos: SoftServos | None = None
 
     def _columns(self) -> dict[str, ArrayLike]:
         """Return {column: values} of the table of this stance with a row per joint, SI units."""
@@ -188,9 +196,10 @@ def study_stance(
     report_progress("simulations", 1, _NUM_SIMULATIONS)
     alone = verify_stand(robot, held, kp=kp, kd=kd, feedforward=False, settled=settled)
     report_progress("simulations", 2, _NUM_SIMULATIONS)
-    servos = None
+    servos = soft = None
     with contextlib.suppress(ConfigurationError):  # a diverging step has no linear model
         servos = bound_servo_gains(robot, held, kp=kp, kd=kd, stands=alone.stays)
+        soft = find_soft_servos(robot, held, fed, kp=kp, kd=kd)
     return Stance(
         name=robot.name,
         joint_positions=held.joint_positions(robot),
@@ -208,6 +217,7 @@ def study_stance(
         presses=largest_presses(robot, held),
         minimum_stiffness=min_kp,
         servos=servos,
+        soft_servos=soft,
     )
 
 
