@@ -737,8 +737,9 @@ def make_robot(
     The options are those of `load_robot`, which reads the files. Servo tuning, rest pose and visual
     meshes are computed when the robot is first simulated, drawn, pickled or copied
     (`defer_stages`). If servos may change the order of the joints, servos and rest pose are
-    computed immediately; visual meshes are then postponed only with a fixed base. The function
-    ``finish``, if any, is applied to the robot after all steps.
+    computed immediately; visual meshes are then postponed only with a fixed base, and kinematics
+    and statics do not wait for them. The function ``finish``, if any, is applied to the robot after
+    all steps.
 
     Raises:
         ConfigurationError: See `parse_feet`.
@@ -761,7 +762,8 @@ def make_robot(
     if _keeps_joint_order(draft.robot):
         return defer_stages(draft.robot, complete_preparation, partial(_pose_without_servos, draft))
     if visuals and draft.mjcf.deferred_visuals is not None and not draft.robot.floating:
-        return defer_stages(complete_preparation(visuals=False), complete_preparation)
+        robot = complete_preparation(visuals=False)
+        return defer_stages(robot, complete_preparation, lambda: robot)
     return complete_preparation()
 
 

@@ -342,11 +342,11 @@ class Robot(EngineModels):
 
     @property
     def before_servos(self) -> Robot:
-        """Robot for kinematics and statics: without servo tuning, if that is still postponed.
+        """Robot for kinematics and statics, without the postponed servo tuning and visual meshes.
 
         Servos change neither configurations nor torques at rest. The robot has the start pose, the
         collision shapes, the contacts and the effort limits of this robot; its MuJoCo model lacks
-        the added servos and visual meshes. This robot itself, if servo tuning is not postponed.
+        the postponed servos and visual meshes. This robot itself, if nothing is postponed.
         """
         found: Robot | Callable[[], Robot] | None = vars(self).get(_BEFORE_SERVOS)
         if found is None or isinstance(found, Robot):
@@ -816,8 +816,8 @@ def defer_stages(
     Args:
         robot: Robot before the remaining steps.
         complete: Function that runs the remaining steps, and returns the completed robot.
-        pose: Function that returns the robot in its start pose, without added servos, for stands
-            and statics (`Robot.before_servos`). None: stands wait for all steps.
+        pose: Function that returns the robot in its start pose, without the postponed steps, for
+            stands and statics (`Robot.before_servos`). None: stands wait for all steps.
     """
     deferred = object.__new__(Robot)
     vars(deferred).update({name: vars(robot)[name] for name in _EARLY_FIELDS})

@@ -318,9 +318,14 @@ def test_visual_meshes_of_a_fixed_base_with_coupled_joints_are_deferred(
     )
     robot = pa.load_robot(urdf, fixed_base=True)
     order, pin_model = robot.joint_names, robot.pin_model
+    joints = np.full(robot.nq, 0.2)
+    statics = pa.gravity_compensation(pa.Configuration(robot, joints), contacts=())
     assert not converted
     pair = read_pair(urdf)
     whole, _ = prepare_robot(pair.urdf, pair.mjcf, LoadRequest(fixed_base=True))
+    expected = pa.gravity_compensation(pa.Configuration(whole, joints), contacts=())
+    assert np.abs(statics.joint_torques).max() > 0.01
+    np.testing.assert_array_equal(statics.joint_torques, expected.joint_torques)
     assert order == whole.joint_names == robot.joint_names
     assert pin_model == whole.pin_model
     assert robot.mj_model.ngeom == whole.mj_model.ngeom
