@@ -13,6 +13,7 @@ from .sag.stiffness import minimum_stiffness as minimum_stiffness
 from .soft_ground import solve_stand_as_simulated as solve_stand_as_simulated
 from .soft_ground import solve_stand_on_soft_ground as solve_stand_on_soft_ground
 from .stand import stand_statics as stand_statics
+from .start_file import read_start as read_start
 from .whole_body import SolvedPosture as SolvedPosture
 from .whole_body import solve_posture as solve_posture
 from .workspace import BaseWorkspace as BaseWorkspace

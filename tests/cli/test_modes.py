@@ -127,7 +127,7 @@ USED: dict[str, set[str]] = {
     "path": _SERVO | _LOAD | {"seconds"},
     "payload": _SERVO | _LOAD | _POLICY | {"continuous", "payload_at"},
     "push": _SERVO | _LOAD | _POLICY | {"directions", "resolution"},
-    "stand": _SERVO | _LOAD | {"minimum_stiffness", "explain"},
+    "stand": _SERVO | _LOAD | {"minimum_stiffness", "explain", "start"},
     "study": {"folder", "workers", "dask", "minimise", "maximise", "numbers"},
     "sync": {"dry_run", "changes"},
     "walk": {"policy", "seconds", "init"},

@@ -34,6 +34,13 @@ from pupper_analysis.prepare.convert.files import RobotFiles
     is_flag=True,
     help="Only list the additions to your files for a stand, by preparation pass.",
 )
+@shared.file_option(
+    "--start",
+    help=(
+        "Initial guess of the joint positions: JSON or CSV, as written by --json or --csv; selects "
+        "the IK branch; e.g. stand.json."
+    ),
+)
 @robot_and_task
 @shared.output_option(
     "--csv",
@@ -48,6 +55,7 @@ def command(
     words: tuple[str, ...],
     minimum_stiffness: bool,
     explain: bool,
+    start: Path | None,
     csv: Path | None,
     figure: Path | None,
     json_path: Path | None,
@@ -80,6 +88,7 @@ def command(
         --figure stance.png
       pupper-analysis stand --base v3 --leg-scale 1.2 --minimum-stiffness
       pupper-analysis stand v3 --height 12cm --csv joints.csv
+      pupper-analysis stand v3 --start joints.csv
       pupper-analysis stand go2.urdf --explain
       pupper-analysis stand go1.urdf go1.xml --foot FL=FL_foot --foot FR=FR_foot \\
         --foot RL=RL_foot --foot RR=RR_foot --kp 20 --kd 0.5 --kp '*calf*=30'
@@ -91,13 +100,17 @@ def command(
         refuse_unused("--explain", {"--explain": _EXPLAIN_PARAMETERS})
         _explain_preparation(request, words, json_path)
         return
+    from pupper_analysis.stance.stand import solve_stand
+    from pupper_analysis.stance.start_file import read_start
     from pupper_analysis.tools.stand.stance import study_stance
 
     task = request.task()
     robot = request.robot(words, visuals=figure is not None or report_path is not None)
     kp, kd = request.gains(robot)
+    guess = None if start is None else read_start(start, robot)
     with shared.show_progress("solving the stance, and simulating it"):
-        result = study_stance(robot, task, kp=kp, kd=kd, stiffness=minimum_stiffness)
+        stance = task if guess is None else solve_stand(robot, task, start=guess)
+        result = study_stance(robot, stance, kp=kp, kd=kd, stiffness=minimum_stiffness)
     request.show(result, robot)
     if csv is not None:
         result.to_csv(csv)

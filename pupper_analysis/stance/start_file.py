@@ -1,0 +1,157 @@
+"""Read the initial guess of a stand from a file: joint positions by name, or a configuration.
+
+Accepted are results of this package as JSON (for example `stand --json`, or ``to_json()`` of a
+stand or posture), a JSON object {joint: position}, the CSV table of `stand --csv`, and numbers
+alone, in JSON or CSV: a configuration ``qpos`` (nq,), or the joint positions (nu,) in actuator
+order. All positions are in rad, or m for a slide.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeGuard
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, InputError, UnknownNameError
+from pupper_analysis.base.inputs import read_text
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+@check_arguments
+def read_start(path: str | Path, robot: Robot) -> Array:
+    """Read the initial guess of a stand from a file, for ``solve_stand(start=...)``.
+
+    Positions with joint names are assigned by name; other joints keep their position in ``home``.
+    Of a result, the joint positions are used, and the base is that of ``home``.
+
+    Args:
+        path: JSON or CSV file.
+        robot: Robot with a floating base, whose stand is solved.
+
+    Returns:
+        Configuration, shape (nq,).
+
+    Raises:
+        ConfigurationError: If the file cannot be read, contains no or several configurations, a
+            number that is not finite, or a configuration without joint names that has another
+            length or belongs to another robot.
+        UnknownNameError: If the robot has no joint of a name in the file.
+    """
+    path = Path(path)
+    try:
+        text = read_text(path)
+    except InputError as error:
+        raise ConfigurationError(str(path), error.cause) from error
+    try:
+        content = orjson.loads(text)
+    except orjson.JSONDecodeError:
+        content = _read_table(text)
+    positions, belongs_to = _find_positions(content)
+    # Of names, shapes and inertias, the fingerprint contains a hash after the robot's name.
+    own_hash = robot.fingerprint.rpartition(" ")[2]
+    if belongs_to and belongs_to.rpartition(" ")[2] != own_hash:
+        raise ConfigurationError(str(path), diagnose("start-of-another-robot", robot=belongs_to))
+    qpos = robot.home.copy()
+    if isinstance(positions, Mapping):
+        for name, value in positions.items():
+            if name not in robot.joint_names:
+                unknown = UnknownNameError(robot.name, "joint", name, robot.joint_names)
+                raise unknown.with_location(str(path))
+            qpos[robot.nq - robot.nu + robot.joint_names.index(name)] = value
+        values = list(positions.values())
+    else:
+        values = list(positions or ())
+        if len(values) not in (robot.nq, robot.nu):
+            problem = diagnose(
+                "start-of-another-length", count=len(values), nq=robot.nq, nu=robot.nu
+            )
+            raise ConfigurationError(str(path), problem)
+        qpos[robot.nq - len(values) :] = values
+    if not all(map(math.isfinite, values)):
+        raise ConfigurationError(str(path), diagnose("start-not-finite"))
+    return qpos
+
+
+_Positions = Mapping[str, float] | Sequence[float] | None
+"""Joint positions by name, or numbers of a configuration; None if a file contains neither."""
+
+
+def _read_table(text: str) -> Any:
+    """Return the content of a CSV: {joint: position} of a table of joints, or a list of numbers.
+
+    None if the text is neither, for example if several rows of numbers follow each other.
+    """
+    try:
+        rows = [row for row in csv.reader(text.splitlines()) if any(map(str.strip, row))]
+    except csv.Error:
+        return None
+    if not rows:
+        return None
+    header = [cell.partition("(")[0].strip() for cell in rows[0]]
+    if "joint" in header and "position" in header:
+        joint, position = header.index("joint"), header.index("position")
+        cells = [(row[joint], row[position]) for row in rows[1:] if len(row) == len(header)]
+        table = {name.strip(): _to_number(cell) for name, cell in cells}
+        return table if len(table) == len(rows) - 1 else None
+    numbers = [[_to_number(cell) for cell in row] for row in rows]
+    if len(rows) == 1:
+        return numbers[0]
+    return [row[0] for row in numbers] if all(len(row) == 1 for row in numbers) else None
+
+
+def _to_number(cell: str) -> float | str:
+    """Return the number in a cell; the cell itself if it contains none."""
+    try:
+        return float(cell)
+    except ValueError:
+        return cell
+
+
+def _find_positions(content: Any) -> tuple[_Positions, str]:
+    """Return the positions in the content of a file, and the fingerprint of their robot.
+
+    The fingerprint is empty if the file states none, or if the positions have names.
+    """
+    if _is_numbers(content):
+        return content, ""
+    if isinstance(content, Mapping) and content and _is_numbers(list(content.values())):
+        return content, ""
+    for table in _walk_tables(content):
+        statics = table.get("statics")
+        inner = statics if isinstance(statics, Mapping) else {}
+        names = table.get("joint_names", inner.get("joint_names"))
+        positions, qpos = table.get("joint_positions"), table.get("qpos")
+        if isinstance(names, list) and _is_numbers(positions) and len(names) == len(positions):
+            return dict(zip(map(str, names), positions, strict=True)), ""
+        if _is_numbers(qpos):
+            owner = table.get("robot")
+            return qpos, owner if isinstance(owner, str) else ""
+    return None, ""
+
+
+def _walk_tables(content: Any) -> Iterator[Mapping[str, Any]]:
+    """Yield the mappings in the content of a JSON file, those of a higher level first."""
+    level = [content]
+    while level:
+        tables = [one for one in level if isinstance(one, Mapping)]
+        yield from tables
+        level = [value for table in tables for value in table.values()]
+
+
+def _is_numbers(value: Any) -> TypeGuard[list[float]]:
+    """Return True for a list of at least one number."""
+    return (
+        isinstance(value, list)
+        and bool(value)
+        and all(isinstance(item, int | float) and not isinstance(item, bool) for item in value)
+    )
