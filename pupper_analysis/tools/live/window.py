@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -20,10 +20,18 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.cli.next_step import print_next_step
 from pupper_analysis.models.transmission import MadeServo
 from pupper_analysis.prepare.judge import describe_frictionless_feet, describe_missing_masses
-from pupper_analysis.prepare.self_check import explain_own_run
+from pupper_analysis.prepare.self_check import (
+    compare_nominal_stand,
+    explain_own_run,
+    list_ball_joints,
+)
 from pupper_analysis.present import display
 from pupper_analysis.present.document import NextStep
-from pupper_analysis.present.verdict import make_keyframe_run_clauses, make_replaced_clauses
+from pupper_analysis.present.verdict import (
+    make_keyframe_run_clauses,
+    make_published_clauses,
+    make_replaced_clauses,
+)
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import was_reset_by_mujoco
 from pupper_analysis.robot.robot import Robot
@@ -139,7 +147,8 @@ def view_robot(robot: Robot, *, headless: bool) -> None:
 
     Args:
         robot: Robot.
-        headless: Print the sensor readings and the next command instead of opening a window.
+        headless: Print mass, start pose, next command and sensor readings instead of opening a
+            window.
 
     Raises:
         DisplayError: If no window can be opened.
@@ -147,19 +156,44 @@ def view_robot(robot: Robot, *, headless: bool) -> None:
     if not headless:
         display.check_display()
     data, model = make_home_data(robot), robot.mj_model
-    print(f"{robot.name}: nq={model.nq}, nv={model.nv}, nu={model.nu}", flush=True)
     if headless:
+        print(
+            f"READY {robot.name}: MuJoCo model with nq={model.nq}, nv={model.nv}, nu={model.nu}, "
+            f"{float(mujoco.mj_getTotalmass(model)):.3f} kg"
+        )
+        print(f"  {_describe_home(robot, data)}; {_format_sensor_count(model.nsensor)}")
+        print_next_step(NextStep("stand" if robot.floating else "hold"))
+        if model.nsensor:
+            print()
         for sensor in map(model.sensor, range(model.nsensor)):
             reading = " ".join(
                 f"{round(value, 3) + 0.0:+.3f}" for value in data.sensor(sensor.id).data
             )
             print(f'data.sensor("{sensor.name}").data  {reading}')
-        print_next_step(NextStep("stand" if robot.floating else "hold"))
         return
+    print(f"{robot.name}: nq={model.nq}, nv={model.nv}, nu={model.nu}", flush=True)
     if not robot.floating:
         model = copy.copy(model)  # the robot's own is not changed
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY
     display.show_window(model, data)
+
+
+def _describe_home(robot: Robot, data: mujoco.MjData) -> str:
+    """Return the text about the start pose: base height and clearance of the feet, or servos."""
+    if not robot.floating:
+        return "base fixed in the home pose, servos commanded to its joint positions"
+    qpos, _ = robot.mj_convention.read_state(data)
+    text = f"home pose: base height {1e3 * float(qpos[2]):.1f} mm"
+    if not robot.contact_points:
+        return f"{text}, no feet"
+    return f"{text}, lowest foot {1e3 * _foot_clearance(robot, qpos):.1f} mm above the ground"
+
+
+def _format_sensor_count(count: int) -> str:
+    """Return the text about the number of sensors in the file."""
+    if not count:
+        return "the file has no sensors"
+    return f"{count} sensor{'' if count == 1 else 's'}, read below"
 
 
 def drop_and_report(robot: Robot, *, headless: bool) -> bool:
@@ -198,15 +232,20 @@ def list_contradictions(robot: Robot) -> tuple[str, ...]:
     """Return reasons why the unmodified MJCF may fall although the simulated drop ends stable.
 
     The simulated drop uses the prepared robot, in which, for example, bad servos are replaced. The
-    reasons are replaced servos, a failure of the unmodified MJCF from its keyframe, and feet
-    without friction.
+    reasons are replaced servos, a failure of the unmodified MJCF from its keyframe, ball joints
+    with which the unmodified MJCF deviates from the nominal stand, and feet without friction.
     """
     replaced: tuple[MadeServo, ...] = ()
     with contextlib.suppress(ModelError):  # torque motors have no servo
         replaced = find_servos_used(robot).replacement_servos
     own = explain_own_run(robot)
+    balls = list_ball_joints(robot)
+    published = compare_nominal_stand(robot) if balls else None
+    if published is not None:
+        published = replace(published, causes=balls) if published.differs else None
     clauses = (
         *make_keyframe_run_clauses(own if own is not None and own.fails else None),
+        *make_published_clauses(published),
         *make_replaced_clauses(replaced),
     )
     slippery = describe_frictionless_feet(robot, robot.contact_points) if robot.floating else None

@@ -101,10 +101,12 @@ def test_headless_view_prints_sizes_and_sensor_values(
     """At rest an accelerometer measures gravity on a fixed base, and nothing in free fall."""
     viewer.view_robot(pa.load_variant("v3", fixed_base=fixed), headless=True)
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == f"v3: {sizes}"
+    assert lines[0].startswith(f"READY v3: MuJoCo model with {sizes}, ")
+    assert ("fixed" if fixed else "base height 280.0 mm, lowest foot 148.5 mm") in lines[1]
+    assert lines[2] == ""
     readings = [re.match(r'data\.sensor\("(\w+)"\)\.data +(.*)', line) for line in lines]
     sensors = {found[1]: list(map(float, found[2].split())) for found in readings if found}
-    assert len(sensors) == len(lines) - 1 == 6
+    assert len(sensors) == len(lines) - 3 == 6
     assert sensors["body_quat"] == [1, 0, 0, 0]
     assert sensors["body_acc"] == pytest.approx([0.0, 0.0, acceleration], abs=1e-3)
 
