@@ -70,7 +70,7 @@ from pupper_analysis.simulation.verify import (
     torque_scale,
 )
 from pupper_analysis.stance.sag.steady_state import steady_state
-from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.statics.equilibrium import gravity_compensation
 
@@ -370,20 +370,20 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
 
     Returns:
         Predictions: with feed-forward, then without. For a fixed base, only with feed-forward.
-        Empty if the stand on soft ground cannot be solved. The prediction without feed-forward is
-        left out if a joint of the prepared robot has no position servo, if a servo of the file was
-        replaced, if the file drives a joint through a tendon, or if no steady state without
-        failures is found.
+        The stand is that on soft ground, or that on rigid ground if the former is out of reach.
+        Empty if this stand is not in balance. The prediction without feed-forward is left out if a
+        joint of the prepared robot has no position servo, if a servo of the file was replaced, if
+        the file drives a joint through a tendon, or if no steady state without failures is found.
     """
     if not robot.floating:
         joints = stand.qpos[-robot.nu :]
         torques = gravity_compensation(Configuration(robot, joints), contacts=()).joint_torques
         return [PredictedRest(True, joints, torques, joints)]
     try:
-        held = solve_stand_on_soft_ground(robot, stand, explain=False)
+        held = solve_stand_as_simulated(robot, stand)
+        torques = stand_statics(robot, held).joint_torques
     except PupperAnalysisError:
         return []
-    torques = stand_statics(robot, held).joint_torques
     predictions = [PredictedRest(True, held.qpos, torques, held.joint_positions(robot))]
     added = robot.description.made_servos
     replaced = any(servo.instead_of in (Drive.SERVO, Drive.TENDON) for servo in added)

@@ -12,6 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
+import mujoco
+import numpy as np
+
 from pupper_analysis.base.arguments import check_arguments, check_type
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
@@ -99,7 +102,13 @@ def _convert_mjcf_in_memory(file: MjcfFile) -> UrdfFile:
     text = ConvertedUrdf.from_mjcf(file, file.path, fix_balls=True).text
     urdf = urdf_from(file.path, text, parse_text(text), None)
     if all(joint.is_fixed for joint in urdf.tree.joints.values()):
-        raise ModelError(file.path, diagnose("no-joints"))
+        model = file.model
+        balls = [
+            model.joint(int(joint)).name
+            for joint in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_BALL)
+        ]
+        problem = diagnose("ball-joints-alone", joints=balls) if balls else diagnose("no-joints")
+        raise ModelError(file.path, problem)
     return urdf
 
 

@@ -615,7 +615,7 @@ def delete_ball_joints(
         elif joint.type != JointKind.FREE:
             names.append(joint.name)
     if balls and not names:
-        raise ModelError(source, diagnose("ball-joints-alone"))
+        raise ModelError(source, diagnose("ball-joints-alone", joints=balls))
     if not balls:
         return names, balls, []
     for key in list(spec.keys):
