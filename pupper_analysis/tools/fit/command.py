@@ -6,7 +6,7 @@ from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -29,10 +29,12 @@ from pupper_analysis.cli.robots import (
 from pupper_analysis.cli.stance_options import GAIN_OPTIONS, parse_gain
 from pupper_analysis.prepare.convert.files import RobotFiles
 from pupper_analysis.present.document import NextStep
+from pupper_analysis.tools.fit.kinds import TRACE_KIND
 
 if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
+    from pupper_analysis.tools.fit.record.listen import TraceRecording
     from pupper_analysis.tools.fit.record.recorder import Recording
     from pupper_analysis.tools.fit.result import Fit
     from pupper_analysis.tools.fit.stands.plan import StandPlan
@@ -42,9 +44,11 @@ _SHARED_OPTIONS = {field.name for field in fields(RobotOptions)} | {
     *("words", "output", "priors", "kp", "everything"),
     *("style", "json_path", "report_path", "force"),
 }
-"""Options of ``fit`` that all modes accept, except ``priors`` and ``kp`` with ``--record``."""
+"""Options of ``fit`` that all modes accept, except ``priors`` and ``kp`` with ``--record`` and
+``--listen``."""
 _MODE_OPTIONS = {
     "--record": {*_SHARED_OPTIONS, "record", "bridge"} - {"priors", "kp"},
+    "--listen": {*_SHARED_OPTIONS, "listen", "bridge"} - {"priors", "kp"},
     "--stands": {*_SHARED_OPTIONS, "stands", "weight", "anyway"},
     "--log": {*_SHARED_OPTIONS, "anyway", "logs", "topics", "joints", "hold_out", "kd"},
     "--plan": {*_SHARED_OPTIONS, "count", "added", "added_at"},
@@ -112,6 +116,12 @@ _MODE_OPTIONS = {
 )
 @shared.file_option("--record", help="CSV of a plan: record its stands, each as a row of -o.")
 @click.option(
+    "--listen",
+    type=float,
+    metavar="SECONDS",
+    help="Record observations and actions of the running policy as a trace for `walk --trace`.",
+)
+@click.option(
     "--bridge",
     metavar="NAME",
     help=(
@@ -125,13 +135,15 @@ _MODE_OPTIONS = {
     holds=lambda given: (
         kinds.RECORD_KIND
         if given["record"] is not None
+        else TRACE_KIND
+        if given["listen"] is not None
         else kinds.FIT_FOLDER
         if given["count"] is None
         else kinds.PLAN_KIND
     ),
     help=(
-        "Output: CSV of the plan or of the recorded stands; or folder of the corrected URDF and "
-        "MJCF, fit.json, offsets.csv and samples.csv."
+        "Output: CSV of the plan or of the recorded stands; npz of a trace; or folder of the "
+        "corrected URDF and MJCF, fit.json, offsets.csv and samples.csv."
     ),
 )
 @click.option(
@@ -171,6 +183,7 @@ def command(
     added: str | None,
     added_at: str | None,
     record: Path | None,
+    listen: float | None,
     bridge: str | None,
     output: Path | None,
     priors: tuple[str, ...],
@@ -200,16 +213,22 @@ def command(
       pupper-analysis fit v3 --stands stands.csv --weight 3.55kg -o fitted/
       pupper-analysis fit v3 --stands stands.csv --prior kp=0 --report fit.html
       pupper-analysis fit v3 --log hanging.csv --hold-out 0.2
+      pupper-analysis fit v3 --listen 20 --bridge ros2 -o trace.npz
 
     Exit status: 0 the model explains the measurements, 1 the model does not, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.fit.result import Fit
 
-    if [stands is not None, count is not None, bool(logs), record is not None].count(True) != 1:
+    modes = {
+        "--record": record is not None,
+        "--listen": listen is not None,
+        "--plan": count is not None,
+        "--log": bool(logs),
+        "--stands": stands is not None,
+    }
+    if [*modes.values()].count(True) != 1:
         raise ConfigurationError("--stands", diagnose("fit-of-nothing"))
-    mode = (
-        "--record" if record else "--plan" if count is not None else "--log" if logs else "--stands"
-    )
+    mode = next(name for name, is_selected in modes.items() if is_selected)
     refuse_unused(mode, _MODE_OPTIONS)
     if output is None:
         refuse_alone(("--output",), "anyway")
@@ -220,23 +239,16 @@ def command(
     selection = which.select_robot(words) or "v3"
     robot = load_selected_robot(selection)
     stiffness, damping = parse_gain("kp", kp, robot), parse_gain("kd", kd, robot)
-    result: Fit | StandPlan | Recording
+    result: Fit | StandPlan | Recording | TraceRecording
     if record is not None:
         result = _record_plan(robot, record, output, bridge)
+    elif listen is not None:
+        result = _record_policy(robot, listen, output, bridge)
     elif count is not None:
-        from pupper_analysis.tools.fit.stands.plan import plan_stands, write_plan
-
-        with shared.show_progress("choosing stands among those that the servos hold"):
-            result = plan_stands(
-                robot,
-                count,
-                priors=priors,
-                kp=stiffness,
-                added=load,
-                added_at=None if added_at is None else shared.parse_place("added-at", added_at),
-            )
-        if output is not None:
-            write_plan(result, output)
+        place = None if added_at is None else shared.parse_place("added-at", added_at)
+        result = _plan_stands(
+            robot, count, output, priors=priors, kp=stiffness, added=load, added_at=place
+        )
     else:
         from pupper_analysis.tools.fit.fit import fit as fit_numbers
         from pupper_analysis.tools.fit.measurements.log import read_log
@@ -284,21 +296,36 @@ def command(
     shared.finish_command(json_path, result, passed=passed)
 
 
-_MEASURING_OPTIONS = ("--plan", "--record", "--bridge", "--prior", "--added", "--added-at")
+_MEASURING_OPTIONS = (
+    "--plan",
+    "--record",
+    "--listen",
+    "--bridge",
+    "--prior",
+    "--added",
+    "--added-at",
+)
 """Options that the suggested next command does not take over from the present command: its mode
 (recording or fit) refuses them, or has its own values."""
 
 
-def _select_next_step(result: Fit | StandPlan | Recording, output: Path | None) -> NextStep | None:
+def _select_next_step(
+    result: Fit | StandPlan | Recording | TraceRecording, output: Path | None
+) -> NextStep | None:
     """Return the suggested next command; it depends on the type of ``result``.
 
-    A plan is to be written or recorded, a recording completed or fitted, a fit shown in detail or
-    written. None after an explained fit with an output folder: `command` then suggests a command
-    with the written files.
+    A plan is to be written or recorded, a recording completed or fitted, a trace compared with its
+    policy, a fit shown in detail or written. None after an explained fit with an output folder:
+    `command` then suggests a command with the written files.
     """
+    from pupper_analysis.tools.fit.record.listen import TraceRecording
     from pupper_analysis.tools.fit.record.recorder import Recording
     from pupper_analysis.tools.fit.stands.plan import StandPlan
 
+    if isinstance(result, TraceRecording):
+        return NextStep(
+            "walk", ("--policy", "policy.json", "--trace", result.file), omitted=_MEASURING_OPTIONS
+        )
     if isinstance(result, StandPlan):
         if output is None:
             return NextStep("fit", ("-o", "plan.csv"))
@@ -313,6 +340,17 @@ def _select_next_step(result: Fit | StandPlan | Recording, output: Path | None) 
     return NextStep("fit", ("-o", "fitted")) if output is None else None
 
 
+def _plan_stands(robot: Robot, count: int, output: Path | None, **options: Any) -> StandPlan:
+    """Choose stands to be measured, and write the plan if an output is given."""
+    from pupper_analysis.tools.fit.stands.plan import plan_stands, write_plan
+
+    with shared.show_progress("choosing stands among those that the servos hold"):
+        plan = plan_stands(robot, count, **options)
+    if output is not None:
+        write_plan(plan, output)
+    return plan
+
+
 def _record_plan(robot: Robot, plan: Path, output: Path | None, bridge: str | None) -> Recording:
     """Record the stands of a plan with a robot."""
     from pupper_analysis.tools.fit.record.bridge import open_bridge
@@ -323,6 +361,19 @@ def _record_plan(robot: Robot, plan: Path, output: Path | None, bridge: str | No
         raise ConfigurationError(option, diagnose("recording-needs"))
     bridge_handle, operator = open_bridge(bridge, robot)
     return record_stands(robot, plan, output, bridge_handle, operator)
+
+
+def _record_policy(
+    robot: Robot, seconds: float, output: Path | None, bridge: str | None
+) -> TraceRecording:
+    """Record a policy that runs on the robot."""
+    from pupper_analysis.tools.fit.record.listen import record_policy
+
+    if bridge is None or output is None:
+        option = "--bridge" if bridge is None else "--output"
+        raise ConfigurationError(option, diagnose("listening-needs"))
+    with shared.show_progress(f"listening for {seconds:g} s"):
+        return record_policy(robot, bridge, seconds, output)
 
 
 def _write_models(

@@ -15,6 +15,7 @@ from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.parameters import SURROUNDINGS_KINDS
+from pupper_analysis.tools.fit.record.listen import TraceRecording
 from pupper_analysis.tools.fit.record.recorder import Recording
 from pupper_analysis.tools.fit.result import Determined, Estimate, Fit, MotionFit
 from pupper_analysis.tools.fit.stands.fit import StandFit
@@ -353,4 +354,28 @@ def recording_document(recording: Recording, _: Robot | None = None) -> doc.Docu
         verdict=text("recording-complete") if recording.complete else text("recording-incomplete"),
         failures=(summary, *reasons) if recording.missing_stands else reasons,
         findings=() if recording.missing_stands else (summary,),
+    )
+
+
+@build_document.register(TraceRecording)
+def trace_document(recording: TraceRecording, _: Robot | None = None) -> doc.Document:
+    """Create the report of a recorded policy: samples, and signals that were not received."""
+    summary = text(
+        "trace-recorded",
+        samples=str(recording.samples),
+        period=f"{1e3 * recording.period:.3g}",
+        file=doc.Name(recording.file),
+    )
+    missing = text("trace-lacks-signals", names=doc.Name(", ".join(recording.missing)))
+    return doc.Document(
+        text("recording-of-a-policy"),
+        doc.Name(recording.name),
+        (),
+        passed=recording.complete,
+        verdict=text("recording-complete") if recording.complete else text("recording-incomplete"),
+        failures=() if recording.complete else (summary, missing),
+        findings=(
+            *((summary,) if recording.complete else ()),
+            *map(doc.diagnostic_text, recording.findings),
+        ),
     )

@@ -174,7 +174,7 @@ def record_calls(words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> lis
 
 
 NOT_TYPED = {one.name for one in fields(RobotOptions)} | {
-    *("stands", "logs", "count", "record"),  # the modes
+    *("stands", "logs", "count", "record", "listen"),  # the modes
     *("anyway", "output", "force"),  # which need a result of the fit, or an existing file
 }
 

@@ -3,11 +3,15 @@
 ``JointState`` messages contain ``name`` and ``position`` [rad] of some or all joints, in any order.
 The controller accepts ``std_msgs/Float64MultiArray`` with ``data`` in the joint order of the
 controller, which is actuator order unless ``ros2:order=a,b,c`` states another.
+
+`RosListener` records a running policy: observations and actions, which the controller publishes as
+``Float32MultiArray`` or ``Float64MultiArray``, with joint states, IMU and velocity commands.
 """
 
 from __future__ import annotations
 
 import math
+from functools import partial
 from importlib import import_module
 from typing import Any
 
@@ -153,3 +157,141 @@ def open_ros(robot: Robot, arguments: str) -> tuple[RosBridge, Terminal]:
     order = tuple(options.get("order", "").split(",")) if options.get("order") else ()
     topics = options.get("state", STATE_TOPIC), options.get("command", COMMAND_TOPIC)
     return RosBridge(robot, ros, (state_class, array_class), *topics, order), Terminal()
+
+
+LISTENED_TOPICS = {
+    "observation": "/neural_controller/observation",
+    "action": "/neural_controller/policy_output",
+    "target": "/neural_controller/position_command",
+    "state": STATE_TOPIC,
+    "imu": "/imu_sensor_broadcaster/imu",
+    "velocity": "/cmd_vel",
+}
+"""{part of the arguments of a listener: default topic}, those of Pupper's neural_controller."""
+
+_ARRAY_SIGNALS = {"observation": "observations", "action": "actions", "target": "targets"}
+"""{topic of an array: signal of a trace}."""
+
+
+class RosListener(WallClock):
+    """Subscriptions to the topics of a running policy.
+
+    Args:
+        robot: Robot.
+        ros: Module ``rclpy`` with the modules ``qos`` and ``signals``.
+        messages: {class name: message class}.
+        topics: {key of `LISTENED_TOPICS`: topic}.
+        order: Joints of the controller, the order of its commanded positions.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        ros: Any,
+        messages: dict[str, Any],
+        topics: dict[str, str],
+        order: tuple[str, ...] = (),
+    ) -> None:
+        names = robot.joint_names
+        if order and sorted(order) != sorted(names):
+            differing = sorted({*order} ^ {*names}) or sorted(names)
+            raise ConfigurationError(
+                "--bridge", diagnose("bridge-of-other-joints", joints=differing)
+            )
+        self._robot, self._ros = robot, ros
+        self._order = [list(order or names).index(name) for name in names]
+        self._series: dict[str, list[tuple[float, Array]]] = {}
+        self._state = {kind: dict.fromkeys(names, math.nan) for kind in ("position", "velocity")}
+        if not ros.ok():
+            ros.init(signal_handler_options=ros.signals.SignalHandlerOptions.NO)
+        self._node = ros.create_node("pupper_analysis_listen")
+        quality = ros.qos.qos_profile_sensor_data
+        for key, signal in _ARRAY_SIGNALS.items():
+            for kind in ("Float32MultiArray", "Float64MultiArray"):  # only the published type fits
+                hear = partial(self._receive_array, signal)
+                self._node.create_subscription(messages[kind], topics[key], hear, quality)
+        for key, kind, receive in (
+            ("state", "JointState", self._receive_state),
+            ("imu", "Imu", self._receive_imu),
+            ("velocity", "Twist", self._receive_velocity),
+        ):
+            self._node.create_subscription(messages[kind], topics[key], receive, quality)
+
+    def _append(self, signal: str, values: Any) -> None:
+        """Store the values of a message with the time of reception."""
+        row = self.now(), np.array(values, dtype=np.float64)
+        self._series.setdefault(signal, []).append(row)
+
+    def _receive_array(self, signal: str, message: Any) -> None:
+        """Store observations, actions or commanded positions; positions in actuator order."""
+        values = np.array(message.data, dtype=np.float64)
+        if signal == "targets":
+            if len(values) != len(self._order):
+                return
+            values = values[self._order]
+        self._append(signal, values)
+
+    def _receive_state(self, message: Any) -> None:
+        """Store positions and velocities, once all joints have been received."""
+        for kind, state in self._state.items():
+            for name, value in zip(message.name, getattr(message, kind), strict=False):
+                if name in state:
+                    state[name] = float(value)
+            values = list(state.values())
+            if np.isfinite(values).all():
+                self._append("positions" if kind == "position" else "velocities", values)
+
+    def _receive_imu(self, message: Any) -> None:
+        """Store orientation and angular velocity."""
+        turn, rate = message.orientation, message.angular_velocity
+        self._append("quaternion", (turn.w, turn.x, turn.y, turn.z))
+        self._append("angular_velocity", (rate.x, rate.y, rate.z))
+
+    def _receive_velocity(self, message: Any) -> None:
+        """Store the commanded velocity."""
+        self._append("commands", (message.linear.x, message.linear.y, message.angular.z))
+
+    def listen(self, seconds: float) -> dict[str, list[tuple[float, Array]]]:
+        """Return the messages of a duration [s]; the ROS node is destroyed afterwards."""
+        end = self.now() + seconds
+        try:
+            while (remaining := end - self.now()) > 0:
+                self._ros.spin_once(self._node, timeout_sec=remaining)
+        finally:
+            self._node.destroy_node()
+        return self._series
+
+
+def open_ros_listener(robot: Robot, arguments: str) -> RosListener:
+    """Open a listener over ROS 2 topics.
+
+    Args:
+        robot: Robot.
+        arguments: ``KEY=TOPIC;...`` with keys of `LISTENED_TOPICS`, and ``order=JOINT,...``, each
+            part optional.
+
+    Raises:
+        ConfigurationError: If ROS 2 is not installed, an argument is unknown, or the order contains
+            other joints than the robot.
+    """
+    try:
+        ros = import_module("rclpy")
+        for name in ("qos", "signals"):
+            import_module(f"rclpy.{name}")
+        modules = {
+            "sensor_msgs.msg": ("JointState", "Imu"),
+            "std_msgs.msg": ("Float32MultiArray", "Float64MultiArray"),
+            "geometry_msgs.msg": ("Twist",),
+        }
+        messages = {
+            kind: getattr(import_module(module), kind)
+            for module, kinds in modules.items()
+            for kind in kinds
+        }
+    except ImportError as error:
+        raise ConfigurationError("--bridge", diagnose("no-rclpy")) from error
+    options = dict(word.partition("=")[::2] for word in arguments.split(";") if word)
+    if not {*options} <= {"order", *LISTENED_TOPICS}:
+        raise ConfigurationError("--bridge", diagnose("no-bridge-words", words=arguments))
+    order = tuple(options.pop("order", "").split(",")) if options.get("order") else ()
+    return RosListener(robot, ros, messages, {**LISTENED_TOPICS, **options}, order)

@@ -1,0 +1,17 @@
+"""File type of a trace of a policy, and recognition of its content."""
+
+from __future__ import annotations
+
+from typing import BinaryIO, Final
+
+from pupper_analysis.base.kinds import NUM_HEAD_BYTES, Kind
+
+
+def _is_trace(file: BinaryIO) -> bool:
+    """Return True if a file is a zip archive that begins with observations."""
+    head = file.read(NUM_HEAD_BYTES)
+    return head.startswith(b"PK") and b"observations.npy" in head
+
+
+TRACE_KIND: Final = Kind("trace", _is_trace, suffixes=(".npz",))
+"""npz file with the arrays of a trace, which ``walk --trace`` reads; a new trace may replace it."""

@@ -1,0 +1,184 @@
+"""Record observations and actions of a running policy as a trace, which ``walk --trace`` reads.
+
+A `Listener` collects messages while the controller of the robot runs. `assemble_trace` makes a row
+per action of these messages, and `record_policy` writes the rows as npz.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ConfigurationError, MeasurementError
+from pupper_analysis.base.files import check_writable, write_atomically
+from pupper_analysis.base.results import Result
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.fit.kinds import TRACE_KIND
+
+Array = NDArray[np.float64]
+Series = Mapping[str, Sequence[tuple[float, Array]]]
+"""{signal: (time of reception [s], values)}; the signals are arrays of a trace."""
+
+SIGNALS = ("positions", "velocities", "targets", "commands", "angular_velocity", "quaternion")
+"""Optional signals of a trace, see `pupper_analysis.tools.walk.trace`."""
+
+MIN_ACTIONS = 20
+"""Smallest number of actions of a trace. Chosen, not tuned."""
+
+LISTENERS_GROUP = "pupper_analysis.listeners"
+"""Group of entry points by which other packages add listeners. An entry point is a function of the
+robot and of the text after the colon in ``NAME:ARGUMENTS``; it returns a `Listener`."""
+
+_BUILTIN_LISTENERS = {"ros2": "pupper_analysis.tools.fit.record.ros:open_ros_listener"}
+"""{name: module and function of each listener of this package}."""
+
+
+class Listener(Protocol):
+    """Connection to a robot that receives messages of its running controller."""
+
+    def listen(self, seconds: float) -> Series:
+        """Return the messages of a duration [s].
+
+        Signals are ``observations``, ``actions``, and those of `SIGNALS`. Joints are in actuator
+        order [rad, rad/s], commands are forward, left [m/s], turning [rad/s], the angular velocity
+        is in the base frame [rad/s], the quaternion is (w, x, y, z).
+        """
+
+
+@dataclass(frozen=True)
+class TraceRecording(Result):
+    """Result of recording a running policy.
+
+    Attributes:
+        name: Robot name.
+        file: Output file.
+        samples: Number of recorded actions.
+        period: Median time between actions.
+        signals: Signals of the robot in the trace.
+        missing: Signals that were not received; `walk` does not check terms that need them.
+        findings: Left out messages.
+    """
+
+    name: str
+    file: str
+    samples: int
+    period: float = field(metadata={"unit": "s"})
+    signals: tuple[str, ...]
+    missing: tuple[str, ...]
+    findings: tuple[Diagnostic, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether all signals were received."""
+        return not self.missing
+
+
+def record_policy(robot: Robot, bridge: str, seconds: float, output: str | Path) -> TraceRecording:
+    """Record a running policy as a trace. Nothing is sent to the robot.
+
+    Args:
+        robot: Robot.
+        bridge: ``NAME`` or ``NAME:ARGUMENTS`` of a listener.
+        seconds: Duration [s].
+        output: npz file.
+
+    Raises:
+        ConfigurationError: If the duration is not from 1 to 3600 s, there is no listener of this
+            name, or the listener cannot be opened.
+        MeasurementError: If too few observations and actions are received.
+        OutputError: If the file cannot be written.
+    """
+    if not 1 <= seconds <= 3600:
+        problem = diagnose("not-between", given=seconds, low=1, high=3600)
+        raise ConfigurationError("--listen", problem)
+    path = Path(output)
+    check_writable(path, TRACE_KIND)
+    arrays, left_out = assemble_trace(_open_listener(bridge, robot).listen(seconds), bridge)
+    with write_atomically(path, TRACE_KIND) as file:
+        content: dict[str, Any] = {**arrays, "joints": np.array(robot.joint_names)}
+        np.savez(file, **content)
+    return TraceRecording(
+        name=robot.name,
+        file=str(path),
+        samples=len(arrays["time"]),
+        period=float(np.median(np.diff(arrays["time"]))),
+        signals=tuple(name for name in SIGNALS if name in arrays),
+        missing=tuple(name for name in SIGNALS if name not in arrays),
+        findings=(diagnose("actions-left-out", count=left_out),) if left_out else (),
+    )
+
+
+def _open_listener(name: str, robot: Robot) -> Listener:
+    """Open the listener of a name, ``NAME`` or ``NAME:ARGUMENTS``.
+
+    Raises:
+        ConfigurationError: If there is no listener of this name, or it cannot be opened.
+    """
+    key, _, arguments = name.partition(":")
+    points = {point.name: point for point in entry_points(group=LISTENERS_GROUP)}
+    if key in _BUILTIN_LISTENERS:
+        module, function = _BUILTIN_LISTENERS[key].split(":")
+        listener = getattr(import_module(module), function)(robot, arguments)
+    elif key in points:
+        listener = points[key].load()(robot, arguments)
+    else:
+        known = (*_BUILTIN_LISTENERS, *points)
+        raise ConfigurationError("--bridge", diagnose("no-bridge", name=key, known=known))
+    found: Listener = listener
+    return found
+
+
+def assemble_trace(series: Series, source: str) -> tuple[dict[str, Array], int]:
+    """Return the arrays of a trace with a row per action, and the number of left out actions.
+
+    An action belongs to the observation that is nearest in time. A row contains, of each signal of
+    the robot, the last message before this observation. Actions are left out if another action is
+    nearer to their observation, or if a signal has not been received yet. A signal without messages
+    is no array of the trace.
+
+    Args:
+        series: Messages.
+        source: Bridge, for messages of errors.
+
+    Raises:
+        MeasurementError: If fewer than `MIN_ACTIONS` rows remain.
+    """
+    counts = [len(series.get(name, ())) for name in ("observations", "actions")]
+    if min(counts) < MIN_ACTIONS:
+        problem = diagnose("policy-is-silent", observed=counts[0], acted=counts[1])
+        raise MeasurementError(source, problem)
+    observed, acted = (
+        np.array([time for time, _ in series[name]]) for name in ("observations", "actions")
+    )
+    nearest = np.abs(acted[:, None] - observed[None]).argmin(axis=1)
+    distance = np.abs(acted - observed[nearest])
+    present = [name for name in SIGNALS if series.get(name)]
+    times = {name: np.array([time for time, _ in series[name]]) for name in present}
+    begin = max([stamps[0] for stamps in times.values()], default=-np.inf)
+    rows: dict[int, int] = {}
+    for action, observation in enumerate(nearest.tolist()):
+        other = rows.get(observation)
+        if observed[observation] >= begin and (other is None or distance[action] < distance[other]):
+            rows[observation] = action
+    if len(rows) < MIN_ACTIONS:
+        problem = diagnose("policy-is-silent", observed=len(rows), acted=len(rows))
+        raise MeasurementError(source, problem)
+    chosen = sorted(rows)
+    moments = observed[chosen]
+    arrays = {
+        "observations": np.array([series["observations"][index][1] for index in chosen]),
+        "actions": np.array([series["actions"][rows[index]][1] for index in chosen]),
+        "time": moments - moments[0],
+    }
+    for name in present:
+        last = np.searchsorted(times[name], moments, side="right") - 1
+        arrays[name] = np.array([series[name][index][1] for index in last.tolist()])
+    return arrays, len(acted) - len(chosen)
