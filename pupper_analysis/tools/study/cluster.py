@@ -1,13 +1,14 @@
-"""Workers of a Dask cluster for the designs of a study.
+"""Workers of a Dask or Ray cluster for the designs of a study.
 
 `connect_dask` connects to a scheduler, or starts workers on this machine, and yields an executor
 for `Study.run`. Designs of a worker that ends are evaluated again by Dask on another worker.
+`RayExecutor` submits designs to a Ray cluster.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, Final
@@ -65,3 +66,29 @@ def connect_dask(address: str) -> Iterator[tuple[Executor, int]]:
     finally:
         if cluster is not None:
             cluster.close()
+
+
+class RayExecutor(Executor):
+    """Executor that submits each call as a task to a Ray cluster; ``ray.init`` connects to it.
+
+    Ray does not repeat the task of a worker that ended: the study evaluates the designs of that
+    task again, one by one.
+
+    Raises:
+        MissingPackageError: If Ray is not installed.
+    """
+
+    def __init__(self) -> None:
+        try:
+            self._ray: Any = import_module("ray")
+        except ImportError as error:
+            raise MissingPackageError("ray", "ray") from error
+        self._remote_functions: dict[Callable[..., Any], Any] = {}  # Ray sends each function once
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
+        """Submit a call, and return its future result."""
+        if function not in self._remote_functions:
+            self._remote_functions[function] = self._ray.remote(max_retries=0)(function)
+        task = self._remote_functions[function].remote(*arguments, **named)
+        future: Future[Any] = task.future()
+        return future

@@ -257,6 +257,9 @@ DESIGNS_PER_PROCESS = 4000
 do not release (PlaCo: 0.4 MB for each robot read from a file). A start takes as long as about 50
 designs."""
 
+WORKER_END_ERRORS = ("KilledWorker", "WorkerCrashedError")
+"""Names of the errors of Dask and Ray that a worker ended during a task; other workers continue."""
+
 EXIT_WAIT_SECONDS = 5.0
 """Maximum time [s] to wait for the end of a process of a broken pool, to read the exit code.
 Chosen, not tuned."""
@@ -580,7 +583,7 @@ class StudyRun:
         except PupperAnalysisError:
             raise
         except (Exception, CancelledError) as error:
-            if isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker":
+            if isinstance(error, BrokenExecutor) or type(error).__name__ in WORKER_END_ERRORS:
                 self._retry_alone(pool, chunk, time.monotonic() - start)
                 if isinstance(error, BrokenExecutor):
                     self._restart_workers(pool, error)

@@ -1,4 +1,4 @@
-"""Studies on a Dask cluster: killed workers and schedulers lose no row.
+"""Studies on Dask and Ray clusters: killed workers and schedulers lose no row.
 
 The table is that of a serial run.
 """
@@ -21,8 +21,9 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, StudyError
-from pupper_analysis.tools.study.cluster import connect_dask
+from pupper_analysis.tools.study.cluster import RayExecutor, connect_dask
 from pupper_analysis.tools.study.running import Progress
+from tests.support import study_metrics
 from tests.support.commands import check_refusal
 
 
@@ -148,6 +149,40 @@ def test_killed_worker_and_restarted_scheduler_lose_no_row(tmp_path: Path) -> No
     assert len(table) == 60
     assert table["design"].is_unique
     assert table.equals(serial)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of Ray and its dependencies
+def test_worker_of_ray_that_ends_loses_no_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A design that kills its worker once is evaluated again; one that kills each is a crash.
+
+    Reference: the serial run, to the last digit.
+    """
+    ray = pytest.importorskip("ray")
+    monkeypatch.setenv("STUDY_MARKER", str(tmp_path / "marker"))
+    vary = {"torso_mass_scale": [1.0, 1.2, 2.0, 1.4, 1.1]}  # one of these weighs more than 4 kg
+    with ThreadPoolExecutor(1) as thread:
+        serial = pa.Study("v3", vary, ["peak_torque"]).run(tmp_path / "serial", executor=thread)
+    tables = []
+    ray.init(num_cpus=2, include_dashboard=False, logging_level="error", log_to_driver=False)
+    try:
+        for metric in (study_metrics.crashes_once, study_metrics.crashes):
+            made = pa.Study("v3", vary, ["peak_torque", metric])
+            folder = tmp_path / metric.__name__
+            tables.append(made.run(folder, executor=RayExecutor(), workers=2))
+    finally:
+        ray.shutdown()
+    once, always = tables
+    assert (tmp_path / "marker").exists()
+    assert once["failure"].isna().all()
+    assert once["peak_torque"].equals(serial["peak_torque"])
+    assert always["design"].is_unique
+    assert list(always["failure"].isna()) == [True, True, False, True, True]
+    assert always["failure"][2] == "crashed"
+    sound = always.index != 2
+    assert always["peak_torque"][sound].equals(serial["peak_torque"][sound])
 
 
 class _WithoutModule(ThreadPoolExecutor):
