@@ -136,6 +136,16 @@ class SpecTree:
         """Return the mass of a body [kg] in the compiled model, from geoms if not specified."""
         return float(self._compiled_model.body(link).mass[0])
 
+    def read_inertia(self, link: str) -> pin.Inertia:
+        """Return the spatial inertia of a body in its frame [kg, m, kg m^2], from geoms if needed.
+
+        The inertia is that of the compiled model.
+        """
+        body = self._compiled_model.body(link)
+        rotation = pin.Quaternion(body.iquat[[1, 2, 3, 0]]).toRotationMatrix()
+        tensor = rotation @ np.diag(body.inertia) @ rotation.T
+        return pin.Inertia(float(body.mass[0]), np.array(body.ipos), tensor)
+
     @cached_property
     def _compiled_model(self) -> mujoco.MjModel:
         """Model of a copy of the spec, cached until `_clear_cache` is called."""

@@ -146,6 +146,7 @@ def command(
     if folder is None:  # after the file, so that a wrong name is reported first
         raise click.UsageError("Missing option '-o' / '--output'.", click.get_current_context())
     check_objectives(study, minimise, maximise)
+    chosen = bool(minimise or maximise or study.minimise or study.maximise)
     if dask is not None and workers is not None:
         raise ConfigurationError("workers", diagnose("workers-of-a-cluster"))
     with ExitStack() as stack:
@@ -158,7 +159,7 @@ def command(
         _run_study(study, folder, executor, workers, show)
     outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)
     step = None
-    if not (minimise or maximise or numbers):
+    if not (chosen or numbers):
         step = NextStep("study", ("-o", str(folder), "--minimise", study.metrics[0].name))
     shared.show_results([("", outcome)], style, everything=everything, next_step=step)
     shared.write_page(report_path, outcome)

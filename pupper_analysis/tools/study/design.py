@@ -10,7 +10,7 @@ import hashlib
 import math
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from typing import Any
 
@@ -45,6 +45,7 @@ from pupper_analysis.base.errors import (
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import spec_to_data
+from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.pupper.variant_files import describe_variant, parse_robot_word
 from pupper_analysis.pupper.variants import (
@@ -60,6 +61,12 @@ from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS
 from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.study.measures import METRICS, Design, Metric
+from pupper_analysis.tools.study.motors import (
+    MOTOR_KIND,
+    assign_motors,
+    is_motor_variable,
+    with_motors,
+)
 from pupper_analysis.tools.study.parameters import (
     ADDITIVE_KINDS,
     JOINT_STANCE_KINDS,
@@ -297,11 +304,15 @@ class DesignBuilder:
         task: Stand task; variables of the stance take precedence.
         point: Position of the payload [m], optionally after a frame name; see
             `robot.tool.find_place`.
+        motors: {code: motor} of the motor variables (`encode_motor`).
+        present_motor: Motor whose mass the files include; None without motor variables.
     """
 
     source: RobotSource
     task: StandTask
     point: tuple[str | float, ...]
+    motors: Mapping[float, Motor] = field(default_factory=dict)
+    present_motor: Motor | None = None
 
     def __post_init__(self) -> None:
         cache = lru_cache(MAX_CACHED_ROBOTS)
@@ -344,20 +355,53 @@ class DesignBuilder:
             self._cached_robot(key),
             self._cached_stand(key, tuple(sorted(stance.items()))),
         )
-        own_servos = not gains
+        motors = assign_motors(robot, numbers, self.motors)
+        own_servos = not gains and not motors
         if gains:
             robot = with_gains(robot, gains.pop("kp", None), gains.pop("kd", None), gains)
-        return Design(robot, stand, own_servos=own_servos, point=self.point)
+        return Design(robot, stand, own_servos=own_servos, point=self.point, motors=motors)
+
+    def robot_without_payload(self, numbers: Mapping[str, float]) -> Robot:
+        """Return the robot of a design with its servo gains, without the payload.
+
+        Args:
+            numbers: {variable: value in the unit of the variable}.
+
+        Raises:
+            PupperAnalysisError: If the robot cannot be built.
+        """
+        model = {
+            name: value
+            for name, value in numbers.items()
+            if not (
+                is_servo_variable(name)
+                or name in STANCE_VARIABLES
+                or is_stance_pattern(name)
+                or name == "payload"
+            )
+        }
+        robot = self._cached_robot(tuple(sorted(model.items())))
+        gains = {name: value for name, value in numbers.items() if is_servo_variable(name)}
+        if not gains:
+            return robot
+        return with_gains(robot, gains.pop("kp", None), gains.pop("kd", None), gains)
 
     def _build_robot(self, numbers: Mapping[str, float]) -> Robot:
         """Build the robot of a design.
 
         ``numbers`` are the values of the variables, {name: value}: scales, patterns (names with a
-        colon), ``friction``, and ``payload`` [kg].
+        colon), motors, ``friction``, and ``payload`` [kg].
         """
         scales = {name: value for name, value in numbers.items() if name in self.source.scales}
-        factors = {name: value for name, value in numbers.items() if ":" in name}
+        factors = {
+            name: value
+            for name, value in numbers.items()
+            if ":" in name and not is_motor_variable(name)
+        }
         robot = scale_robot(self._cached_scaled_robot(tuple(sorted(scales.items()))), factors)
+        if self.present_motor is not None:
+            assigned = assign_motors(robot, numbers, self.motors)
+            robot = with_motors(robot, assigned, self.present_motor)
         if "friction" in numbers:
             robot = with_friction(robot, numbers["friction"])
         if "payload" in numbers:
@@ -419,12 +463,9 @@ def check_variable_name(name: str, source: RobotSource) -> None:
     Raises:
         ConfigurationError: If no such variable exists; the message lists the valid names.
     """
-    if (
-        VariablePattern.parse(name) is None
-        and name not in FIELD_OF_VARIABLE
-        and name not in source.scales
-    ):
-        finding = diagnose("no-number-to-vary", known=(*source.scales, *FIELD_OF_VARIABLE))
+    known_names = (*source.scales, *FIELD_OF_VARIABLE, MOTOR_KIND)
+    if VariablePattern.parse(name) is None and name not in known_names:
+        finding = diagnose("no-number-to-vary", known=known_names)
         raise ConfigurationError(f"vary[{name!r}]", finding)
 
 
@@ -438,14 +479,14 @@ def check_variable_range(name: str, low: float, high: float) -> None:
         ConfigurationError: If a finite value is out of bounds.
     """
     kind, colon, _ = name.partition(":")
-    if kind in ADDITIVE_KINDS and colon:  # the limits of the robot are checked later
+    if (kind in ADDITIVE_KINDS and colon) or is_motor_variable(name):
         return
-    field = FIELD_OF_VARIABLE.get(name)
+    known = FIELD_OF_VARIABLE.get(name)
     lower_bound, upper_bound, unit = (
-        (0.0, math.inf, "x") if field is None else (field.low, field.high, field.unit)
+        (0.0, math.inf, "x") if known is None else (known.low, known.high, known.unit)
     )
     is_open = (
-        kind in ("mass", "inertia", "length", "kp") or not colon if field is None else field.open
+        kind in ("mass", "inertia", "length", "kp") or not colon if known is None else known.open
     )
     is_below = low <= lower_bound if is_open else low < lower_bound
     if (math.isfinite(low) and is_below) or (math.isfinite(high) and high > upper_bound):

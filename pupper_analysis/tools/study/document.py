@@ -63,6 +63,7 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
         )
         count_text = text("designs-kinds", designs=count_text, kinds=kinds)
     findings: list[doc.Words] = [
+        *_describe_best(outcome),
         count_text,
         *_describe_range(outcome),
         *map(doc.diagnostic_text, outcome.rests_on),
@@ -82,6 +83,47 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
     return doc.Document(
         text("study-of-designs"), doc.Name(outcome.robot), blocks, findings=tuple(findings)
     )
+
+
+def _describe_best(outcome: StudyOutcome) -> Iterator[doc.Words]:
+    """Yield the number of designs that meet the requirements, and the best of these.
+
+    With several objectives the front contains several best designs; none of these is named.
+    Nothing is yielded for a study without requirements and with less or more than one objective.
+    """
+    single = len(outcome.objectives) == 1
+    if not outcome.requirements and not single:
+        return
+    requirements = join_words(map(doc.Name, outcome.requirements)) if outcome.requirements else ""
+    values = {
+        "total": len(outcome.table),
+        "requirements": requirements or text("without-requirements"),
+        "count": outcome.feasible,
+    }
+    if not outcome.feasible:
+        yield text("no-design-meets", **values)
+        yield join_words(
+            text("requirement-alone", requirement=doc.Name(name), count=count)
+            for name, count in outcome.requirements.items()
+        )
+        return
+    if not single or outcome.front.empty:
+        yield text("designs-meet", **values)
+        return
+    (objective,) = outcome.objectives
+    best = outcome.front.iloc[0]
+    number = 1 + list(outcome.table["design"]).index(best["design"])
+    columns = [*outcome.variables, *(name for name in (objective,) if name in outcome.front)]
+    yield text(
+        "best-design",
+        number=number,
+        values=doc.Name(_format_design(best[list(dict.fromkeys(columns))])),
+        **values,
+    )
+    if len(outcome.front) > 1:
+        yield text(
+            "best-designs-equal", count=len(outcome.front) - 1, objective=doc.Name(objective)
+        )
 
 
 def _describe_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
@@ -294,6 +336,9 @@ def _make_row_table(
     for _, row in shown.iterrows():
         cells: list[doc.Cell] = [doc.number_cell(numbers[row["design"]], "g")]
         for name in present_columns:
+            if isinstance(row[name], str):  # the name of a motor
+                cells.append(doc.Name(row[name]))
+                continue
             value = _find_shown_unit(name)[0] * float(row[name])
             cells.append(doc.number_cell(value if math.isfinite(value) else None, ".5g"))
         if has_failures:
@@ -365,12 +410,18 @@ def written_document(written: WrittenDesign) -> doc.Document:
         _number_column("measured-in-the-study"),
         _number_column("measured-of-the-files"),
     )
-    numbers = ", ".join(f"{name} {value:g}" for name, value in written.numbers.items())
+    numbers = ", ".join(
+        f"{name} {value if isinstance(value, str) else f'{value:g}'}"
+        for name, value in written.numbers.items()
+    )
     return doc.Document(
         text("design-written", number=written.number),
         text("design-of", number=written.number, numbers=doc.Name(numbers)),
         (doc.Table(text("what-was-measured"), columns, rows),),
-        findings=(text("its-command", command=doc.Name(written.command)),),
+        findings=(
+            *map(doc.diagnostic_text, written.warnings),
+            text("its-command", command=doc.Name(written.command)),
+        ),
         passed=written.passed,
         failures=tuple(map(doc.diagnostic_text, written.failures)),
     )

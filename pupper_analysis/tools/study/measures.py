@@ -13,17 +13,19 @@ import importlib
 import inspect
 import pickle
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, NotStandingError, PupperAnalysisError
 from pupper_analysis.base.tools import find_tool_modules
+from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.present.verdict import make_keyframe_run_clauses
@@ -32,6 +34,8 @@ from pupper_analysis.robot.servos import resolve_servo_gains
 from pupper_analysis.robot.stability import Stability
 from pupper_analysis.robot.tool import Place
 from pupper_analysis.simulation.causes import describe_growth
+from pupper_analysis.simulation.monitor import StandReference, has_diverged
+from pupper_analysis.simulation.rollout import make_stand_start, roll_out
 from pupper_analysis.simulation.stability import rest_stability
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
@@ -40,6 +44,8 @@ from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.workspace import BaseWorkspace, base_workspace
 from pupper_analysis.statics.equilibrium import GravityCompensation, compute_utilisation
+
+T = TypeVar("T")
 
 MetricValue = float | bool
 """Value of a metric."""
@@ -57,12 +63,25 @@ class Design:
         own_servos: True with the servo gains of the file. The simulation of the published
             file then counts for ``stands``.
         point: Position of a payload, present or sought; see `robot.tool.find_place`.
+        motors: {joint: motor} of the motor variables of the study; empty without any.
     """
 
     robot: Robot
     stand: Stand
     own_servos: bool = True
     point: Place = (0.0, 0.0, 0.0)
+    motors: Mapping[str, Motor] = field(default_factory=dict)
+    _results: dict[Any, Any] = field(default_factory=dict, repr=False)
+
+    def compute_once(self, function: Callable[[Design], T]) -> T:
+        """Return the result of a function of this design, which is evaluated at the first call.
+
+        For metrics of other tools that share a result. An exception is not stored.
+        """
+        if function not in self._results:
+            self._results[function] = function(self)
+        found: T = self._results[function]
+        return found
 
     @cached_property
     def gains(self) -> dict[str, Any]:
@@ -221,6 +240,46 @@ def _check_stand(design: Design) -> bool:
     return True
 
 
+SET_DOWN_HEIGHT = 0.002
+"""Height of the feet above the ground [m] from which the metric ``set_down`` drops the robot. A
+stand that is stable only without disturbance collapses from it. Chosen, not tuned."""
+
+SET_DOWN_DURATION = 5.0
+"""Duration of the simulation of ``set_down`` [s]: a robot that buckles has left the stand by then.
+Chosen, not tuned."""
+
+
+def survives_set_down(design: Design) -> bool:
+    """Return True if the robot stands after it is set down from `SET_DOWN_HEIGHT`.
+
+    The servos hold the positions of the stand, without feed-forward; the base starts at rest. The
+    robot must have an equilibrium in which it stays up. It must neither fall in the simulation, nor
+    have collapsed at its end (`StandReference.has_collapsed`).
+
+    Raises:
+        NotStandingError: If the robot does not stay up in the predicted equilibrium.
+        PupperAnalysisError: As `Design.standing_equilibrium`.
+    """
+    assert design.standing_equilibrium is not None  # raises, if the robot does not stay up
+    held = make_stand_start(design.robot, design.simulated_stand, feedforward=False, **design.gains)
+    model, robot = held.drive.model, held.robot
+    start = held.start.copy()
+    start[1 + robot.mj_convention.qpos_index[2]] += SET_DOWN_HEIGHT
+    steps = round(SET_DOWN_DURATION / model.opt.timestep)
+    controls = np.tile(held.ctrl, (1, steps, 1))
+    states = roll_out(model, mujoco.MjData(model), start, controls)[0]
+    if has_diverged(states, float(model.opt.timestep)):
+        return False
+    reference = StandReference.from_configuration(robot, held.stand.qpos)
+    checked = states[:: max(1, steps // _NUM_SET_DOWN_CHECKS)]
+    falls = any(reference.has_fallen(state) for state in checked)
+    return not falls and not reference.has_collapsed(states[-1])
+
+
+_NUM_SET_DOWN_CHECKS = 50
+"""Number of states of `survives_set_down` that are checked for a fall. Chosen, not tuned."""
+
+
 def _find_peak(values: NDArray[np.float64]) -> float:
     """Return the largest magnitude of an array."""
     return float(np.abs(values).max())
@@ -250,6 +309,7 @@ _METRICS_OF_DESIGNS = (
     Metric("stiffness", lambda d: d.equilibrium.stiffness, "rad^2/s^2"),
     Metric("rest_utilisation", lambda d: d.utilisation_at_rest(), "1"),
     Metric("stands", _check_stand, "1", fallen=0.0),
+    Metric("set_down", survives_set_down, "1", simulates=True, fallen=0.0),
     Metric("minimum_stiffness", _compute_minimum_stiffness, "N m/rad", simulates=True),
     Metric("height_range", lambda d: d.compute_base_range("height"), "m", simulates=True),
     Metric("roll_range", lambda d: d.compute_base_range("roll"), "rad", simulates=True),

@@ -34,6 +34,7 @@ from pupper_analysis.tools.study.parameters import (
     JOINT_STANCE_KINDS,
     LINK_STANCE_KINDS,
 )
+from pupper_analysis.tools.study.requirements import select_designs
 from pupper_analysis.tools.study.store import Store, require_library
 from pupper_analysis.tools.study.study import Study
 
@@ -108,7 +109,10 @@ class StudyOutcome(Result):
         measured: Summary of each metric.
         failures: Failed designs by kind, the most frequent first.
         objectives: {column: ``min`` or ``max``} of the Pareto front; empty without a front.
-        front: Designs on the Pareto front; only designs that stand, if ``stands`` was measured.
+        front: Designs on the Pareto front; only designs that meet the requirements and stand, if
+            ``stands`` was measured.
+        requirements: {requirement as text: number of designs that meet it alone}.
+        feasible: Number of designs that meet all requirements.
     """
 
     robot: str
@@ -121,6 +125,8 @@ class StudyOutcome(Result):
     failures: tuple[Failures, ...]
     objectives: dict[str, str]
     front: pd.DataFrame
+    requirements: dict[str, int]
+    feasible: int
 
 
 def study_outcome(
@@ -135,7 +141,8 @@ def study_outcome(
     Args:
         study: Study.
         folder: Folder of the results.
-        minimise: Columns that the Pareto front minimises.
+        minimise: Columns that the Pareto front minimises; by default, without ``maximise`` either,
+            those of the study.
         maximise: Columns that the Pareto front maximises. Without objectives there is no front.
 
     Raises:
@@ -154,7 +161,10 @@ def study_outcome(
         raise ConfigurationError("folder", finding)
     variables = tuple(study.variables)
     metrics = list_metric_columns(table, variables)
+    if not (minimise or maximise):
+        minimise, maximise = study.minimise, study.maximise
     objectives = check_objectives(study, minimise, maximise)
+    feasible = select_designs(table, study.requirements)
     spread_variables = list_spread_variables(table, variables)
     return StudyOutcome(
         robot=_format_source(study.source.to_dict()),
@@ -166,9 +176,11 @@ def study_outcome(
         measured=tuple(_summarise_metric(table, name, spread_variables, study) for name in metrics),
         failures=_group_failures(table),
         objectives=objectives,
-        front=pareto_front(select_standing_designs(table), objectives)
+        front=pareto_front(select_standing_designs(feasible), objectives)
         if objectives
         else table.iloc[:0],
+        requirements={item.text: int(item.is_met(table).sum()) for item in study.requirements},
+        feasible=len(feasible),
     )
 
 
@@ -234,7 +246,8 @@ def compute_main_effects(
     total_squares = float(((values - values.mean()) ** 2).sum()) if varies else 0.0
     effects = {}
     for name in variables:
-        column = measured_rows[name].to_numpy(float)
+        levels = measured_rows[name]
+        column = levels.to_numpy(float) if _is_numeric(levels) else _number_levels(levels)
         index = np.unique(_assign_cells(column) if sampled else column, return_inverse=True)[1]
         counts = np.bincount(index)
         degrees_of_freedom = len(values) - len(counts)
@@ -248,6 +261,16 @@ def compute_main_effects(
         )  # expected fraction within cells, by chance
         effects[name] = max(0.0, 1 - within_squares / within_fraction / total_squares)
     return effects
+
+
+def _is_numeric(column: pd.Series[Any]) -> bool:
+    """Return True if a column contains numbers, not names of motors."""
+    return bool(np.issubdtype(column.to_numpy().dtype, np.number))
+
+
+def _number_levels(column: pd.Series[Any]) -> Array:
+    """Return the number of each name of a column, shape (n,)."""
+    return np.unique(column.to_numpy().astype(str), return_inverse=True)[1].astype(float)
 
 
 def _summarise_metric(

@@ -14,7 +14,7 @@ from fnmatch import fnmatchcase
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.diagnostics import Vector, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
@@ -53,6 +53,7 @@ PATTERN_KINDS = {
     "armature": "armature of joints",
     "damping": "damping of joints",
     "frictionloss": "dry friction of joints",
+    "motor": "motor of joints: a name or a file",
     "kp": "stiffness of servos",
     "kd": "damping of servos",
     **dict.fromkeys(JOINT_STANCE_KINDS, "position of joints that carry no foot (rad, m)"),
@@ -67,7 +68,7 @@ COM_OFFSET_KINDS = ("com_x", "com_y", "com_z")
 """Kinds of variables ``KIND:PATTERN`` that are offsets of centres of mass [m], along x, y and z of
 the URDF's link."""
 
-ADDITIVE_KINDS = (*COM_OFFSET_KINDS, *JOINT_STANCE_KINDS, *LINK_STANCE_KINDS)
+ADDITIVE_KINDS = (*COM_OFFSET_KINDS, *JOINT_STANCE_KINDS, *LINK_STANCE_KINDS, "motor")
 """Kinds of variables of a study that are values or offsets, not factors on numbers of the files;
 `check_variable_range` checks no bounds of these."""
 
@@ -346,14 +347,14 @@ def with_friction(robot: Robot, friction: float) -> Robot:
 
 
 def with_gains(
-    robot: Robot, kp: float | None, kd: float | None, factors: Mapping[str, float]
+    robot: Robot, kp: ArrayLike | None, kd: ArrayLike | None, factors: Mapping[str, float]
 ) -> Robot:
     """Return a robot with other servo gains, in the MJCF and the MuJoCo model.
 
     Args:
         robot: Robot.
-        kp: Stiffness [N m/rad]; None for the value of the model.
-        kd: Damping [N m s/rad]; None for the value of the model.
+        kp: Stiffness [N m/rad], scalar or shape (nu,); None for the value of the model.
+        kd: Damping [N m s/rad], scalar or shape (nu,); None for the value of the model.
         factors: {``kp:PATTERN`` or ``kd:PATTERN``: factor on the gain}.
 
     Raises:

@@ -16,7 +16,7 @@ import signal
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -39,6 +39,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.drivers import no_mujoco_log
 from pupper_analysis.base.errors import PupperAnalysisError, StudyError
 from pupper_analysis.base.provenance import list_versions
+from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.study.design import (
     DesignBuilder,
@@ -67,6 +68,8 @@ class WorkDefinition:
             `robot.tool.find_place`.
         versions: Package versions of the machine that started the run.
         limit: Time limit per design [s], or None.
+        motors: {code: motor} of the motor variables.
+        present_motor: Motor whose mass the files include; None without motor variables.
     """
 
     source: RobotSource
@@ -76,6 +79,8 @@ class WorkDefinition:
     point: tuple[str | float, ...]
     versions: dict[str, str]
     limit: float | None
+    motors: Mapping[float, Motor]
+    present_motor: Motor | None
 
 
 @dataclass(frozen=True)
@@ -139,7 +144,13 @@ class _ThreadCache(threading.local):
                 ]
                 problem = diagnose("worker-of-other-versions", versions=messages)
                 raise StudyError(platform.node(), problem)
-            maker = DesignBuilder(definition.source, definition.task, definition.point)
+            maker = DesignBuilder(
+                definition.source,
+                definition.task,
+                definition.point,
+                definition.motors,
+                definition.present_motor,
+            )
             self.made[pickled] = definition, maker, tuple(map(make_metric, definition.metrics))
         return self.made[pickled]
 

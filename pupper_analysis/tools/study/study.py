@@ -32,6 +32,8 @@ from pupper_analysis.base.errors import (
 )
 from pupper_analysis.base.inputs import is_input, read_toml
 from pupper_analysis.base.provenance import list_versions
+from pupper_analysis.models.motors.motor import Motor
+from pupper_analysis.models.motors.reading import find_motor
 from pupper_analysis.prepare.convert.files import FileSource
 from pupper_analysis.robot.joints import resolve_posture
 from pupper_analysis.robot.robot import Robot
@@ -55,6 +57,11 @@ from pupper_analysis.tools.study.measures import (
     make_metric,
     resolve_metric_file,
 )
+from pupper_analysis.tools.study.motors import (
+    encode_motor,
+    is_motor_variable,
+    make_motor_variable,
+)
 from pupper_analysis.tools.study.parameters import (
     JOINT_STANCE_KINDS,
     LINK_STANCE_KINDS,
@@ -62,9 +69,10 @@ from pupper_analysis.tools.study.parameters import (
     VariablePattern,
     match_joints,
 )
+from pupper_analysis.tools.study.requirements import Requirement
 from pupper_analysis.tools.study.running import Progress, StudyRun, WorkDefinition
 from pupper_analysis.tools.study.store import Store, require_library
-from pupper_analysis.tools.study.variables import Sampling, make_variable
+from pupper_analysis.tools.study.variables import Sampling, Variable, make_variable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -72,7 +80,20 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-STUDY_KEYS = ("robot", "vary", "samples", "seed", "measure", "stand", "payload_point", "time_limit")
+STUDY_KEYS = (
+    "robot",
+    "vary",
+    "samples",
+    "seed",
+    "measure",
+    "stand",
+    "payload_point",
+    "time_limit",
+    "present_motor",
+    "require",
+    "minimise",
+    "maximise",
+)
 """Valid keys of a study file."""
 
 
@@ -87,6 +108,11 @@ class Study:
         metrics: Metrics.
         point: Position of a payload [m], optionally after a frame name.
         time_limit: Time limit per design [s], or None.
+        motors: {code: motor} of the motor variables (`encode_motor`).
+        present_motor: Motor whose mass the robot's files include; None without motor variables.
+        requirements: Requirements on the designs.
+        minimise: Columns that the Pareto front minimises.
+        maximise: Columns that the Pareto front maximises.
     """
 
     def __init__(
@@ -100,6 +126,10 @@ class Study:
         stand: StandTask | None = None,
         payload_point: Sequence[float] | Sequence[str | float] = (0.0, 0.0, 0.0),
         time_limit: float | None = 60.0,
+        present_motor: str | Motor | None = None,
+        require: Mapping[str, bool | float | str] | None = None,
+        minimise: str | Sequence[str] = (),
+        maximise: str | Sequence[str] = (),
     ) -> None:
         """Check all arguments that can be checked before a design is evaluated.
 
@@ -119,6 +149,12 @@ class Study:
             time_limit: Time limit per design [s]; None for no limit. A design that exceeds the
                 limit ends the worker process, so that the limit applies to processes and
                 Dask, not to threads.
+            present_motor: Motor at the joints with motor variables, whose mass the robot's files
+                include: a name, a file, or a motor. Required if a motor is varied.
+            require: {metric or variable: true, false, a number, or a text such as ``"< 1"``} that
+                the designs on the Pareto front meet.
+            minimise: Columns that the Pareto front minimises.
+            maximise: Columns that the Pareto front maximises.
 
         Raises:
             ConfigurationError: If an argument is not valid; the message lists valid values.
@@ -132,10 +168,18 @@ class Study:
         check_type("seed", seed, int)
         check_type("stand", stand, StandTask | None)
         self.source = make_robot_source(robot)
-        variables = {str(name): make_variable(str(name), values) for name, values in vary.items()}
-        for name in variables:
-            check_variable_name(name, self.source)
+        check_type("require", require, Mapping[str, Any] | None)
+        self.motors: dict[float, Motor] = {}
+        variables: dict[str, Variable] = {}
+        for name, values in vary.items():
+            check_variable_name(str(name), self.source)
+            if is_motor_variable(str(name)):
+                variables[str(name)], motors = make_motor_variable(str(name), values)
+                self.motors |= motors
+            else:
+                variables[str(name)] = make_variable(str(name), values)
         self.variables = variables
+        self.present_motor = self._choose_present_motor(present_motor)
         self.task = stand or StandTask()
         self._check_variables()
         self.sampling = Sampling(self.variables, samples, seed)
@@ -154,6 +198,38 @@ class Study:
         repeated = next((name for name in metric_names if metric_names.count(name) > 1), None)
         if repeated is not None:
             raise ConfigurationError("measure", diagnose("there-twice", name=repeated))
+        self.requirements = tuple(
+            Requirement.parse(str(name), value) for name, value in (require or {}).items()
+        )
+        self._check_columns("require", [item.column for item in self.requirements])
+        self.minimise = (minimise,) if isinstance(minimise, str) else tuple(minimise)
+        self.maximise = (maximise,) if isinstance(maximise, str) else tuple(maximise)
+        self._check_columns("minimise, maximise", [*self.minimise, *self.maximise])
+
+    def _check_columns(self, argument: str, columns: Sequence[str]) -> None:
+        """Raise a ConfigurationError if a column is neither a metric nor a number that varies."""
+        measured = [metric.name for metric in self.metrics]
+        numbers = [name for name in self.variables if not is_motor_variable(name)]
+        for name in columns:
+            if name.partition(".")[0] not in measured and name not in numbers:
+                finding = diagnose("study-has-no-such", column=name, known=(*measured, *numbers))
+                raise ConfigurationError(argument, finding)
+
+    def _choose_present_motor(self, present: str | Motor | None) -> Motor | None:
+        """Return the motor whose mass the files include; None if no motor is varied.
+
+        Raises:
+            ConfigurationError: If a motor is varied and no present motor is given, or vice versa.
+            ModelError: If the mass of the present motor is unknown.
+        """
+        if bool(self.motors) != (present is not None):
+            code = "present-motor-missing" if self.motors else "present-motor-unused"
+            raise ConfigurationError("present_motor", diagnose(code))
+        if present is None:
+            return None
+        motor = find_motor(present) if isinstance(present, str) else present
+        motor.get("mass")
+        return motor
 
     def make_source_with_visuals(self) -> RobotSource:
         """Return the source of the study's robots with visual geoms, which runs of a study omit."""
@@ -210,6 +286,8 @@ class Study:
             "revision": METRICS_REVISION,
             "versions": list_versions(),
         }
+        if self.present_motor is not None:
+            parts["present_motor"] = encode_motor(self.present_motor)
         data = orjson.dumps(parts, option=orjson.OPT_SORT_KEYS)
         return hashlib.sha256(data).hexdigest()
 
@@ -236,11 +314,16 @@ class Study:
             point=self.point,
             versions=list_versions(),
             limit=self.time_limit,
+            motors=self.motors,
+            present_motor=self.present_motor,
         )
         return pickle.dumps(work)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the study as data for `Study.of`; ``time_limit`` is None for no time limit."""
+        """Return the study as data for `Study.of`; ``time_limit`` is None for no time limit.
+
+        Motors are data for `read_study` only: their numbers are in the files of the motors.
+        """
         data: dict[str, Any] = {
             "robot": self.source.to_dict(),
             "vary": {name: item.to_dict() for name, item in self.variables.items()},
@@ -256,7 +339,14 @@ class Study:
         }
         if self.sampling.samples is not None:
             data["samples"] = self.sampling.samples
-        return data
+        if self.present_motor is not None:
+            data["present_motor"] = self.present_motor.name
+        if self.requirements:
+            data["require"] = {
+                item.column: f"{item.comparison} {item.limit!r}" for item in self.requirements
+            }
+        objectives = {"minimise": list(self.minimise), "maximise": list(self.maximise)}
+        return data | {name: columns for name, columns in objectives.items() if columns}
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> Study:
@@ -306,6 +396,7 @@ class Study:
                 robot["base"] = _resolve_files(path, robot["base"])
         if isinstance(robot, str):
             data["robot"] = _resolve_files(path, robot)
+        _resolve_motor_files(path.parent, data)
         metrics = data.get("measure")
         if isinstance(metrics, list):
             data["measure"] = [resolve_metric_file(path.parent, metric) for metric in metrics]
@@ -392,7 +483,8 @@ class Study:
             MissingPackageError: If pandas is not installed.
         """
         require_library("pandas")
-        return order_rows(Store(Path(folder)).table(), (names for names, _ in self.designs()))
+        rows = order_rows(Store(Path(folder)).table(), (names for names, _ in self.designs()))
+        return name_motors(rows, self.variables)
 
 
 def _resolve_files(path: Path, word: str) -> str:
@@ -404,7 +496,37 @@ def _resolve_files(path: Path, word: str) -> str:
     return "+".join(str(file) if is_input(file) else part for file, part in parts)
 
 
+def _resolve_motor_files(folder: Path, data: dict[str, Any]) -> None:
+    """Prepend the folder of the study file to the files of motors, in place.
+
+    Names of known motors are unchanged.
+    """
+
+    def resolve(text: Any) -> Any:
+        """Return the path of an existing file; otherwise the text."""
+        return str(folder / text) if isinstance(text, str) and (folder / text).is_file() else text
+
+    if "present_motor" in data:
+        data["present_motor"] = resolve(data["present_motor"])
+    variables = data.get("vary")
+    for name in filter(is_motor_variable, variables if isinstance(variables, dict) else ()):
+        values = data["vary"][name]
+        data["vary"][name] = (
+            [resolve(text) for text in values] if isinstance(values, list) else resolve(values)
+        )
+
+
 # Table of a study: hashes of its designs, and order of its rows.
+
+
+def name_motors(table: pd.DataFrame, variables: Mapping[str, Variable]) -> pd.DataFrame:
+    """Return the table of a study with names of motors in place of their codes."""
+    named = {
+        name: variable.name_values(table[name])
+        for name, variable in variables.items()
+        if variable.labels and name in table
+    }
+    return table.assign(**named) if named else table
 
 
 def hash_designs(digest: str, variables: Sequence[str], block: Array) -> list[str]:
@@ -478,4 +600,4 @@ def read_study(folder: str | Path) -> pd.DataFrame:
             problem = diagnose("key-missing", key=str(error))
         raise StudyError(folder, diagnose("study-does-not-say", what=problem)) from error
     blocks = (hash_designs(digest, tuple(variables), block) for block in sampling.blocks())
-    return order_rows(store.table(), blocks)
+    return name_motors(order_rows(store.table(), blocks), variables)

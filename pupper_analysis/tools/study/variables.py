@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arguments import check_finite, check_type
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 
@@ -49,13 +52,16 @@ class Variable:
     """Values of a variable of a study: a list, or a distribution.
 
     Attributes:
-        kind: ``values`` (all equally likely), ``linspace``, or a distribution: ``uniform`` or
-            ``log_uniform`` with lower and upper bound, ``normal`` with mean and standard deviation.
-        numbers: Parameters, as in the study file.
+        kind: ``values`` (all equally likely), ``linspace``, ``motors``, or a distribution:
+            ``uniform`` or ``log_uniform`` with lower and upper bound, ``normal`` with mean and
+            standard deviation.
+        numbers: Parameters, as in the study file; the codes of motors.
+        labels: Names of motors, as in the study file; empty for other kinds.
     """
 
     kind: str
     numbers: tuple[float, ...]
+    labels: tuple[str, ...] = ()
 
     @property
     def levels(self) -> tuple[float, ...] | None:
@@ -63,7 +69,7 @@ class Variable:
         if self.kind == "linspace":
             low, high, count = self.numbers
             return tuple(np.linspace(low, high, int(count)).tolist())
-        return self.numbers if self.kind == "values" else None
+        return self.numbers if self.kind in ("values", "motors") else None
 
     @property
     def range(self) -> tuple[float, float]:
@@ -86,8 +92,25 @@ class Variable:
         return quantiles
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a study variable as in a study file: {kind: parameters}."""
+        """Return a study variable as in a study file: {kind: parameters}.
+
+        Motors are {"motors": {name: code}}, so that a table can be read without their files.
+        """
+        if self.labels:
+            return {self.kind: dict(zip(self.labels, self.numbers, strict=True))}
         return {self.kind: list(self.numbers)}
+
+    def code_of(self, value: Any) -> float:
+        """Return a value of a table as a number; the code of a named motor."""
+        if isinstance(value, str):
+            return self.numbers[self.labels.index(value)]
+        return float(value)
+
+    def name_values(self, column: pd.Series[Any]) -> pd.Series[Any]:
+        """Return a column of values; codes of motors are replaced by their names."""
+        if not self.labels:
+            return column
+        return column.map(dict(zip(self.numbers, self.labels, strict=True)))
 
 
 MAX_LEVELS = 1_000_000
@@ -199,6 +222,8 @@ def make_variable(name: str, requested: object) -> Variable:
             ((kind, numbers),) = requested.items() if len(requested) == 1 else (("", ()),)
             if kind == "grid":
                 raise ConfigurationError("grid", _diagnose_grid(numbers))
+            if kind == "motors" and isinstance(numbers, Mapping):
+                return Variable(kind, tuple(map(float, numbers.values())), tuple(numbers))
             if (
                 kind not in VARIABLE_MAKERS
                 or not isinstance(numbers, Sequence)

@@ -34,11 +34,12 @@ from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import Place, split_place, with_payload
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.study.design import DesignBuilder, measure_columns
-from pupper_analysis.tools.study.measures import Design
+from pupper_analysis.tools.study.measures import SET_DOWN_HEIGHT, Design, survives_set_down
 from pupper_analysis.tools.study.store import require_library
 from pupper_analysis.tools.study.study import Study
 
@@ -59,22 +60,24 @@ class WrittenDesign(Result):
         urdf: URDF of the design.
         mjcf: MJCF of the design.
         stance: Stance of the design, for ``--stance``.
-        numbers: {variable: value}.
+        numbers: {variable: value}; names of motors are texts.
         study_values: {metric: value in the study}.
         file_values: {metric: value from the written files}.
         command: Command that computes the stand from the written files.
         failures: Metrics whose values differ.
+        warnings: Statement that the design stands only undisturbed, if it does.
     """
 
     number: int
     urdf: Path
     mjcf: Path
     stance: Path
-    numbers: Mapping[str, float] = field(metadata={"unit": "varies"})
+    numbers: Mapping[str, float | str] = field(metadata={"unit": "varies"})
     study_values: Mapping[str, float] = field(metadata={"unit": "varies"})
     file_values: Mapping[str, float] = field(metadata={"unit": "varies"})
     command: str
     failures: tuple[Diagnostic, ...]
+    warnings: tuple[Diagnostic, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -86,7 +89,9 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
     """Write an evaluated design of a study to ``design-NUMBER`` in the folder of the study.
 
     The URDF, the MJCF with the servo gains, the meshes of both, and the stance as a file of options
-    are written. The files are then loaded, and the metrics of the study are evaluated again.
+    are written. The files describe the robot without the payload of the design, which is an option
+    of the command. The files are then loaded, and the metrics of the study are evaluated again,
+    with the payload. A simulation decides whether the design stands after it is set down.
 
     Args:
         study: Study.
@@ -110,16 +115,23 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
         finding = diagnose("design-not-there", number=number, count=len(table))
         raise ConfigurationError("number", finding)
     row = table.iloc[number - 1]
-    numbers = {name: float(row[name]) for name in study.variables}
-    builder = DesignBuilder(study.make_source_with_visuals(), study.task, study.point)
+    codes = {name: variable.code_of(row[name]) for name, variable in study.variables.items()}
+    builder = DesignBuilder(
+        study.make_source_with_visuals(),
+        study.task,
+        study.point,
+        study.motors,
+        study.present_motor,
+    )
     try:
-        design = builder.design(numbers)
+        design = builder.design(codes)
+        bare = builder.robot_without_payload(codes)
     except PupperAnalysisError as error:
         finding = diagnose("design-makes-no-robot", number=number, reason=error.diagnostic)
         raise ConfigurationError("number", finding) from error
     design_folder = Path(folder) / f"design-{number}"
     packages = getattr(getattr(study.source, "files", None), "options", {}).get("packages")
-    contents = dict(_make_files(design.robot.description, packages))
+    contents = dict(_make_files(bare.description, packages))
     contents[Path("stance.toml")] = format_stance(design.stand.task).encode()
     write_all(
         [
@@ -129,9 +141,15 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
         ]
     )
     urdf, mjcf = (design_folder / place for place in contents if place.suffix in (".urdf", ".xml"))
-    loaded, options = _reload_files(design.robot, urdf, mjcf)
+    loaded, options = _reload_files(bare, urdf, mjcf)
+    payload = codes.get("payload", 0.0)
+    if payload:
+        loaded = with_payload(loaded, payload, design.point)
+        options += ["--payload", f"{payload!r}kg", "--payload-at", format_place(design.point)]
     stand = solve_stand(loaded, design.stand.task)
-    reloaded = Design(loaded, stand, own_servos=design.own_servos, point=design.point)
+    reloaded = Design(
+        loaded, stand, own_servos=design.own_servos, point=design.point, motors=design.motors
+    )
     remeasured = measure_columns(reloaded, study.metrics)
     measured = {
         name: float(row[name]) for name in remeasured if name in row and _is_number(row[name])
@@ -144,7 +162,7 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
         urdf=urdf,
         mjcf=mjcf,
         stance=stance,
-        numbers=numbers,
+        numbers={name: row[name] for name in study.variables},
         study_values=measured,
         file_values=remeasured,
         command=shlex.join(options),
@@ -156,7 +174,29 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
             if not abs(value - (expected := measured[name]))
             <= _METRIC_RTOL * max(abs(expected), _METRIC_RTOL)
         ),
+        warnings=tuple(_list_warnings(reloaded)),
     )
+
+
+def _list_warnings(design: Design) -> Iterator[Diagnostic]:
+    """Yield a warning if a design stands only undisturbed (`survives_set_down`)."""
+    try:
+        survives = survives_set_down(design)
+    except PupperAnalysisError:  # the metrics state why it does not stand
+        return
+    if not survives:
+        yield diagnose("stands-only-undisturbed", height=1e3 * SET_DOWN_HEIGHT)
+
+
+def format_place(point: Place) -> str:
+    """Return a position as the option ``--payload-at`` accepts it: ``x,y,z`` [m], or with a frame.
+
+    Args:
+        point: (x, y, z) or (frame, x, y, z) [m].
+    """
+    frame, place = split_place(point)
+    numbers = ",".join(f"{float(value)!r}m" for value in place)
+    return f"{frame},{numbers}" if frame else numbers
 
 
 def _is_number(value: Any) -> bool:

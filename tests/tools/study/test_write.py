@@ -66,9 +66,9 @@ def test_bare_engines_read_the_design(heavy: WrittenDesign) -> None:
 
 
 @pytest.mark.slow
-def test_written_design_includes_payload_and_stance(tmp_path: Path) -> None:
-    """Reference: total mass [kg] of MuJoCo's model with 0.5 kg more; the payload is a link of both
-    files, and the stance file has the tilt.
+def test_written_design_leaves_the_payload_to_the_command(tmp_path: Path) -> None:
+    """Reference: total mass [kg] of MuJoCo's model without payload; the metrics of the study are
+    measured with the payload, and the stance file has the tilt.
     """
     pair = quadruped(tmp_path)
     files = {"urdf": str(pair.urdf), "mjcf": str(pair.mjcf)}
@@ -78,7 +78,10 @@ def test_written_design_includes_payload_and_stance(tmp_path: Path) -> None:
     assert found.passed, found.failures
     before = mujoco.MjModel.from_xml_path(files["mjcf"]).body_mass.sum()
     after = mujoco.MjModel.from_xml_path(str(found.mjcf)).body_mass.sum()
-    assert after == pytest.approx(before + 0.5, rel=1e-9)
+    assert after == pytest.approx(before, rel=1e-9)
+    assert found.file_values["total_mass"] == pytest.approx(before + 0.5, rel=1e-9)
+    words = found.command.split()
+    assert words[words.index("--payload") + 1] == "0.5kg"
     assert 'pitch = "0.1rad"' in found.stance.read_text()
 
 

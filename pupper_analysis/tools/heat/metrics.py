@@ -1,0 +1,83 @@
+"""Metrics of the motors of a design, for `study`. ``METRICS``: {name: arguments of the metric}."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.tools.heat.heat import HeatStudy, study_heat
+
+
+def _compute_heat(design: Any) -> HeatStudy:
+    """Return the heat of the motors of a design in its stand.
+
+    Raises:
+        ConfigurationError: If no motor is varied, or a driven joint has no motor.
+        ModelError: If the torque per current or the resistance of a motor are unknown.
+    """
+    _check_motors(design)
+    study = study_heat(design.robot, design.stand, design.motors)
+    if study.omitted:
+        raise ConfigurationError("motor", diagnose("joints-without-motor", joints=study.omitted))
+    return study
+
+
+def _check_motors(design: Any) -> None:
+    """Raise a ConfigurationError if no motor is varied."""
+    if not design.motors:
+        raise ConfigurationError("motor", diagnose("no-motor-varied"))
+
+
+def _measure_continuous_utilisation(design: Any) -> float:
+    """Return the largest ratio of torque to continuous torque of a motor."""
+    ratios = [0.0]
+    for heat in design.compute_once(_compute_heat).motors:
+        if heat.continuous_torque is None:
+            raise ModelError(
+                heat.motor, diagnose("motor-numbers-unknown", numbers=["continuous_torque"])
+            )
+        ratios.append(abs(heat.torque) / heat.continuous_torque)
+    return max(ratios)
+
+
+def _measure_time_until_hot(design: Any) -> float:
+    """Return the time until the first winding reaches its limit [s]; infinite if none does.
+
+    Raises:
+        ModelError: If a motor is too weak for its torque, or the time is unknown.
+    """
+    times = [math.inf]
+    for heat in design.compute_once(_compute_heat).motors:
+        if heat.time_to_limit is None and heat.torque:
+            unknown = heat.unknown or ("peak_torque" if heat.too_weak else "winding_resistance",)
+            raise ModelError(heat.motor, diagnose("motor-numbers-unknown", numbers=[*unknown]))
+        times.append(math.inf if heat.time_to_limit is None else heat.time_to_limit)
+    return min(times)
+
+
+def _measure_copper_loss(design: Any) -> float:
+    """Return the copper loss of all motors [W]; not a number if a motor is too weak."""
+    loss = design.compute_once(_compute_heat).loss
+    return math.nan if loss is None else loss
+
+
+def _sum_numbers(design: Any, number: str) -> float:
+    """Return the sum of a number over the motors of a design.
+
+    Raises:
+        ModelError: If the number of a motor is unknown.
+    """
+    _check_motors(design)
+    return math.fsum(motor.get(number) for motor in design.motors.values())
+
+
+METRICS: dict[str, dict[str, Any]] = {
+    "continuous_utilisation": {"function": _measure_continuous_utilisation, "unit": "1"},
+    "time_until_hot": {"function": _measure_time_until_hot, "unit": "s"},
+    "copper_loss": {"function": _measure_copper_loss, "unit": "W"},
+    "motor_mass": {"function": lambda design: _sum_numbers(design, "mass"), "unit": "kg"},
+    "motor_price": {"function": lambda design: _sum_numbers(design, "price"), "unit": "USD"},
+}
+"""{name of a metric of studies: arguments of `Metric` except the name}."""

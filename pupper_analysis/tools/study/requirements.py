@@ -1,0 +1,83 @@
+"""Requirements on the designs of a study: ``stands = true``, ``continuous_utilisation = "< 1"``."""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_COMPARISONS: Mapping[str, Callable[[Any, float], Any]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "=": operator.eq,
+}
+"""{comparison in the text of a requirement: function}."""
+
+_REQUIREMENT = re.compile(r"\s*(<=|>=|<|>|=)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*\Z")
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """Required values of a column of the table of a study.
+
+    Attributes:
+        column: Metric or variable.
+        comparison: A key of `_COMPARISONS`.
+        limit: Limit, in the unit of the column.
+    """
+
+    column: str
+    comparison: str
+    limit: float
+
+    @classmethod
+    def parse(cls, column: str, text: object) -> Requirement:
+        """Create a requirement from a study file: true, false, a number, or a text ``"< 1"``.
+
+        Raises:
+            ConfigurationError: If the value has another form.
+        """
+        if isinstance(text, bool | int | float):
+            return cls(column, "=", float(text))
+        match = _REQUIREMENT.match(text) if isinstance(text, str) else None
+        try:
+            return cls(column, match[1], float(match[2]))  # type: ignore[index]
+        except (TypeError, ValueError) as error:
+            problem = diagnose("requirement-not-valid", given=repr(text))
+            raise ConfigurationError(f"require[{column!r}]", problem) from error
+
+    @property
+    def text(self) -> str:
+        """The requirement as ``column < limit``."""
+        return f"{self.column} {self.comparison} {self.limit:g}"
+
+    def is_met(self, table: pd.DataFrame) -> NDArray[np.bool_]:
+        """Return for each row of a table True if the value is known and meets the requirement."""
+        if self.column not in table:
+            return np.zeros(len(table), bool)
+        values = table[self.column].to_numpy(dtype=float)
+        met: NDArray[np.bool_] = ~np.isnan(values) & _COMPARISONS[self.comparison](
+            values, self.limit
+        )
+        return met
+
+
+def select_designs(table: pd.DataFrame, requirements: tuple[Requirement, ...]) -> pd.DataFrame:
+    """Return the rows of a table that meet all requirements."""
+    met = np.ones(len(table), bool)
+    for requirement in requirements:
+        met &= requirement.is_met(table)
+    return table[met]

@@ -1,0 +1,262 @@
+"""Motors as rows of a study, requirements, and designs recomputed from bare MuJoCo."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pandas as pd
+import pytest
+
+from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
+from pupper_analysis.models.motors.motor import Motor
+from pupper_analysis.models.motors.reading import find_motor
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.stance.stand import stand_statics
+from pupper_analysis.tools.study import measures
+from pupper_analysis.tools.study.document import study_document
+from pupper_analysis.tools.study.motors import encode_motor, with_motors
+from pupper_analysis.tools.study.outcome import study_outcome
+from pupper_analysis.tools.study.requirements import Requirement
+from pupper_analysis.tools.study.study import Study, read_study
+from pupper_analysis.tools.study.write import write_design
+from tests.support.variants import load
+
+PRESENT = find_motor("steadywin-gim4305-10")
+OTHER = Motor(
+    *("other", "bench"),
+    rotor_inertia=2e-5,
+    gear_ratio=10.0,
+    output_torque_constant=0.6,
+    peak_torque=5.0,
+    continuous_torque=2.0,
+    resistance=1.0,
+    no_load_speed=20.0,
+    kp=8.0,
+    kd=0.2,
+    mass=0.200,
+)
+
+
+def test_motors_change_mass_effort_speed_inertia_and_gains() -> None:
+    """References: the numbers of the motor; both engines; the origin of the joint in MuJoCo.
+
+    A motor at a hip adds its mass to the base, at the axis of the joint.
+    """
+    robot = load("v3")
+    joint = "leg_front_r_1"
+    found = with_motors(robot, {joint: OTHER}, PRESENT)
+    index = robot.joint_names.index(joint)
+    assert found.total_mass == pytest.approx(robot.total_mass + 0.06, rel=1e-12)
+    assert found.mj_model.body_mass.sum() == pytest.approx(found.total_mass, rel=1e-9)
+    before, after = (Configuration(one, one.neutral()).center_of_mass() for one in (robot, found))
+    data = robot.compute_kinematics()
+    anchor = data.xanchor[robot.mj_model.joint(joint).id]
+    expected = (robot.total_mass * before + 0.06 * anchor) / found.total_mass
+    np.testing.assert_allclose(after, expected, atol=1e-6)
+    assert found.effort_limits[index] == 5.0
+    assert found.effort_limits[index + 1] == robot.effort_limits[index + 1]
+    dof = found.mj_model.joint(joint).dofadr[0]
+    assert found.mj_model.dof_armature[dof] == pytest.approx(2e-5 * 100)
+    speeds = found.pin_model.velocityLimit[found.pin_convention.v_index]
+    assert speeds[index] == 20.0
+    actuator = found.mj_convention.actuator_index[index]
+    assert found.mj_model.actuator_gainprm[actuator, 0] == 8.0
+    assert found.mj_model.actuator_biasprm[actuator, 2] == pytest.approx(-0.2)
+
+
+def test_mass_matrices_of_both_engines_agree_with_other_motors() -> None:
+    """Reference: MuJoCo's mass matrix; Pinocchio's follows from the URDF."""
+    robot = with_motors(load("v3"), dict.fromkeys(load("v3").joint_names, OTHER), PRESENT)
+    from pupper_analysis.tools.crosscheck.crosscheck import cross_check
+
+    assert cross_check(robot).passed
+
+
+def test_motors_that_no_robot_can_have_are_refused() -> None:
+    robot = load("v3")
+    light = Motor("light", "bench", mass=1e-3, peak_torque=1.0)
+    heavy = Motor("heavy", "bench", mass=3.0, peak_torque=1.0)
+    with pytest.raises(ConfigurationError, match="is present_motor the motor of the files"):
+        with_motors(robot, {"leg_front_r_2": light}, heavy)
+    with pytest.raises(ModelError, match="peak_torque"):
+        with_motors(robot, {"leg_front_r_1": Motor("bare", "bench", mass=0.1)}, PRESENT)
+
+
+STUDY: dict[str, Any] = {"robot": "v3", "measure": ["motor_mass"], "present_motor": PRESENT}
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        ({"vary": {"motor": [1.0]}}, ConfigurationError, "no list of names or files"),
+        ({"vary": {"motor": ["dephy-actpak"]}}, UnknownNameError, "dephy-actpack"),
+        ({"vary": {"motor:*_9": ["dephy-actpack"]}}, UnknownNameError, "leg_front_r_1"),
+        ({"vary": {"kp": [5.0]}}, ConfigurationError, "no motor is varied"),
+        ({"present_motor": None}, ConfigurationError, "present_motor = "),
+        ({"present_motor": "dynamixel-mx-64"}, ModelError, "needed: mass"),
+        ({"require": {"motor_mass": "light"}}, ConfigurationError, "is not true, false, a number"),
+        ({"require": {"stands": True}}, ConfigurationError, "stands"),
+        ({"minimise": "stands"}, ConfigurationError, "stands"),
+        ({"minimise": "motor"}, ConfigurationError, "motor"),
+    ],
+)
+def test_bad_studies_of_motors_are_refused(
+    changes: dict[str, Any], error: type[Exception], words: str
+) -> None:
+    options = {**STUDY, "vary": {"motor": ["dephy-actpack"]}, **changes}
+    with pytest.raises(error, match=words):
+        Study(options.pop("robot"), options.pop("vary"), options.pop("measure"), **options)
+
+
+def test_unknown_values_meet_no_requirement() -> None:
+    """Reference: comparison by hand. NaN meets neither an upper nor a lower bound."""
+    table = pd.DataFrame({"heat": [0.5, 1.0, np.nan, np.inf], "stands": [1.0, 0.0, 1.0, np.nan]})
+    cases = {
+        "< 1": [True, False, False, False],
+        "<= 1": [True, True, False, False],
+        ">0.5": [False, True, False, True],
+        ">= 5e-1": [True, True, False, True],
+    }
+    for text, expected in cases.items():
+        assert Requirement.parse("heat", text).is_met(table).tolist() == expected
+    assert Requirement.parse("stands", True).is_met(table).tolist() == [True, False, True, False]
+    assert Requirement.parse("other", "< 1").is_met(table).tolist() == [False] * 4
+
+
+def test_code_of_a_motor_follows_its_numbers_only() -> None:
+    assert encode_motor(OTHER) == encode_motor(OTHER)
+    assert encode_motor(PRESENT) != encode_motor(OTHER)
+    assert encode_motor(OTHER) == int(encode_motor(OTHER)) < 2**53
+
+
+FILE = """robot = "v3"
+present_motor = "steadywin-gim4305-10"
+measure = ["motor_mass", "continuous_utilisation", "time_until_hot", "stands", "set_down"]
+minimise = "motor_mass"
+require = { stands = true, set_down = true, continuous_utilisation = "< 1" }
+
+[vary]
+motor = ["weak.toml", "lk-tech-mg4005-10", "t-motor-ak80-6"]
+kp = [10.0]
+payload = [1.0]
+"""
+
+WEAK = """name = "weak"
+source = "bench"
+output_torque_constant = "0.5 N m/A"
+resistance = "1 ohm"
+peak_torque = "3 N m"
+continuous_torque = "0.5 N m"
+mass = "100 g"
+"""
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Path]:
+    folder = tmp_path_factory.mktemp("motors")
+    (folder / "weak.toml").write_text(WEAK)
+    (folder / "study.toml").write_text(FILE)
+    study = Study.read(folder / "study.toml")
+    study.execute(folder / "results", workers=1)
+    return study, folder / "results"
+
+
+@pytest.mark.slow
+def test_lightest_motor_that_meets_the_requirements_is_the_best(
+    measured: tuple[Study, Path],
+) -> None:
+    """References: masses of 12 motors; the continuous torque of the data sheets."""
+    study, folder = measured
+    outcome = study_outcome(study, folder)
+    assert outcome.table["motor"].str.endswith("weak.toml").tolist() == [True, False, False]
+    assert outcome.table["motor_mass"].tolist() == pytest.approx([1.2, 12 * 0.154, 12 * 0.485])
+    assert outcome.front["motor"].tolist() == ["lk-tech-mg4005-10"]
+    assert outcome.feasible == 2
+    assert outcome.requirements["continuous_utilisation < 1"] == 2
+    used = outcome.table["continuous_utilisation"]
+    assert used[0] > 1
+    assert np.isnan(outcome.table["time_until_hot"][0])  # beyond the data sheet: time unknown
+    assert (outcome.table["time_until_hot"][1:] == np.inf).all()
+    document = study_document(outcome)
+    assert "2 of 3 designs meet all requirements" in document.findings[0].en
+    assert "best: design 2, motor lk-tech-mg4005-10" in document.findings[0].en
+    pd.testing.assert_frame_equal(read_study(folder), outcome.table)
+
+
+@pytest.mark.slow
+def test_designs_agree_with_bare_mujoco(measured: tuple[Study, Path]) -> None:
+    """Reference: MuJoCo alone, from the written files and the numbers of the motors.
+
+    The payload is added by MjSpec. The robot is set down from 2 mm: the height of the base changes
+    by less than a tenth. The torques of the statics, as feed-forward of the servos, hold the joint
+    positions to 1e-3 rad; the largest torque is that of the study.
+    """
+    study, folder = measured
+    table = study.table(folder)
+    continuous = {"weak": 0.5, "lk-tech-mg4005-10": 1.0, "t-motor-ak80-6": 6.0}
+    masses = {"weak": 0.1, "lk-tech-mg4005-10": 0.154, "t-motor-ak80-6": 0.485}
+    for number in (1, 2, 3):
+        written = write_design(study, number, folder)
+        assert written.passed, written.failures
+        assert "--payload 1.0kg" in written.command
+        row = table.iloc[number - 1]
+        name = Path(row["motor"]).stem
+        spec = mujoco.MjSpec.from_file(str(written.mjcf))
+        bare = load("v3").total_mass + 12 * (masses[name] - 0.14)
+        assert spec.copy().compile().body_mass.sum() == pytest.approx(bare, rel=1e-9)
+        base = next(body for body in spec.bodies if list(body.joints))
+        weight = base.add_body(name="weight")
+        weight.mass, weight.inertia, weight.explicitinertial = 1.0, [1e-9] * 3, True
+        model = spec.compile()
+        design = study_design(study, number, folder)
+        stand = design.simulated_stand
+        statics = stand_statics(design.robot, stand)
+        order = design.robot.mj_convention.actuator_index
+        sagged = simulate(model, design, stand.qpos[7:], drop=0.002)
+        assert sagged.qpos[2] > 0.9 * stand.qpos[2]
+        held = simulate(model, design, stand.qpos[7:] + statics.joint_torques / 10.0)
+        joints = held.qpos[design.robot.mj_convention.qpos_index[7:]]
+        np.testing.assert_allclose(joints, stand.qpos[7:], atol=1e-3)
+        used = float(np.abs(held.actuator_force[order]).max()) / continuous[name]
+        assert used == pytest.approx(row["continuous_utilisation"], rel=0.01)
+        assert row["stands"] == row["set_down"] == 1.0
+
+
+@pytest.mark.slow
+def test_a_design_that_stands_only_undisturbed_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reference: the simulated drop, here from a height from which the robot collapses."""
+    study = Study("v3", {"kp": [2.5], "payload": [0.0]}, ["stands", "set_down"])
+    study.execute(tmp_path, workers=1)
+    assert study.table(tmp_path)["set_down"].tolist() == [1.0]
+    assert not write_design(study, 1, tmp_path).warnings
+    monkeypatch.setattr(measures, "SET_DOWN_HEIGHT", 1.0)
+    (warning,) = write_design(study, 1, tmp_path).warnings
+    assert warning.code == "stands-only-undisturbed"
+
+
+def simulate(
+    model: mujoco.MjModel, design: Any, command: np.ndarray, drop: float = 0.0
+) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    data.qpos[design.robot.mj_convention.qpos_index] = design.simulated_stand.qpos
+    data.qpos[2] += drop
+    data.ctrl[design.robot.mj_convention.actuator_index] = command
+    while data.time < 3.0:
+        mujoco.mj_step(model, data)
+    return data
+
+
+def study_design(study: Study, number: int, folder: Path) -> Any:
+    from pupper_analysis.tools.study.design import DesignBuilder
+
+    row = study.table(folder).iloc[number - 1]
+    codes = {name: variable.code_of(row[name]) for name, variable in study.variables.items()}
+    builder = DesignBuilder(
+        study.source, study.task, study.point, study.motors, study.present_motor
+    )
+    return builder.design(codes)
