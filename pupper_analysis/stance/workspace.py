@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result
@@ -80,11 +81,14 @@ class BaseWorkspace(Result):
         start: Stand at which the search starts.
         intervals: {``height`` (m, absolute), ``roll``, ``pitch``, ``yaw`` (rad, absolute), ``x``,
             ``y`` (m, of the base from the centre of the feet)}.
+        limits: {direction: (limit at the lower end, limit at the upper end)}: for example joints at
+            their limits, or the reach of the legs.
     """
 
     name: str
     start: Stand
     intervals: dict[str, Interval] = field(metadata={"unit": "m or rad"})
+    limits: dict[str, tuple[Diagnostic, Diagnostic]]
 
 
 @check_arguments
@@ -134,11 +138,65 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
     """
     start = solve_stand(robot, task)
     robot = start.check(robot)
-    intervals = {}
+    intervals, limits = {}, {}
     for count, direction in enumerate(DIRECTIONS):
         report_progress("directions", count, len(DIRECTIONS))
-        intervals[direction] = find_interval(robot, start, direction)
-    return BaseWorkspace(name=robot.name, start=start, intervals=intervals)
+        (low, lowest), (high, highest) = (
+            _find_limit(robot, start, direction, sign, math.inf, default_guesses_only=False)
+            for sign in (-1.0, 1.0)
+        )
+        intervals[direction] = Interval(low, high)
+        limits[direction] = (
+            _describe_limit(robot, start, lowest, direction, low),
+            _describe_limit(robot, start, highest, direction, high),
+        )
+    return BaseWorkspace(name=robot.name, start=start, intervals=intervals, limits=limits)
+
+
+_LIMIT_DISTANCE = 0.01
+"""Distance of a joint from its limit [rad, m] at the end of an interval, below which the joint
+limit is the reported limit. Chosen: the ends are accurate to 0.4 mrad or 0.1 mm, and joints move
+several times as fast as the base."""
+
+_EDGE_DISTANCE = 1e-3
+"""Distance of a margin or clearance from the required value [m] at the end of an interval, below
+which it is the reported limit. Chosen: ten times the accuracy of the ends in height."""
+
+
+def _describe_limit(
+    robot: Robot, start: Stand, end: Stand, direction: str, value: float
+) -> Diagnostic:
+    """Create the text about the limit of a base coordinate, a requirement that the end just meets.
+
+    If several requirements are just met, the first is reported: full turn, joint limits of joints
+    that have moved, clearances, support polygon. If none is, the reach of the legs is reported.
+
+    Args:
+        robot: Robot.
+        start: Stand at which the search started.
+        end: Stand at the end of the interval.
+        direction: Name of the coordinate, an element of ``DIRECTIONS``.
+        value: Coordinate at the end [m or rad].
+    """
+    task = start.task
+    if abs(value) >= _MAX_VALUES.get(direction, math.inf) * (1 - BISECTION_RTOL):
+        return diagnose("workspace-ends-at-full-turn")
+    positions = end.joint_positions(robot)
+    distances = np.minimum(positions - robot.lower_limits, robot.upper_limits - positions)
+    at_limit = distances - task.joint_margin < _LIMIT_DISTANCE
+    moved = np.abs(positions - start.joint_positions(robot)) > _LIMIT_DISTANCE
+    joints = [name for name, at in zip(robot.joint_names, at_limit & moved, strict=True) if at]
+    if joints:
+        return diagnose("workspace-ends-at-joint-limits", joints=joints)
+    clearance = end.ground_clearance
+    if clearance is not None and clearance.distance - task.ground_clearance < _EDGE_DISTANCE:
+        return diagnose("workspace-ends-at-ground", links=clearance.links)
+    between, least = end.self_clearance, task.self_clearance or 0.0
+    if between is not None and between.distance - least < _EDGE_DISTANCE:
+        return diagnose("workspace-ends-at-links", links=between.links)
+    if direction in ("x", "y") and end.com_margin - task.com_margin < _EDGE_DISTANCE:
+        return diagnose("workspace-ends-at-support")
+    return diagnose("workspace-ends-at-reach")
 
 
 def find_interval(
@@ -161,7 +219,7 @@ def find_interval(
         enough: Distance [m or rad] from the start beyond which the search ends.
         default_guesses_only: Search from `default_initial_guesses` only, not in all IK branches.
     """
-    low, high = (
+    (low, _), (high, _) = (
         _find_limit(robot, start, direction, sign, enough, default_guesses_only)
         for sign in (-1.0, 1.0)
     )
@@ -175,8 +233,8 @@ def _find_limit(
     sign: float,
     enough: float,
     default_guesses_only: bool,
-) -> float:
-    """Find an end of the reachable interval of a base coordinate; return the coordinate [m or rad].
+) -> tuple[float, Stand]:
+    """Find an end of the reachable interval of a base coordinate.
 
     The search moves outward from the stand ``start``. Each step is halved if no stand is found.
     Each step starts at the last stand found; long steps also at the initial guesses of
@@ -190,6 +248,9 @@ def _find_limit(
         sign: 1 to search towards larger values, -1 towards smaller values.
         enough: Distance [m or rad] from the start at which the search ends.
         default_guesses_only: Omit the IK branches and the nonlinear program in `search_stand`.
+
+    Returns:
+        The coordinate at the end [m or rad], and the stand there.
     """
     first, most = _FIRST_STEPS[direction], _MAX_VALUES.get(direction, math.inf)
     first_value = value = _get_coordinate(robot, start, direction)
@@ -221,7 +282,7 @@ def _find_limit(
     while value != first_value and not try_value(value):  # must be reachable without a nearby stand
         value = first_value + sign * max(0.0, abs(value - first_value) - least)
         least *= 2
-    return value
+    return value, start if value == first_value else last
 
 
 def _get_coordinate(robot: Robot, start: Stand, direction: str) -> float:

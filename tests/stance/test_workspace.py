@@ -41,6 +41,19 @@ def test_limits_are_tight_in_every_direction(name: str) -> None:
             assert is_reached(robot, pa.StandTask(**{direction: value}))
             if abs(value) < 1.56:  # not the end of the angle's range
                 assert not is_reached(robot, pa.StandTask(**{direction: value + sign * 1e-3}))
+    for direction in ("roll", "yaw"):  # the named joints are at their limits there, and no others
+        for end, limit in zip((-1, 1), workspace.limits[direction], strict=True):
+            interval = workspace.intervals[direction]
+            value = interval.high if end > 0 else interval.low
+            angles = pa.solve_stand(robot, pa.StandTask(**{direction: value})).qpos[7:]
+            reserve = np.minimum(angles - robot.lower_limits, robot.upper_limits - angles)
+            names = [
+                name for name, left in zip(robot.joint_names, reserve, strict=True) if left < 0.01
+            ]
+            if limit.code == "workspace-ends-at-joint-limits":
+                assert names == [*limit.values["joints"]]
+            else:
+                assert names == []
     for direction in ("roll", "yaw", "y"):  # left and right are mirror images
         interval = workspace.intervals[direction]
         assert interval.low == pytest.approx(-interval.high, abs=2e-3)
@@ -52,7 +65,14 @@ def test_base_shift_ends_at_the_polygon_or_at_full_leg_length() -> None:
     is out of reach or has no contact forces in balance.
     """
     robot = load("v3")
-    x = base_workspace(robot).intervals["x"]
+    workspace = base_workspace(robot)
+    x = workspace.intervals["x"]
+    assert [limit.code for limit in workspace.limits["x"]] == ["workspace-ends-at-support"] * 2
+    assert workspace.limits["height"][1].code == "workspace-ends-at-reach"
+    tall = pa.solve_stand(robot, pa.StandTask(height=workspace.intervals["height"].high))
+    foot = pa.Configuration(robot, tall.qpos).frame_jacobian(robot.contact_frames["FL"])
+    leg = foot[:3, [6 + robot.joint_names.index(f"leg_front_l_{n}") for n in (1, 2, 3)]]
+    assert np.linalg.svd(leg, compute_uv=False)[-1] < 0.01  # m/rad: the leg is stretched
     for value, sign in ((x.low, -1), (x.high, 1)):
         inside = pa.solve_stand(robot, pa.StandTask(offset=(value, 0.0)))
         assert pa.stance.stand_statics(robot, inside).com_margin >= 0

@@ -418,7 +418,10 @@ def workspace() -> Any:
         "roll": Stub(low=math.radians(-13.3), high=math.radians(14.4)),
         "x": Stub(low=-0.0255, high=0.0366),
     }
-    return Stub(name="stub", start=STAND, intervals=intervals)
+    joints = diagnose("workspace-ends-at-joint-limits", joints=["FL_knee", "FR_knee", "RL_knee"])
+    reach = diagnose("workspace-ends-at-reach")
+    limits = {name: (joints, reach) for name in intervals}
+    return Stub(name="stub", start=STAND, intervals=intervals, limits=limits)
 
 
 def files() -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import view_block
@@ -16,11 +17,18 @@ _ANGLE_DIRECTIONS = ("roll", "pitch", "yaw")
 """Directions of a base workspace with ranges in angles; the report shows these in degrees."""
 
 
-def _select_ranges(ranges: dict[str, doc.Text], *, angles: bool) -> list[doc.Text]:
-    """Return the ranges of the angles, or those of the lengths."""
-    return [
-        line for direction, line in ranges.items() if (direction in _ANGLE_DIRECTIONS) is angles
-    ]
+def _join_limits(workspace: BaseWorkspace) -> doc.Text:
+    """Return the limits of all directions in one text, each once; joints are named together."""
+    found = [limit for limits in workspace.limits.values() for limit in limits]
+    joints = dict.fromkeys(
+        name
+        for limit in found
+        if isinstance(names := limit.values.get("joints"), tuple)
+        for name in names
+    )
+    codes = {limit.code: limit for limit in found if "joints" not in limit.values}
+    limits = [diagnose("workspace-ends-at-joint-limits", joints=[*joints])] if joints else []
+    return join_words(map(doc.diagnostic_text, [*limits, *codes.values()]), "semicolon")
 
 
 @build_document.register(BaseWorkspace)
@@ -30,19 +38,32 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
     `build_document` calls this function for a `BaseWorkspace`.
     """
     rows: list[tuple[doc.Cell, ...]] = []
-    ranges = {}
-    for direction, interval in workspace.intervals.items():
+    ranges = list[doc.Text]()
+    # Lengths come first, since the answer begins with the height.
+    for direction, interval in sorted(
+        workspace.intervals.items(), key=lambda item: item[0] in _ANGLE_DIRECTIONS
+    ):
         angle = direction in _ANGLE_DIRECTIONS
-        scale, unit = (math.degrees(1.0), "°") if angle else (1e3, "mm")
+        scale, unit = (math.degrees(1.0), "deg") if angle else (1e3, "mm")
+        form = ".1f" if direction == "height" else "+.1f"
         low, high = (
-            doc.number_cell(end, "+.1f", scale=scale) for end in (interval.low, interval.high)
+            doc.number_cell(end, form, scale=scale) for end in (interval.low, interval.high)
         )
-        rows.append((text(direction), low, high, doc.Name(unit)))
+        limits = map(doc.diagnostic_text, workspace.limits[direction])
+        rows.append((text(direction), low, high, doc.Name(unit), *limits))
         ends = {"low": low.text, "high": high.text, "unit": unit}
-        ranges[direction] = text("range-of-direction", direction=text(direction), **ends)
+        mirrored = low.text == high.text.replace("+", "-")
+        key = "symmetric-range-of-direction" if mirrored else "range-of-direction"
+        if mirrored:
+            ends["high"] = high.text.removeprefix("+")
+        ranges.append(text(key, direction=text(direction), **ends))
     table = doc.Table(
         text("how-far-the-base"),
-        quantity_columns(text("from"), text("to"), of="direction"),
+        (
+            *quantity_columns(text("from"), text("to"), of="direction"),
+            doc.Column(text("lower-limit"), left=True),
+            doc.Column(text("upper-limit"), left=True),
+        ),
         tuple(rows),
         (text("of-reach-and-balance-alone"),),
     )
@@ -51,9 +72,11 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         doc.Name(workspace.name),
         (table, view_block(robot, workspace.start, None)),
         findings=(
-            text("range-in-short", ranges=join_words(_select_ranges(ranges, angles=False))),
-            text("range-of-angles", ranges=join_words(_select_ranges(ranges, angles=True))),
+            text("range-in-short", ranges=join_words(ranges)),
+            text("workspace-limits", limits=_join_limits(workspace)),
         ),
+        passed=True,
+        verdict=text("RANGE"),
         details=(task_text(workspace.start.task),),
         brief=True,
         notes=robot_notes(robot),
