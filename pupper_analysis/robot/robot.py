@@ -610,7 +610,7 @@ class Robot(EngineModels):
             robot.description.efforts,
             robot.description.null_efforts,
         )
-        generated = self.description.converted.upper()
+        generated = robot.description.converted.upper()
         return tuple(limit.without_file(generated) for limit in limits) if generated else limits
 
     @cached_property

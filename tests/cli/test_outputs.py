@@ -51,6 +51,7 @@ OPTIONS = {
     "logs": "log.csv",
     "record": "plan.csv",
     "trace": "trace.npz",
+    "start": "start.json",
     "config": "pupper-analysis.toml",
 }
 """{option that names a file to be read: the file}; ``--urdf`` and ``--mjcf`` are arguments here."""
@@ -144,6 +145,7 @@ def write_inputs(folder: Path) -> Path:
     home = re.search(r'<key [^>]*qpos="([^"]*)"', mjcf)
     assert home is not None
     commands = ",".join(home[1].split()[7:])
+    (folder / "start.json").write_text(f"[{commands}]")
     (folder / "plan.csv").write_text(f"{','.join(names)}\n{commands}{',' * count}\n")
     fitted: dict[str, object] = {"kind": "delay", "subject": "", "component": ""}
     fitted |= {"stated": 0, "low": 0, "high": 0.01}

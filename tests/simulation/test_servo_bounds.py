@@ -62,7 +62,7 @@ def test_servos_without_damping_have_no_largest_damping() -> None:
 
 
 def simulate_in_bare_mujoco(robot: pa.Robot, stand: pa.Stand, kp: np.ndarray) -> float:
-    """Return the distance [m] that the base moves in 30 s, with position servos and feed-forward."""
+    """Return the distance [m] that the base moves in 30 s with feed-forward and servos."""
     torques = stand_statics(robot, stand).joint_torques
     model, joints = copy.copy(robot.mj_model), stand.joint_positions(robot)
     servos = robot.mj_convention.actuator_index
