@@ -582,6 +582,19 @@ def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
     yield Clause(True, message)
 
 
+def select_step_after_failure(verdict: Verdict, otherwise: NextStep) -> NextStep:
+    """Return the command to run after a failure: `crosscheck` if the files explain it.
+
+    The files explain it if they describe two robots, or if the robot does not stand as predicted. A
+    robot of one file is audited instead.
+    """
+    differs = verdict.code in (VerdictCode.DIFFERS_AS_PUBLISHED, VerdictCode.DISAGREES)
+    two_robots = any(failure.code == TWO_ROBOTS_CODE for failure in verdict.failures)
+    if not (differs or two_robots):
+        return otherwise
+    return NextStep("audit" if verdict.converted else "crosscheck")
+
+
 def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
     """Create the statement that a result depends on added servos, with their range of gains.
 

@@ -56,10 +56,11 @@ def format_number(value: float, spec: str) -> str:
     """Format a number by a format specification of Python, such as ``".3g"``.
 
     Absolute values from 1e-6 to below 1e9 are written without exponent, except by the format ``e``.
-    With ``g%`` the number is shown in percent: 0.039 by ``".2g%"`` is ``"3.9 %"``.
+    With ``%`` the number is shown in percent: 0.039 by ``".1%"`` or ``".2g%"`` is ``"3.9 %"``.
     """
-    if spec.endswith("g%"):
-        return f"{format_number(100 * value, spec[:-1])} %"
+    if spec.endswith("%"):
+        number = spec[:-1] if spec.endswith("g%") else f"{spec[:-1]}f"
+        return f"{format_number(100 * value, number)} %"
     written = format(value, spec)
     if "e" in written and not spec.endswith("e") and 1e-6 <= abs(value) < 1e9:
         return format(Decimal(written), "+f" if written.startswith("+") else "f")

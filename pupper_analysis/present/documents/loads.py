@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.diagnostics.templates import format_number
 from pupper_analysis.base.units import READ_IN
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.present import document as doc
@@ -81,8 +82,10 @@ def proof_text(verification: StandVerification) -> doc.Text:
     return text(
         "source-verified",
         seconds=f"{verification.duration:g}",
-        torque=f"{verification.torque_error:.2%}",
-        force="" if verification.force_error is None else f"{verification.force_error:.2%}",
+        torque=format_number(verification.torque_error, ".2%"),
+        force=""
+        if verification.force_error is None
+        else format_number(verification.force_error, ".2%"),
     )
 
 
@@ -153,7 +156,7 @@ def describe_slides(names: Iterable[str], units: Iterable[str]) -> list[doc.Word
 
 def _format_fraction(value: float) -> str:
     """Format a fraction in percent; a dash if the fraction is not finite."""
-    return f"{value:.1%}" if math.isfinite(value) else "-"
+    return format_number(value, ".1%") if math.isfinite(value) else "-"
 
 
 def torque_table(

@@ -98,10 +98,15 @@ def _describe_first(motor: MotorHeat) -> doc.Words:
         return text(key, motor=doc.Name(motor.motor), rating=f"{permanent:.3g}", **values)
     limit = "" if motor.limit_temperature is None else f"{motor.limit_temperature:.3g}"
     if time is not None and math.isfinite(time):
-        return text("heat-reaches", minutes=_format_minutes(time), limit=limit, **values)
+        return text("heat-reaches", time=_format_duration(time), limit=limit, **values)
     if final is not None and math.isfinite(final):
         return text("heat-settles", final=f"{final:.3g}", limit=limit, **values)
     return text("heat-runs-away", **values)
+
+
+def _format_duration(time: float) -> str:
+    """Return a time [s] in min, or in s below one minute."""
+    return f"{_format_minutes(time)} min" if time >= 60.0 else f"{time:.2g} s"
 
 
 def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:

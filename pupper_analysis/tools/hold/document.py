@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Quantity
+from pupper_analysis.base.diagnostics.templates import format_number
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import (
@@ -27,7 +28,11 @@ from pupper_analysis.present.documents.loads import (
 )
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import robot_notes
-from pupper_analysis.present.verdict import judged_document, qualify_verdict_word
+from pupper_analysis.present.verdict import (
+    judged_document,
+    qualify_verdict_word,
+    select_step_after_failure,
+)
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.hold.force import ToolForce
@@ -95,10 +100,12 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
     """Return the next command: `hold` with the payload that all found postures hold, rounded down.
 
     If this payload is unknown, unlimited or zero, or the posture fails, the next command is
-    `audit`, which checks the files.
+    `audit`, which checks the files; `crosscheck` if the difference of two files explains a failure.
     """
     payload = hold.payload.worst_posture_mass
-    if not hold.passed or not math.isfinite(payload) or payload <= 0:
+    if not hold.passed:
+        return select_step_after_failure(hold.verdict, doc.NextStep("audit"))
+    if not math.isfinite(payload) or payload <= 0:
         return doc.NextStep("audit")
     step = 10.0 ** (math.floor(math.log10(payload)) - 1)
     rounded = math.floor(payload / step) * step
@@ -266,7 +273,7 @@ def _make_limit_cell(value: float) -> doc.Cell:
 
 def _describe_trial(hold: Hold) -> Iterator[doc.Text]:
     """Yield the text of the result of the simulation with a payload; nothing without one."""
-    trial, fraction = hold.payload_trial, f"{VERIFIED_FRACTION:.0%}"
+    trial, fraction = hold.payload_trial, format_number(VERIFIED_FRACTION, ".0%")
     if trial is not None and trial.passed:
         yield text("payload-trial-holds", share=fraction)
     elif trial is not None:
@@ -375,7 +382,7 @@ def describe_hardest_motor(
         yield text(
             "motor-that-holds-most",
             joint=doc.Name(statics.joint_names[worst]),
-            share=f"{shares[worst]:.1%}",
+            share=format_number(shares[worst], ".1%"),
             torque=f"{statics.joint_torques[worst]:.3g}",
             limit=f"{limits[worst]:.3g}",
             unit=statics.torque_units[worst],

@@ -14,7 +14,7 @@ from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.loads import view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import quantity_columns, robot_notes, task_text
-from pupper_analysis.present.verdict import judged_document
+from pupper_analysis.present.verdict import judged_document, select_step_after_failure
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.path.plan import StancePath
 from pupper_analysis.tools.path.tracking import PathThere, PathTracking
@@ -66,7 +66,9 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
         answer,
         details=(task_text(there.stand.task),),
         notes=robot_notes(robot),
-        next_step=doc.NextStep("payload" if there.passed else "stand"),
+        next_step=doc.NextStep("payload")
+        if there.passed
+        else select_step_after_failure(there.verdict, doc.NextStep("stand")),
     )
 
 

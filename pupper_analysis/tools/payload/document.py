@@ -21,7 +21,11 @@ from pupper_analysis.present.documents.standing import (
     robot_notes,
     task_text,
 )
-from pupper_analysis.present.verdict import judged_document, qualify_verdict_word
+from pupper_analysis.present.verdict import (
+    judged_document,
+    qualify_verdict_word,
+    select_step_after_failure,
+)
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.simulation.verdict import Ending
@@ -75,13 +79,14 @@ _NEXT_STEPS = {
 def _select_next_step(limit: PayloadLimit) -> NextStep:
     """Return the command to run next.
 
-    If motor limits are unknown, this is `audit`; if no payload is carried, `stand`, which states
-    the cause; otherwise the command for the bound that limits the payload (`_NEXT_STEPS`).
+    If motor limits are unknown, this is `audit`. If no payload is carried, it is `stand`, which
+    states the cause, or `crosscheck` or `audit` if the files explain the failure. Otherwise it is
+    the command for the bound that limits the payload (`_NEXT_STEPS`).
     """
     if limit.unknown_limits and limit.upper_bound > 0:
         return NextStep("audit")
     if not limit.passed or not limit.bounds:
-        return NextStep("stand")
+        return select_step_after_failure(limit.verdict, NextStep("stand"))
     smallest = min(limit.bounds, key=lambda name: limit.bounds[name].mass)
     return _NEXT_STEPS.get(smallest, NextStep("push"))
 

@@ -24,7 +24,7 @@ from pupper_analysis.present.documents.standing import (
     robot_notes,
     task_text,
 )
-from pupper_analysis.present.verdict import judged_document
+from pupper_analysis.present.verdict import judged_document, select_step_after_failure
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.push.bench import PushTrial
 from pupper_analysis.tools.push.recovery import PushedStance, PushRecovery
@@ -59,13 +59,16 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
 
 
 def _select_next_step(pushed: PushedStance) -> NextStep:
-    """Return the next command: `best margin` (stance that tips later), or `stand` after a failure.
+    """Return the next command: `best margin` (stance that tips later), or after a failure `stand`.
 
-    If the robot stands and torque limits are unknown, the next command is `audit`.
+    If the files explain the failure, it is `crosscheck` or `audit`. If the robot stands and torque
+    limits are unknown, the next command is `audit`.
     """
     if pushed.peak_torques is not None:
         return NextStep("audit")
-    return NextStep("best", ("margin",)) if pushed.passed else NextStep("stand")
+    if pushed.passed:
+        return NextStep("best", ("margin",))
+    return select_step_after_failure(pushed.verdict, NextStep("stand"))
 
 
 def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:

@@ -36,7 +36,7 @@ from pupper_analysis.base.diagnostics import (
     term,
 )
 from pupper_analysis.base.diagnostics.catalogue import word_files
-from pupper_analysis.base.diagnostics.templates import fill_template
+from pupper_analysis.base.diagnostics.templates import fill_template, format_number
 from pupper_analysis.base.results import to_json
 from tests.support.rooms import PACKAGE, trees
 
@@ -382,3 +382,12 @@ def test_package_never_searches_its_own_messages() -> None:
     )
     found = {path for path in PACKAGE.rglob("*.py") if reads.search(path.read_text("utf-8"))}
     assert found == set()
+
+
+@pytest.mark.parametrize(
+    ("value", "spec", "expected"),
+    [(0.0556, ".1%", "5.6 %"), (0.16, ".0%", "16 %"), (0.039, ".2g%", "3.9 %")],
+)
+def test_percentages_have_a_space_before_the_sign(value: float, spec: str, expected: str) -> None:
+    """Reference: ISO 80000-1, 7.1.4: a space precedes the percent sign, in every format."""
+    assert format_number(value, spec) == expected

@@ -87,7 +87,8 @@ def test_the_first_hot_motor_is_named_with_its_minutes(tmp_path: Path) -> None:
     expected = -20 / slope * math.log1p(-55 * slope / heat)
     assert first["time_to_limit"] == pytest.approx(expected, rel=1e-9)
     line = done.stdout.splitlines()[0]
-    assert line.startswith(f"HOT v3: {first['joint']} reaches 80 °C after {expected / 60:.3g} min")
+    after = f"{expected / 60:.3g} min" if expected >= 60 else f"{expected:.2g} s"
+    assert line.startswith(f"HOT v3: {first['joint']} reaches 80 °C after {after} (")
     assert figure.stat().st_size > 10_000
     assert "heat" in page.read_text().lower()
 

@@ -9,7 +9,10 @@ import pytest
 from matplotlib.image import imread
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.present.document import NextStep
 from pupper_analysis.present.figures import drawing
+from pupper_analysis.present.verdict import select_step_after_failure
 from pupper_analysis.simulation.verdict import Question, judge_stance
 from pupper_analysis.tools.push.document import push_document, push_plot
 from pupper_analysis.tools.push.figures import push_figure
@@ -42,6 +45,28 @@ def test_push_limits_of_a_failing_stand_state_its_verdict() -> None:
     assert text.startswith("FAILS one: it does not stand, so it withstands no push ")
     assert " of 2.15 kg " in text
     assert "weakest" not in text
+
+
+def test_next_command_after_a_failure_compares_the_files_that_explain_it() -> None:
+    """Two files of different robots are compared, one file is audited; else `stand` explains."""
+    failures = (
+        diagnose(
+            "files-of-two-robots", mjcf=Quantity(2.0, "kg"), urdf=Quantity(3.0, "kg"), residual=9.0
+        ),
+    )
+    for found, converted, command in (
+        (failures, "", "crosscheck"),
+        (failures, "urdf", "audit"),
+        ((problem("it fell over"),), "", "stand"),
+    ):
+        one = make_push_result("one", 0.0, 0.00311)
+        outcome = run(0.0, passed=False)
+        outcome.failures = found
+        one.verdict = judge_stance(outcome, None, SERVOS, converted=converted)
+        one.passed = False
+        step = select_step_after_failure(one.verdict, NextStep("stand"))
+        assert push_document(one).next_step == step
+        assert step.command == command
 
 
 def test_pushes_on_motors_with_unknown_limits_are_upper_bounds() -> None:
