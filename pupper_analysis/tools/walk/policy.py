@@ -11,10 +11,12 @@ import io
 import re
 import reprlib
 import struct
+import threading
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -609,13 +611,76 @@ _MAX_TORCHSCRIPT_BYTES = 4 * MAX_WEIGHTS
 """Maximum size of a TorchScript file [bytes]: `MAX_WEIGHTS` in single precision."""
 
 
+class _ScriptedModule:
+    """TorchScript module whose states, such as those of an LSTM, are set before each evaluation.
+
+    Args:
+        torch: Module ``torch``.
+        module: TorchScript module.
+        kind: Type of the numbers.
+    """
+
+    def __init__(self, torch: Any, module: Any, kind: Any) -> None:
+        self._torch, self._module, self._kind = torch, module, kind
+        self._buffers = dict(module.named_buffers())
+        self._start = {name: buffer.clone() for name, buffer in self._buffers.items()}
+        self._lock = threading.Lock()  # threads share the states of the module
+
+    def find_states(self, size: int) -> dict[str, int]:
+        """Return {buffer that an evaluation changes, if it starts with zeros: number of elements}.
+
+        ``size`` is the number of elements of the observation.
+
+        Raises:
+            ValueError: If the module cannot be evaluated for this size.
+        """
+        self.evaluate({}, np.ones((1, 1, size)))
+        changed = {
+            name: buffer
+            for name, buffer in self._buffers.items()
+            if not self._torch.equal(buffer, self._start[name])
+        }
+        return {
+            name: int(buffer.numel())
+            for name, buffer in changed.items()
+            if not self._start[name].any()
+        }
+
+    def evaluate(self, states: Mapping[str, int], value: Array, *values: Array) -> Any:
+        """Return the actions, and the next values of the states, of several runs.
+
+        Args:
+            states: {state: number of elements}.
+            value: Observations, shape (runs, 1, n).
+            *values: States, shape (runs, 1, number of elements) each.
+
+        Raises:
+            ValueError: If the module cannot be evaluated.
+        """
+        torch, actions = self._torch, []
+        following: list[list[Array]] = [[] for _ in states]
+        with torch.no_grad(), self._lock:
+            for run, row in enumerate(value):
+                for name, state in zip(states, values, strict=True):
+                    buffer = self._buffers[name]
+                    buffer.copy_(torch.tensor(state[run], dtype=buffer.dtype).reshape(buffer.shape))
+                try:
+                    action = self._module(torch.tensor(row, dtype=self._kind))
+                    actions.append(action.double().numpy())
+                except Exception as error:  # torch's interpreter raises whatever its C++ throws
+                    raise ValueError(str(error)) from error
+                for name, rows in zip(states, following, strict=True):
+                    rows.append(self._buffers[name].double().numpy().reshape(1, -1).copy())
+        return (np.stack(actions), *map(np.stack, following)) if states else np.stack(actions)
+
+
 def build_torchscript_network(path: Path) -> Network:
     """Build the network of a TorchScript file.
 
     Raises:
         MissingPackageError: If torch is not installed.
         ModelError: If the file cannot be read, is too large or contains no network, or the
-            network keeps a state between observations.
+            network keeps a state that is no buffer, or does not start with zeros.
     """
     try:
         data = read_input(path, _MAX_TORCHSCRIPT_BYTES)
@@ -636,31 +701,40 @@ def build_torchscript_network(path: Path) -> Network:
     if count > MAX_WEIGHTS:
         problem = diagnose("too-many-weights", layer="", count=count, most=MAX_WEIGHTS)
         raise ModelError(path, problem)
-    first = next(
-        (weights_of_layer for weights_of_layer in weights.values() if weights_of_layer.ndim == 2),
-        None,
-    )
-    if first is None:
+    matrices = [matrix for matrix in weights.values() if matrix.ndim == 2]
+    # The first layer of the file need not be the first that is evaluated. A traced LSTM accepts
+    # observations of any size, so that its size is tried first.
+    recurrent = [matrix for name, matrix in weights.items() if name.endswith("weight_ih_l0")]
+    sizes = tuple(dict.fromkeys(int(matrix.shape[1]) for matrix in (*recurrent, *matrices)))
+    if not sizes:
         raise ModelError(path, diagnose("no-network"))
-    kind, size = first.dtype, int(first.shape[1])
-
-    def apply(value: Array) -> Any:
-        with torch.no_grad():
-            try:
-                results = [module(torch.tensor(row, dtype=kind)).double().numpy() for row in value]
-            except (RuntimeError, AttributeError) as error:  # sizes; a tuple where one is due
-                raise ValueError(str(error)) from error
-        return np.stack(results)
-
-    constants = {
-        name: weights_of_layer.detach().double().numpy()
-        for name, weights_of_layer in weights.items()
-    }
-    node = Node("TorchScript", apply, ("observation",), ("action",))
-    network = assemble_network(path, [node], constants, ("observation", "action"), [], size)
+    constants = {name: matrix.detach().double().numpy() for name, matrix in weights.items()}
+    scripted = _ScriptedModule(torch, module, matrices[0].dtype)
+    for size in sizes:
+        try:
+            states = scripted.find_states(size)
+            names = tuple(f"{name} next" for name in states)
+            node = Node(
+                "TorchScript",
+                partial(scripted.evaluate, states),
+                ("observation", *states),
+                ("action", *names),
+            )
+            memory = [
+                (name, following, count)
+                for (name, count), following in zip(states.items(), names, strict=True)
+            ]
+            network = assemble_network(
+                path, [node], constants, ("observation", "action"), memory, size
+            )
+            break
+        except (ModelError, ValueError):
+            if size == sizes[-1]:
+                raise
     zeros, ones = np.zeros((1, size)), np.ones((1, size))
-    before = network.forward(zeros)[0]
-    network.forward(ones)
-    if not np.array_equal(before, network.forward(zeros)[0], equal_nan=True):
+    start = network.initial_memory(1)
+    before = network.forward(zeros, start)[0]
+    network.forward(ones, start)
+    if not np.array_equal(before, network.forward(zeros, start)[0], equal_nan=True):
         raise ModelError(path, diagnose("network-keeps-state"))
     return network

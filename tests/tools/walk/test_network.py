@@ -398,26 +398,69 @@ def test_torchscript_equals_plain_loops(torch: Any, tmp_path: Path) -> None:
     assert np.array_equal(alone[0], found[2])
 
 
+def save_traced(torch: Any, module: Any, path: Path, inputs: int) -> Path:
+    """Trace a module that changes its buffers, and save it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        start = {name: buffer.clone() for name, buffer in module.named_buffers()}
+        traced = torch.jit.trace(module, torch.zeros(1, inputs), check_trace=False)
+        for name, buffer in traced.named_buffers():  # tracing evaluates the module
+            buffer.copy_(start[name])
+        torch.jit.save(traced, str(path))
+    return path
+
+
 @pytest.mark.slow
-def test_torchscript_with_a_state_or_without_a_network_is_refused(
+def test_torchscript_with_an_lstm_equals_torch(torch: Any, tmp_path: Path) -> None:
+    """As legged_gym exports it: the actor is stored before the memory that is evaluated first.
+
+    Reference: `torch.nn.LSTM` over the sequence of each run. Runs have states of their own.
+    """
+
+    class Recurrent(torch.nn.Module):  # type: ignore[misc]
+        def __init__(self) -> None:
+            super().__init__()
+            self.actor = torch.nn.Linear(4, 2)
+            self.memory = torch.nn.LSTM(3, 4)
+            self.register_buffer("hidden_state", torch.zeros(1, 1, 4))
+            self.register_buffer("cell_state", torch.zeros(1, 1, 4))
+
+        def forward(self, x: Any) -> Any:
+            out, (h, c) = self.memory(x.unsqueeze(0), (self.hidden_state, self.cell_state))
+            self.hidden_state[:], self.cell_state[:] = h, c
+            return self.actor(out.squeeze(0))
+
+    torch.manual_seed(3)
+    made_of = Recurrent()
+    network = policy.build_torchscript_network(save_traced(torch, made_of, tmp_path / "lstm.pt", 3))
+    assert (network.inputs, network.outputs, len(network.memory)) == (3, 2, 2)
+    runs = np.stack([rows(6, 3, seed=1), rows(6, 3, seed=2)])
+    memory = network.initial_memory(2)
+    with torch.no_grad():
+        out, _ = made_of.memory(torch.tensor(runs, dtype=torch.float32).transpose(0, 1))
+        expected = made_of.actor(out).numpy()
+    for step in range(6):
+        found, memory = network.forward(runs[:, step], memory)
+        assert found == pytest.approx(expected[step], abs=ALIKE)
+
+
+@pytest.mark.slow
+def test_torchscript_with_another_state_or_without_a_network_is_refused(
     torch: Any, tmp_path: Path
 ) -> None:
-    """A counter between observations; a file of weights alone; a weight that is no number."""
+    """A state that starts with ones; a file of weights alone; a weight that is no number."""
 
     class Counting(torch.nn.Module):  # type: ignore[misc]
         def __init__(self) -> None:
             super().__init__()
             self.out = torch.nn.Linear(3, 2)
-            self.register_buffer("h", torch.zeros(1))
+            self.register_buffer("h", torch.ones(1))
 
         def forward(self, x: Any) -> Any:
             self.h.add_(1.0)
             return self.out(x) + self.h
 
-    path = tmp_path / "counts.pt"
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        torch.jit.save(torch.jit.trace(Counting(), torch.zeros(1, 3), check_trace=False), str(path))
+    path = save_traced(torch, Counting(), tmp_path / "counts.pt", 3)
     with pytest.raises(ModelError, match="keeps a state"):
         policy.build_torchscript_network(path)
     weights = tmp_path / "weights.pt"
