@@ -105,6 +105,26 @@ class Mesh:
         return self.select(hull.vertices, hull.simplices)
 
 
+def _integrate_hull(hull: Mesh) -> pin.Inertia | None:
+    """Return the spatial inertia of a convex hull with a density of 1 kg/m^3; None without volume.
+
+    The hull is divided into tetrahedra with edges e_i from the mean of the vertices. The integral
+    of x x^T over a tetrahedron of volume V is V/20 (sum_i e_i e_i^T + s s^T), s = sum_i e_i.
+    """
+    middle = hull.vertices.mean(axis=0)
+    edges = hull.vertices[hull.faces] - middle
+    volumes = np.abs(np.linalg.det(edges)) / 6
+    volume, sums = float(volumes.sum()), edges.sum(axis=1)
+    if not volume > 0:
+        return None
+    lever = volumes @ sums / (4 * volume)
+    second = (
+        np.einsum("n,nki,nkj->ij", volumes, edges, edges)
+        + np.einsum("n,ni,nj->ij", volumes, sums, sums)
+    ) / 20 - volume * np.outer(lever, lever)
+    return pin.Inertia(volume, middle + lever, np.trace(second) * np.eye(3) - second)
+
+
 class Terms(NamedTuple):
     """Convex sets whose Minkowski sum is the convex hull of a shape, in the frame of the body [m].
 
@@ -137,6 +157,8 @@ class Shape:
             None if unknown.
         read_volume: Function that returns the volume [m^3] of a mesh; None if unknown, or if the
             surface is not closed.
+        read_solid: Function that returns the spatial inertia of the solid of a mesh with a density
+            of 1 kg/m^3, in the frame of the shape; None under the conditions of ``read_volume``.
     """
 
     name: str
@@ -146,6 +168,7 @@ class Shape:
     collides: bool
     read: Callable[[], Mesh | None] = lambda: None
     read_volume: Callable[[], float | None] = lambda: None
+    read_solid: Callable[[], pin.Inertia | None] = lambda: None
 
     @cached_property
     def mesh(self) -> Mesh | None:
@@ -170,6 +193,33 @@ class Shape:
                 return self.read_volume()
             case _:
                 return None
+
+    def compute_solid_inertia(self) -> pin.Inertia | None:
+        """Compute the spatial inertia of the solid shape with a density of 1 kg/m^3.
+
+        The solid of a mesh whose surface is not closed is its convex hull. The result is in the
+        frame of the body; None for planes, ellipsoids, and meshes that were not read or have no
+        volume.
+        """
+        size = self.size
+        match self.kind:
+            case "sphere":
+                solid = pin.Inertia.FromSphere(4 / 3 * math.pi * size[0] ** 3, size[0])
+            case "box":
+                solid = pin.Inertia.FromBox(8 * math.prod(size), *(2 * half for half in size))
+            case "cylinder":
+                volume = 2 * math.pi * size[0] ** 2 * size[1]
+                solid = pin.Inertia.FromCylinder(volume, size[0], 2 * size[1])
+            case "capsule":
+                volume = math.pi * size[0] ** 2 * (2 * size[1] + 4 / 3 * size[0])
+                solid = pin.Inertia.FromCapsule(volume, size[0], 2 * size[1])
+            case "mesh":
+                solid = self.read_solid()
+                if solid is None and self.mesh is not None:
+                    solid = _integrate_hull(self.mesh)
+            case _:
+                solid = None
+        return None if solid is None else self.pose.placement.act(solid)
 
     def placed_in(self, pose: Pose) -> Shape:
         """Transform the shape from the frame of its body to an outer frame.

@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from lxml import etree
+from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
@@ -164,7 +166,8 @@ def _make_shape(
     if kind != "mesh":
         return Shape(name, kind, pose, size, collides)
     read, read_volume = partial(_read_mesh, file, tag), partial(_read_volume, file, tag)
-    return Shape(name, kind, pose, size, collides, read, read_volume)
+    read_solid = partial(_read_solid, file, tag)
+    return Shape(name, kind, pose, size, collides, read, read_volume, read_solid)
 
 
 def _read_mesh(file: UrdfFile, tag: etree._Element) -> Mesh | None:
@@ -177,12 +180,26 @@ def _read_mesh(file: UrdfFile, tag: etree._Element) -> Mesh | None:
 
 def _read_volume(file: UrdfFile, tag: etree._Element) -> float | None:
     """Return the volume [m^3] of a ``<mesh>``, with its scale; None if open or not readable."""
+    solid = _read_solid(file, tag)
+    return None if solid is None else float(solid.mass)
+
+
+def _read_solid(file: UrdfFile, tag: etree._Element) -> pin.Inertia | None:
+    """Return the spatial inertia of a ``<mesh>`` with its scale and a density of 1 kg/m^3.
+
+    None if the surface is open, or the file is not readable.
+    """
     path = file.resolve_mesh(tag.get("filename", ""))
     if path is None or path.suffix.lower() not in MESH_SUFFIXES or not path.is_file():
         return None
-    volume = read_mesh_volume(path, path.stat().st_mtime_ns)
+    integrals = read_mesh_integrals(path, path.stat().st_mtime_ns)
+    if integrals is None:
+        return None
+    volume, com, second = integrals
     scale = parse_numbers(tag.get("scale"), "1 1 1")
-    return None if volume is None else volume * abs(math.prod(scale))
+    size = abs(math.prod(scale))
+    second = size * second * np.outer(scale, scale)
+    return pin.Inertia(size * volume, scale * com, np.trace(second) * np.eye(3) - second)
 
 
 MESH_SUFFIXES = (".stl", ".obj")
@@ -263,18 +280,25 @@ def _load_mesh(path: Path, *, merge: bool) -> Any:
 
 
 @lru_cache(maxsize=256)
-def read_mesh_volume(path: Path, _changed: int) -> float | None:
-    """Return the volume enclosed by a mesh file; None if its surface is not closed, or unreadable.
+def read_mesh_integrals(
+    path: Path, _changed: int
+) -> tuple[float, NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return volume, CoM and second moments of the solid that a mesh file encloses.
 
     Args:
         path: The file.
         _changed: Modification time [ns]; only a part of the cache key.
 
     Returns:
-        Volume in the cube of the file's unit of length.
+        Volume; CoM, shape (3,); integral of x x^T about the CoM, shape (3, 3); in powers of the
+        file's unit of length. None if the surface is not closed, or the file is unreadable.
     """
     try:
         mesh = _load_mesh(path, merge=True)
-        return abs(float(mesh.volume)) if mesh.is_volume else None
+        if not mesh.is_volume:
+            return None
+        tensor = np.array(mesh.moment_inertia, dtype=float)
+        second = np.trace(tensor) / 2 * np.eye(3) - tensor
+        return abs(float(mesh.volume)), np.array(mesh.center_mass, dtype=float), second
     except Exception:  # parsers raise various exceptions for broken meshes; a rule names those
         return None

@@ -8,7 +8,9 @@ actuator, or is the old value with another unit or decimal point.
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -20,13 +22,22 @@ import numpy as np
 from lxml import etree
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.sides import find_mirror_pairs, strip_sides
 from pupper_analysis.models.stated.model import Array, Link, MjcfModel, RobotModel, UrdfModel
-from pupper_analysis.tools.audit.registry import ValueRepair, list_known_points, list_link_points
+from pupper_analysis.tools.audit.registry import (
+    ValueRepair,
+    compute_hull_distance,
+    list_known_points,
+    list_link_points,
+)
 from pupper_analysis.tools.audit.rules.mirror import find_mirror_plane, list_joint_pairs
-from pupper_analysis.tools.audit.rules.shapes import MAX_DENSITY, compute_median_density
+from pupper_analysis.tools.audit.rules.shapes import (
+    MAX_DENSITY,
+    MIN_DENSITY,
+    compute_median_density,
+)
 
 
 def find_repairs(robot: RobotModel, rule: str, found: CheckFinding) -> tuple[ValueRepair, ...]:
@@ -85,6 +96,11 @@ def _find_element(robot: UrdfModel, tag: str, name: str, child: str) -> etree._E
 def _format_value(value: float) -> str:
     """Format a converted number with at most six digits."""
     return f"{value:.6g}"
+
+
+def _format_moved(value: float) -> str:
+    """Format a number whose decimal point was moved, with all digits of a stated number."""
+    return f"{value:.12g}"
 
 
 def _repair_limits_in_degrees(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
@@ -251,7 +267,8 @@ def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
 
     If the link on the other side has a possible tensor, this is the mirror image of that tensor, or
     the own tensor with one decimal point moved if it agrees with the mirror image. Without such a
-    link, these are all possible tensors with one decimal point moved.
+    link, these are all possible tensors with one decimal point moved. If there is none, this is the
+    tensor of the solid shapes (`_fill_shapes`).
     """
     if not isinstance(robot, UrdfModel):
         return
@@ -267,7 +284,82 @@ def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
             for word, text in repair.new.items()
         )
     ]
-    yield from confirmed if len(confirmed) == 1 else (mirrored or moved)
+    proposed = confirmed if len(confirmed) == 1 else (mirrored or moved)
+    yield from proposed or _fill_shapes(robot, found.name)
+
+
+def _repair_implausible_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
+    """Yield another tensor for a link of a URDF whose tensor is possible, but implausible.
+
+    This is the mirror image of the tensor on the other side, if it differs, or else the tensor of
+    the solid shapes (`_fill_shapes`). Impossible tensors are repaired by the rules that name them.
+    """
+    link = robot.links[found.name]
+    if not isinstance(robot, UrdfModel) or link.inertial is None:
+        return
+    smallest, middle, largest = link.inertial.moments
+    if smallest > 0 and smallest + middle >= largest * (1 - _TRIANGLE_RTOL):
+        mirrored = list(_mirror_tensor(robot, found.name))
+        yield from mirrored or _fill_shapes(robot, found.name)
+
+
+_TRIANGLE_RTOL = 1e-5
+"""Relative violation of the triangle inequality up to which a tensor counts as possible: rounding
+of printed numbers. Chosen, not tuned."""
+
+
+def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
+    """Yield the tensor of the solid shapes of a link, with the stated mass and a uniform density.
+
+    The shapes are the collision shapes, or without these the visual shapes; the solid of an open
+    mesh is its convex hull. A stated CoM far outside of the shapes (`_MAX_OUTSIDE`) is replaced,
+    too. Nothing is proposed for a link with a shape of unknown size, or with an impossible density.
+    """
+    link, tags = robot.links[name], robot.file.tree.links.get(name)
+    if tags is None or link.mass <= 0 or _find_element(robot, "link", name, "inertial") is None:
+        return
+    shapes = [shape for shape in link.shapes if shape.collides] or list(link.shapes)
+    solids = [shape.compute_solid_inertia() for shape in shapes]
+    known = [solid for solid in solids if solid is not None]
+    points = [shape.points for shape in shapes]
+    if not known or len(known) < len(solids) or any(each is None for each in points):
+        return
+    solid = functools.reduce(operator.add, known)
+    density = link.mass / float(solid.mass)
+    if not MIN_DENSITY <= density <= MAX_DENSITY:
+        return
+    reason = diagnose("repair-solid", shapes=dict.fromkeys(Term(shape.kind) for shape in shapes))
+    changes, turn = list[ValueRepair | None](), tags.inertial_rotation
+    com = None if link.inertial is None else link.inertial.com
+    hull = np.concatenate([each for each in points if each is not None])
+    size = float(np.ptp(hull, axis=0).max())
+    if com is None or compute_hull_distance(hull, com) > _MAX_OUTSIDE * size:
+        turn = np.eye(3)
+        new = {"xyz": _format_vector(np.round(solid.lever, 7)), "rpy": "0 0 0"}
+        changes.append(_make_change(robot, name, "inertial/origin", new, reason))
+    tensor = _rotate(density * np.array(solid.inertia), turn.T)
+    scale = float(np.abs(tensor).max())
+    element = _find_element(robot, "link", name, "inertial/inertia")
+    entries = {
+        word: 0.0 if abs(tensor[index]) < _ZERO_RTOL * scale else float(tensor[index])
+        for word, index in INERTIA_ENTRIES.items()
+    }
+    texts = {
+        word: _format_value(entry)
+        for word, entry in entries.items()
+        if element is None or entry or float(element.get(word) or 0.0)
+    }
+    changes.append(_make_change(robot, name, "inertial/inertia", texts, reason))
+    yield from _join_changes(changes)
+
+
+_ZERO_RTOL = 1e-6
+"""Entry of the tensor of a solid, relative to the largest entry, below which it is written as zero.
+Chosen: coordinates of STL files are in single precision."""
+
+_MAX_OUTSIDE = 0.1
+"""Distance of a CoM from the convex hull of the link's shapes, relative to their extent, above
+which the CoM is replaced together with the tensor. Chosen, not tuned."""
 
 
 _MIRROR_RTOL = 0.02
@@ -301,7 +393,7 @@ def _move_decimal_points(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
             changed[place] *= 10.0**shift
             smallest, middle, largest = sorted(changed)
             if shift and smallest + middle >= largest:
-                new = {word: _format_value(changed[place])}
+                new = {word: _format_moved(changed[place])}
                 reason = diagnose("repair-decimal-point", shift=shift)
                 yield from _make_urdf_repair(robot, "link", name, "inertial/inertia", new, reason)
 
@@ -330,7 +422,7 @@ def _compute_mirrored_tensor(robot: UrdfModel, link: Link, twin: Link) -> dict[s
     if mirror is None or twin.inertial is None:
         return None
     smallest, middle, largest = twin.inertial.moments
-    if not (smallest > 0 and smallest + middle >= largest * (1 - 1e-5)):
+    if not (smallest > 0 and smallest + middle >= largest * (1 - _TRIANGLE_RTOL)):
         return None
     turn = (
         np.eye(3) if link.inertial is None else robot.file.tree.links[link.name].inertial_rotation
@@ -510,7 +602,7 @@ def _repair_dense_mass(robot: RobotModel, found: CheckFinding) -> Iterator[Value
     for shift in agreeing:
         reason = diagnose("repair-decimal-point", shift=-shift)
         factor = 10.0**-shift
-        new = {"value": _format_value(link.mass * factor)}
+        new = {"value": _format_moved(link.mass * factor)}
         changes = [_make_change(robot, link.name, "inertial/mass", new, reason)]
         if _fits_shapes(robot, link):
             tensor = _scale_tensor(robot, link.name, factor)
@@ -774,5 +866,6 @@ _PROPOSALS: Final[Mapping[str, Callable[[RobotModel, CheckFinding], Iterator[Val
     "moving-link-without-collision": _repair_collision,
     "triangle-inequality": _repair_tensor,
     "inertia-not-positive-definite": _repair_tensor,
+    "inertia-implausible": _repair_implausible_tensor,
 }
 """{rule: function that proposes repairs of its findings}."""

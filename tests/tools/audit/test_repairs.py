@@ -331,3 +331,88 @@ def test_link_without_shapes_is_no_exception_if_another_link_loses_its_mass(tmp_
         path.write_text(changed)
         rules = {finding.rule for finding in audit_model(path).findings}
         assert "moving-link-without-collision" not in rules
+
+
+def write_arm(folder: Path, inertial: str, shape: str) -> Path:
+    """Write a URDF with a fixed base and a moving link with an inertial and a collision shape."""
+    path = folder / "arm.urdf"
+    path.write_text(
+        '<robot name="arm"><link name="base"/><link name="rod">'
+        f"<inertial>{inertial}</inertial><collision>{shape}</collision></link>"
+        '<joint name="turn" type="revolute"><parent link="base"/><child link="rod"/>'
+        '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9" velocity="9"/></joint></robot>'
+    )
+    return path
+
+
+TENSOR_OF_ZEROS = '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
+
+
+def test_tensor_of_zeros_becomes_that_of_the_solid_sphere(tmp_path: Path) -> None:
+    """Reference: 2/5 m r^2. The public patch of DeepRobotics' X30 has this number, 3.1104e-05."""
+    inertial = f'<mass value="0.06"/>{TENSOR_OF_ZEROS}'
+    path = write_arm(tmp_path, inertial, '<geometry><sphere radius="0.036"/></geometry>')
+    (repair,) = repairs_of(audit_model(path), "inertia-not-positive-definite")
+    assert float(repair["ixx"]) == pytest.approx(0.4 * 0.06 * 0.036**2, rel=1e-5)
+    assert {repair[word] for word in ("ixx", "iyy", "izz")} == {repair["ixx"]}
+    assert set(repair) == {"ixx", "iyy", "izz"}  # the products are zero already
+
+
+@pytest.mark.parametrize("faces", [12, 11])
+def test_impossible_tensor_becomes_that_of_the_solid_mesh(tmp_path: Path, faces: int) -> None:
+    """Reference: closed form of a box in mm, turned about z by its origin; a face may be open.
+
+    The CoM, which is 1 m outside, becomes the middle of the box.
+    """
+    box = trimesh.creation.box((40.0, 60.0, 200.0))
+    trimesh.Trimesh(box.vertices, box.faces[:faces], process=False).export(tmp_path / "box.stl")
+    inertial = (
+        '<origin xyz="0 0 1" rpy="0 0 0.3"/><mass value="0.5"/>'
+        '<inertia ixx="-0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/>'
+    )
+    shape = (
+        '<origin xyz="0 0 0.1" rpy="0 0 1.5707963267948966"/>'
+        '<geometry><mesh filename="box.stl" scale="0.001 0.001 0.001"/></geometry>'
+    )
+    audit = audit_model(write_arm(tmp_path, inertial, shape))
+    _, _, (repair,) = find_first(audit)
+    origin, tensor = repair.list_changes()
+    assert origin.new["rpy"] == "0 0 0"
+    assert [float(text) for text in origin.new["xyz"].split()] == pytest.approx([0, 0, 0.1])
+    x, y, z = 0.06, 0.04, 0.2  # turned by 90 degrees
+    moments = [0.5 / 12 * (y**2 + z**2), 0.5 / 12 * (x**2 + z**2), 0.5 / 12 * (x**2 + y**2)]
+    assert [float(tensor.new[word]) for word in ("ixx", "iyy", "izz")] == pytest.approx(
+        moments, rel=1e-5
+    )
+    documents, _ = apply_repairs([audit])
+    write_documents(documents)
+    assert not audit_model(tmp_path / "arm.urdf").counts["error"]
+
+
+def test_implausible_tensor_of_a_link_with_a_stated_frame_becomes_that_of_its_box(
+    tmp_path: Path,
+) -> None:
+    """Reference: closed form in the axes of the inertial, which exchange x and z."""
+    inertial = (
+        '<origin xyz="0 0 0.1" rpy="0 1.5707963267948966 0"/><mass value="0.5"/>'
+        '<inertia ixx="1000" ixy="0" ixz="0" iyy="1000" iyz="0" izz="1000"/>'
+    )
+    shape = '<origin xyz="0 0 0.1"/><geometry><box size="0.04 0.06 0.2"/></geometry>'
+    audit = audit_model(write_arm(tmp_path, inertial, shape))
+    (new,) = repairs_of(audit, "inertia-implausible")
+    moments = [0.5 / 12 * (a**2 + b**2) for a, b in ((0.04, 0.06), (0.04, 0.2), (0.06, 0.2))]
+    assert [float(new[word]) for word in ("ixx", "iyy", "izz")] == pytest.approx(moments, rel=1e-5)
+    assert "xyz" not in new
+
+
+def test_repairs_of_one_tensor_do_not_contradict_each_other(tmp_path: Path) -> None:
+    """As in RealMan's RX75: a lost decimal point is impossible and implausible; one repair."""
+    inertial = (
+        '<origin xyz="0 0 0.1"/><mass value="1.559"/><inertia ixx="2661.9E-6" ixy="0" ixz="0" '
+        'iyy="2302.5E-6" iyz="0" izz="1676359E-6"/>'
+    )
+    shape = '<origin xyz="0 0 0.1"/><geometry><box size="0.1 0.1 0.2"/></geometry>'
+    audit = audit_model(write_arm(tmp_path, inertial, shape))
+    assert repairs_of(audit, "triangle-inequality") == [{"izz": "0.001676359"}]
+    assert {finding.rule for finding in audit.findings} >= {"inertia-implausible"}
+    assert repairs_of(audit, "inertia-implausible") == []
