@@ -11,7 +11,12 @@ import pytest
 
 from pupper_analysis.robot.stability import HOLD_DURATION, Mode, step_stability
 from pupper_analysis.simulation.causes import describe_growth
-from pupper_analysis.simulation.growth import _doubling_time_of, confirm_growth, simulate_growth
+from pupper_analysis.simulation.growth import (
+    _doubling_time_of,
+    _make_displacement,
+    confirm_growth,
+    simulate_growth,
+)
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.simulation.stability import judge_stability
 
@@ -64,6 +69,54 @@ def test_growing_mode_is_refuted_if_a_stop_ends_it() -> None:
     assert [mode.growth for mode in found.refuted_modes] == [
         mode.growth for mode in spectrum.modes_growing_within()
     ]
+
+
+@pytest.mark.parametrize(
+    ("stop", "until_left", "grows"), [(3e-3, True, False), (3e-3, False, True), (0.03, True, True)]
+)
+def test_growth_that_ends_before_the_stand_is_left_is_a_transient(
+    stop: float, until_left: bool, grows: bool
+) -> None:
+    """Closed form: the rod doubles in 1.02 s from 0.1 mrad until it rests at its joint limits.
+
+    At 3 mrad it has doubled 4.9 times. A displacement of 10 mrad leaves the stand.
+    """
+    limits = f'range="{-stop} {stop}" limited="true" solreflimit="0.02 1"'
+    model = mujoco.MjModel.from_xml_string(rod(5.5, 0.4, joint=limits).replace(*RADIANS))
+    data = mujoco.MjData(model)
+    (mode,) = step_stability(model, data, settle=0.0).unstable
+    start = full_state(model, data)
+    trial = simulate_growth(model, start, data.ctrl, [mode], 1e-4, 0.1, until_left=until_left)
+    if grows:
+        assert trial.doubling_time == pytest.approx(mode.doubling_time, rel=0.1)
+    else:
+        assert trial.doubling_time is None
+
+
+RADIANS = ("<mujoco>", '<mujoco><compiler angle="radian"/>')
+"""Beginning of a model, and of one whose joint ranges are in radians."""
+
+
+def test_a_fast_mode_leaves_the_displacement_along_a_slow_mode() -> None:
+    """Closed form: each mode has its own largest displacement, 0.1 mrad and 0.1 rad/s.
+
+    The fast mode grows at 1e5/s: at 0.1 rad/s it is displaced by 1 urad.
+    """
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody>"
+        + 2 * '<body><joint/><geom size=".1"/></body>'
+        + "</worldbody></mujoco>"
+    )
+    fast, slow = (
+        Mode(0.0, 0.0, -1.0, 1 / rate, math.log(2) / rate, (), _direction=direction)
+        for rate, direction in (
+            (1e5, np.array([1.0, 0.0, 1e5, 0.0])),
+            (0.1, np.array([0.0, 1.0, 0.0, 0.1])),
+        )
+    )
+    for modes in ([fast, slow], [slow, fast]):
+        displacement = _make_displacement(model, modes, 1e-4, 0.1)
+        np.testing.assert_allclose(displacement, [1e-6, 1e-4, 0.1, 1e-5], rtol=1e-12)
 
 
 @pytest.mark.parametrize(("friction", "holds"), [(1e-3, False), (0.5, True)])
