@@ -183,6 +183,7 @@ class RobotAndTask:
         """
         if not self.payload and not payload_sought:
             refuse_alone(("--payload",), "payload_at")
+        self._refuse_idle_direction()
         selection = self.which.select_robot(words) or "v3"
         _refuse_file_options([selection])
         return self._load_robot(selection, visuals=visuals)
@@ -199,10 +200,16 @@ class RobotAndTask:
         """
         if not self.payload:
             refuse_alone(("--payload",), "payload_at")
+        self._refuse_idle_direction()
         selections = self.which.select_robots(words) or default
         _refuse_file_options(selections)
         robots = [self._load_robot(selection, visuals=visuals) for selection in selections]
         return name_uniquely(selections, robots)
+
+    def _refuse_idle_direction(self) -> None:
+        """Refuse ``--uphill`` on level ground: the ground's slope is 0."""
+        if self.stance and not self.task().ground.slope:
+            refuse_alone(("--slope",), "uphill")
 
     def _load_robot(self, selection: str | VariantSpec | RobotFiles, *, visuals: bool) -> Robot:
         """Load a robot with the options; notes on files are printed after the result."""

@@ -117,6 +117,8 @@ class StandTask:
                 raise ConfigurationError("feet", message)
         for name in self.contacts:
             contact = self.contacts[name]
+            if name in self.swing:
+                _check_lifted_contact(name, contact)
             on_step = contact.has_angle and contact.place is None
             if name in self.ground.heights and not on_step:
                 problem = diagnose("two-grounds-of-a-foot", name=name)
@@ -237,6 +239,22 @@ class StandTask:
                     yield field, "", value
             elif field.always_said or value != field.default_value:
                 yield field, "", value
+
+
+def _check_lifted_contact(foot: str, contact: Contact | Weld) -> None:
+    """Refuse the contact of a lifted foot if the contact exerts a force: a weld, grip or press.
+
+    A lifted foot may have a plane: the foot is lifted along the normal of the plane.
+    """
+    if isinstance(contact, Weld):
+        bearing = "weld"
+    elif contact.grip is not None:
+        bearing = "grip"
+    elif contact.force is not None:
+        bearing = "force"
+    else:
+        return
+    raise ConfigurationError("swing", diagnose("lifted-foot-bears", foot=foot, bearing=bearing))
 
 
 _TASK_FIELDS = tuple(field for field in FIELDS.values() if field.part == "task")

@@ -75,3 +75,19 @@ def test_offset_is_refused_beside_a_position_of_the_com() -> None:
     for com in ("inside", (0.0, 0.0)):
         with pytest.raises(pa.ConfigurationError, match="not both"):
             pa.StandTask(offset=(0.01, 0.0), com=com)
+
+
+def test_contact_that_exerts_a_force_is_refused_at_a_lifted_foot() -> None:
+    """A lifted foot with a plane is above the plane, and bears no load."""
+    plane = pa.Slope(0.1)
+    assert pa.StandTask(swing={"FR": 0.02}, contacts={"FR": pa.Contact(plane)}).swing == {
+        "FR": 0.02
+    }
+    for contact, word in (
+        (pa.Weld(), "weld"),
+        (pa.Contact(plane, force=5.0), "force"),
+        (pa.Contact(plane, grip=5.0), "grip"),
+    ):
+        with pytest.raises(pa.ConfigurationError, match=f"FR is lifted, .* has a {word}"):
+            pa.StandTask(swing={"FR": 0.02}, contacts={"FR": contact})
+        pa.StandTask(swing={"FL": 0.02}, contacts={"FR": contact})

@@ -309,6 +309,7 @@ def stance(**changes: Any) -> Any:
         "unsettled": None,
         "minimum_stiffness": 4.567,
         "soft_servos": None,
+        "no_stiffness": None,
         "servos": SERVO_BOUNDS,
         "sagging": Stub(stays=False),
         "passed": False,

@@ -397,6 +397,8 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
             "minimum-stiffness-of-servos",
             kp=f"{stance.minimum_stiffness:.2f} {_get_stiffness_unit(stance)}",
         )
+    if stance.no_stiffness is not None:
+        yield doc.diagnostic_text(stance.no_stiffness).with_mark("warn")
     settled = stance.settled
     if stance.unsettled is not None and not _is_failure_without_feedforward_stated(stance):
         yield text("no-sag-predicted", why=doc.diagnostic_text(stance.unsettled))

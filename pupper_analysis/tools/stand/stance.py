@@ -79,6 +79,8 @@ class Stance(Tabular):
             the stance within the effort limits.
         minimum_stiffness: Smallest uniform kp with which the robot stands without feed-forward
             (N m/rad or N/m); None if not requested, or if no tested kp suffices.
+        no_stiffness: Reason for which no tested kp suffices; None if not requested, or if a kp
+            suffices.
         servos: Present gains of the servos, and bounds of these gains; None if the stand has no
             linear model.
         soft_servos: Servos whose stiffness alone makes the stand with feed-forward fail; None if
@@ -100,6 +102,7 @@ class Stance(Tabular):
     unsettled: Diagnostic | None
     presses: tuple[LargestPress, ...]
     minimum_stiffness: float | None = field(metadata={"unit": STIFFNESS_UNIT})
+    no_stiffness: Diagnostic | None
     servos: ServoBounds | None
     soft_servos: SoftServos | None = None
 
@@ -180,7 +183,7 @@ def study_stance(
             both given, or if the ground cannot be added (``build_on_ground``).
     """
     stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
-    settled, unsettled, min_kp = None, None, None
+    settled, unsettled, min_kp, no_stiffness = None, None, None, None
     robot = stand.check(robot)
     held = solve_stand_as_simulated(robot, stand)
     try:
@@ -188,8 +191,10 @@ def study_stance(
     except NoEquilibriumError as error:
         unsettled = error.diagnostic
     if stiffness:
-        with contextlib.suppress(NoStiffnessError):
+        try:
             min_kp = minimum_stiffness(robot, held)
+        except NoStiffnessError as error:
+            no_stiffness = error.diagnostic
     statics = stand_statics(robot, held)
     report_progress("simulations", 0, _NUM_SIMULATIONS)
     fed = verify_stand(robot, held, kp=kp, kd=kd)
@@ -216,6 +221,7 @@ def study_stance(
         unsettled=unsettled,
         presses=largest_presses(robot, held),
         minimum_stiffness=min_kp,
+        no_stiffness=no_stiffness,
         servos=servos,
         soft_servos=soft,
     )

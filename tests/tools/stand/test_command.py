@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pupper_analysis import StandTask, load_variant, solve_stand
+from pupper_analysis import StandTask, Weld, load_variant, solve_stand
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.passes import PREPARATION_PASSES, LoadRequest, prepare_robot
@@ -111,6 +111,14 @@ def test_minimum_stiffness_is_found_if_the_given_one_is_too_low() -> None:
     assert result.settled is None
     assert result.minimum_stiffness is not None
     assert 4.0 < result.minimum_stiffness < 6.0
+
+
+@pytest.mark.slow
+def test_missing_minimum_stiffness_is_reported_with_its_reason() -> None:
+    """With a welded base no stiffness is the least one; the option was ignored."""
+    result = study_stance(load_variant("v3"), StandTask(contacts={"base": Weld()}), stiffness=True)
+    assert (result.minimum_stiffness, result.passed) == (None, True)
+    assert "does not stand so without feed-forward with any kp" in printed(result)
 
 
 @pytest.mark.slow
