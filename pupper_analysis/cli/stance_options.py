@@ -124,6 +124,19 @@ CONTINUOUS_OPTION = click.option(
 )
 """Option for the continuous torques of joints; `parse_continuous_torques` reads its texts."""
 
+MOTOR_OPTION = click.option(
+    "--motor",
+    "motors",
+    multiple=True,
+    metavar="[JOINTS=]MOTOR",
+    help=(
+        "Motor of all joints, or of the joints that a pattern names: a name of `heat "
+        "--list-motors`, or a TOML or JSON file. Torques are compared with the torque-speed region "
+        "of the motor, instead of the limits in the files. Repeatable; later options have priority."
+    ),
+)
+"""Option for the motors of a motion; `apply_motors` reads its texts."""
+
 OUTPUT_OPTIONS = (shared.text_format_option, shared.verbose_option)
 """Options for format and extent of the printed output."""
 
@@ -416,6 +429,36 @@ def parse_motors(texts: tuple[str, ...], robot: Robot, option: str = "motor") ->
         check_motor_joints(robot, joints, option)
         assigned |= dict.fromkeys(joints, motor)
     return assigned
+
+
+def apply_motors(
+    texts: tuple[str, ...], robot: Robot, effort: tuple[str, ...]
+) -> tuple[Robot, dict[str, Motor]]:
+    """Return a robot with the effort limits of its motors, and {joint: motor}.
+
+    An effort limit becomes the largest torque of the motor at rest, if ``--effort`` does not name
+    the joint.
+
+    Args:
+        texts: Texts of ``--motor``.
+        robot: Robot.
+        effort: Texts of ``--effort``.
+
+    Raises:
+        UnknownNameError: As `parse_motors`.
+        ConfigurationError: As `parse_motors`.
+        ModelError: If the motor's file is not valid, or its largest torque is unknown.
+    """
+    if not texts:
+        return robot, {}
+    from pupper_analysis.models.motors.assignment import list_motor_efforts
+    from pupper_analysis.robot.build import with_efforts
+
+    motors, typed = parse_motors(texts, robot), parse_efforts(effort, robot)
+    limits = {
+        joint: limit for joint, limit in list_motor_efforts(motors).items() if joint not in typed
+    }
+    return with_efforts(robot, limits), motors
 
 
 def parse_continuous_torques(

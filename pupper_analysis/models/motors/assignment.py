@@ -1,10 +1,11 @@
-"""Motors of joints: torques that a motor cannot exert."""
+"""Motors of joints: effort limits, and torques that a motor cannot exert."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.motors.motor import Motor
 
 
@@ -31,6 +32,21 @@ def describe_weak_motor(
         current=number == "current_limit",
         voltage=number == "supply_voltage",
     )
+
+
+def list_motor_efforts(motors: Mapping[str, Motor]) -> dict[str, float]:
+    """Return {joint: largest torque of its motor at rest [N m]}.
+
+    Raises:
+        ModelError: If the largest torque of a motor is unknown.
+    """
+    efforts = {}
+    for joint, motor in motors.items():
+        if motor.largest_torque is None:
+            problem = diagnose("motor-numbers-unknown", numbers=["peak_torque"])
+            raise ModelError(motor.name, problem)
+        efforts[joint] = motor.largest_torque[0]
+    return efforts
 
 
 def describe_weak_motors(

@@ -6,12 +6,18 @@ names it: an unknown number is never replaced by a favourable one.
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.motors.units import KINDS
+
+Array = NDArray[np.float64]
 
 MAX_STALL_RATIO = 1.1
 """Largest ratio of a stated stall torque to Kt V N / R of the same motor. A gear only reduces the
@@ -268,26 +274,44 @@ class Motor:
     def compute_available_torque(self, speed: float) -> float:
         """Return the largest torque at the output at a speed [N m], at least 0.
 
-        The supply voltage less the back-EMF drives the current through the cold winding; current
-        limit and peak torque cut it off. tau = min(I_max, (V - Ke w) / R) Kt N eta. The constant Ke
-        of the back-EMF is Kt N. If Kt or N are unknown, it is supply voltage / speed without load,
-        an upper bound.
-
         Args:
             speed: Speed of the output, in the direction of the torque [rad/s].
 
         Raises:
             ModelError: If a number is unknown.
         """
-        if self.list_unknown("torque_constant", "gear_ratio"):
-            back_emf = self.get("supply_voltage") / self.get("no_load_speed") * speed
-        else:
-            back_emf = self.get("torque_constant") * self.get("gear_ratio") * speed
-        current = (self.get("supply_voltage") - back_emf) / self.winding_ohms
-        if self.current_limit is not None:
-            current = min(current, self.current_limit)
-        torque = max(current, 0.0) * self.output_torque_per_ampere
-        return torque if self.peak_torque is None else min(torque, self.peak_torque)
+        return float(self.compute_available_torques(np.array(speed)))
+
+    def compute_available_torques(self, speeds: Array) -> Array:
+        """Return the largest torques at the output at speeds [N m], at least 0.
+
+        The supply voltage less the back-EMF drives the current through the cold winding; current
+        limit, stall torque and peak torque cut it off. tau = min(I_max, (V - Ke w) / R) Kt N eta.
+        The constant Ke of the back-EMF is the larger of Kt N and supply voltage / speed without
+        load, as far as these are known.
+
+        Args:
+            speeds: Speeds of the output, in the direction of the torques [rad/s].
+
+        Returns:
+            Shape of `speeds`.
+
+        Raises:
+            ModelError: If supply voltage, resistance or torque per current are unknown, or both
+                constants of the back-EMF.
+        """
+        voltage = self.get("supply_voltage")
+        constants = []
+        if self.torque_constant is not None and self.gear_ratio is not None:
+            constants.append(self.torque_constant * self.gear_ratio)
+        if self.no_load_speed is not None or not constants:
+            constants.append(voltage / self.get("no_load_speed"))
+        currents = (voltage - max(constants) * speeds) / self.winding_ohms
+        largest = math.inf if self.current_limit is None else self.current_limit
+        torques = np.clip(currents, 0.0, largest) * self.output_torque_per_ampere
+        limits = [limit for limit in (self.peak_torque, self.stall_torque) if limit is not None]
+        available: Array = np.minimum(torques, min(limits, default=math.inf))
+        return available
 
 
 NUMBERS = {one.name: one.metadata["kind"] for one in fields(Motor) if "kind" in one.metadata}

@@ -8,7 +8,12 @@ import click
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import robot_argument
-from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
+from pupper_analysis.cli.stance_options import (
+    MOTOR_OPTION,
+    RobotAndTask,
+    apply_motors,
+    robot_and_task,
+)
 from pupper_analysis.tools.path import kinds
 
 
@@ -26,6 +31,7 @@ from pupper_analysis.tools.path import kinds
     holds=kinds.PATH_TABLE,
     help="Write the commands of the path as CSV to this file, or to standard output (-).",
 )
+@MOTOR_OPTION
 @robot_and_task
 @shared.json_option
 @shared.report_option
@@ -34,6 +40,7 @@ def command(
     words: tuple[str, ...],
     seconds: float,
     csv: Path | None,
+    motors: tuple[str, ...],
     json_path: Path | None,
     report_path: Path | None,
 ) -> None:
@@ -49,6 +56,8 @@ def command(
         --csv lift.csv
       pupper-analysis path original --height 14cm
       pupper-analysis path v3-heavy --pitch 5deg --seconds 3 --json pitch.json
+      pupper-analysis path v3 --height 14cm --seconds 1 \\
+        --motor steadywin-gim4305-10
 
     Exit status: 0 the robot follows the path, 1 the robot does not, 2 out of reach, not holdable or
     bad input.
@@ -57,9 +66,10 @@ def command(
 
     task = request.task()
     robot = request.robot(words, visuals=report_path is not None)
+    robot, assigned = apply_motors(motors, robot, request.effort)
     kp, kd = request.gains(robot)
     with shared.show_progress("solving the path, and simulating it"):
-        result = study_path(robot, task, seconds, kp=kp, kd=kd)
+        result = study_path(robot, task, seconds, kp=kp, kd=kd, motors=assigned)
     request.show(result, robot)
     if csv is not None:
         result.path.to_csv(csv)

@@ -10,7 +10,7 @@ import math
 
 from pupper_analysis.base.units import convert_to_display
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import text
+from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import quantity_columns, robot_notes, task_text
@@ -64,12 +64,18 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
             loads,
         ),
         answer,
-        details=(task_text(there.stand.task),),
+        details=(task_text(there.stand.task), *_list_motors(path)),
         notes=robot_notes(robot),
         next_step=doc.NextStep("payload")
         if there.passed
         else select_step_after_failure(there.verdict, doc.NextStep("stand")),
     )
+
+
+def _list_motors(path: StancePath) -> list[doc.Words]:
+    """Return the text of the motors whose torque-speed regions are used; empty without motors."""
+    names = dict.fromkeys(path.motors.values())
+    return [text("path-of-motors", motors=join_words(map(doc.Name, names)))] if names else []
 
 
 def _plan_table(path: StancePath) -> doc.Table:

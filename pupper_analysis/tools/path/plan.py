@@ -26,6 +26,8 @@ from pupper_analysis.base.units import (
     EFFORT_UNIT,
     find_joint_units,
 )
+from pupper_analysis.models.motors.motor import Motor
+from pupper_analysis.models.motors.region import compute_motor_utilisation
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import list_position_units
 from pupper_analysis.robot.robot import Robot
@@ -185,13 +187,15 @@ class StancePath(Tabular):
         clearance: Shape (n, feet); height of each foot above the ground. Zero if the foot touches
             the ground.
         com_margin: Shape (n,); distance from the projected CoM to the edge of the support polygon.
-        peak_utilisation: Largest torque / effort limit. Above 1 the motors are too weak; NaN if no
-            file states a limit.
+        peak_utilisation: Largest torque / effort limit; of joints in ``motors``, largest torque /
+            torque that the motor exerts at its speed. Above 1 the motors are too weak; NaN if no
+            limit is known.
         peak_joint: Joint with the largest utilisation.
         peak_time: Time of the largest utilisation.
         peak_speed_utilisation: Largest joint speed / velocity limit of the URDF; NaN if the URDF
             states none.
         fastest_joint: Joint with the largest speed utilisation.
+        motors: {joint: name of the motor whose torque-speed region is used}.
     """
 
     stances: tuple[Stand, ...]
@@ -217,6 +221,7 @@ class StancePath(Tabular):
     peak_time: float = field(metadata={"unit": "s"})
     peak_speed_utilisation: float = field(metadata={"unit": "1"})
     fastest_joint: str
+    motors: dict[str, str] = field(default_factory=dict)
 
     def _columns(self) -> dict[str, Array]:
         """Return {column: values} of a table of angles, torques and margins, a row per sample."""
@@ -262,6 +267,7 @@ def stance_path(
     *,
     rate: float = 50.0,
     rolling: bool = True,
+    motors: Mapping[str, Motor] | None = None,
 ) -> StancePath:
     """Compute a smooth path through stances, with torques and contact forces.
 
@@ -290,6 +296,7 @@ def stance_path(
         seconds: Duration of the path [s].
         rate: Minimum sampling rate [Hz]. A segment has at least `MIN_SAMPLES_PER_SEGMENT` samples.
         rolling: Feet roll without slipping. If False, the centres of the foot spheres do not move.
+        motors: {joint: motor}, for the utilisation in the torque-speed region of the motors.
 
     Raises:
         ConfigurationError: If an argument is out of range, or the stances cannot follow each other:
@@ -298,6 +305,7 @@ def stance_path(
         UnknownNameError: If a task names a foot that the robot does not have.
         StanceUnreachableError: If a sample is out of reach. The error states the time.
         StaticsInfeasibleError: If a sample cannot be held at this speed. The error states the time.
+        ModelError: If a number of a motor is unknown.
     """
     if not robot.fixed_parts:
         robot.check_floating()
@@ -322,6 +330,10 @@ def stance_path(
     tables = {name: np.array([effort[name] for effort in efforts]) for name in efforts[0]}
     used = divide_by_limits(tables["torques"], robot.effort_limits)
     joints = slice(robot.nv - robot.nu, None)
+    regions = compute_motor_utilisation(
+        motors or {}, robot.joint_names, tables["torques"], tables["qvel"][:, joints]
+    )
+    used = np.where(np.isnan(regions), used, regions)
     speeds = divide_by_limits(tables["qvel"][:, joints], robot.velocity_limits)
     peak, fastest = (
         np.unravel_index(int(np.nan_to_num(table, nan=-1.0, posinf=np.inf).argmax()), table.shape)
@@ -340,6 +352,7 @@ def stance_path(
         peak_time=float(time[peak[0]]),
         peak_speed_utilisation=float(speeds[fastest]),
         fastest_joint=robot.joint_names[int(fastest[1])],
+        motors={joint: motor.name for joint, motor in (motors or {}).items()},
     )
 
 

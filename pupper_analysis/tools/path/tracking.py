@@ -8,7 +8,7 @@ and simulates the path from the nominal stand to a requested stance.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,6 +26,7 @@ from pupper_analysis.base.units import (
     POSITION_UNIT,
     STIFFNESS_UNIT,
 )
+from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
@@ -282,6 +283,7 @@ def study_path(
     *,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
+    motors: Mapping[str, Motor] | None = None,
 ) -> PathThere:
     """Plan a path from the nominal stand to a stance, simulate it, and judge the tracking.
 
@@ -291,6 +293,8 @@ def study_path(
         seconds: Duration of the path [s].
         kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the gains of the model.
         kd: Servo damping [N m s/rad], scalar or shape (nu,). Default: the gains of the model.
+        motors: {joint: motor}, for the utilisation in the torque-speed region of the motors. The
+            simulation limits torques by the effort limits of the robot only.
 
     Raises:
         StanceUnreachableError: If a sample is out of reach. The error states the time.
@@ -298,10 +302,11 @@ def study_path(
         NoEquilibriumError: If the rolling displacement of the feet does not converge.
         NotSettlingError: If the depths of the feet in the soft ground do not converge.
         ConfigurationError: If the task or another argument is invalid for the robot.
-        ModelError: If the robot has no position servos, and kp and kd are not both given.
+        ModelError: If the robot has no position servos, and kp and kd are not both given, or a
+            number of a motor is unknown.
     """
     stand = solve_stand(robot, task)
-    path = stance_path(robot, plan_stances(robot, stand), seconds)
+    path = stance_path(robot, plan_stances(robot, stand), seconds, motors=motors)
     tracking = track_path(robot, path, kp=kp, kd=kd)
     # An instability of the final stand can need more time to develop than the path takes.
     held = solve_stand_as_simulated(robot, stand)
@@ -466,7 +471,8 @@ def track_path(
         failures += saturated
     if path.peak_utilisation > 1:
         share = _as_finite(path.peak_utilisation)
-        failures.append(diagnose("motor-overloaded-on-path", share=share))
+        motor = path.motors.get(path.peak_joint, "")
+        failures.append(diagnose("motor-overloaded-on-path", share=share, motor=motor))
     if path.peak_speed_utilisation > 1:
         fastest, share = ("joint", path.fastest_joint), _as_finite(path.peak_speed_utilisation)
         failures.append(diagnose("joint-too-fast", subject=fastest, share=share))

@@ -15,9 +15,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.description import ModelTree
+from pupper_analysis.models.motors.assignment import list_motor_efforts
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.reading import find_motor
 from pupper_analysis.models.spec_tree import SpecTree, set_inertia, write_joint_parameter
@@ -131,13 +132,8 @@ def with_motors(robot: Robot, motors: Mapping[str, Motor], present: Motor) -> Ro
     }
     _add_masses(robot, trees, differences)
     urdf, mjcf = trees
-    efforts = {}
+    efforts = list_motor_efforts(motors)
     for joint, motor in motors.items():
-        largest = motor.largest_torque
-        if largest is None:
-            problem = diagnose("motor-numbers-unknown", numbers=["peak_torque"])
-            raise ModelError(motor.name, problem)
-        efforts[joint] = largest[0]
         if motor.no_load_speed is not None:
             urdf.joints[joint].set_parameter(BY_KIND["velocity"], motor.no_load_speed)
         if motor.rotor_inertia is not None and motor.gear_ratio is not None:

@@ -20,10 +20,16 @@ from pupper_analysis.cli.robots import (
     pass_robot_options,
     robot_and_sources_argument,
 )
-from pupper_analysis.cli.stance_options import EFFORT_OPTION, parse_efforts
+from pupper_analysis.cli.stance_options import (
+    EFFORT_OPTION,
+    MOTOR_OPTION,
+    parse_efforts,
+    parse_motors,
+)
 from pupper_analysis.tools.walk.options import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
 
 if TYPE_CHECKING:
+    from pupper_analysis.models.motors.motor import Motor
     from pupper_analysis.robot.robot import Robot
     from pupper_analysis.tools.contract.deployment import Deployment
     from pupper_analysis.tools.walk.gait import Walk
@@ -46,6 +52,7 @@ if TYPE_CHECKING:
 @CONTRACT_OPTION
 @COMMAND_OPTION
 @EFFORT_OPTION
+@MOTOR_OPTION
 @click.option(
     "--init",
     "init",
@@ -113,6 +120,7 @@ def command(
     contract: Path | None,
     command_text: str,
     effort: tuple[str, ...],
+    motors: tuple[str, ...],
     init: bool,
     seeds: int | None,
     seconds: float | None,
@@ -139,6 +147,8 @@ def command(
       pupper-analysis walk v3 --policy policy_latest.json --command 0.5,0,0
       pupper-analysis walk go1.xml --policy go1.onnx --seeds 20 --report walk.html
       pupper-analysis walk g1.xml deploy.yaml policy.onnx --command 0.5,0,0
+      pupper-analysis walk v3 --policy policy_latest.json \\
+        --motor steadywin-gim4305-10
       pupper-analysis walk g1.xml policy.onnx --init
       pupper-analysis walk v3 --policy policy_latest.json --vary mass,kp,delay \\
         --fit fit.json
@@ -177,7 +187,8 @@ def command(
         _write_first_contract(policy_path, robot, deployment)
         return
     loaded_policy = Policy.load(policy_path, contract, deployment)
-    robot, loaded_policy = replace_efforts(robot, loaded_policy, parse_efforts(effort, robot))
+    assigned, torque_limits = _parse_motor_limits(motors, effort, robot)
+    robot, loaded_policy = replace_efforts(robot, loaded_policy, torque_limits)
     arguments: dict[str, Any] = {} if seconds is None else {"seconds": seconds}
     if seeds is not None:
         arguments["seeds"] = seeds
@@ -209,11 +220,26 @@ def command(
             if check is not None and not check.passed:
                 result = check
             else:
-                result = simulate_walk(robot, loaded_policy, checked_command, **arguments)
+                result = simulate_walk(
+                    robot, loaded_policy, checked_command, motors=assigned, **arguments
+                )
                 result = result if check is None else replace(result, evidence=TRACED, trace=check)
     shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)
+
+
+def _parse_motor_limits(
+    motors: tuple[str, ...], effort: tuple[str, ...], robot: Robot
+) -> tuple[dict[str, Motor], dict[str, float]]:
+    """Return {joint: motor} and {joint: torque limit [N m]} of ``--motor`` and ``--effort``.
+
+    A limit that ``--effort`` states has priority over the largest torque of the motor at rest.
+    """
+    from pupper_analysis.models.motors.assignment import list_motor_efforts
+
+    assigned = parse_motors(motors, robot)
+    return assigned, list_motor_efforts(assigned) | parse_efforts(effort, robot)
 
 
 def _write_first_contract(policy: Path, robot: Robot, deployment: Deployment | None) -> None:
@@ -237,15 +263,18 @@ def _refuse_idle_options(
             "vary",
             "fitted",
             "effort",
+            "motors",
             "orders",
             "contract",
         )
         refuse_idle("--init", *idle, "trace", "response", "json_path", "report_path", "everything")
     if orders:
-        refuse_idle("--orders", "command_text", "seeds", "vary", "fitted")
+        refuse_idle("--orders", "command_text", "seeds", "vary", "fitted", "motors")
     if response:
-        refuse_idle("--response", "vary", "fitted", "orders", "trace")
+        refuse_idle("--response", "vary", "fitted", "orders", "trace", "motors")
     if trace:
         refuse_idle("--trace", "vary", "fitted", "orders")
+    if vary:
+        refuse_idle("--vary", "motors")
     if not vary:
         refuse_alone(["--vary"], "fitted")

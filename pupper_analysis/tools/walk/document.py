@@ -49,6 +49,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
         word = "walk-does-not-follow"
     else:
         word = "walk-follows" if walk.passed else "UNKNOWN"
+        word = word if walk.within_region else "walk-beyond"
     causes = (*_list_limit_warnings(walk), *map(doc.diagnostic_text, walk.remarks))
     return doc.Document(
         text("walk-title"),
@@ -62,13 +63,15 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
         ),
         passed=walk.passed,
         verdict=text(word),
-        failures=tuple(
-            doc.diagnostic_text(gait.fall) for gait in fallen[:1] if gait.fall is not None
+        failures=(
+            *(doc.diagnostic_text(gait.fall) for gait in fallen[:1] if gait.fall is not None),
+            *(() if walk.within_region else _describe_region(walk)),
         ),
         findings=(
             *(causes if fallen else ()),
             speed,
             torque,
+            *(_describe_region(walk) if walk.within_region else ()),
             *_list_warnings(walk),
             *(() if fallen else causes),
         ),
@@ -161,6 +164,25 @@ def _describe_largest_torque(walk: Walk) -> doc.Words:
         peak=f"{peak[hardest]:.2f}",
         limit=f"{walk.limits[hardest]:.3g}" if np.isfinite(walk.limits[hardest]) else "",
         share=f"{100 * _max_over_runs(walk, 'at_limit')[hardest]:.1f}",
+    )
+
+
+def _describe_region(walk: Walk) -> Iterable[doc.Words]:
+    """Yield the motor that is closest to the edge of its torque-speed region, or most beyond it.
+
+    Nothing is yielded without assigned motors.
+    """
+    peaks, beyond = _max_over_runs(walk, "region_peak"), walk.beyond_region
+    if np.isnan(peaks).all():
+        return
+    ranks = peaks if walk.within_region else beyond
+    joint = int(np.nanargmax(ranks))
+    yield text(
+        "walk-within-motors" if walk.within_region else "walk-beyond-motors",
+        joint=doc.Name(walk.joints[joint]),
+        motor=doc.Name(walk.motors[walk.joints[joint]]),
+        peak=f"{100 * peaks[joint]:.0f}",
+        share=f"{100 * beyond[joint]:.1f}",
     )
 
 

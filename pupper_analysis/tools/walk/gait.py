@@ -20,6 +20,8 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
+from pupper_analysis.models.motors.motor import Motor
+from pupper_analysis.models.motors.region import compute_motor_utilisation
 from pupper_analysis.prepare.judge import describe_missing_masses, list_file_remarks
 from pupper_analysis.robot.contact import bodies_on_ground, find_acting_contacts
 from pupper_analysis.robot.fall import FALLEN_TILT
@@ -60,6 +62,14 @@ Chosen, not tuned."""
 LIMIT_FRACTION = 0.99
 """Fraction of the torque limit from which a motor is counted as saturated. Chosen, not tuned."""
 
+MAX_BEYOND_FRACTION = 0.01
+"""Largest fraction of the time in which a motor may be outside of its torque-speed region, so that
+a walk passes: single steps after an impact are permitted. Chosen, not tuned."""
+
+_REGION_RTOL = 1e-9
+"""Relative tolerance of the edge of a torque-speed region: covers rounding of torques that the
+simulation has limited to the largest torque of the motor. Chosen, not tuned."""
+
 _MAX_COMMAND = 100.0
 """Largest magnitude of a command [m/s, rad/s]. A larger number has a wrong unit. Chosen, not
 tuned."""
@@ -90,6 +100,11 @@ class Gait(Result):
             its first state.
         at_limit: Fraction of the time in which each motor is saturated, shape (nu,); NaN for a
             motor whose torque limit no file states, and if the run ends at its first state.
+        region_peak: Largest torque of each motor relative to the torque that the motor exerts at
+            its speed, shape (nu,); NaN without an assigned motor, and if the run ends at its first
+            state.
+        beyond_region: Fraction of the time in which each motor is outside of its torque-speed
+            region, shape (nu,); NaN as ``region_peak``.
         speed_peak: Largest speed of each joint, shape (nu,); NaN if the run ends at its first
             state.
         power: Mean of the positive mechanical power of all motors, without recuperation; NaN if the
@@ -120,6 +135,8 @@ class Gait(Result):
     torque_rms: Array = field(metadata={"unit": "N m"})
     torque_peak: Array = field(metadata={"unit": "N m"})
     at_limit: Array = field(metadata={"unit": "1"})
+    region_peak: Array = field(metadata={"unit": "1"})
+    beyond_region: Array = field(metadata={"unit": "1"})
     speed_peak: Array = field(metadata={"unit": "rad/s"})
     power: float = field(metadata={"unit": "W"})
     transport: float | None = field(metadata={"unit": "1"})
@@ -155,6 +172,7 @@ class Walk(Result):
         remarks: Errors and assumptions of the robot's files and the deployment behind the result.
         evidence: ``simulated``; ``traced`` if the policy was also compared with a recorded trace.
         trace: Comparison with a recorded trace; None without.
+        motors: {joint: name of the assigned motor}.
     """
 
     name: str
@@ -171,11 +189,28 @@ class Walk(Result):
     remarks: tuple[Diagnostic, ...]
     evidence: str = SIMULATED
     trace: TraceCheck | None = None
+    motors: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def beyond_region(self) -> Array:
+        """Largest `Gait.beyond_region` over all runs, shape (nu,); NaN without motor."""
+        largest: Array = np.fmax.reduce([gait.beyond_region for gait in self.gaits])
+        return largest
+
+    @property
+    def within_region(self) -> bool:
+        """Whether no assigned motor is beyond its region longer than `MAX_BEYOND_FRACTION`."""
+        return not bool((self.beyond_region > MAX_BEYOND_FRACTION).any())
 
     @property
     def passed(self) -> bool:
-        """Whether all runs track the command, and the files state the masses of all links."""
-        return all(gait.tracks for gait in self.gaits) and not has_unknown_masses(self.remarks)
+        """Whether all runs track the command, and no file or motor contradicts the result.
+
+        The files must state the masses of all links, and the assigned motors must exert the
+        torques at their speeds (``within_region``).
+        """
+        tracks = all(gait.tracks for gait in self.gaits)
+        return tracks and self.within_region and not has_unknown_masses(self.remarks)
 
 
 def list_walk_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
@@ -254,6 +289,7 @@ def simulate_walk(
     seconds: float = DEFAULT_SECONDS,
     warm_up: float = WARM_UP_SECONDS,
     workers: int | None = None,
+    motors: Mapping[str, Motor] | None = None,
 ) -> Walk:
     """Simulate a policy on a robot in MuJoCo and evaluate the gait.
 
@@ -271,11 +307,13 @@ def simulate_walk(
         warm_up: Duration of the warm-up [s].
         workers: Number of threads; by default the number of cores. The result does not depend on
             this number.
+        motors: {joint: motor}, whose torque-speed regions the torques are compared with. The
+            simulation limits torques by the effort limits of the robot only.
 
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, the robot has no
             feet, or the rate of the policy exceeds that of the time steps.
-        ModelError: If the policy does not fit the robot.
+        ModelError: If the policy does not fit the robot, or a number of a motor is unknown.
         UnknownNameError: If the policy names a joint that the robot does not have.
     """
     checked_command = check_command(command)
@@ -283,7 +321,7 @@ def simulate_walk(
     stage = prepare_stage(robot, policy)
     cases = [stage.make_case(checked_command, seed) for seed in range(seeds)]
     runs = simulate_cases(stage, cases, seconds, warm_up, workers)
-    gaits = tuple(measure_gait(stage, run, warm_up) for run in runs)
+    gaits = tuple(measure_gait(stage, run, warm_up, motors) for run in runs)
     return Walk(
         name=robot.name,
         policy=policy.name,
@@ -297,6 +335,7 @@ def simulate_walk(
         rate=1.0 / (stage.substeps * stage.timestep),
         warm_up=warm_up,
         remarks=(*list_walk_remarks(stage.robot), *policy.notes),
+        motors={joint: motor.name for joint, motor in (motors or {}).items()},
     )
 
 
@@ -407,7 +446,9 @@ def evaluate_tracking(stage: Stage, run: Run, warm_up: float) -> Tracking:
     return Tracking(velocity, turning, not failure, speed_margin, turning_margin, failure)
 
 
-def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
+def measure_gait(
+    stage: Stage, run: Run, warm_up: float, motors: Mapping[str, Motor] | None = None
+) -> Gait:
     """Compute the gait of a run after the warm-up: tracking, torques, power and contacts.
 
     Torques, power and joint speeds of a run with a single state are unknown (NaN).
@@ -416,6 +457,7 @@ def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
         stage: Robot, policy and model of the simulation.
         run: Simulated run with the command.
         warm_up: Time that is ignored at the start [s].
+        motors: {joint: motor}, for the use of the torque-speed regions.
     """
     robot, step = stage.robot, stage.timestep
     first = min(round(warm_up / step), max(0, len(run.states) - 2))
@@ -428,6 +470,8 @@ def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
     unknown = np.full((1, robot.nu), np.nan)
     known_torques, known_rates = (torques, rates) if has_torques else (unknown, unknown)
     saturated = np.abs(known_torques) >= LIMIT_FRACTION * limits
+    regions = compute_motor_utilisation(motors or {}, robot.joint_names, known_torques, known_rates)
+    assigned = ~np.isnan(regions).any(axis=0)
     tracking = evaluate_tracking(stage, run, warm_up)
     power = float(np.maximum(known_torques * known_rates, 0.0).sum(axis=1).mean())
     speed = float(np.linalg.norm(tracking.velocity))
@@ -461,6 +505,8 @@ def measure_gait(stage: Stage, run: Run, warm_up: float) -> Gait:
         torque_rms=_root_mean_square(known_torques),
         torque_peak=np.abs(known_torques).max(axis=0),
         at_limit=np.where(np.isfinite(limits) & has_torques, saturated.mean(axis=0), np.nan),
+        region_peak=regions.max(axis=0),
+        beyond_region=np.where(assigned, (regions > 1.0 + _REGION_RTOL).mean(axis=0), np.nan),
         speed_peak=np.abs(known_rates).max(axis=0),
         power=power,
         transport=power / (weight * speed) if speed > SPEED_ATOL else None,

@@ -336,3 +336,33 @@ def test_path_on_a_slope_begins_almost_without_acceleration() -> None:
     mujoco.mj_forward(model, data)
     assert np.abs(data.qacc[:3]).max() < 0.01
     assert np.abs(data.qacc[3:]).max() < 1.0
+
+
+@pytest.mark.slow
+def test_motors_of_a_path_limit_its_torques_and_speeds(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Reference: the line from V Kt N / R at rest to the speed without load, from the result.
+
+    The slow motor has torque at rest for the whole path, but not at the speed of the knees.
+    """
+    file, data = tmp_path / "slow.toml", tmp_path / "path.json"
+    file.write_text(
+        'name = "slow"\nsource = "bench"\ntorque_constant = "1 N m/A"\nresistance = "1 ohm"\n'
+        'gear_ratio = 1\ngear_efficiency = 1.0\nsupply_voltage = "1.2 V"\n'
+    )
+    words = ("v3", "--height", "14cm", "--seconds", "0.3", "--json", str(data))
+    status, out, err = run_command(capfd, "path", *words, "--motor", f"*_3={file}", "-v")
+    assert status == 1, err
+    path = json.loads(data.read_text())["path"]
+    torques, speeds = np.array(path["torques"]), np.array(path["qvel"])[:, 6:]
+    available = np.clip(1.2 - np.sign(torques) * speeds, 0.0, None)
+    knees = slice(2, None, 3)
+    shares = np.abs(torques[:, knees]) / available[:, knees]
+    assert np.abs(torques[:, knees]).max() < 1.2
+    assert shares.max() > 1
+    assert path["peak_utilisation"] == pytest.approx(shares.max(), rel=1e-9)
+    assert path["motors"] == {name: "slow" for name in path["joint_names"] if name.endswith("_3")}
+    assert "at its speed (slow)" in out
+    status, _, err = run_command(capfd, "path", *words)
+    assert status == 0, err

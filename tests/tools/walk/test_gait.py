@@ -15,9 +15,11 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity
 from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.tools.walk.contract import Term
+from pupper_analysis.tools.walk.document import walk_document
 from pupper_analysis.tools.walk.gait import (
     describe_fall,
     find_ground_contacts,
@@ -247,3 +249,36 @@ def test_invalid_arguments_of_a_walk_are_refused(
 ) -> None:
     with pytest.raises(PupperAnalysisError, match=text):
         simulate_walk(load("v3"), still, **changed)
+
+
+@pytest.mark.slow
+def test_motors_of_a_walk_are_compared_with_torques_at_their_speeds(still: Policy) -> None:
+    """Reference: |torque| / (V - Ke w) Kt N / R of the recorded torques; the robot hardly moves."""
+    strong = Motor(
+        *("strong", "bench"),
+        torque_constant=1.0,
+        gear_ratio=1.0,
+        gear_efficiency=1.0,
+        resistance=1.0,
+        supply_voltage=3.0,
+    )
+    robot = load("v3")
+    motors = dict.fromkeys(robot.joint_names, strong)
+    arguments = {"seconds": 3.0, "warm_up": 1.0}
+    walk = simulate_walk(robot, still, (0, 0, 0), motors=motors, **arguments)
+    gait = walk.gaits[0]
+    assert walk.passed
+    assert gait.region_peak == pytest.approx(gait.torque_peak / 3.0, rel=1e-2, abs=1e-3)
+    assert (gait.beyond_region == 0).all()
+    weak = dict.fromkeys(robot.joint_names[2::3], replace(strong, supply_voltage=0.1))
+    failed = simulate_walk(robot, still, (0, 0, 0), motors=weak, **arguments)
+    assert all(one.tracks for one in failed.gaits)
+    assert not failed.passed
+    assert failed.gaits[0].beyond_region[2::3] == pytest.approx(1.0)
+    assert np.isnan(failed.gaits[0].beyond_region[0::3]).all()
+    document = walk_document(failed)
+    assert getattr(document.verdict, "en", "") == "BEYOND THE MOTORS"
+    assert "of the torque that strong exerts at its speed" in document.failures[0].en
+    unknown = simulate_walk(robot, still, (0, 0, 0), **arguments)
+    assert np.isnan(unknown.gaits[0].region_peak).all()
+    assert unknown.passed

@@ -1,0 +1,66 @@
+"""Torque-speed region of a motor: utilisation of a motion.
+
+At a speed w in the direction of the torque, the motor exerts at most
+tau = min(I_max, (V - Ke w) / R) Kt N eta (`Motor.compute_available_torques`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.models.motors.motor import Motor
+
+Array = NDArray[np.float64]
+
+_MIN_TORQUE = 1e-9
+"""Torque [N m] up to which a motor counts as unloaded (rounding). Chosen, not tuned."""
+
+
+def compute_region_utilisation(motor: Motor, torques: ArrayLike, speeds: ArrayLike) -> Array:
+    """Return |torque| / available torque of a motor at its speed; above 1 outside of the region.
+
+    Args:
+        motor: Motor.
+        torques: Torques at the output [N m], shape (n,).
+        speeds: Speeds of the output [rad/s], shape (n,).
+
+    Returns:
+        Shape (n,). Infinite if the motor exerts no torque at the speed; 0 without torque.
+
+    Raises:
+        ModelError: If a number of the motor is unknown.
+    """
+    values, rates = np.asarray(torques, dtype=float), np.asarray(speeds, dtype=float)
+    sizes = np.abs(values)
+    available = motor.compute_available_torques(np.where(values < 0, -rates, rates))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares: Array = np.where(sizes > _MIN_TORQUE, sizes / available, 0.0)
+    return shares
+
+
+def compute_motor_utilisation(
+    motors: Mapping[str, Motor], joints: Sequence[str], torques: Array, speeds: Array
+) -> Array:
+    """Return the utilisation of the motors of joints (`compute_region_utilisation`).
+
+    Args:
+        motors: {joint: motor}.
+        joints: Names of nu joints.
+        torques: Torques [N m], shape (n, nu).
+        speeds: Speeds of the joints [rad/s], shape (n, nu).
+
+    Returns:
+        Shape (n, nu); not a number for a joint without motor.
+
+    Raises:
+        ModelError: If a number of a motor is unknown.
+    """
+    shares = np.full(torques.shape, np.nan)
+    for index, joint in enumerate(joints):
+        if joint in motors:
+            columns = torques[:, index], speeds[:, index]
+            shares[:, index] = compute_region_utilisation(motors[joint], *columns)
+    return shares
