@@ -233,6 +233,7 @@ class Source:
         breadth_first: Whether the trainer sorts joints by depth in the tree.
         observations: Observations of the policy, in order.
         notes: Content that could not be read.
+        name_lists: {key: list of texts} of other keys, which may state the order of the lists.
         unlimited: {joint: file and line of its actuator} of a model's joints with an actuator but
             without an effort limit.
     """
@@ -248,6 +249,7 @@ class Source:
     breadth_first: bool = False
     observations: tuple[ObservedTerm, ...] = ()
     notes: tuple[Diagnostic, ...] = ()
+    name_lists: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     unlimited: Mapping[str, Place] = field(default_factory=dict)
 
     def make_fact(self, statement: Statement, joint: str = "") -> Fact:

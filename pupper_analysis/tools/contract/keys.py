@@ -24,6 +24,9 @@ from pupper_analysis.tools.contract.facts import (
     Statement,
 )
 
+JOINT_ORDER: Final = "joint order"
+"""Quantity of a key whose value is the list of joint names in the order of the source's lists."""
+
 CONFIG_NAME: Final = "pupper-analysis.toml"
 """File with keys of the user, ``[[contract.key]]``."""
 
@@ -102,8 +105,18 @@ def _load_builtin_rules() -> tuple[KeyRule, ...]:
     return tuple(rule for entry in entries for rule in _make_rules(entry, path))
 
 
+def load_order_keys(source: Path) -> tuple[tuple[str, ...], ...]:
+    """Return the user's keys of lists of joint names, each as a path of keys in lower case."""
+    return tuple(rule.path for rule in _load_rules("table", source) if rule.quantity == JOINT_ORDER)
+
+
 def load_key_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
-    """Return the rules of a format; those of the user, which have precedence, are the last.
+    """Return the rules of numbers in a format, those of the user last; see `_load_rules`."""
+    return tuple(rule for rule in _load_rules(form, source) if rule.quantity != JOINT_ORDER)
+
+
+def _load_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
+    """Return all rules of a format; those of the user, which have precedence, are the last.
 
     The user's rules are in the first ``pupper-analysis.toml`` in the folder of the source or the
     folders above, otherwise in the current folder or the folders above.
@@ -153,10 +166,10 @@ def _make_rules(entry: Any, path: Path) -> Iterator[KeyRule]:
             raise _make_entry_error(path, key, known)
     quantity, names = entry.get("quantity"), entry.get("names")
     is_known = isinstance(quantity, str) and (
-        quantity in QUANTITIES or quantity.startswith("observation ")
+        quantity in (JOINT_ORDER, *QUANTITIES) or quantity.startswith("observation ")
     )
     if not is_known:
-        raise _make_entry_error(path, f"quantity = {quantity!r}", tuple(QUANTITIES))
+        raise _make_entry_error(path, f"quantity = {quantity!r}", (JOINT_ORDER, *QUANTITIES))
     if not _is_text_list(names) or not names:
         raise _make_entry_error(path, f"names = {names!r}")
     choices = {"of": _FORMS, "shape": _SHAPES, "match": _MATCHES}

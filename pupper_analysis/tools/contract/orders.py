@@ -8,7 +8,7 @@ arrays.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -316,6 +316,10 @@ def _determine_order(
     if source.order:
         return tuple(matched.get(name, "") for name in source.order), "named", []
     lists = {statement.count for statement in source.statements if statement.index is not None}
+    found = _find_name_lists(source, model, lists)
+    if len(set(found.values())) == 1:
+        key, order = next(iter(found.items()))
+        return order, "named", [diagnose("contract-order-of-key", file=source.name, key=key)]
     sizes = {len(source.motors)} if source.motors else lists
     motors = next(filter(None, map(_get_motor_names, others)), {})
     if source.motors and set(source.motors) <= set(motors):
@@ -346,6 +350,22 @@ def _determine_order(
     of_file = diagnose("contract-order-of-file", file=source.name, first=order[:3])
     by_depth = diagnose("contract-order-by-depth", file=source.name, first=order[:3])
     return order, "assumed", [of_file if order == model.order else by_depth]
+
+
+def _find_name_lists(
+    source: Source, model: RobotJoints, sizes: Collection[int]
+) -> dict[str, tuple[str, ...]]:
+    """Return {key: joints of the robot} of the lists of joint names under keys that are not known.
+
+    A list counts if it has the size of a list of numbers, and all its names match distinct joints.
+    """
+    found = dict[str, tuple[str, ...]]()
+    for key, names in source.name_lists.items():
+        matched = model.match_names(names)
+        order = tuple(matched[name] for name in names if name in matched)
+        if len(names) in sizes and len(set(order)) == len(names):
+            found[key] = order
+    return found
 
 
 MAX_UNLIKE_FRACTION = 1 / 3

@@ -17,6 +17,7 @@ from pupper_analysis.base.inputs import MAX_FILE_BYTES, check_input
 from pupper_analysis.models.places import make_input_error
 from pupper_analysis.tools.contract.facts import Request, Role, Source, load_readers
 from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, assign_joints
+from pupper_analysis.tools.contract.readers import tables
 
 MAX_FOLDER_FILES = 500
 """Largest number of files that are read from a folder. Chosen, to bound the time."""
@@ -137,7 +138,9 @@ def select_configurations(request: Request, sources: Sequence[Source]) -> list[S
     if not kept and request.name:
         raise ModelError(request.path, diagnose("contract-name-unknown", name=request.name))
     if not kept:
-        raise ModelError(request.path, diagnose("contract-states-nothing"))
+        is_table = request.path.suffix.lower() in tables.FILE_SUFFIXES
+        keys = tables.list_numeric_keys(request.path) if is_table else ()
+        raise ModelError(request.path, diagnose("contract-states-nothing", keys=keys[:4] or None))
     return kept
 
 

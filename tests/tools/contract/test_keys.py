@@ -251,6 +251,64 @@ def test_invalid_entry_of_the_configuration_is_refused(
         compare(tmp_path, "params.yaml", GROUPS)
 
 
+UNKNOWN_KEYS = f"""
+motor_order: {format_list(JOINTS[::-1])}
+pd: {{p: {format_list([5.0 + k for k in range(12)])}, d: 0.25}}
+rest_pose: {format_list(ANGLES[::-1])}
+feet: [a, b, c, d]
+"""
+
+USER_KEYS = """
+[[contract.key]]
+quantity = "kp"
+names = ["pd.p"]
+[[contract.key]]
+quantity = "default angle"
+names = ["rest_pose"]
+"""
+
+
+@pytest.mark.parametrize("is_stated", [False, True])
+def test_lists_have_the_order_of_the_names_in_the_file_whatever_their_key(
+    tmp_path: Path, is_stated: bool
+) -> None:
+    """Reference: the positions in the lists. The order is found, or a key of the user states it."""
+    path = tmp_path / "own.yaml"
+    path.write_text(UNKNOWN_KEYS)
+    order = '[[contract.key]]\nquantity = "joint order"\nnames = ["motor_order"]\n'
+    (tmp_path / "pupper-analysis.toml").write_text(USER_KEYS + order * is_stated)
+    found = read_contract(MJCF, path, stand=False)
+    stated = {
+        (fact.quantity, fact.joint): fact for fact in found.facts if fact.source == "own.yaml"
+    }
+    for number, joint in enumerate(JOINTS[::-1]):
+        assert stated["kp", joint].value == 5.0 + number
+        assert stated["default angle", joint].value == ANGLES[::-1][number]
+        assert stated["kp", joint].origin == "stated"
+    codes = {note.code for note in found.notes}
+    assert ("contract-order-of-key" in codes) is not is_stated
+
+
+def test_two_orders_of_names_under_unknown_keys_are_not_used(tmp_path: Path) -> None:
+    """Nothing states which of the orders is that of the lists."""
+    path = tmp_path / "own.yaml"
+    path.write_text(UNKNOWN_KEYS + f"sim_order: {format_list(JOINTS)}\n")
+    (tmp_path / "pupper-analysis.toml").write_text(USER_KEYS)
+    with pytest.raises(ModelError, match="joint of each value is not specified"):
+        read_contract(MJCF, path, stand=False)
+
+
+def test_file_of_unknown_keys_is_refused_with_its_keys_and_the_remedy(tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text(UNKNOWN_KEYS)
+    with pytest.raises(ModelError) as caught:
+        read_contract(MJCF, path, stand=False)
+    text = str(caught.value)
+    assert "it has pd.p, rest_pose, pd.d" in text
+    assert "pupper-analysis.toml" in text
+    assert "[[contract.key]]" in text
+
+
 def test_keys_of_no_joint_are_a_warning_if_another_source_states_the_joints(
     tmp_path: Path, trainer: Path
 ) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.inputs import read_text
@@ -27,7 +28,7 @@ from pupper_analysis.tools.contract.facts import (
     find_quantity_kind,
     read_yaml_nodes,
 )
-from pupper_analysis.tools.contract.keys import KeyRule, load_key_rules
+from pupper_analysis.tools.contract.keys import KeyRule, load_key_rules, load_order_keys
 
 FILE_SUFFIXES = (".yaml", ".yml", ".json")
 """Suffixes of the files that this reader of tables reads."""
@@ -65,8 +66,14 @@ class _View:
         return next((node for node in found if node.is_present), Node(None, self.place))
 
     def find_first(self, names: str) -> Node:
-        """Return the value of the first key that is present for a concept (`KEY_ALIASES`)."""
-        found = (self.get(*alias.split(".")) for alias in KEY_ALIASES[names])
+        """Return the value of the first key that is present for a concept (`KEY_ALIASES`).
+
+        Keys of the user precede the others in a search for joint names.
+        """
+        paths = [tuple(alias.split(".")) for alias in KEY_ALIASES[names]]
+        if names == "joints":
+            paths = [*load_order_keys(self.place.file), *paths]
+        found = (self.get(*path) for path in paths)
         return next((node for node in found if node.is_present), Node(None, self.place))
 
     @property
@@ -278,7 +285,42 @@ def _read_view(
         motors=tuple(indices),
         observations=(*named_terms, *list_observation_terms(view.get("observations"))),
         notes=tuple(notes),
+        name_lists={} if joint_names.texts else _collect_name_lists(view),
     )
+
+
+def _collect_name_lists(view: _View) -> dict[str, tuple[str, ...]]:
+    """Return {key: texts} of the lists of at least two distinct texts in the tables of a view."""
+    return {
+        str(key): node.texts
+        for table in view.tables
+        for key, node in table.table.items()
+        if isinstance(node.value, list) and 2 <= len(node.texts) == len(set(node.texts))
+    }
+
+
+def list_numeric_keys(path: Path) -> tuple[str, ...]:
+    """Return the keys of numbers and lists of numbers in a YAML or JSON file, nested with dots.
+
+    Keys of lists, which more often contain a number per joint, are the first.
+    """
+    lists, numbers = list[str](), list[str]()
+
+    def visit(node: Node, prefix: str, depth: int) -> None:
+        for key, child in node.table.items():
+            name = f"{prefix}{key}"
+            if isinstance(child.value, dict) and depth < _MAX_TABLE_DEPTH:
+                visit(child, f"{name}.", depth + 1)
+            elif isinstance(child.value, list) and any(
+                item.number is not None for item in child.items
+            ):
+                lists.append(name)
+            elif child.number is not None:
+                numbers.append(name)
+
+    for document in read_yaml_nodes(path, read_text(path)):
+        visit(document, "", 0)
+    return tuple(dict.fromkeys((*lists, *numbers)))
 
 
 def _read_motor_numbers(motors: Node) -> list[int]:
