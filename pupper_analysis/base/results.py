@@ -8,11 +8,11 @@ are made by the package ``present``, which is imported at the first use.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 from importlib import import_module
-from pathlib import PurePath
-from typing import TYPE_CHECKING, Any, ClassVar
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
 import orjson
@@ -269,3 +269,37 @@ def __dir__() -> list[str]:
         for name, value in globals().items()
         if name.startswith("__") or getattr(value, "__module__", None) == __name__
     )
+
+
+_Value = TypeVar("_Value")
+"""Type of a value whose texts are shortened."""
+
+
+def shorten_paths(value: _Value, prefix: str) -> _Value:
+    """Return a copy of a value without a prefix (a temporary folder) of the texts and paths in it.
+
+    Dataclasses, tuples and mappings are searched; values without the prefix are returned unchanged.
+    """
+    return cast(_Value, _shorten(value, prefix))
+
+
+def _shorten(value: Any, prefix: str) -> Any:
+    """Return a value without a prefix of its texts and paths; see `shorten_paths`."""
+    if isinstance(value, str):
+        return type(value)(value.replace(prefix, "")) if prefix in value else value
+    if isinstance(value, Path):
+        return Path(str(value).replace(prefix, "")) if prefix in str(value) else value
+    if type(value) in (tuple, dict):
+        old = value if isinstance(value, tuple) else tuple(value.values())
+        new = tuple(_shorten(item, prefix) for item in old)
+        if all(one is other for one, other in zip(old, new, strict=True)):
+            return value
+        return new if isinstance(value, tuple) else dict(zip(value, new, strict=True))
+    if not is_dataclass(value) or isinstance(value, type):
+        return value
+    changes = {
+        field.name: short
+        for field in fields(value)
+        if field.init and (short := _shorten(old := getattr(value, field.name), prefix)) is not old
+    }
+    return replace(value, **changes) if changes else value

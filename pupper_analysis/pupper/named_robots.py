@@ -98,6 +98,24 @@ def find_model_pair(
     return first, find_model(urdf if mjcf is None else mjcf, "mjcf")
 
 
+def find_files(variant: str | Path | VariantSpec, folder: Path) -> tuple[Path, Path]:
+    """Return paths of the URDF and the MJCF of a variant, for functions that need files.
+
+    Args:
+        variant: Variant, as in `is_variant`.
+        folder: Temporary folder, to which the files of a scaled variant are written, as by
+            ``write_variant``.
+
+    Raises:
+        VariantError: If the scales give no valid model.
+        ModelError: If a base file or a mesh is missing or damaged.
+    """
+    from pupper_analysis.pupper.variant_files import write_variant
+
+    spec = _get_spec(variant)
+    return _find_base_files(spec) if _is_base_model(spec) else write_variant(spec, folder)
+
+
 def _get_spec(variant: str | Path | VariantSpec) -> VariantSpec:
     """Return the spec of a variant that `is_variant` accepts."""
     return get_variant_spec(variant if isinstance(variant, VariantSpec) else str(variant))

@@ -11,6 +11,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.pupper.named_robots import find_model
+from pupper_analysis.tools.contract.contract import read_contract
 from tests.support.commands import answer
 
 
@@ -98,13 +99,50 @@ def test_differences_of_a_scaled_variant_are_located_by_its_name() -> None:
 
 
 @pytest.mark.slow
-def test_model_in_memory_is_not_synchronised() -> None:
-    """Reference: `sync` writes files; a scaled variant has none."""
-    with pytest.raises(pa.ConfigurationError, match="analyze VARIANT --write"):
-        pa.sync_models("v3-heavy")
+def test_scaled_variant_is_compared_by_sync_but_never_written(tmp_path: Path) -> None:
+    """Reference: the URDF of the variant with other efforts, and the file system."""
     assert pa.sync_models("v3").agree
+    assert pa.sync_models("v3-heavy").agree
+    urdf, _ = pa.pupper.write_variant("v3-heavy", tmp_path)
+    other = tmp_path / "other.urdf"
+    other.write_text(re.sub(r'effort="[^"]+"', 'effort="4"', urdf.read_text()))
+    before = other.read_bytes()
+    found = pa.sync_models(other, "v3-heavy")
+    assert len(found.differences) == 12
+    assert not found.written
+    assert "tmp" not in "".join(d.mjcf_place for d in found.differences)
+    with pytest.raises(pa.ConfigurationError, match="analyze VARIANT --write"):
+        pa.sync_models(other, "v3-heavy", take="urdf")
+    assert other.read_bytes() == before
+    assert pa.sync_models(other, "v3-heavy", take="mjcf").written == (str(other),)
+    assert pa.sync_models(other, "v3-heavy").agree
     with pytest.raises(pa.ConfigurationError, match="MJCF is missing"):
         pa.sync_models("robot.urdf")
+
+
+@pytest.mark.slow
+def test_contract_reads_the_files_of_a_scaled_variant(tmp_path: Path) -> None:
+    """Reference: the contract of the written files: the same facts, lines and findings."""
+    paths = pa.pupper.write_variant("v3-long-leg", tmp_path)
+    gains = tmp_path / "deploy.yaml"
+    names = "".join(f"    - {name}\n" for name in pa.load_robot("v3-long-leg").joint_names)
+    gains.write_text(f"joint_names:\n{names}kps: [{', '.join(['7.0'] * 12)}]\n")
+    expected = read_contract(*paths, gains, stand=False)
+    found = read_contract("v3-long-leg", gains, stand=False)
+    assert found.model == "v3-long-leg"
+    assert len(found.findings) == len(expected.findings) > 0
+    assert [(one.quantity, one.value) for one in found.facts] == [
+        (one.quantity, one.value) for one in expected.facts
+    ]
+    assert [one.place for one in found.facts] == [
+        one.place.replace(f"{tmp_path.resolve()}/", "").replace(f"{tmp_path}/", "")
+        if "deploy" not in one.place
+        else one.place
+        for one in expected.facts
+    ]
+    assert sorted(one.path for one in found.sources) == sorted(
+        [str(gains), "mjcf/v3-long-leg.xml", "urdf/v3-long-leg.urdf"]
+    )
 
 
 def test_crosscheck_of_one_file_names_the_missing_argument() -> None:

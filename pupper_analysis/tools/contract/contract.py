@@ -6,18 +6,19 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import cast
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
-from pupper_analysis.base.results import Result
-from pupper_analysis.models.objects import require_path
+from pupper_analysis.base.results import Result, shorten_paths
 from pupper_analysis.models.published import PACKAGE_PREFIX, find_file, is_published_name
-from pupper_analysis.pupper.named_robots import find_model_pair, is_variant, refuse_unknown_variant
+from pupper_analysis.pupper.named_robots import find_files, is_variant, refuse_unknown_variant
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.tools.contract.facts import Fact, Role
 from pupper_analysis.tools.contract.findings import (
@@ -72,7 +73,7 @@ class Contract(Result):
     """Joint numbers of all sources, and the disagreements between them.
 
     Attributes:
-        model: Path of the model file that defines the joint order.
+        model: Path of the model file that defines the joint order; name of a scaled variant.
         joints: Joints of this model.
         sources: Sources that were read.
         facts: All numbers, with file and line.
@@ -113,9 +114,9 @@ def read_contract(
 
     Args:
         *sources: Files, folders, or ``FILE:NAME`` to select a configuration in a file; at least one
-            is a model. A model may also be the name of a published robot, or a base model of the
-            package, such as ``"v3"``, for both of its files. Modules that a Python file imports are
-            searched in the folders as well.
+            is a model. A model may also be the name of a published robot, or a variant, such as
+            ``"v3"`` or ``"v3-long-leg"``, for both of its files. Modules that a Python file imports
+            are searched in the folders as well.
         names: {joint name in a source: joint name in the model} of joints that are not matched
             automatically.
         stand: Whether to compute how the robot stands in the default pose of each source.
@@ -125,8 +126,7 @@ def read_contract(
         Numbers, disagreements and poses.
 
     Raises:
-        ConfigurationError: If no model is passed, or an argument is invalid, for example a scaled
-            variant, which has no files.
+        ConfigurationError: If no model is passed, or an argument is invalid.
         VariantError: If a source is probably a misspelled variant name.
         ModelError: If a file does not exist, or if no source but the models can be used: a file
             cannot be read, contains no joint of the robot, or contains several configurations of a
@@ -135,14 +135,29 @@ def read_contract(
     if fail_on not in list(map(str, Severity)):
         message = diagnose("one-of", names=[str(severity) for severity in Severity])
         raise ConfigurationError("fail_on", message)
-    requests, folders = split_arguments(_find_model_files(sources))
+    # Scaled variants are written to files, because every source is read from a file.
+    with TemporaryDirectory() as name:
+        folder = Path(name).resolve()
+        found = _find_model_files(sources, folder)
+        contract = _compare_sources(found, names or {}, stand=stand, fail_on=fail_on)
+        model = Path(contract.model)
+        if model.is_relative_to(folder):
+            contract = replace(contract, model=model.stem)  # other commands accept this name
+        return shorten_paths(contract, f"{folder}{os.sep}")
+
+
+def _compare_sources(
+    sources: Sequence[str | Path], names: Mapping[str, str], *, stand: bool, fail_on: str
+) -> Contract:
+    """Read files and folders, and compare them; see `read_contract`."""
+    requests, folders = split_arguments(sources)
     read, errors = read_sources(requests)
     models = [source for source in read if source.role is Role.MODEL]
     if not models:
         raise ConfigurationError("sources", diagnose("contract-without-model"))
     # The joint order is that of the MJCF if there is one: trainers and engines use this order.
     models.sort(key=lambda source: source.path.suffix.lower() not in (".xml", ".mjcf"))
-    names, notes = match_joint_names(models, names or {})
+    names, notes = match_joint_names(models, names)
     model = read_model_file(models[0].path)
     joints = RobotJoints.from_model(model, models[0].order, names)
     for folder in folders:
@@ -196,15 +211,17 @@ def read_contract(
     )
 
 
-def _find_model_files(sources: Sequence[str | Path | VariantSpec]) -> list[str | Path]:
-    """Return the sources, with the files of base models and published robots instead of names."""
+def _find_model_files(
+    sources: Sequence[str | Path | VariantSpec], folder: Path
+) -> list[str | Path]:
+    """Return the sources, with the files of variants and published robots instead of names.
+
+    The files of scaled variants are written to ``folder``.
+    """
     found: list[str | Path] = []
     for source in sources:
         if is_variant(source):
-            models = find_model_pair(source, None)
-            for model in models:
-                require_path("sources", model)
-            found += models
+            found += find_files(source, folder)
         else:
             refuse_unknown_variant(str(source))
             named = is_published_name(str(source)) or str(source).startswith(PACKAGE_PREFIX)

@@ -18,6 +18,7 @@ from pupper_analysis.present.document import join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import cite_page, quote_line
 from pupper_analysis.present.formats import Annotation
+from pupper_analysis.pupper.named_robots import is_variant
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.contract.contract import Contract
 from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, Role, find_quantity_kind
@@ -75,6 +76,8 @@ def _select_next_step(contract: Contract) -> doc.NextStep:
     """
     models = [source.path for source in contract.sources if source.role == Role.MODEL]
     urdfs = [path for path in models if path.lower().endswith(".urdf")]
+    if is_variant(contract.model) and contract.findings:
+        return doc.NextStep("crosscheck", (contract.model,), robot_typed=False)
     if contract.findings and urdfs and contract.model not in urdfs:
         return doc.NextStep("crosscheck", (urdfs[0], contract.model), robot_typed=False)
     command = "stand" if contract.floating else "hold"

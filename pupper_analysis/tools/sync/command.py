@@ -19,7 +19,7 @@ from pupper_analysis.cli.shared import (
 @shared.command(
     "sync",
     meanings={
-        "urdf": "the URDF to compare and change, or a base model such as v3",
+        "urdf": "the URDF to compare and change, or a variant such as v3",
         "mjcf": "the MJCF to compare and change",
     },
 )
@@ -121,7 +121,9 @@ def command(
             packages=folders,
             tolerances=tolerances,
         )
-    files = tuple(map(str, find_model_pair(urdf, mjcf)))
+    # A scaled variant is derived in memory.
+    models = find_model_pair(urdf, mjcf)
+    files = tuple(str(getattr(model, "path", model)) for model in models)
     document = sync_document(result, files=files, chosen=bool(take), dry_run=dry_run)
     shared.show_report(Report(document.title, (document,)), style, everything=everything)
     shared.finish_command(json_path, result, passed=result.agree)

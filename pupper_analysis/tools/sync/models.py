@@ -8,10 +8,12 @@ chosen changes or, without ``partial``, none.
 from __future__ import annotations
 
 import difflib
+import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
 from pupper_analysis.base.arguments import check_arguments
@@ -20,13 +22,13 @@ from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.files import Writing, remove_stale_files, resolve_target, write_all
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_input
 from pupper_analysis.base.kinds import EDITED_KIND
-from pupper_analysis.base.results import Result
+from pupper_analysis.base.results import Result, shorten_paths
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.objects import require_path
 from pupper_analysis.models.published import find_file
-from pupper_analysis.pupper.named_robots import find_model_pair
+from pupper_analysis.pupper.named_robots import find_files, find_model_pair, is_variant
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import SERVO_GAIN_KINDS, Difference
@@ -111,10 +113,10 @@ def sync_models(
     the chosen file does not state, remain in any case.
 
     Args:
-        urdf: Path of the URDF; name of a published robot; or a base model of the package, such as
-            ``"v3"``, for its URDF.
-        mjcf: Path of the MJCF; name of a published robot; or a base model of the package, for its
-            MJCF. By default the MJCF of the base model ``urdf``.
+        urdf: Path of the URDF; name of a published robot; or a variant, such as ``"v3"``, for its
+            URDF.
+        mjcf: Path of the MJCF; name of a published robot; or a variant, for its MJCF. By default
+            the MJCF of the variant ``urdf``.
         take: File whose values are taken: ``"urdf"`` (the MJCF is changed) or ``"mjcf"``, for all
             differences or some (``"mjcf:mass"``, ``"urdf:link base: mass"``, ``"mjcf:3"``).
             Differences that are not named remain; a value that is not stated replaces nothing.
@@ -133,17 +135,61 @@ def sync_models(
 
     Raises:
         ModelError: If a file cannot be read, or the files cannot be matched.
-        ConfigurationError: If a choice is not valid or matches no difference, or a model has no
-            file: a robot in memory, a text, or a scaled variant.
+        ConfigurationError: If a choice is not valid or matches no difference, a model has no file
+            (a robot in memory, or a text), or a value would be written to a scaled variant.
         VariantError: If a model is probably a misspelled variant name.
         OutputError: If a file cannot be written, or has uncommitted changes.
     """
-    urdf_file, mjcf_file = find_model_pair(urdf, mjcf)
-    require_path("urdf", urdf_file)
-    require_path("mjcf", mjcf_file)
-    paths = find_file(urdf_file, packages), find_file(mjcf_file, packages)
-    files = Files(*paths, dict(names or {}), dict(packages or {}))
-    tolerances = tolerances or Tolerances()
+    # The files of scaled variants are compared, and never written.
+    with TemporaryDirectory() as name:
+        folder = Path(name).resolve()
+        urdf_file, mjcf_file = _find_paths(urdf, mjcf, folder)
+        paths = find_file(urdf_file, packages), find_file(mjcf_file, packages)
+        files = Files(*paths, dict(names or {}), dict(packages or {}))
+        result = _sync_files(
+            files,
+            take,
+            tolerances or Tolerances(),
+            temporary=folder,
+            partial=partial,
+            dry_run=dry_run,
+            backup=backup,
+            force=force,
+        )
+        return shorten_paths(result, f"{folder}{os.sep}")
+
+
+def _find_paths(
+    urdf: str | Path | VariantSpec, mjcf: str | Path | VariantSpec | None, folder: Path
+) -> tuple[str | Path, str | Path]:
+    """Return the paths of both models; the files of a scaled variant are written to ``folder``."""
+    paths = list[str | Path]()
+    given = (urdf, urdf if mjcf is None else mjcf)
+    for side, (argument, model) in enumerate(zip(given, find_model_pair(urdf, mjcf), strict=True)):
+        if is_variant(argument) and not isinstance(model, str | Path):
+            paths.append(find_files(argument, folder)[side])
+            continue
+        require_path(("urdf", "mjcf")[side], model)
+        paths.append(model)
+    return paths[0], paths[1]
+
+
+def _sync_files(
+    files: Files,
+    take: str | Sequence[str],
+    tolerances: Tolerances,
+    *,
+    temporary: Path,
+    partial: bool,
+    dry_run: bool,
+    backup: bool,
+    force: bool,
+) -> Sync:
+    """Compare two files, and write the chosen values; see `sync_models`.
+
+    Raises:
+        ConfigurationError: If a file in the folder ``temporary`` would have to be written.
+    """
     comparison = _compare_files(files, tolerances)
     choices = choose_files(comparison.differences, take)
     keys = {
@@ -156,6 +202,9 @@ def sync_models(
         plan.find_cause(key) == UnwrittenCause.NOT_MENDED for key in plan.left
     )
     is_dry = dry_run or withheld
+    changed = [d.path for d in plan.documents() if d.render() != d.data]
+    if not is_dry and any(path.is_relative_to(temporary) for path in changed):
+        raise ConfigurationError("take", diagnose("object-without-file"))
     written, backups = ((), ()) if is_dry else _write_files(plan, backup=backup, force=force)
     labels = {(d.kind, d.element): format_difference_label(d) for d in comparison.differences}
     return Sync(
