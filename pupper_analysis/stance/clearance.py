@@ -147,6 +147,7 @@ class ClearanceShapes:
         # Shapes of a hand surround its contact sphere.
         self._hands = {hand: joints.get(robot.structure.parents[hand], "") for hand in robot.hands}
         self._heights = [(part.shape.form.height, part.shape.link) for part in self.parts]
+        self._nearest: tuple[tuple[bytes, int], list[SolidPair]] | None = None
 
     def move_to(self, qpos: ArrayLike) -> Kinematics:
         """Compute the poses of links, CoM and feet at a configuration ``qpos``, shape (nq,).
@@ -200,6 +201,8 @@ class ClearanceShapes:
     def find_nearest_pairs(self, qpos: Array, most: int) -> list[SolidPair]:
         """Return the nearest pairs of collision shapes on links that are not neighbours.
 
+        The last result is cached: a program evaluates the distances with several goals.
+
         Args:
             qpos: Configuration, shape (nq,).
             most: Maximum number of pairs.
@@ -207,7 +210,11 @@ class ClearanceShapes:
         Returns:
             Pairs with distance [m], the nearest first.
         """
-        return self._find_nearest(qpos, self._pairs, most)
+        key = np.asarray(qpos, dtype=float).tobytes(), most
+        if self._nearest is None or self._nearest[0] != key:
+            self._nearest = key, self._find_nearest(qpos, self._pairs, most)
+        self.move_to(qpos)
+        return list(self._nearest[1])
 
     def _find_nearest(self, qpos: Array, pairs: IntArray, most: int) -> list[SolidPair]:
         """Return the ``most`` nearest pairs of shapes in a configuration (nq,), nearest first.

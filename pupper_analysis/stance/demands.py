@@ -135,11 +135,12 @@ class DemandVector:
         ]
         return np.array([part[key.axis] for part, key in zip(parts, self.keys, strict=True)])
 
-    def make_task(self, values: Array) -> StandTask:
+    def make_task(self, values: Array, *, checked: bool = True) -> StandTask:
         """Return a copy of the task in which the n numbers of this vector have other values.
 
         Args:
             values: Values of the requirements that ``keys`` lists, shape (n,) [m, rad].
+            checked: Check the values; not needed between ``low`` and ``high``.
         """
         changed: dict[str, dict[str, list[float]]] = {}
         for (field, foot, _), value in zip(self.keys, values.tolist(), strict=True):
@@ -153,7 +154,8 @@ class DemandVector:
                 if FIELDS[name].per
                 else self._make_value(name, "", of[""])
                 for name, of in changed.items()
-            }
+            },
+            checked=checked,
         )
 
     def _make_value(self, field: str, foot: str, parts: list[float]) -> Any:

@@ -356,9 +356,8 @@ class StanceProgram:
 
         Foot targets and joint limits of the goal ``like`` are reused if they are equal.
         """
-        return make_goal(
-            self._robot, self._numbers.make_task(values), self._goal.depths, like, checked=False
-        )
+        task = self._numbers.make_task(values, checked=False)
+        return make_goal(self._robot, task, self._goal.depths, like, checked=False)
 
     def _point(self, x: Array) -> _Point:
         """Evaluate the constraints at the vector ``x`` of variables; the last result is cached."""

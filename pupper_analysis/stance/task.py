@@ -167,11 +167,13 @@ class StandTask:
         owners = {"task": self, "ground": self.ground}
         return {name: getattr(owners[field.part], name) for name, field in FIELDS.items()}
 
-    def with_values(self, values: Mapping[str, Any]) -> StandTask:
+    def with_values(self, values: Mapping[str, Any], *, checked: bool = True) -> StandTask:
         """Return a copy of this task with other values of its requirements.
 
         Args:
             values: {name of the field in ``stance/fields.toml``: value}; other fields are kept.
+            checked: Check the values. Numbers and points that are known to be valid, in the types
+                of this class, need no check. The ground and contacts are always checked.
 
         Raises:
             ConfigurationError: If a value is invalid, or contradicts another value.
@@ -180,7 +182,12 @@ class StandTask:
         own: dict[str, Any] = {name: values[name] for name in values if name not in grounds}
         if grounds:
             own["ground"] = replace(self.ground, **grounds)
-        return replace(self, **own)
+        converts = any(FIELDS[name].kind in _CONVERTED_KINDS for name in values)
+        if checked or converts or self.ground.planes:
+            return replace(self, **own)
+        numbers = {name: FIELDS[name] for name in own if name in FIELDS}
+        own |= {name: FrozenDict(own[name]) for name, field in numbers.items() if field.per}
+        return self.replace_unchecked(**own)
 
     def rotation(self) -> Array:
         """Return the required rotation matrix from base axes to world axes, shape (3, 3)."""
@@ -256,6 +263,9 @@ def _check_lifted_contact(foot: str, contact: Contact | Weld) -> None:
         return
     raise ConfigurationError("swing", diagnose("lifted-foot-bears", foot=foot, bearing=bearing))
 
+
+_CONVERTED_KINDS = ("contact", "position")
+"""Kinds of fields whose values `Field.check_value` converts to other types."""
 
 _TASK_FIELDS = tuple(field for field in FIELDS.values() if field.part == "task")
 """Fields that are attributes of `StandTask`, and are checked on construction. The other fields are

@@ -346,3 +346,19 @@ def test_base_in_the_ground_is_detected_from_the_task(name: str) -> None:
         assert found == (height < task.ground_clearance)
         seen.add(found)
     assert seen == {True, False}
+
+
+def test_nearest_pairs_of_a_configuration_follow_those_of_others() -> None:
+    """The last result is cached; reference: shapes that evaluate a single configuration."""
+    robot = load("v3")
+    shapes, bent = ClearanceShapes(robot), robot.home.copy()
+    bent[7:] += 0.1
+    for qpos in (robot.home, bent, bent, robot.home):
+        for most in (4, 2):
+            found = [
+                (pair.one, pair.other, pair.distance)
+                for pair in shapes.find_nearest_pairs(qpos, most)
+            ]
+            fresh = ClearanceShapes(robot).find_nearest_pairs(qpos, most)
+            assert found == [(pair.one, pair.other, pair.distance) for pair in fresh]
+            np.testing.assert_array_equal(shapes.kinematics.qpos, qpos)

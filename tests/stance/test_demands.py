@@ -35,6 +35,24 @@ TASK = pa.StandTask(
 )
 
 
+@pytest.mark.parametrize(
+    "task",
+    [
+        TASK,
+        replace(TASK, offset=None, com=(0.01, 0.02), com_margin=0.01, self_clearance=0.005),
+        pa.StandTask(feet={"FL": (0.1, 0.1)}, roll=0.1, com="inside", joint_margin=0.05),
+    ],
+)
+def test_tasks_without_checks_equal_checked_tasks_in_values_and_types(task: pa.StandTask) -> None:
+    """Reference: `make_task`, which checks and converts each value."""
+    numbers = DemandVector(load("v3"), task, DEMANDS)
+    values = numbers.clip(0.9 * numbers.values)
+    checked, unchecked = (numbers.make_task(values, checked=check) for check in (True, False))
+    assert checked == unchecked != task
+    for name, value in vars(checked).items():
+        assert type(vars(unchecked)[name]) is type(value), name
+
+
 def test_demand_vector_and_task_convert_into_each_other() -> None:
     """Reference: the task, and the fields that are changed by 10 mm."""
     robot = load("v3")
