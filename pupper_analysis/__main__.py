@@ -6,6 +6,8 @@ import os
 import sys
 import threading
 
+from pupper_analysis.base.drivers import use_one_blas_thread
+
 
 def main(command: str | None = None, *arguments: str) -> None:
     """Run the command line, and exit with the status of the command.
@@ -17,6 +19,7 @@ def main(command: str | None = None, *arguments: str) -> None:
         command: Name of the command; None: the first command-line argument.
         *arguments: Arguments of the command, placed before the command-line arguments.
     """
+    use_one_blas_thread()
     try:
         from pupper_analysis import cli
     except KeyboardInterrupt:

@@ -10,6 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import tests.support.one_blas_thread  # noqa: F401 - takes effect before NumPy is imported
+
+# isort: split
 import hypothesis
 import mujoco
 import pytest

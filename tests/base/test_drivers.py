@@ -170,3 +170,36 @@ def test_mujoco_is_imported_without_a_driver_if_drawing_is_disabled(tmp_path: Pa
     code = "import pupper_analysis, mujoco; print(mujoco.MjModel.__name__)"
     result = run_python("-c", code, folder=tmp_path, gl="disable")
     assert result.stdout == "MjModel\n", result.stderr
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, "1"),
+        ({"OPENBLAS_NUM_THREADS": ""}, "1"),
+        ({"OPENBLAS_NUM_THREADS": "3"}, "3"),
+        ({"OMP_NUM_THREADS": "3"}, None),
+    ],
+)
+def test_commands_use_one_thread_of_blas_unless_the_user_chose_a_number(
+    given: dict[str, str], expected: str | None
+) -> None:
+    """Reference: the environment at the end of a command, in a process of its own."""
+    variables = ("OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS", "OMP_NUM_THREADS")
+    kept = {name: value for name, value in os.environ.items() if name not in variables}
+    program = """
+import atexit, os, sys
+atexit.register(lambda: print(os.environ.get("OPENBLAS_NUM_THREADS")))
+from pupper_analysis.__main__ import main
+sys.argv[1:] = ["--version"]
+main()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        env={**kept, "PYTHONPATH": str(ROOT), **given},
+        timeout=100,
+        check=True,
+    )
+    assert done.stdout.splitlines()[-1] == str(expected)
