@@ -117,8 +117,8 @@ CONTINUOUS_OPTION = click.option(
     multiple=True,
     metavar="[JOINTS=]NM",
     help=(
-        "Continuous torque of the motors of all joints that match a pattern (N m), instead of the "
-        "effort limits in the files; or a motor of `heat --list-motors`, or its file; e.g. 0.4, "
+        "Continuous torque of the motors of all joints that match a pattern (N m), at most their "
+        "effort limit; or a motor of `heat --list-motors`, or its file; e.g. 0.4, "
         "'*knee*=12', dephy-actpack. Repeatable."
     ),
 )
@@ -497,6 +497,17 @@ def parse_continuous_torques(
             torques |= typed
             motors = {joint: motor for joint, motor in motors.items() if joint not in typed}
     return torques, motors
+
+
+def limit_by_peak(robot: Robot, torques: Mapping[str, float]) -> dict[str, float]:
+    """Return {joint: continuous torque [N m, N]}, at most the peak limit of the robot.
+
+    Joints whose limit is zero or negative are left out: their motors exert no torque.
+    """
+    peaks = {limit.joint: limit.symmetric_torque for limit in robot.efforts}
+    return {
+        joint: min(torque, peaks[joint]) for joint, torque in torques.items() if peaks[joint] > 0
+    }
 
 
 def _names_motor(text: str) -> bool:

@@ -8,11 +8,13 @@ from pathlib import Path
 
 import pytest
 
+import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, ModelError
-from pupper_analysis.cli.stance_options import parse_continuous_torques
+from pupper_analysis.cli.stance_options import limit_by_peak, parse_continuous_torques
 from pupper_analysis.models.motors.reading import find_motor
 from pupper_analysis.models.motors.thermal import ThermalNetwork, compute_continuous_torque
 from tests.support.commands import run_command
+from tests.support.legged import quadruped, rewrite_file
 from tests.support.variants import load
 
 
@@ -80,3 +82,26 @@ def test_hold_compares_torques_with_the_continuous_ones(
     content = json.loads(path.read_text())
     assert content["limits"][2::3] == [0.6] * 4
     assert content["limits"][0] == 3.0
+
+
+@pytest.mark.slow
+def test_continuous_torque_is_at_most_the_peak_torque(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The limits of v3 are 3 N m; a motor without torque stays without torque."""
+    for options, limits in (
+        (("--continuous", "100"), (3.0, 3.0)),
+        (("--effort", "*_3=1", "--continuous", "2"), (2.0, 1.0)),
+    ):
+        path = tmp_path / "hold.json"
+        status, _, err = run_command(capfd, "hold", "v3", *options, "--json", str(path), "--force")
+        assert status in (0, 1), err
+        content = json.loads(path.read_text())
+        assert (content["limits"][0], content["limits"][2]) == limits
+    pair = quadruped(tmp_path, floor=True, actuators="position")
+    rewrite_file(pair.urdf, ('effort="80"', 'effort="0"'), count=1)
+    robot = pa.load_robot(*pair)
+    [null] = [limit.joint for limit in robot.efforts if limit.without_torque]
+    assert limit_by_peak(robot, dict.fromkeys(robot.joint_names, 500.0)) == {
+        joint: 80.0 for joint in robot.joint_names if joint != null
+    }

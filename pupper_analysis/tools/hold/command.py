@@ -21,6 +21,7 @@ from pupper_analysis.cli.stance_options import (
     OUTPUT_OPTIONS,
     SERVO_OPTIONS,
     RobotAndTask,
+    limit_by_peak,
     parse_continuous_torques,
 )
 
@@ -94,7 +95,7 @@ def command(
     options = RobotAndTask.of_fixed_base(**robot_options)
     robot = options.robot(words, visuals=report_path is not None)
     continuous_efforts, motors = parse_continuous_torques(continuous, robot)
-    robot = with_efforts(robot, continuous_efforts)
+    robot = with_efforts(robot, limit_by_peak(robot, continuous_efforts))
     kp, kd = options.gains(robot)
     with shared.show_progress("holding the posture, and simulating it"):
         result = hold_posture(

@@ -10,6 +10,7 @@ from pupper_analysis.cli.robots import robot_argument
 from pupper_analysis.cli.stance_options import (
     CONTINUOUS_OPTION,
     RobotAndTask,
+    limit_by_peak,
     parse_continuous_torques,
     robot_and_task,
 )
@@ -59,7 +60,7 @@ def command(
     task = request.task()
     robot = request.robot(words, visuals=report_path is not None, payload_sought=True)
     continuous_efforts, motors = parse_continuous_torques(continuous, robot)
-    robot = with_efforts(robot, continuous_efforts)
+    robot = with_efforts(robot, limit_by_peak(robot, continuous_efforts))
     kp, kd = request.gains(robot)
     with shared.show_progress("searching for the payload, and simulating it"):
         result = payload_limit(robot, task, request.place, kp=kp, kd=kd)
