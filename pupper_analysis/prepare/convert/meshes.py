@@ -23,6 +23,7 @@ from pupper_analysis.base.inputs import read_input
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import flat_mesh
 from pupper_analysis.models.places import one_line
+from pupper_analysis.models.shapes import Array, Integers
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml import add_element, make_unique_name
 from pupper_analysis.prepare.convert.mesh_limits import (
@@ -462,14 +463,30 @@ def _convert_content(data: bytes, ending: str) -> bytes:
         _check_count(count, MAX_MESH_VERTICES)
         for shape in scene.geometry.values():
             shape.visual = None  # otherwise textures of all parts are merged: 200 MB per mesh
-        text: str = trimesh.exchange.obj.export_obj(
-            scene.to_mesh(), include_color=False, include_texture=False, include_normals=False
-        )
-        return text.encode()
+        mesh = scene.to_mesh()
+        return format_obj(mesh.vertices, mesh.faces, mesh.metadata.get("name"))
     except UnreadableError:
         raise
     except Exception as error:  # the readers raise many types for broken files
         raise UnreadableError(diagnose("mesh-broken")) from error
+
+
+def format_obj(vertices: Array, faces: Integers, name: str | None) -> bytes:
+    """Return the content of an OBJ file, byte for byte that of trimesh, in a third of the time.
+
+    Args:
+        vertices: Positions, shape (n, 3) [m]; written with eight decimals.
+        faces: Triangles, shape (m, 3), as row numbers of the vertices.
+        name: Name of the object; None for an object without name.
+    """
+    title = "" if name is None else f"\no {name}\n"
+    places = "v %.8f %.8f %.8f\n" * len(vertices) % tuple(vertices.ravel().tolist()) or "v \n"
+    corners = "f %d %d %d\n" * len(faces) % tuple((faces + 1).ravel().tolist()) or "f \n"
+    return f"{_OBJ_COMMENT}{title}{places}{corners}\n".encode()
+
+
+_OBJ_COMMENT = "# https://github.com/mikedh/trimesh\n"
+"""First line of a converted file: the library that reads the converted formats."""
 
 
 def read_mesh(path: Path) -> bytes:

@@ -14,6 +14,7 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import trimesh
 from lxml import etree
@@ -314,3 +315,19 @@ def test_mesh_that_is_visual_and_collides_is_compiled_once(
     names = [made.register_mesh(etree.fromstring(element), touches=way) for way in (False, True)]
     assert names[0] == names[1]
     assert compiled == [(file.name, True)]
+
+
+@pytest.mark.parametrize("name", [None, "a part"])
+@pytest.mark.parametrize("count", [0, 3, 200])
+def test_obj_text_equals_that_of_trimesh(name: str | None, count: int) -> None:
+    """Reference: trimesh's export, also of small, large and negative numbers and of no mesh."""
+    random = np.random.default_rng(3)
+    vertices = random.normal(size=(count, 3)) * 10.0 ** random.integers(-9, 4, (count, 3))
+    faces = random.integers(0, max(count, 1), (count and 2 * count, 3))
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    if name is not None:
+        mesh.metadata["name"] = name
+    expected = trimesh.exchange.obj.export_obj(
+        mesh, include_color=False, include_texture=False, include_normals=False
+    )
+    assert meshes.format_obj(mesh.vertices, mesh.faces, name) == expected.encode()
