@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.kinds import Folder
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import robot_argument
@@ -134,3 +135,5 @@ def _write_files(
             files = write_variant(selection, temporary)
         write_gains(study, robot, folder, files=files)
     shared.confirm_written(folder)
+    if request.payload:
+        click.echo(str(diagnose("gains-written-for-payload", mass=Quantity(request.payload, "kg"))))

@@ -10,6 +10,7 @@ import pytest
 
 from pupper_analysis.pupper.variant_files import write_variant
 from tests.support.commands import answer
+from tests.support.variants import load
 
 
 @pytest.mark.slow
@@ -38,3 +39,15 @@ def test_an_mjcf_without_servos_is_refused_by_name(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "leg_front_r_1" in done.stderr
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.slow
+def test_written_gains_are_those_for_the_payload(tmp_path: Path) -> None:
+    """References: mass and gains of MuJoCo's model; a kp of 5 N m/rad is too soft for 1 kg and the
+    margin of a factor of 2, but not without payload."""
+    done = answer("gains", "v3", "--payload", "1", "--write", str(tmp_path / "new"))
+    assert done.returncode == 0, done.stderr
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "new" / "mjcf" / "v3.xml"))
+    assert model.actuator_gainprm[0, 0] == pytest.approx(2 * 3.25, rel=0.01)
+    assert model.body_mass.sum() == pytest.approx(load("v3").total_mass)
+    assert "a payload of 1 kg; the files contain the robot without it" in done.stdout
