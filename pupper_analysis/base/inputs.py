@@ -26,6 +26,13 @@ from pupper_analysis.base.errors import ConfigurationError, InputError
 from pupper_analysis.base.files import describe_os_error
 from pupper_analysis.base.runs import register_input
 
+CONFIG_NAME: Final = "pupper-analysis.toml"
+"""Name of the configuration file of a project: pairs and rules of `check`, keys of `contract`."""
+
+GENERATED_FOLDERS: Final = ("node_modules", "site-packages", "build", "install", "log")
+"""Names of folders with generated or installed files. Searches for files skip these folders, and
+those with a leading dot."""
+
 MAX_TEXT_BYTES: Final = 20_000_000
 """Maximum size of a text file, such as a model or settings. Chosen, not tuned."""
 

@@ -31,8 +31,12 @@ from pupper_analysis.base.diagnostics import (
     is_term,
     phrase,
 )
+from pupper_analysis.base.diagnostics.diagnostic import Severity
 
 Array = NDArray[np.float64]
+
+SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
+"""{severity of a finding: emphasis in a document}."""
 
 
 def text(key: str, **values: object) -> Text:

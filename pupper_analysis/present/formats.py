@@ -24,6 +24,7 @@ from urllib.parse import quote
 from xml.etree import ElementTree
 
 from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.diagnostics.diagnostic import Severity
 from pupper_analysis.base.results import to_json
 
 SARIF_SCHEMA_URL = "https://json.schemastore.org/sarif-2.1.0.json"
@@ -46,6 +47,10 @@ class Fix:
     description: str
     file: str
     splices: tuple[tuple[int, int, str], ...]
+
+
+ANNOTATION_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
+"""{severity of a finding: level of its annotation}."""
 
 
 @dataclass(frozen=True)

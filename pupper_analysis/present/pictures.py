@@ -249,7 +249,8 @@ def list_views(result: Any, robot: Robot | None = None) -> View:
         ConfigurationError: If the type has no pictures, or the robot is missing.
     """
     del robot
-    raise ConfigurationError("result", diagnose("result-without-picture", kind=_name_type(result)))
+    kind = type(result).__name__
+    raise ConfigurationError("result", diagnose("result-without-picture", kind=kind))
 
 
 @list_views.register(Configuration)
@@ -288,18 +289,14 @@ def _make_view(robot: Robot, qpos: Array) -> View:
 def _require_robot(result: object, robot: Robot | None) -> Robot:
     """Return the robot, or raise a ConfigurationError that names the type of the result."""
     if robot is None:
-        raise ConfigurationError("robot", diagnose("picture-needs-robot", kind=_name_type(result)))
+        kind = type(result).__name__
+        raise ConfigurationError("robot", diagnose("picture-needs-robot", kind=kind))
     return robot
 
 
 def _place_on_ground(robot: Robot, stand: Stand) -> Robot:
     """Return the robot with the slopes, steps and tables of a stand."""
     return build_on_ground(stand.check(robot), stand.task.ground, stand.rigid_targets)
-
-
-def _name_type(result: object) -> str:
-    """Return the name of the class of a result."""
-    return type(result).__name__
 
 
 def _can_open_window() -> bool:

@@ -51,7 +51,8 @@ def draw_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:
     document = make_document(result, robot)
     plots = [block for block in document.blocks if isinstance(block, Plot)]
     if not plots:
-        raise ConfigurationError("plot", diagnose("result-without-plot", kind=name_kind(result)))
+        kind = type(result).__name__
+        raise ConfigurationError("plot", diagnose("result-without-plot", kind=kind))
     return tuple(make_plots_figure(plots, create=create_figure).axes)
 
 
@@ -76,8 +77,3 @@ def create_figure(**options: Any) -> Figure:
     import matplotlib.pyplot as plt
 
     return plt.figure(**{**options, "dpi": SCREEN_DPI})
-
-
-def name_kind(result: object) -> str:
-    """Return the class name of a result."""
-    return type(result).__name__

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.present.documents.standing import height_plot
-from pupper_analysis.present.plots import create_figure, draw_result, make_axes, name_kind
+from pupper_analysis.present.plots import create_figure, draw_result, make_axes
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.judge import Stand
@@ -38,7 +38,7 @@ def draw_stand(stand: Stand, robot: Robot | None = None) -> tuple[Axes, ...]:
 
     robot = robot or stand.own_robot
     if robot is None:
-        raise ConfigurationError("robot", diagnose("plot-needs-robot", kind=name_kind(stand)))
+        raise ConfigurationError("robot", diagnose("plot-needs-robot", kind=type(stand).__name__))
     robot = stand.check(robot)
     if not stand.stance_feet:
         return tuple(make_skeleton_figure(robot, stand.qpos, create_figure).axes)
@@ -59,7 +59,7 @@ def draw_posture(posture: SolvedPosture, robot: Robot | None = None) -> tuple[Ax
 
     robot = robot or posture.robot
     if robot is None:
-        raise ConfigurationError("robot", diagnose("plot-needs-robot", kind=name_kind(posture)))
+        raise ConfigurationError("robot", diagnose("plot-needs-robot", kind=type(posture).__name__))
     if posture.stand is not None and posture.stand.stance_feet:
         return draw_stand(posture.stand, robot)
     return tuple(make_skeleton_figure(robot, posture.qpos, create_figure).axes)

@@ -38,7 +38,7 @@ _RATE_TOLERANCE = 0.3
 """Relative difference between the growths per time step (|eigenvalue| - 1) of two modes, up to
 which both finite-difference steps show the same mode. Chosen, not tuned."""
 
-_SOLVER_TOLERANCE = 1e-14
+DIFFERENCE_SOLVER_TOLERANCE = 1e-14
 """Upper bound of MuJoCo's solver tolerance while a time step is linearised by finite differences.
 Measured with the default of 1e-8: the solver sometimes stops an iteration earlier on one side of a
 difference, and an element of the matrix deviates by 0.03. The model is changed in place, since a
@@ -80,7 +80,7 @@ def step_derivative(
     size = 2 * model.nv + model.na
     matrix, tolerance = np.zeros((size, size)), float(model.opt.tolerance)
     flags = int(model.opt.enableflags)
-    model.opt.tolerance = min(tolerance, _SOLVER_TOLERANCE)
+    model.opt.tolerance = min(tolerance, DIFFERENCE_SOLVER_TOLERANCE)
     # Sleeping bodies have no derivative: a change of their state wakes them, or is ignored.
     model.opt.enableflags = flags & ~SLEEP_FLAG
     if flags & SLEEP_FLAG:

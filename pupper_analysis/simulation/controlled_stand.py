@@ -30,7 +30,12 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.robot.stability import HOLD_DURATION, copy_data, select_most_moving
+from pupper_analysis.robot.stability import (
+    DIFFERENCE_SOLVER_TOLERANCE,
+    HOLD_DURATION,
+    copy_data,
+    select_most_moving,
+)
 from pupper_analysis.simulation.rollout import StandStart
 
 Array = NDArray[np.float64]
@@ -60,10 +65,6 @@ closed loop, or its imaginary part, counts as zero. Chosen, not tuned."""
 _DIFFERENCE_STEP = 1e-6
 """Step of the central differences that linearise a time step [m, rad, m/s, rad/s, N m]. Measured on
 v3: the modes differ by 1e-6 (relative) from those with a step of 1e-7."""
-
-_SOLVER_TOLERANCE = 1e-14
-"""Upper bound of MuJoCo's solver tolerance (``mjOption.tolerance``) during the finite differences,
-as in ``robot/stability.py``."""
 
 _NUDGE_ANGLE, _NUDGE_SPEED = 0.02, 0.2
 """Displacement [rad, m] or velocity [rad/s, m/s] of the joint that moves most at the start of a
@@ -196,7 +197,7 @@ class ControlledStand:
         model = copy.copy(self.model)
         model.dof_frictionloss[:] = 0.0
         model.tendon_frictionloss[:] = 0.0
-        model.opt.tolerance = min(float(model.opt.tolerance), _SOLVER_TOLERANCE)
+        model.opt.tolerance = min(float(model.opt.tolerance), DIFFERENCE_SOLVER_TOLERANCE)
         model.opt.enableflags &= ~mujoco.mjtEnableBit.mjENBL_SLEEP.value
         size = 2 * model.nv + model.na
         state, inputs = np.zeros((size, size)), np.zeros((size, model.nu))

@@ -46,10 +46,10 @@ DOUBLINGS = 3
 opposite directions, that confirm the modes. Chosen, not tuned: growth that is exponential only
 within micrometres ends earlier, when a contact opens or takes load."""
 
-NUDGE_ANGLE, NUDGE_SPEED = 1e-4, 0.1
+MODE_NUDGE_ANGLE, MODE_NUDGE_SPEED = 1e-4, 0.1
 """Largest initial deviation of a joint [rad, m] and of a velocity [rad/s, m/s] along a mode, in the
 simulations that test growth. Chosen small: a foot with 1/10,000 of the weight is 10 um deep, and
-``2 ** DOUBLINGS * NUDGE_ANGLE`` at a leg of 0.1 m moves that foot by 80 um."""
+``2 ** DOUBLINGS * MODE_NUDGE_ANGLE`` at a leg of 0.1 m moves that foot by 80 um."""
 
 FREEING_ANGLE, FREEING_SPEED = 1e-2, 1.0
 """Largest initial deviation of a joint [rad, m] and of a velocity [rad/s, m/s] along modes that dry
@@ -189,7 +189,7 @@ def _nudge_sizes(modes: list[Mode]) -> list[tuple[float, float]]:
 
     Each is a joint displacement [rad, m] and a velocity [rad/s, m/s].
     """
-    small, large = (NUDGE_ANGLE, NUDGE_SPEED), (FREEING_ANGLE, FREEING_SPEED)
+    small, large = (MODE_NUDGE_ANGLE, MODE_NUDGE_SPEED), (FREEING_ANGLE, FREEING_SPEED)
     if not modes[0].without_dry_friction:
         return [small]
     # A limit cycle ends growth; the larger nudge may start outside of it.

@@ -108,7 +108,7 @@ MIN_FORCE_SCALE = 0.05
 """Smallest force, relative to the weight, by which the error of a foot force is divided. Chosen,
 not tuned."""
 
-MAX_HEIGHT_LOSS_RATIO = 0.1
+MAX_SINKING_RATIO = 0.1
 """Largest height loss of a verified stand with feed-forward, relative to the CoM height above the
 feet. Only stands whose legs are too short to compensate for the penetration of the feet lose
 height with feed-forward. Chosen, not tuned."""
@@ -591,7 +591,7 @@ def _compare_with_prediction(
 def _describe_height_loss(result: StandVerification, com_height: float) -> list[Diagnostic]:
     """Report that the base of a simulated robot with feed-forward settles too far below the stand.
 
-    Empty if the robot collapses, or if the base settles less than `MAX_HEIGHT_LOSS_RATIO` times
+    Empty if the robot collapses, or if the base settles less than `MAX_SINKING_RATIO` times
     ``com_height`` lower.
 
     Args:
@@ -599,7 +599,7 @@ def _describe_height_loss(result: StandVerification, com_height: float) -> list[
         com_height: CoM height of the stand above the feet [m].
     """
     share = result.height_loss / com_height
-    if result.collapses or share <= MAX_HEIGHT_LOSS_RATIO:
+    if result.collapses or share <= MAX_SINKING_RATIO:
         return []
     loss, sunk = Quantity(result.height_loss, "m"), Quantity(result.contact_sag, "m")
     return [diagnose("height-lost", loss=loss, share=share, sunk=sunk)]

@@ -30,6 +30,11 @@ from pupper_analysis.robot.structure import Kinematics
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+NUM_NEAREST_PAIRS = 12
+"""Number of nearest pairs of collision shapes whose distances a search of a stand or posture
+constrains. The shapes are on links that are not neighbours. Chosen, not tuned: Pupper v3 has 32
+such pairs, of which fewer are close to each other at once."""
+
 _LEVEL_NORMAL = (0.0, 0.0, 1.0)
 """Unit normal of level ground, in the world frame."""
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pupper_analysis.robot.closure import Closure
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.structure import Kinematics
-from pupper_analysis.stance.clearance import Clearance, ClearanceShapes
+from pupper_analysis.stance.clearance import NUM_NEAREST_PAIRS, Clearance, ClearanceShapes
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.statics.support_polygon import SIDES, margin_of_position, polygon_sides
 
@@ -32,11 +32,6 @@ CLEARANCE_TOLERANCE = 1e-6
 """Violation of a required clearance [m] that counts as rounding and is accepted. The nonlinear
 program permits half of it, since the program is inexact at the limit of reach. Chosen, not
 tuned."""
-
-_NUM_NEAREST_PAIRS = 12
-"""Number of nearest pairs of collision shapes whose distances a search constrains. The shapes are
-on links that are not neighbours. Chosen, not tuned: Pupper v3 has 32 such pairs, of which fewer are
-close to each other at once."""
 
 
 class Constraint:
@@ -330,13 +325,13 @@ class SelfClearance(Constraint):
         The collision shapes are on links that are not neighbours. Half of `CLEARANCE_TOLERANCE` is
         added, so that a search with small errors still finds an accepted stand.
         """
-        pairs = self._shapes.find_nearest_pairs(at.qpos, _NUM_NEAREST_PAIRS)
+        pairs = self._shapes.find_nearest_pairs(at.qpos, NUM_NEAREST_PAIRS)
         least = (goal.task.self_clearance or 0.0) - CLEARANCE_TOLERANCE / 2
         return np.array([pair.distance for pair in pairs]) - least
 
     def jacobian(self, _: Goal, at: Configuration) -> Array:
         """Return the Jacobian of the distances of the nearest shape pairs by qvel, (n, nv)."""
-        return self._shapes.distance_jacobian(at, _NUM_NEAREST_PAIRS)
+        return self._shapes.distance_jacobian(at, NUM_NEAREST_PAIRS)
 
     def smallest_clearance(self, _: Goal, at: Kinematics) -> Clearance | None:
         """Return the smallest distance [m] between links that are not neighbours; None if none."""

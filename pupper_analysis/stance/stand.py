@@ -89,6 +89,19 @@ def solve_stand(
     return attach_robot(stand, owner)
 
 
+def resolve_stance(robot: Robot, stance: StandTask | Stand) -> tuple[Robot, Stand]:
+    """Return a robot with the contacts of a stance, and its stand; a task is solved.
+
+    Raises:
+        ConfigurationError: If a stand belongs to another robot, or no stand can satisfy a task.
+        UnknownNameError: If a task contains an unknown foot, joint or contact.
+        ModelError: If the mass or inertia of a body is invalid.
+        StanceUnreachableError: If a task is unreachable.
+    """
+    stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
+    return stand.check(robot), stand
+
+
 def _select_robot(robot: Robot, task: StandTask | None) -> Robot:
     """Return the robot whose stand is searched: with the contacts of a task, else without servos.
 

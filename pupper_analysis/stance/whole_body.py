@@ -32,7 +32,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import find_tool
-from pupper_analysis.stance.clearance import ClearanceShapes
+from pupper_analysis.stance.clearance import NUM_NEAREST_PAIRS, ClearanceShapes
 from pupper_analysis.stance.judge import Stand, attach_robot
 from pupper_analysis.stance.posture_contacts import (
     KeptContact,
@@ -48,7 +48,7 @@ from pupper_analysis.stance.posture_tasks import (
     PostureTask,
     SelfClearanceTask,
 )
-from pupper_analysis.stance.solver import PooledPlacoRobot
+from pupper_analysis.stance.solver import RADIUS_REDUCTION, UNLIMITED_POSITION, PooledPlacoRobot
 from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
@@ -67,11 +67,6 @@ on four postures: 4 to 10; steps of `_MAX_STEP` cross the range of a joint in 20
 
 _MAX_STEP = 0.3
 """Largest displacement of a joint in an iteration [rad, m]. Chosen, not tuned."""
-
-_NUM_NEAREST_PAIRS = 12
-"""Number of nearest pairs of collision shapes that `SelfClearanceTask` keeps apart in an iteration.
-The shapes are on links that are not neighbours. Chosen, not tuned: Pupper v3 has 32 such pairs, of
-which fewer are close to each other at once."""
 
 _MAX_MEASURED_DISTANCE = 1e3
 """Upper bound of the distances that MuJoCo measures [m]: larger than any robot. Chosen, not tuned.
@@ -95,10 +90,6 @@ _NEAR_JOINTS_WEIGHT = 1e-6
 starts, relative to required tasks. Chosen so that 1 rad of a joint costs as much as 1 cm of the
 base: with equal weights, Go2 with an arm lowered its base by 12 cm to bend the arm less."""
 
-_RADIUS_REDUCTION = 4
-"""Factor by which the trust radius shrinks after a step that increases the error. Chosen, not
-tuned."""
-
 _ROUNDING_ERROR = 1e-24
 """Weighted sum of squared residuals [m^2 and rad^2 mixed] below which the iteration ends. Chosen as
 the size of rounding errors: a residual of 1e-12 of one task."""
@@ -117,10 +108,6 @@ _NUM_RESTARTS = 8
 _REGULARIZATION = 1e-9
 """Weight of the squared step of the joints, relative to a task's weight of 1. Chosen small: it
 selects a step of redundant joints, and does not bias the solution."""
-
-_UNLIMITED_POSITION = 1e3
-"""Finite limit [rad, m] that replaces an infinite joint limit, since PlaCo requires finite limits.
-Chosen, not tuned: beyond the positions of any posture."""
 
 _AT_LIMIT = 1e-6
 """Distance from a joint limit [rad, m] up to which a joint counts as being at the limit, in the
@@ -431,8 +418,8 @@ class _PostureSolver:
         self.iterations = 0
         wrapper = self._placo_robot.wrapper
         for joint in np.flatnonzero(~robot.pin_convention.unbounded):
-            low = max(limits.lower[joint], -_UNLIMITED_POSITION)
-            high = min(limits.upper[joint], _UNLIMITED_POSITION)
+            low = max(limits.lower[joint], -UNLIMITED_POSITION)
+            high = min(limits.upper[joint], UNLIMITED_POSITION)
             wrapper.set_joint_limits(robot.joint_names[joint], low, high)
         # PlaCo bounds steps by velocity limit x dt.
         wrapper.set_velocity_limits(1.0)
@@ -523,7 +510,7 @@ class _PostureSolver:
                 error = self._evaluate(stage)
                 if float(np.linalg.norm(step)) < _ROUNDING_STEP:
                     return
-                radius /= _RADIUS_REDUCTION
+                radius /= RADIUS_REDUCTION
             elif float(np.linalg.norm(step)) < _NEGLIGIBLE_STEP:
                 return
             else:
@@ -590,7 +577,7 @@ class _PinocchioBody:
 
     def self_clearances(self) -> Array:
         """Return the smallest distances [m] of shapes on links that are no neighbours, sorted."""
-        pairs = self._collision.shapes.find_nearest_pairs(self._config.qpos, _NUM_NEAREST_PAIRS)
+        pairs = self._collision.shapes.find_nearest_pairs(self._config.qpos, NUM_NEAREST_PAIRS)
         return np.array([pair.distance for pair in pairs])
 
     def linearise_self_clearances(self) -> tuple[Array, Array]:
@@ -600,7 +587,7 @@ class _PinocchioBody:
         have the shape (n, nq); those by the pose of the base are zero.
         """
         robot, convention = self._config.robot, self._config.robot.pin_convention
-        rates = self._collision.shapes.distance_jacobian(self._config, _NUM_NEAREST_PAIRS)
+        rates = self._collision.shapes.distance_jacobian(self._config, NUM_NEAREST_PAIRS)
         # PlaCo's robot has a free base, which a fixed-base robot does not move.
         base = 0 if robot.floating else 7
         derivatives = np.zeros((len(rates), base + convention.nq))
@@ -636,7 +623,7 @@ class _MujocoBody(_PinocchioBody):
         nearest.
         """
         shapes, model = self._collision.shapes, self._robot.mj_model
-        pairs = shapes.find_nearest_pairs(self._config.qpos, _NUM_NEAREST_PAIRS)
+        pairs = shapes.find_nearest_pairs(self._config.qpos, NUM_NEAREST_PAIRS)
         found = [
             mujoco.mj_geomDistance(
                 model,

@@ -32,6 +32,11 @@ the base load (N and N m mixed). Other modules use the same value to decide whet
 point upward, and as relative tolerance of contact forces. Chosen, not tuned."""
 
 
+MAX_TOTAL_NORMAL_FORCE = 10.0
+"""Upper bound of the sum of normal forces, in units of the robot's weight, in the programs of the
+support polygon and of the range of a prescribed contact force. Between steep walls unbounded forces
+would balance any CoM position. Chosen: legs do not press harder."""
+
 _CONE_MARGIN = 1e-6
 """Relative reduction of the friction coefficients (and of grip limits) in the cone program, so that
 the solver's rounding stays inside the true cones."""

@@ -29,6 +29,7 @@ from pupper_analysis.robot.joints import list_force_units
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import (
     BALANCE_TOLERANCE,
+    MAX_TOTAL_NORMAL_FORCE,
     Balance,
     TangentialMetric,
     split_force,
@@ -779,7 +780,7 @@ def _explain_stated_force(problem: Balance, carrying: Contacts) -> StaticsInfeas
     unstated = replace(
         problem, base_rows=problem.base_rows[:free], base_load=problem.base_load[:free]
     )
-    upper = np.array([_MAX_TOTAL_NORMAL_FORCE * carrying.weight])
+    upper = np.array([MAX_TOTAL_NORMAL_FORCE * carrying.weight])
     if unstated.minimum_tangential(carrying.friction, carrying.metric) is None:
         return None
     total_normal = carrying.normals.reshape(1, -1)
@@ -812,9 +813,9 @@ _REPORTED_FORCE_MARGIN = 1e-3
 inside the true region (`support_corners`), so the exact limit would be refused if a user enters
 it."""
 
-_MAX_TOTAL_NORMAL_FORCE = 10.0
-"""Upper bound of the sum of normal forces, in units of the robot's weight, while the feasible range
-of a prescribed contact force is computed. Chosen: legs do not press harder."""
+UNLIMITED_MASS_RATIO = 1e4
+"""Ratio of payload to the robot's mass above which a payload counts as unlimited: the lever arm of
+the motors is then rounding, and `payload` ends its search. Chosen, not tuned."""
 
 MIN_TORQUE_PER_MASS = 1e-9
 """Torque per payload mass [N m/kg] below which a motor counts as not loaded by the payload: the

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import cross_matrices
-from pupper_analysis.statics.cone_program import Balance
+from pupper_analysis.statics.cone_program import MAX_TOTAL_NORMAL_FORCE, Balance
 
 Array = NDArray[np.float64]
 Corner = tuple[float, float]
@@ -122,10 +122,6 @@ _MIN_FAILURES = 3
 300 random sets of 2 to 5 contacts: of 207 regions, the cone program of a single direction failed in
 6, by rounding. Such a direction is left out."""
 
-_MAX_TOTAL_NORMAL_FORCE = 10.0
-"""Upper bound of the sum of normal forces, in units of the robot's weight. Between steep walls
-unbounded forces would balance any CoM position. Chosen: legs do not press harder."""
-
 
 def support_corners(
     points: Array,
@@ -143,7 +139,7 @@ def support_corners(
 
         sum f_i = m g e_z,    sum p_i x f_i = m g com x e_z,
 
-    and with a sum of normal forces up to `_MAX_TOTAL_NORMAL_FORCE`. This set is convex (Bretl and
+    and with a sum of normal forces up to `MAX_TOTAL_NORMAL_FORCE`. This set is convex (Bretl and
     Lall 2008, "Testing static equilibrium for legged robots"). Its extreme points in `SIDES`
     directions are solutions of cone programs.
 
@@ -231,7 +227,7 @@ def find_extreme_positions(
         load = np.concatenate([load, totals])
     problem = Balance(rows, load, no_joints, np.zeros(0), normals, grips[:, 3])
     bounded = np.concatenate([normals.ravel(), no_grips])[None]
-    limit = np.array([_MAX_TOTAL_NORMAL_FORCE])
+    limit = np.array([MAX_TOTAL_NORMAL_FORCE])
     if inequalities is not None:
         bounded = np.vstack([bounded, inequalities[0]])
         limit = np.concatenate([limit, inequalities[1]])

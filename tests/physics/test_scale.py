@@ -144,7 +144,7 @@ def test_dimensionless_results_do_not_depend_on_size(
     monkeypatch.setattr(stability.Stability.modes_growing_within, "__defaults__", (lasting,))
     for name in ("HOLD_DURATION", "LONGEST_TRIAL", "_CHUNK_DURATION", "_HALF_TIME", "_MAX_WINDOW"):
         monkeypatch.setattr(growth, name, getattr(growth, name) * size**0.5)
-    for name in ("NUDGE_SPEED", "FREEING_SPEED"):
+    for name in ("MODE_NUDGE_SPEED", "FREEING_SPEED"):
         monkeypatch.setattr(growth, name, getattr(growth, name) / size**0.5)
     two = numbers(resize_robot(robot, size), factor, size)
     assert two.pop("payload") == pytest.approx(one.pop("payload"), rel=0.02)

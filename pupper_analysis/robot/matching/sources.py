@@ -20,7 +20,7 @@ from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
 
-_BODY_KINDS: Final = ("mass", "com", "inertia")
+BODY_KINDS: Final = ("mass", "com", "inertia")
 """Kinds of values in the inertial element of a link or body."""
 
 _URDF_CHILD_PATHS: Final = {
@@ -85,7 +85,7 @@ class UrdfSources:
         child, file = _URDF_CHILD_PATHS.get(kind), self.file
         if kind in _MJCF_SECTIONS or kind in _GLOBAL_OPTIONS or kind == "gravity compensation":
             return Place(file.path)
-        if kind in _BODY_KINDS and element in self.links:
+        if kind in BODY_KINDS and element in self.links:
             return self.locate_inertial(kind, _find_heaviest(self.list_masses(element)))
         if element in self.base:
             return file.place("link", self.links[self.base[0]], child)
@@ -162,7 +162,7 @@ class MjcfSources:
             return next(places, Place(file.path))
         if kind == "gravity compensation":
             return file.place("body", element)
-        if kind in _BODY_KINDS and body:
+        if kind in BODY_KINDS and body:
             return self.locate_inertial(kind, _find_heaviest(self.list_masses(element)))
         if kind == "base frame":
             return file.place("body", body or element)

@@ -13,10 +13,10 @@ from pathlib import Path
 
 from pupper_analysis.base.diagnostics import LANGUAGES, Diagnostic, term
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import join_words, text, word
+from pupper_analysis.present.document import SEVERITY_MARKS, join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
-from pupper_analysis.present.formats import Annotation, Fix
+from pupper_analysis.present.formats import ANNOTATION_LEVELS, Annotation, Fix
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import (
     RULES,
@@ -27,9 +27,6 @@ from pupper_analysis.tools.audit.audit import (
 )
 from pupper_analysis.tools.audit.fix import locate_repair
 from pupper_analysis.tools.audit.registry import MODEL_FORMATS, ValueRepair
-
-SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
-"""{severity of a finding: emphasis in a document}."""
 
 MAX_SHOWN_GROUPS = 40
 """Largest number of groups of findings in the short view. Chosen, not tuned."""
@@ -208,10 +205,6 @@ def make_fix(repair: ValueRepair) -> Fix:
     """Convert a repair to byte ranges of the file on disk, each with the replacing text."""
     splices = locate_repair(repair)
     return Fix(f"{_format_change(repair).text} ({repair.reason})", repair.file, splices)
-
-
-ANNOTATION_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
-"""{severity of a finding: level of its annotation}."""
 
 
 def make_audit_annotations(audit: Audit) -> list[Annotation]:

@@ -21,7 +21,14 @@ from lxml import etree
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError
 from pupper_analysis.base.files import write_atomically
-from pupper_analysis.base.inputs import MAX_TEXT_BYTES, is_input, read_input, read_toml
+from pupper_analysis.base.inputs import (
+    CONFIG_NAME,
+    GENERATED_FOLDERS,
+    MAX_TEXT_BYTES,
+    is_input,
+    read_input,
+    read_toml,
+)
 from pupper_analysis.base.kinds import MODEL_KIND
 from pupper_analysis.base.tools import find_tool_modules
 from pupper_analysis.models.loading import kind_of
@@ -29,9 +36,6 @@ from pupper_analysis.models.places import source_name
 from pupper_analysis.models.xml import blank_late_declaration
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.audit.audit import RULES
-
-CONFIG_NAME: Final = "pupper-analysis.toml"
-"""File name of the configuration."""
 
 BASELINE_NAME: Final = "pupper-analysis-baseline.txt"
 """Default file name of the baseline, next to the configuration."""
@@ -426,10 +430,6 @@ class _ConfigReader:
 
 # First `pupper-analysis.toml` of a repository, with all models in the folders.
 
-_SKIPPED_FOLDERS: Final = ("node_modules", "site-packages", "build", "install", "log")
-"""Folders of generated or installed files, which the search for models of a new configuration
-skips, as it skips folders with a leading dot."""
-
 _CONFIG_HEADER: Final = """\
 # What pupper-analysis check checks. A pair is one robot's two files, which are compared: here, a
 # URDF and an MJCF of one name. The guide of `check` lists all keys.
@@ -506,7 +506,7 @@ def list_pair_entries(folder: Path) -> list[dict[str, str]]:
 def _list_model_files(folder: Path) -> Iterator[Path]:
     """Yield files that may be models, sorted by name in each folder."""
     for top, folders, files in os.walk(folder):
-        kept = (name for name in folders if name[0] != "." and name not in _SKIPPED_FOLDERS)
+        kept = (name for name in folders if name[0] != "." and name not in GENERATED_FOLDERS)
         folders[:] = sorted(kept)
         for name in sorted(files):
             if Path(name).suffix.lower() in (".urdf", ".xml", ".mjcf"):

@@ -13,16 +13,14 @@ from pathlib import Path
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import Name, Text, join_words, text, word
+from pupper_analysis.present.document import SEVERITY_MARKS, Name, Text, join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
-from pupper_analysis.present.formats import Annotation, relative_to_checkout
+from pupper_analysis.present.formats import ANNOTATION_LEVELS, Annotation, relative_to_checkout
 from pupper_analysis.robot.compare.differences import describe_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import RULES
 from pupper_analysis.tools.audit.document import (
-    ANNOTATION_LEVELS,
-    SEVERITY_MARKS,
     format_element,
     get_rule_text,
 )

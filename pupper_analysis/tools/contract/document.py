@@ -14,21 +14,15 @@ from pathlib import Path
 
 from pupper_analysis.base.diagnostics import Severity, format_pair
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import join_words, text, word
+from pupper_analysis.present.document import SEVERITY_MARKS, join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import cite_page, quote_line
-from pupper_analysis.present.formats import Annotation
+from pupper_analysis.present.formats import ANNOTATION_LEVELS, Annotation
 from pupper_analysis.pupper.named_robots import is_variant
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.contract.contract import Contract
 from pupper_analysis.tools.contract.facts import QUANTITIES, Fact, Role, find_quantity_kind
 from pupper_analysis.tools.contract.findings import Disagreement, make_unread_finding
-
-SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
-"""{severity of a disagreement: emphasis in a document}."""
-
-ANNOTATION_LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
-"""{severity of a disagreement: level of its annotation}."""
 
 MAX_SHOWN_FINDINGS = 25
 """Largest number of disagreements whose lines are shown in the short view. Chosen, not tuned."""

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, ModelError
-from pupper_analysis.base.inputs import is_input, read_toml
+from pupper_analysis.base.inputs import CONFIG_NAME, is_input, read_toml
 from pupper_analysis.models.places import Place, make_file_error, make_input_error
 from pupper_analysis.tools.contract.facts import (
     QUANTITIES,
@@ -26,9 +26,6 @@ from pupper_analysis.tools.contract.facts import (
 
 JOINT_ORDER: Final = "joint order"
 """Quantity of a key whose value is the list of joint names in the order of the source's lists."""
-
-CONFIG_NAME: Final = "pupper-analysis.toml"
-"""File with keys of the user, ``[[contract.key]]``."""
 
 _FORMS: Final = ("table", "trainer", "actuator")
 """Values of ``of``: formats in which a key is searched."""

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import InputError, ModelError, PupperAnalysisError
-from pupper_analysis.base.inputs import MAX_FILE_BYTES, check_input
+from pupper_analysis.base.inputs import GENERATED_FOLDERS, MAX_FILE_BYTES, check_input
 from pupper_analysis.models.places import make_input_error
 from pupper_analysis.tools.contract.facts import Request, Role, Source, load_readers
 from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, assign_joints
@@ -22,17 +22,8 @@ from pupper_analysis.tools.contract.readers import tables
 MAX_FOLDER_FILES = 500
 """Largest number of files that are read from a folder. Chosen, to bound the time."""
 
-_SKIPPED_FOLDERS = (
-    "node_modules",
-    "site-packages",
-    "build",
-    "install",
-    "log",
-    "logs",
-    "thirdparty",
-    "__pycache__",
-)
-"""Folders of installed or generated files; not searched."""
+_SKIPPED_FOLDERS = (*GENERATED_FOLDERS, "logs", "thirdparty", "__pycache__")
+"""Folders that are not searched: generated or installed files, and logs of training."""
 
 
 def read_sources(requests: Sequence[Request]) -> tuple[list[Source], list[ModelError]]:

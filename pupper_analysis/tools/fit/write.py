@@ -25,6 +25,7 @@ from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.kinds import FIT_FOLDER
 from pupper_analysis.base.provenance import to_marked_json
+from pupper_analysis.robot.matching.sources import BODY_KINDS
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.tools.fit.estimate import Posterior
@@ -33,7 +34,6 @@ from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTabl
 from pupper_analysis.tools.fit.result import PARAMETER_FIELDS
 from pupper_analysis.tools.sync.frames import Key
 from pupper_analysis.tools.sync.numbers import (
-    BODY_KINDS,
     JOINT_KINDS,
     SERVO_KINDS,
     WrittenNumbers,

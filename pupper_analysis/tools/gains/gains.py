@@ -55,7 +55,7 @@ from pupper_analysis.simulation.verdict import find_overloaded_motors
 from pupper_analysis.stance.sag.steady_state import find_sag_failure
 from pupper_analysis.stance.sag.stiffness import minimum_stiffness
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
-from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.stance.stand import Stand, resolve_stance
 from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
@@ -296,8 +296,7 @@ def study_gains(
             if the ground cannot be added (``build_on_ground``).
     """
     _check_request(error, encoder_bits)
-    stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
-    robot = stand.check(robot)
+    robot, stand = resolve_stance(robot, stance)
     settled = solve_stand_as_simulated(robot, stand)
     held = make_stand_start(robot, settled, kp=kp, kd=kd)
     _check_motor_torques(held)

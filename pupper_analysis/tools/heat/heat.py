@@ -26,7 +26,7 @@ from pupper_analysis.models.motors.thermal import (
 from pupper_analysis.robot.joints import check_motor_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
-from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
+from pupper_analysis.stance.stand import Stand, resolve_stance, stand_statics
 from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
@@ -220,8 +220,7 @@ def study_heat(
         ModelError: If the torque per current or the resistance of a motor are unknown.
     """
     _check_request(ambient, limit, battery_energy)
-    stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
-    robot = stand.check(robot)
+    robot, stand = resolve_stance(robot, stance)
     held = solve_stand_as_simulated(robot, stand)
     torques = stand_statics(robot, held).joint_torques
     driven = robot.mj_convention.actuator_index >= 0

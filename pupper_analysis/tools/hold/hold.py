@@ -43,6 +43,7 @@ from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.statics.equilibrium import (
     MIN_TORQUE_PER_MASS,
+    UNLIMITED_MASS_RATIO,
     GravityCompensation,
     compute_utilisation,
     find_mass_limit,
@@ -106,10 +107,6 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
     distances, heights, utilisation = np.array(samples).T
     return ReachLoad(distances, heights, utilisation)
 
-
-UNLIMITED_MASS_RATIO = 1e4
-"""Ratio of payload to the robot's mass above which a payload counts as unlimited: the lever arm of
-the motors is then rounding. Chosen, not tuned."""
 
 _MAX_PAYLOAD_ROUNDS = 6
 """Maximum number of searches for the worst postures with decreasing payloads; two or three mostly

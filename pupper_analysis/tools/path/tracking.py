@@ -354,11 +354,11 @@ def plan_stances(robot: Robot, stand: Stand) -> list[StandTask]:
     return [nominal, *([replace(final, swing={})] if task.swing else []), final]
 
 
-JOINT_TOLERANCE = 0.1
+MAX_JOINT_ERROR = 0.1
 """Position error of a joint [rad, m] from which a simulated path counts as not tracked. Chosen, not
 tuned."""
 
-TORQUE_TOLERANCE = 0.05
+MAX_TORQUE_ERROR = 0.05
 """Torque error, relative to the largest torque of the path, above which a simulated path counts as
 not tracked. Chosen, not tuned."""
 
@@ -430,7 +430,7 @@ def track_path(
     second.
 
     A path is tracked if the simulation does not diverge, joint and torque errors are within
-    `JOINT_TOLERANCE` and `TORQUE_TOLERANCE`, no motor saturates, neither torques nor speeds of the
+    `MAX_JOINT_ERROR` and `MAX_TORQUE_ERROR`, no motor saturates, neither torques nor speeds of the
     path exceed a limit, the robot does not fall, loaded feet (`MIN_LOADED_FRACTION`) stay on the
     ground, lifted feet (`MIN_LIFTED_HEIGHT`) do not touch the ground, and no other part touches it.
     Contacts and falls are checked at about `_NUM_CHECKED_STATES` states.
@@ -476,9 +476,9 @@ def track_path(
     if path.peak_speed_utilisation > 1:
         fastest, share = ("joint", path.fastest_joint), _as_finite(path.peak_speed_utilisation)
         failures.append(diagnose("joint-too-fast", subject=fastest, share=share))
-    if not torque_error <= TORQUE_TOLERANCE:
+    if not torque_error <= MAX_TORQUE_ERROR:
         failures.append(diagnose("motor-torque-off-path", error=torque_error))
-    if not joint_error < JOINT_TOLERANCE:
+    if not joint_error < MAX_JOINT_ERROR:
         failures.append(diagnose("joint-off-path", error=Quantity(joint_error, unit)))
     return PathTracking(
         passed=not failures,

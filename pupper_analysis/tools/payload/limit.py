@@ -49,7 +49,7 @@ from pupper_analysis.stance.soft_ground import solve_loaded_stand, solve_stand_a
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.equilibrium import GravityCompensation
+from pupper_analysis.statics.equilibrium import UNLIMITED_MASS_RATIO, GravityCompensation
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,10 +110,6 @@ def simulate_payload(
 
 
 Array = NDArray[np.float64]
-
-UNLIMITED_MASS_RATIO = 1e4
-"""Ratio of payload to the robot's mass at which the search ends: a bound that has not failed by
-then is infinite. Chosen, not tuned."""
 
 MAX_BOUND_RATIO = 10.0
 """Largest payload at which the search for the other kinds of failure (stance, motors, servos) ends

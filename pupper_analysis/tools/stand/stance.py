@@ -45,7 +45,7 @@ from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.sag.stiffness import minimum_stiffness
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
-from pupper_analysis.stance.stand import Stand, solve_stand, stand_contacts, stand_statics
+from pupper_analysis.stance.stand import Stand, resolve_stance, stand_contacts, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
@@ -182,9 +182,8 @@ def study_stance(
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
             both given, or if the ground cannot be added (``build_on_ground``).
     """
-    stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
+    robot, stand = resolve_stance(robot, stance)
     settled, unsettled, min_kp, no_stiffness = None, None, None, None
-    robot = stand.check(robot)
     held = solve_stand_as_simulated(robot, stand)
     try:
         settled = steady_state(robot, held, kp=kp)

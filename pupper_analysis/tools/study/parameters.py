@@ -72,7 +72,7 @@ ADDITIVE_KINDS = (*COM_OFFSET_KINDS, *JOINT_STANCE_KINDS, *LINK_STANCE_KINDS, "m
 """Kinds of variables of a study that are values or offsets, not factors on numbers of the files;
 `check_variable_range` checks no bounds of these."""
 
-BODY_KINDS = ("mass", "inertia", "length", *COM_OFFSET_KINDS)
+BODY_VARIABLE_KINDS = ("mass", "inertia", "length", *COM_OFFSET_KINDS)
 """Kinds of variables ``KIND:PATTERN`` whose pattern selects bodies instead of joints."""
 SERVO_KINDS = ("kp", "kd")
 """Kinds of variables ``KIND:PATTERN`` that are factors on servo gains."""
@@ -123,7 +123,7 @@ def match_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...]:
         if any(fnmatchcase(alias, pattern.pattern) for alias in aliases)
     )
     if not joints:
-        kind = "body" if pattern.kind in BODY_KINDS else "joint"
+        kind = "body" if pattern.kind in BODY_VARIABLE_KINDS else "joint"
         raise UnknownNameError(
             robot.name,
             kind,
@@ -136,10 +136,11 @@ def match_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...]:
 def _list_names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
     """Return {joint: names by which a pattern selects it}, for a kind of parameter.
 
-    For the ``BODY_KINDS``, a joint stands for the body that it moves: the names are those of its
-    link, body and joint, and "" stands for the base. For other kinds the name is that of the joint.
+    For the ``BODY_VARIABLE_KINDS``, a joint stands for the body that it moves: the names are those
+    of its link, body and joint, and "" stands for the base. For other kinds the name is that of the
+    joint.
     """
-    if kind not in BODY_KINDS:
+    if kind not in BODY_VARIABLE_KINDS:
         return {joint: (joint,) for joint in robot.joint_names}
     links, bodies = UrdfTree.of(robot.description.urdf).moved_links, map_joint_bodies(robot)
     names = {"": (robot.base, robot.mj_base)}
@@ -168,9 +169,9 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
 
     Args:
         robot: Robot.
-        factors: {``KIND:PATTERN``: value}. A factor is finite and >= 0; factors of `BODY_KINDS` and
-            `SERVO_KINDS` are > 0. The value of ``com_x``, ``com_y`` and ``com_z`` is an offset [m]
-            in the axes of the URDF's link.
+        factors: {``KIND:PATTERN``: value}. A factor is finite and >= 0; factors of
+            `BODY_VARIABLE_KINDS` and `SERVO_KINDS` are > 0. The value of ``com_x``, ``com_y`` and
+            ``com_z`` is an offset [m] in the axes of the URDF's link.
 
     Raises:
         ConfigurationError: If a value is out of range.
@@ -185,7 +186,7 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
         if pattern.kind in COM_OFFSET_KINDS:
             _add_offsets(offsets, robot, name, pattern, factor)
             continue
-        bound = "> 0" if pattern.kind in (*BODY_KINDS, *SERVO_KINDS) else ">= 0"
+        bound = "> 0" if pattern.kind in (*BODY_VARIABLE_KINDS, *SERVO_KINDS) else ">= 0"
         if not math.isfinite(factor) or factor < 0 or (factor == 0 and bound == "> 0"):
             raise ConfigurationError(
                 name, diagnose("factor-out-of-range", factor=factor, least=bound)
@@ -245,13 +246,13 @@ def _scale_value(
     Args:
         tree: Tree of the URDF or the MJCF.
         link: Link whose mass or inertia is scaled, with the links fixed to it; used only for the
-            kinds ``BODY_KINDS``.
-        kind: What is scaled: one of ``BODY_KINDS``, or the kind of a joint parameter.
+            kinds ``BODY_VARIABLE_KINDS``.
+        kind: What is scaled: one of ``BODY_VARIABLE_KINDS``, or the kind of a joint parameter.
         joint: Joint whose parameter is scaled, for all other kinds.
         factor: Factor.
         robot: Robot of the files, for error messages.
     """
-    if kind not in BODY_KINDS:
+    if kind not in BODY_VARIABLE_KINDS:
         tree.scale(joint, BY_KIND.get(kind) or BY_MJCF[kind], factor)
         return
     for member in tree.fixed_group(link):

@@ -32,6 +32,7 @@ from pupper_analysis.pupper.named_robots import find_files, find_model_pair, is_
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import SERVO_GAIN_KINDS, Difference
+from pupper_analysis.robot.matching.sources import BODY_KINDS
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.sync.frames import Key
 from pupper_analysis.tools.sync.plan import (
@@ -350,9 +351,6 @@ def make_unified_diff(path: Path, before: bytes, after: bytes) -> str:
 FILE_SIDES: Final = ("urdf", "mjcf")
 """Names of the files whose value the user can choose for a difference, as in ``urdf: mass``."""
 
-_BODY_KINDS: Final = ("mass", "com", "inertia")
-"""Kinds of differences that are attributed to a link, not to a joint or frame."""
-
 _JOINT_KINDS: Final = (
     "position",
     "rotation",
@@ -374,7 +372,7 @@ def format_owner_name(difference: Difference) -> str:
 
     Examples: ``link FL_hip``, ``joint FL_knee``, ``frame FL_foot``.
     """
-    if difference.kind in _BODY_KINDS:
+    if difference.kind in BODY_KINDS:
         return f"link {find_subject_link(difference)}"
     if difference.kind in _JOINT_KINDS:
         return f"joint {difference.element}"

@@ -34,6 +34,7 @@ from pupper_analysis.models.xml import parse_text
 from pupper_analysis.models.xml_bytes import XmlDocument, read_document
 from pupper_analysis.robot.compare.attribution import align_robot
 from pupper_analysis.robot.matching.match import Match, match_models
+from pupper_analysis.robot.matching.sources import BODY_KINDS
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.robot import Robot
@@ -338,8 +339,6 @@ def _find_wrong_numbers(
 # Numbers by base and joints, and the target trees of both models.
 
 
-BODY_KINDS = ("mass", "com", "inertia")
-"""Kinds of numbers of a link that `write_numbers` accepts."""
 JOINT_KINDS = ("damping", "friction", "armature")
 """Kinds of numbers of a joint that `write_numbers` accepts."""
 SERVO_KINDS = ("kp", "kd")

@@ -179,7 +179,7 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
 
     The torque of the weight (weight [N] times the longest distance between successive hinges [m])
     must not exceed the sum of the efforts of all hinges [N m]. The severity is WARNING, and ERROR
-    above `IMPOSSIBLE_FACTOR` times the sum. The finding names a moving link with more than
+    above `IMPOSSIBLE_TORQUE_RATIO` times the sum. The finding names a moving link with more than
     `MAX_MASS_FRACTION` of the mass, or else the base. Robots with fewer than two hinges, or with an
     effort that is unknown, infinite or not positive, are skipped.
     """
@@ -216,12 +216,12 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
             effort=Quantity(sum(efforts), "N m"),
             heaviest=heaviest,
         )
-        impossible = torque > IMPOSSIBLE_FACTOR * sum(efforts)
+        impossible = torque > IMPOSSIBLE_TORQUE_RATIO * sum(efforts)
         severity = Severity.ERROR if impossible else None
         yield CheckFinding(robot.link_tag, heaviest or robot.base, message, severity=severity)
 
 
-IMPOSSIBLE_FACTOR = 10.0
+IMPOSSIBLE_TORQUE_RATIO = 10.0
 """Torque of the weight, relative to the sum of all efforts, above which no stance can be held: an
 error. Straight legs and unusual units explain smaller factors. Chosen, not tuned."""
 

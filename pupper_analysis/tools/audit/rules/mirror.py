@@ -225,7 +225,8 @@ def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
 def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links whose masses differ by more than 1 %.
 
-    The severity is WARNING, and ERROR if one mass is `IMPOSSIBLE_FACTOR` times the other or more.
+    The severity is WARNING, and ERROR if one mass is `IMPOSSIBLE_MASS_RATIO` times the other or
+    more.
     """
     for first, second in _list_body_pairs(robot):
         if not _masses_agree(first, second):
@@ -236,12 +237,12 @@ def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
                 its=Quantity(first.mass, "kg"),
             )
             low, high = sorted((first.mass, second.mass))
-            severity = Severity.ERROR if 0 < IMPOSSIBLE_FACTOR * low <= high else None
+            severity = Severity.ERROR if 0 < IMPOSSIBLE_MASS_RATIO * low <= high else None
             part = robot.inertial_path("mass")
             yield CheckFinding(robot.link_tag, second.name, message, part, severity=severity)
 
 
-IMPOSSIBLE_FACTOR = 10.0
+IMPOSSIBLE_MASS_RATIO = 10.0
 """Ratio of the masses of a left and a right link from which the difference is an error. Chosen, not
 tuned."""
 

@@ -309,8 +309,8 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     The mass is the sum of a root link or moving link and all links fixed to it. Visual and
     collision shapes, and the origins of link, frames and children, define the hull. Plausible are 2
     to 20000 kg/m^3, or at most 100000 kg/m^3 if a mesh was not read. The severity is WARNING, and
-    ERROR above `IMPOSSIBLE_FACTOR` times `MAX_DENSITY`. A plausible density is reported, too, if
-    above `DENSITY_OF_STEEL` and above `MIN_DENSITY_RATIO` times the median of the other links.
+    ERROR above `IMPOSSIBLE_SIZE_RATIO` times `MAX_DENSITY`. A plausible density is reported, too,
+    if above `DENSITY_OF_STEEL` and above `MIN_DENSITY_RATIO` times the median of the other links.
 
     Skipped are, for example, light bodies (`MIN_MASS_FRACTION`), bodies with small shapes
     (`MIN_EXTENT`, `MIN_SHAPE_FRACTION`), and root links with a mesh that was not read.
@@ -352,7 +352,7 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
                 volume=Quantity(volume, "m^3"),
                 density=Quantity(density, "kg/m^3"),
             )
-            impossible = density > IMPOSSIBLE_FACTOR * MAX_DENSITY
+            impossible = density > IMPOSSIBLE_SIZE_RATIO * MAX_DENSITY
             severity = Severity.ERROR if impossible else None
             part = robot.inertial_path("mass")
             yield CheckFinding(robot.link_tag, body.name, message, part, severity=severity)
@@ -466,7 +466,7 @@ def _measure_equal_mesh_gap(robot: UrdfModel, name: str) -> float | None:
     return float(np.linalg.norm(places[0] - place)) if len(places) == 1 else None
 
 
-IMPOSSIBLE_FACTOR = 10.0
+IMPOSSIBLE_SIZE_RATIO = 10.0
 """Ratio of a density or a size to the largest plausible value from which it is an error: no robot
 has ten times the density of tungsten. Chosen, not tuned."""
 
@@ -478,7 +478,7 @@ def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
     The extent of all joint positions at zero angles must be 0, or between `MIN_ROBOT_EXTENT` and
     `MAX_ROBOT_EXTENT` [m]. The shapes of a link must extend over at most `MAX_SHAPE_RATIO` times
     this extent, unless that is below `MIN_EXTENT`. The severity is WARNING, and ERROR if the extent
-    of the joints is `IMPOSSIBLE_FACTOR` times beyond a bound.
+    of the joints is `IMPOSSIBLE_SIZE_RATIO` times beyond a bound.
     """
     places = np.array([joint.position for joint in robot.joints.values() if joint.moves])
     if len(places) < 2 or robot.base not in robot.links:
@@ -497,8 +497,8 @@ def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
         )
         impossible = (
             not MIN_ROBOT_EXTENT
-            < IMPOSSIBLE_FACTOR * size
-            < IMPOSSIBLE_FACTOR**2 * MAX_ROBOT_EXTENT
+            < IMPOSSIBLE_SIZE_RATIO * size
+            < IMPOSSIBLE_SIZE_RATIO**2 * MAX_ROBOT_EXTENT
         )
         severity = Severity.ERROR if impossible else None
         yield CheckFinding(robot.link_tag, robot.base, message, severity=severity)
