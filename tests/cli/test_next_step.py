@@ -120,6 +120,15 @@ def test_audit_of_a_fixed_base_names_hold_unless_loading_frees_it(
     assert step.command == command
 
 
+def test_audit_with_errors_names_fix_if_an_error_has_a_single_repair(tmp_path: Path) -> None:
+    """Reference: a negative effort has one repair, its absolute value."""
+    text = (ROOT / "urdf" / "pupper_v3.urdf").read_text()
+    path = tmp_path / "robot.urdf"
+    path.write_text(re.sub(r'effort="([^"]+)"', r'effort="-\1"', text, count=1))
+    step = audit_document(audit_model(path)).next_step
+    assert step == NextStep("audit", ("--fix",))
+
+
 def test_refusal_of_a_fixed_base_prints_hold_with_the_typed_robot(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

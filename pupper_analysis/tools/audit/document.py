@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pupper_analysis.base.diagnostics import LANGUAGES, Diagnostic, term
+from pupper_analysis.models.published import is_published_name
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import SEVERITY_MARKS, join_words, text, word
 from pupper_analysis.present.documents.registry import build_document
@@ -25,7 +26,7 @@ from pupper_analysis.tools.audit.audit import (
     Rule,
     Severity,
 )
-from pupper_analysis.tools.audit.fix import locate_repair
+from pupper_analysis.tools.audit.fix import list_unique_repairs, locate_repair
 from pupper_analysis.tools.audit.registry import MODEL_FORMATS, ValueRepair
 
 MAX_SHOWN_GROUPS = 40
@@ -59,12 +60,18 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
 
 
 def _select_next_step(audit: Audit) -> doc.NextStep | None:
-    """Return the command that simulates the audited file.
+    """Return the command to run next.
 
-    None if the file has errors, or is neither a URDF nor an MJCF by its suffix.
+    If a file has errors and a finding with a single repair, the command is `audit --fix`, which
+    shows the patch. If it has no errors, the command simulates the robot. None if errors have no
+    single repair, or if the model is neither a URDF nor an MJCF by its suffix, nor a published
+    name.
     """
     simulated = Path(audit.file).suffix in (".urdf", ".xml")
-    if not audit.passed or not simulated:
+    if not audit.passed:
+        repairable = simulated and bool(list_unique_repairs([audit]))
+        return doc.NextStep("audit", ("--fix",)) if repairable else None
+    if not simulated and not is_published_name(audit.file):
         return None
     return doc.NextStep("stand" if audit.floating else "hold")
 
