@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf import JointKind, silence_mujoco
 from pupper_analysis.models.transmission import (
     Drive,
     list_joint_actuators,
@@ -64,6 +64,11 @@ _CTRL_ANGLE_RTOL = 0.1
 """Upper bound of ``|ctrl - angles| / |angles|`` (norms over all joints) with which the ctrl of a
 keyframe count as joint angles instead of torques. Chosen, not tuned: position commands differ from
 the angles by the deflection that carries the weight."""
+
+_CTRL_DEGREE_RTOL = 1e-3
+"""Upper bound of the same ratio with which the ctrl count as joint angles in degrees. Chosen as a
+bound of rounding, since torques of tens of N m may be near such values by chance: five digits of an
+angle in radians differ by 1e-5."""
 
 _SETTLING_TIME = 2.0
 """Simulated time [s] after which a nudged model that stands must be at rest. Chosen, not tuned."""
@@ -508,16 +513,20 @@ def _command_offset(
 def _is_ctrl_angles(model: mujoco.MjModel, key: int) -> bool:
     """Return True if the ctrl of a keyframe are the joint angles times the gear, and not all zero.
 
-    The first control of each actuator at a joint is compared. Such a keyframe contains position
-    commands, even if the model has torque motors. Zeros are no evidence: a torque of zero and an
-    angle of zero are written alike, and command nothing.
+    The angles are in radians or in degrees. The first control of each actuator at a joint is
+    compared. Such a keyframe contains position commands, even if the model has torque motors. Zeros
+    are no evidence: a torque of zero and an angle of zero are written alike, and command nothing.
     """
     at_joint = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value)
     ctrl = model.key_ctrl[key, model.actuator_ctrladr[at_joint]]
     if not ctrl.any():
         return False
-    addresses = model.jnt_qposadr[model.actuator_trnid[at_joint, 0]]
+    joints = model.actuator_trnid[at_joint, 0]
     gear = model.actuator_gear[model.actuator_outadr[at_joint], 0]
-    angles = model.key_qpos[key, addresses] * gear
-    deviation = float(np.linalg.norm(ctrl - angles))
-    return bool(deviation <= _CTRL_ANGLE_RTOL * float(np.linalg.norm(angles)))
+    angles = model.key_qpos[key, model.jnt_qposadr[joints]] * gear
+    is_hinge = model.jnt_type[joints] == JointKind.HINGE
+    degrees = np.where(is_hinge, np.degrees(angles), angles)
+    return any(
+        float(np.linalg.norm(ctrl - values)) <= tolerance * float(np.linalg.norm(values))
+        for values, tolerance in ((angles, _CTRL_ANGLE_RTOL), (degrees, _CTRL_DEGREE_RTOL))
+    )

@@ -261,6 +261,35 @@ def test_the_run_of_a_file_that_mujoco_refuses_names_the_missing_meshes(tmp_path
     assert any("MuJoCo refuses the file" in str(line) for line in short)
 
 
+@pytest.mark.parametrize(
+    ("ctrl", "are_angles"),
+    [
+        ("0.6 -1.2 0.05", True),
+        ("0.62 -1.25 0.05", True),
+        ("34.3775 -68.7549 0.05", True),
+        ("34.38 -68.76 0.05", True),  # factor 57.3
+        ("34.3775 -68.7549 2.86479", False),  # a slide has no degrees
+        ("35 -68.7549 0.05", False),
+        ("-34.3775 68.7549 0.05", False),
+    ],
+)
+def test_torques_that_equal_joint_angles_in_radians_or_degrees_are_angles(
+    ctrl: str, are_angles: bool
+) -> None:
+    """Reference: the angles of the keyframe times 180 / pi; the third joint is a slide."""
+    kinds = ("hinge", "hinge", "slide")
+    bodies = "".join(
+        f'<body><joint name="{place}" type="{kind}"/><geom size="0.1"/></body>'
+        for place, kind in enumerate(kinds)
+    )
+    motors = "".join(f'<motor joint="{place}"/>' for place in range(3))
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator>"
+        f'<keyframe><key qpos="0.6 -1.2 0.05" ctrl="{ctrl}"/></keyframe></mujoco>'
+    )
+    assert _is_ctrl_angles(model, 0) is are_angles
+
+
 @pytest.mark.parametrize(("ctrl", "are_angles"), [("0.6 0 0 -1.2 0 0", True), ("0.6 -1.2", False)])
 def test_commands_of_several_controls_are_compared_by_their_first(
     ctrl: str, are_angles: bool
