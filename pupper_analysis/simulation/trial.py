@@ -245,8 +245,9 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
 
     A nudge with speed v moves a CoM at height h by about v sqrt(h/g), and changes torques and
     forces by about one percent. A stand is near a limit if its CoM is near the edge of the support
-    polygon, a motor or the friction is almost used up, a joint is near its limit, or a foot has
-    little load. False if the statics have no CoM margin, or if the base is fixed or welded.
+    polygon, a motor or the friction is almost used up, a foot has little load, or a joint is near
+    its limit. A joint that carries no foot may rest on its limit. False if the statics have no CoM
+    margin, or if the base is fixed or welded.
 
     Args:
         robot: The robot, with the payload.
@@ -258,8 +259,10 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
     com_displacement = BASE_NUDGE_SPEED * math.sqrt(
         com_height_above_contacts(robot, stand) / float(np.linalg.norm(robot.gravity))
     )
-    (lower, upper), angles = _find_failure_limits(robot, stand), stand.qpos[7:]
-    limit_distances = np.minimum(angles - lower, upper - angles)
+    angles = stand.qpos[7:]
+    limit_distances = np.minimum(angles - robot.lower_limits, robot.upper_limits - angles)
+    is_free = np.isin(robot.joint_names, free_joints(robot)) & (limit_distances < _LIMIT_ATOL)
+    is_locked = robot.upper_limits - robot.lower_limits <= _LIMIT_ATOL
     loads = [
         float(load.force @ stand.normals[robot.feet[foot][0]])
         for foot, load in statics.foot_loads.items()
@@ -269,7 +272,7 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
         or (not robot.fixed_parts and min(loads) < _MIN_LOAD_RATIO * sum(loads) / len(loads))
         or bool((statics.motor_utilisation > _MAX_UTILISATION).any())
         or max(statics.friction_utilisation.values(), default=0.0) > _MAX_UTILISATION
-        or min(limit_distances, default=math.inf) < _MIN_LIMIT_DISTANCE
+        or bool((limit_distances[~(is_free | is_locked)] < _MIN_LIMIT_DISTANCE).any())
     )
 
 
@@ -277,13 +280,14 @@ def _find_failure_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
     """Return lower and upper joint limits, shape (nu,) each [rad, m]; beyond them a stand fails.
 
     The limits are those of the robot, without limits that a joint cannot fail at: a limit is
-    infinite if a joint that carries no foot rests on it in the stand, for example the joint of a
-    closed gripper; or if the range of the joint permits no motion.
+    infinite if a joint rests on it in the stand, for example the joint of a closed gripper; or if
+    the range of the joint permits no motion. A nudge presses a joint that rests on its limit into
+    MuJoCo's soft limit, by microradians.
     """
-    angles, free = stand.qpos[7:], np.isin(robot.joint_names, free_joints(robot))
+    angles = stand.qpos[7:]
     locked = robot.upper_limits - robot.lower_limits <= _LIMIT_ATOL
-    at_lower = locked | (free & (angles < robot.lower_limits + _LIMIT_ATOL))
-    at_upper = locked | (free & (angles > robot.upper_limits - _LIMIT_ATOL))
+    at_lower = locked | (angles < robot.lower_limits + _LIMIT_ATOL)
+    at_upper = locked | (angles > robot.upper_limits - _LIMIT_ATOL)
     return np.where(at_lower, -np.inf, robot.lower_limits), np.where(
         at_upper, np.inf, robot.upper_limits
     )

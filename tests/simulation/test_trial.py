@@ -48,6 +48,26 @@ def test_joint_at_its_limit_from_the_start_is_no_failure(
 
 
 @pytest.mark.slow
+def test_leg_joint_at_its_limit_from_the_start_is_no_failure(tmp_path: Path) -> None:
+    """In bare MuJoCo the stand rests after nudges of 50 mm/s in six directions, at the soft limit.
+
+    The knee is stretched to the end of its range; each nudge moved it beyond, and the stand failed.
+    """
+    pair = quadruped(tmp_path, actuators="position", floor=True)
+    free = pa.load_robot(pair.mjcf)
+    place = free.joint_names.index("FL_knee")
+    limit = float(pa.solve_stand_as_simulated(free).joint_positions(free)[place])
+    knee = 'name="FL_knee" axis="0 1 0" range="-2.6 {0!r}"'
+    rewrite_file(pair.mjcf, (knee.format(-0.4), knee.format(limit)))
+    robot = pa.load_robot(pair.mjcf)
+    stand = pa.solve_stand_as_simulated(robot, pa.StandTask(height=free.base_height))
+    assert stand.joint_positions(robot)[place] == pytest.approx(limit, abs=1e-6)
+    assert is_near_limit(robot, stand, stand_statics(robot, stand))
+    trial = simulate_nudges(robot, stand, duration=2.0)
+    assert (trial.survived, trial.failure, trial.failing_parts) == (True, None, ())
+
+
+@pytest.mark.slow
 def test_joint_whose_range_permits_no_motion_is_named_and_has_no_limits_in_the_trial(
     tmp_path: Path,
 ) -> None:
