@@ -7,6 +7,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.stance.sag import equilibrium
 from pupper_analysis.stance.sag.steady_state import find_sag_failure
 from pupper_analysis.stance.sag.stiffness import (
     _StiffnessSearch,
@@ -90,3 +91,37 @@ def test_equilibria_that_continuation_misses_are_found_again(
     monkeypatch.setattr(_StiffnessSearch, "follow", follow)
     assert minimum_stiffness(robot, stand) == pytest.approx(least, rel=0.01)
     assert len(found) == 2  # at the start, and below the lost values
+
+
+@pytest.mark.slow
+def test_solves_that_end_at_alternating_contacts_do_not_change_the_stiffness(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Reference: solves that end after the largest number of iterations."""
+    robot = load("original")
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
+    counts: list[int] = []
+    alternates = equilibrium._alternates
+
+    def count(residuals: list[float]) -> bool:
+        counts.append(len(residuals))
+        return alternates(residuals)
+
+    monkeypatch.setattr(equilibrium, "_alternates", count)
+    found = estimate_minimum_stiffness(robot, stand)
+    assert max(counts) < equilibrium._MAX_ITERATIONS
+    monkeypatch.setattr(equilibrium, "_alternates", lambda _: False)
+    assert estimate_minimum_stiffness(robot, stand) == found
+
+
+@pytest.mark.parametrize(
+    ("residuals", "expected"),
+    [
+        ([2.0, 3.0, 2.0], False),
+        ([9.0, 2.0, 3.0, 2.0, 3.0 + 1e-7], True),
+        ([2.0, 3.0, 2.0, 3.1], False),
+        ([2.0, 2e-2, 2e-6, 2e-7], False),
+    ],
+)
+def test_residuals_alternate_if_two_of_them_repeat(residuals: list[float], expected: bool) -> None:
+    assert equilibrium._alternates(residuals) is expected
