@@ -585,12 +585,14 @@ def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
 def select_step_after_failure(verdict: Verdict, otherwise: NextStep) -> NextStep:
     """Return the command to run after a failure: `crosscheck` if the files explain it.
 
-    The files explain it if they describe two robots, or if the robot does not stand as predicted. A
-    robot of one file is audited instead.
+    The files explain it if they describe two robots, if the robot does not stand as predicted, or
+    if a difference of the files is the cause for which the published file deviates. A robot of one
+    file is audited instead.
     """
     differs = verdict.code in (VerdictCode.DIFFERS_AS_PUBLISHED, VerdictCode.DISAGREES)
     two_robots = any(failure.code == TWO_ROBOTS_CODE for failure in verdict.failures)
-    if not (differs or two_robots):
+    causes = () if verdict.published is None else verdict.published.causes
+    if not (differs or two_robots or any(cause.code == "pair" for cause in causes)):
         return otherwise
     return NextStep("audit" if verdict.converted else "crosscheck")
 

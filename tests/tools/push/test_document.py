@@ -13,6 +13,7 @@ from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.present.document import NextStep
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.verdict import select_step_after_failure
+from pupper_analysis.robot.as_published import Cause, Published
 from pupper_analysis.simulation.verdict import Question, judge_stance
 from pupper_analysis.tools.push.document import push_document, push_plot
 from pupper_analysis.tools.push.figures import push_figure
@@ -54,15 +55,18 @@ def test_next_command_after_a_failure_compares_the_files_that_explain_it() -> No
             "files-of-two-robots", mjcf=Quantity(2.0, "kg"), urdf=Quantity(3.0, "kg"), residual=9.0
         ),
     )
-    for found, converted, command in (
-        (failures, "", "crosscheck"),
-        (failures, "urdf", "audit"),
-        ((problem("it fell over"),), "", "stand"),
+    fall = (problem("it fell over"),)
+    pair = Published((), (Cause("pair", (), difference=fall[0]),), differs=True)
+    for found, converted, published, command in (
+        (failures, "", None, "crosscheck"),
+        (failures, "urdf", None, "audit"),
+        (fall, "", pair, "crosscheck"),
+        (fall, "", None, "stand"),
     ):
         one = make_push_result("one", 0.0, 0.00311)
         outcome = run(0.0, passed=False)
         outcome.failures = found
-        one.verdict = judge_stance(outcome, None, SERVOS, converted=converted)
+        one.verdict = judge_stance(outcome, None, SERVOS, converted=converted, published=published)
         one.passed = False
         step = select_step_after_failure(one.verdict, NextStep("stand"))
         assert push_document(one).next_step == step
