@@ -30,6 +30,7 @@ from pupper_analysis.tools.contract.findings import (
     note_servo_damping,
 )
 from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, assign_joints
+from pupper_analysis.tools.contract.readers import models as models_reader
 from pupper_analysis.tools.contract.readers.models import match_joint_names, read_model_file
 from pupper_analysis.tools.contract.reading import (
     check_source,
@@ -128,9 +129,10 @@ def read_contract(
     Raises:
         ConfigurationError: If no model is passed, or an argument is invalid.
         VariantError: If a source is probably a misspelled variant name.
-        ModelError: If a file does not exist, or if no source but the models can be used: a file
-            cannot be read, contains no joint of the robot, or contains several configurations of a
-            trainer and no name is passed. The message states the place and the valid choices.
+        ModelError: If a file does not exist, if no model can be read, or if no source but the
+            models can be used: a file cannot be read, contains no joint of the robot, or contains
+            several configurations of a trainer and no name is passed. The message states the place
+            and the valid choices.
     """
     if fail_on not in list(map(str, Severity)):
         message = diagnose("one-of", names=[str(severity) for severity in Severity])
@@ -154,6 +156,10 @@ def _compare_sources(
     read, errors = read_sources(requests)
     models = [source for source in read if source.role is Role.MODEL]
     if not models:
+        for error in errors:  # its source may be ``file:line``
+            file = error.source.rpartition(":")[0] or error.source
+            if Path(file).suffix.lower() in models_reader.FILE_SUFFIXES:
+                raise error
         raise ConfigurationError("sources", diagnose("contract-without-model"))
     # The joint order is that of the MJCF if there is one: trainers and engines use this order.
     models.sort(key=lambda source: source.path.suffix.lower() not in (".xml", ".mjcf"))
