@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.sides import find_mirror_pairs
-from pupper_analysis.models.stated.model import HINGE_JOINT, RobotModel
+from pupper_analysis.models.stated.model import BALL_JOINT, HINGE_JOINT, RobotModel
 from pupper_analysis.robot.matching.pairs import match_without_affixes
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.contract.facts import (
@@ -168,10 +168,20 @@ mirror images. Chosen, not tuned."""
 
 
 def list_depth_first(model: RobotModel) -> tuple[str, ...]:
-    """Return the names of the moving joints limb by limb: the order of MuJoCo and Isaac Gym."""
+    """Return the names of the moving joints limb by limb: the order of MuJoCo and Isaac Gym.
+
+    Slides of a base that also has a ball joint are left out: together they are a free joint.
+    """
     roots = [link for link in model.links.values() if link.parent is None]
     links = [link for root in roots for link in (root, *model.descendants(root.name))]
-    return tuple(joint.name for link in links for joint in link.joints if joint.moves)
+    bases = [root.name for root in roots if any(joint.kind == BALL_JOINT for joint in root.joints)]
+    return tuple(
+        joint.name
+        for link in links
+        if link.name not in bases
+        for joint in link.joints
+        if joint.moves
+    )
 
 
 def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) -> PlacedSource:

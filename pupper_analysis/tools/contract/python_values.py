@@ -219,6 +219,10 @@ _PROJECT_MARKERS: Final = ("setup.py", "pyproject.toml", ".git")
 """Files or folders that mark the top folder of a project."""
 
 
+_MAIN_TEST = ast.unparse(ast.parse('__name__ == "__main__"'))
+"""Condition of the block of a script that an import does not evaluate."""
+
+
 class Evaluator:
     """Evaluator of modules.
 
@@ -259,6 +263,23 @@ class Evaluator:
         result = self.modules[path] = ModuleNames(path, re.split("\r\n?|\n", text))
         with suppress(_LeaveSignal, _NextSignal, _RaiseSignal, _ReturnSignal):
             self.run_statements(tree.body, Scope(result))
+        return result
+
+    def run_main_block(self, path: Path) -> ModuleNames:
+        """Evaluate the block ``if __name__ == "__main__"`` of a file, after the file itself.
+
+        Returns:
+            Names of the file, with those that the block defines.
+
+        Raises:
+            InputError: If the file cannot be read.
+            ModelError: If the file cannot be parsed, or more than `MAX_VALUES` steps are needed.
+        """
+        result = self.load_module(path)
+        for statement in ast.parse(read_text(path)).body:
+            if isinstance(statement, ast.If) and ast.unparse(statement.test) == _MAIN_TEST:
+                with suppress(_LeaveSignal, _NextSignal, _RaiseSignal, _ReturnSignal):
+                    self.run_statements(statement.body, Scope(result))
         return result
 
     # Statements.

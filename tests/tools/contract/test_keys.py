@@ -5,6 +5,7 @@ References: the numbers written into the files.
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -394,3 +395,73 @@ def test_origin_of_each_number_is_stated(tmp_path: Path) -> None:
     assert {(f.value, f.origin, f.basis) for f in scales.values()} == {
         (1.0, "default", "mjlab 1.6")
     }
+
+
+def test_slides_and_a_ball_of_the_base_are_no_joints_of_lists(tmp_path: Path) -> None:
+    """As in MJCFs of humanoid-gym: three slides and a ball instead of a free joint."""
+    base = "".join(
+        f'<joint type="slide" axis="{axis}" limited="false"/>'
+        for axis in ("1 0 0", "0 1 0", "0 0 1")
+    )
+    text = MJCF.read_text()
+    assert text.count("<freejoint") == 1
+    start = text.index("<freejoint")
+    end = text.index("/>", start) + 2
+    for file in MJCF.parent.glob("*.xml"):
+        shutil.copy(file, tmp_path)
+    (tmp_path / "meshes").symlink_to(MJCF.parent / "meshes")
+    model, path = tmp_path / "own.xml", tmp_path / "own.yaml"
+    model.write_text(f'{text[:start]}{base}<joint type="ball" limited="false"/>{text[end:]}')
+    path.write_text(f"kps: {format_list([5.0] * 12)}\ndefault_angles: {format_list(ANGLES)}\n")
+    found = read_contract(model, path, stand=False)
+    angles = {fact.joint: fact.value for fact in found.facts
+              if (fact.source, fact.quantity) == ("own.yaml", "default angle")}  # fmt: skip
+    assert angles == dict(zip(JOINTS, ANGLES, strict=True))
+
+
+def test_error_of_the_only_model_is_raised_if_other_sources_are_read(tmp_path: Path) -> None:
+    """Not that there is no model."""
+    model, path = tmp_path / "own.xml", tmp_path / "own.yaml"
+    model.write_text("<mujoco>\n<worldbody></mujoco>")
+    path.write_text(f"joint_names: {format_list(JOINTS)}\nkps: {format_list([5.0] * 12)}\n")
+    with pytest.raises(ModelError, match=r"own\.xml:2: not well-formed"):
+        read_contract(model, path, stand=False)
+
+
+MAIN_BLOCK = f"""
+import argparse
+
+def run(cfg):
+    return cfg
+
+if __name__ == "__main__":
+    args = argparse.ArgumentParser().parse_args()
+    class Sim2simCfg:
+        class sim_config:
+            path = f"{{args.folder}}/robot.xml" if args.terrain else "robot.xml"
+            dt = 0.002
+            decimation = 10
+        class robot_config:
+            kps = np.array({[5.0] * 12}, dtype=np.double)
+            default_pos = np.array({ANGLES}, dtype=np.double)
+            tau_limit = 2.0
+    run(Sim2simCfg())
+"""
+
+
+def test_constants_in_the_main_block_of_a_script_are_read(tmp_path: Path) -> None:
+    """As in sim2sim scripts of humanoid-gym and atom01_train. Reference: the numbers above."""
+    path = tmp_path / "sim2sim.py"
+    path.write_text(MAIN_BLOCK)
+    found = read_contract(MJCF, path, stand=False)
+    stated = {(fact.quantity, fact.joint): fact.value for fact in found.facts
+              if fact.source.startswith("sim2sim.py")}  # fmt: skip
+    for joint, angle in zip(JOINTS, ANGLES, strict=True):
+        assert stated["kp", joint] == 5.0
+        assert stated["default angle", joint] == angle
+        assert stated["effort", joint] == 2.0
+    assert stated["policy step", ""] == 0.02
+    imported = tmp_path / "other.py"
+    imported.write_text("import sim2sim\nkps = sim2sim.Sim2simCfg.robot_config.kps\n")
+    with pytest.raises(ModelError, match="no number of joints"):
+        read_contract(MJCF, imported, stand=False)

@@ -39,7 +39,8 @@ def read(request: Request) -> Iterator[Source]:
 
     A configuration is an object with a robot, actions or settings of a trainer. If the file has
     none, tables ``{key: value}`` with joint values are read instead: those that the file defines,
-    or that its functions return, alone or in a list. No code is executed.
+    or that its functions return, alone or in a list; then constants of the file, and at last those
+    of its block ``if __name__ == "__main__"``. No code is executed.
     """
     evaluator = py.Evaluator(request.folders)
     module = evaluator.load_module(request.path)
@@ -81,6 +82,14 @@ def read(request: Request) -> Iterator[Source]:
     ]
     if not selected and not flat_sources:
         flat_sources += _read_constants(request, evaluator, own_names)
+    if not selected and not flat_sources:  # a script may define its constants in its main block
+        module = evaluator.run_main_block(request.path)
+        main_names = {
+            name: node
+            for name, node in module.items()
+            if name not in module.imported and name not in own_names
+        }
+        flat_sources += _read_constants(request, evaluator, main_names)
     for source in selected or flat_sources:
         stated = {statement.quantity for statement in source.statements}
         added_scales = scales if "action scale" not in stated and "kp" in stated else []
