@@ -74,7 +74,7 @@ from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.robot import Robot, defer_stages
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
-from pupper_analysis.stance.stand import Stand
+from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,10 +313,13 @@ def _must_fix_base(draft: Draft) -> bool:
     """Return True if the base may be fixed, and the robot cannot stand with a free base.
 
     The base may be fixed if the file has no free base (`Draft.may_fix_base`). The robot
-    cannot stand if an earlier pass has failed, or if it has no nominal stand.
+    cannot stand if an earlier pass has failed, or if it has no nominal stand. On feet that the user
+    named, the base stays free: commands then report why the robot does not stand.
     """
     if not draft.may_fix_base or draft.refused:
         return draft.may_fix_base
+    if draft.request.feet:
+        return False
     return draft.robot.floating and start.solve_nominal_stand(draft.robot) is None
 
 
@@ -568,6 +571,24 @@ def _report_uncommanded_joints(draft: Draft) -> PassOutput:
     )
 
 
+def _describe_missing_stand(draft: Draft) -> Diagnostic:
+    """Return the reason for which a robot has no nominal stand.
+
+    With fewer than `_MIN_STANDING_FEET` found feet, these may be the fingers of a gripper.
+    """
+    names = tuple(foot.name for foot in draft.feet)
+    if len(names) >= _MIN_STANDING_FEET:
+        try:
+            stand_statics(draft.robot, solve_stand(draft.robot, explain=False))
+        except PupperAnalysisError as error:
+            return diagnose("no-stand-on-feet", feet=names, why=error.diagnostic)
+    return diagnose("stands-on-no-feet")
+
+
+_MIN_STANDING_FEET = 3
+"""Number of found feet from which the reason for a missing stand is stated. Chosen, not tuned."""
+
+
 @_register_pass(Term("fixes the base where it does not stand"), _must_fix_base, after_refusal=True)
 def _fix_base(draft: Draft) -> PassOutput:
     """Prepare the robot again with the base fixed, because the robot does not stand.
@@ -577,7 +598,7 @@ def _fix_base(draft: Draft) -> PassOutput:
             the error with a fixed base.
     """
     refused, request = draft.refused, replace(draft.request, fixed_base=True)
-    why = diagnose("stands-on-no-feet") if refused is None else refused.cause
+    why = _describe_missing_stand(draft) if refused is None else refused.cause
     try:
         fixed = _run_passes(
             _IMMEDIATE_PASSES, Draft(draft.urdf, draft.mjcf, request, draft.mjcf.spec)

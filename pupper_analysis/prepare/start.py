@@ -609,7 +609,9 @@ def compute_leg_length(robot: Robot, qpos: Array) -> float:
 
     The height is the sum of the distances from the contact point over the joints of a leg to its
     first joint, minus the height of this joint above the base in ``qpos``, shape (nq,), plus the
-    contact radius. Slides are at their positions in ``qpos``.
+    contact radius. Slides are at their positions in ``qpos``. If the contact sphere contains the
+    last joint, as that of a nearly flat sole, the lowest point of the sphere in ``qpos`` replaces
+    the sphere.
 
     Returns:
         Height [m].
@@ -618,12 +620,14 @@ def compute_leg_length(robot: Robot, qpos: Array) -> float:
     lengths = []
     for point, frame in robot.contact_frames.items():
         joint = model.frames[model.getFrameId(frame, pin.FrameType.BODY)].parentJoint
-        places = [config.foot_positions()[point]]
+        radius, places = robot.contact_radius[point], [config.foot_positions()[point]]
         for index in reversed(list(model.supports[joint])):
             if model.names[index] in robot.joint_names:
                 places.append(config.joint_position(model.names[index]))
+        if len(places) > 1 and np.linalg.norm(places[0] - places[1]) < radius:
+            places[0], radius = places[0] - (0.0, 0.0, radius), 0.0
         links = np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
-        lengths.append(float(links) - float(places[-1][2] - qpos[2]) + robot.contact_radius[point])
+        lengths.append(float(links) - float(places[-1][2] - qpos[2]) + radius)
     return max(lengths)
 
 

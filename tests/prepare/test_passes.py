@@ -120,3 +120,40 @@ def test_existing_site_with_the_name_of_a_foot_is_not_changed(tmp_path: Path) ->
     np.testing.assert_allclose(other.mj_model.site(frame).pos, (0.3, 0.2, 0.1))
     one, two = pa.solve_stand(plain), pa.solve_stand(other)
     np.testing.assert_allclose(one.qpos, two.qpos, atol=1e-9)
+
+
+def write_stiff_quadruped(folder: Path) -> Path:
+    """Write a quadruped whose legs hardly move, and of which one is 10 % shorter."""
+    inertial = (
+        '<inertial><mass value="{}"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" '
+        'iyz="0"/></inertial>'
+    )
+    parts = f'<link name="body">{inertial.format(1)}</link>'
+    legs = {"fl": (0.1, 0.1, 0.18), "fr": (0.1, -0.1, 0.2), "hl": (-0.1, 0.1, 0.2)}
+    for name, (x, y, length) in {**legs, "hr": (-0.1, -0.1, 0.2)}.items():
+        parts += (
+            f'<link name="{name}">{inertial.format(0.1)}<collision><origin xyz="0 0 {-length}"/>'
+            '<geometry><sphere radius="0.01"/></geometry></collision></link>'
+            f'<joint name="{name}_hip" type="revolute"><origin xyz="{x} {y} 0"/>'
+            f'<parent link="body"/><child link="{name}"/><axis xyz="0 1 0"/>'
+            '<limit lower="-0.01" upper="0.01" effort="20" velocity="9"/></joint>'
+        )
+    path = folder / "robot.urdf"
+    path.write_text(f'<robot name="stiff">{parts}</robot>')
+    return path
+
+
+def test_robot_without_stand_on_its_feet_is_not_said_to_have_none(tmp_path: Path) -> None:
+    """Reference: the geometry; one leg is 20 mm shorter than the others, at any joint position."""
+    path = write_stiff_quadruped(tmp_path)
+    fixed = pa.load_robot(path)
+    (note,) = [note for note in fixed.notes if note.code == "base-kept-in-the-world"]
+    assert not fixed.floating
+    assert "no stand was found on fl, fr, hl, hr" in str(note)
+    assert "no feet" not in str(note)
+    robot = pa.load_robot(path, feet=["fl", "fr", "hl", "hr"])
+    assert robot.floating
+    assert list(robot.feet) == ["fl", "fr", "hl", "hr"]
+    with pytest.raises(pa.StanceUnreachableError) as refusal:
+        pa.solve_stand(robot)
+    assert max(refusal.value.shortfall.values()) > 5e-3
