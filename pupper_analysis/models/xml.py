@@ -42,9 +42,13 @@ NUMBER_PATTERN: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+
 XACRO_PREFIX: Final = "xacro"
 """Namespace prefix of xacro elements, by convention of ROS."""
 
-_LATE_DECLARATION: Final = re.compile(rb"(?:\A|(?<=\A\xef\xbb\xbf))\s+<\?xml\s[^>]*\?>")
-"""XML declaration behind white space, such as a blank first line; XML permits nothing before the
-declaration."""
+_FAULTY_DECLARATION: Final = re.compile(
+    rb"(?:\A|(?<=\A\xef\xbb\xbf))"
+    rb"(?:\s+<\?xml\s[^>]*\?>|<\?xml\s(?!\s*version\s*=\s*[\"']1\.\d+[\"'])[^>]*\?>)"
+)
+"""XML declaration that parsers reject: behind white space, such as a blank first line, or with
+another version than 1.0 or 1.1, such as ``<?xml version="0.0"?>``. Eight of 902 public URDFs have
+such a version; MuJoCo and Pinocchio read them."""
 
 _DOCTYPE_START: Final = re.compile(r"(?:\s|<!--.*?-->|<\?.*?\?>)*+<!(?!--)", re.DOTALL)
 """Start of a text with a DOCTYPE, which precedes the root element."""
@@ -80,7 +84,7 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
         raise make_file_error(Place(path, line), diagnose("doctype-refused"))
     parser = _make_parser()
     try:
-        root = etree.fromstring(blank_late_declaration(text.encode()), parser)
+        root = etree.fromstring(blank_faulty_declaration(text.encode()), parser)
     except etree.XMLSyntaxError as error:
         if not text.lstrip("\ufeff \t\r\n").startswith("<"):
             raise make_file_error(Place(path, 1), diagnose("file-is-no-xml")) from error
@@ -112,13 +116,13 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
     return root
 
 
-def blank_late_declaration(data: bytes) -> bytes:
-    """Replace an XML declaration behind white space, which parsers reject, by blanks.
+def blank_faulty_declaration(data: bytes) -> bytes:
+    """Replace an XML declaration that parsers reject by blanks.
 
     All other bytes keep their positions and lines. The encoding in the declaration is lost, so the
     caller passes UTF-8.
     """
-    return _LATE_DECLARATION.sub(lambda found: re.sub(rb"[^\n]", b" ", found[0]), data, count=1)
+    return _FAULTY_DECLARATION.sub(lambda found: re.sub(rb"[^\n]", b" ", found[0]), data, count=1)
 
 
 def parse_numbers(text: str | None, default: str) -> NDArray[np.float64]:

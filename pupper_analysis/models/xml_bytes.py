@@ -16,7 +16,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import escape
 
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
-from pupper_analysis.models.xml import blank_late_declaration
+from pupper_analysis.models.xml import blank_faulty_declaration
 
 _ATTRIBUTE_PATTERN: Final = re.compile(rb"""\s([^\s=<>"'/]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 """Attribute with the value in double or single quotes."""
@@ -154,7 +154,7 @@ def read_document(path: Path) -> XmlDocument:
         stack.pop()
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.Parse(blank_late_declaration(data), True)
+    parser.Parse(blank_faulty_declaration(data), True)
     return XmlDocument(path, data, elements[0], elements)
 
 

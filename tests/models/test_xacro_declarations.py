@@ -101,10 +101,20 @@ def test_an_mjcf_with_xacro_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("mark", ["", "\ufeff"])
-def test_blank_lines_before_the_xml_declaration_are_accepted(files: Any, mark: str) -> None:
-    """Line numbers count the blank lines, and edited files keep them."""
-    declared = f'{mark}\n \n<?xml version="1.0" encoding="latin-1"?>\n'
+@pytest.mark.parametrize(
+    "declared",
+    [
+        '\n \n<?xml version="1.0" encoding="latin-1"?>\n',
+        '\ufeff\n \n<?xml version="1.0" encoding="latin-1"?>\n',
+        '<?xml version="0.0" ?>\n',  # of PyBullet's data
+        '<?xml version="1"?>\n',
+    ],
+)
+def test_faulty_xml_declarations_are_accepted(files: Any, declared: str) -> None:
+    """White space before the declaration, or another version: MuJoCo and Pinocchio read them.
+
+    Line numbers count the lines of the declaration, and edited files keep it.
+    """
     with_xacro(files.urdf, HARMLESS["property"])
     for path in (files.urdf, files.mjcf):
         path.write_text(declared + path.read_text())

@@ -33,7 +33,7 @@ from pupper_analysis.base.kinds import MODEL_KIND
 from pupper_analysis.base.tools import find_tool_modules
 from pupper_analysis.models.loading import kind_of
 from pupper_analysis.models.places import source_name
-from pupper_analysis.models.xml import blank_late_declaration
+from pupper_analysis.models.xml import blank_faulty_declaration
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.audit.audit import RULES
 
@@ -108,7 +108,7 @@ def is_include_part(path: Path) -> bool:
     try:
         # No entities and no network access: the files are not trusted.
         parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
-        data = blank_late_declaration(read_input(path, MAX_TEXT_BYTES))
+        data = blank_faulty_declaration(read_input(path, MAX_TEXT_BYTES))
         return bool(etree.fromstring(data, parser).tag == "mujocoinclude")
     except (etree.XMLSyntaxError, InputError):
         return False  # the error is reported by the check
