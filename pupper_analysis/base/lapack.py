@@ -117,6 +117,32 @@ def null_space(matrix: Array, rcond: float | None = None) -> Array:
     return basis
 
 
+def orth(matrix: Array) -> Array:
+    """Return an orthonormal basis of the range, as ``scipy.linalg.orth``.
+
+    Args:
+        matrix: Shape (m, n).
+
+    Returns:
+        Basis as columns, shape (m, k).
+
+    Raises:
+        ValueError: If an element is not finite.
+        LinAlgError: If the singular value decomposition does not converge.
+    """
+    finite = np.asarray_chkfinite(matrix, dtype=float)
+    num_rows, num_columns = finite.shape
+    if not finite.size:
+        return np.empty((num_rows, 0))
+    work = _routines.dgesdd_lwork(num_rows, num_columns, compute_uv=True, full_matrices=False)[0]
+    along, singular, _, failed = _routines.dgesdd(finite, full_matrices=False, lwork=int(work))
+    if failed:
+        raise np.linalg.LinAlgError
+    least = singular.max(initial=0.0) * np.finfo(float).eps * max(num_rows, num_columns)
+    basis: Array = along[:, : int((singular > least).sum())]
+    return basis
+
+
 def pivoted_qr(matrix: Array) -> tuple[Array, NDArray[np.intp]]:
     """Return the triangle R and the order of ``scipy.linalg.qr(matrix, pivoting=True)``.
 

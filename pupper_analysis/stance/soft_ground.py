@@ -16,9 +16,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base import lapack
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import NotSettlingError, StanceUnreachableError
+from pupper_analysis.base.minpack import find_root
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, borrow
@@ -321,9 +323,7 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
             ]
         )
 
-    from scipy import linalg, optimize  # slow to import
-
-    basis = linalg.orth(table)  # collinear points have a smaller basis
+    basis = lapack.orth(table)  # collinear points have a smaller basis
     wanted, start = basis.T @ compute_forces(np.array(given)), basis.T @ np.array(given)
 
     def residual(coefficients: Array) -> Array:
@@ -347,7 +347,5 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
         stiff = np.array([law.normal_stiffness(d) for law, d in zip(laws, depths, strict=True)])
         return np.asarray(basis.T @ (stiff[:, None] * basis))
 
-    depths: Array = (
-        basis @ optimize.root(residual, start, jac=derivative, options={"xtol": 1e-14}).x
-    )
+    depths: Array = basis @ find_root(residual, start, derivative, xtol=1e-14)
     return depths

@@ -29,18 +29,21 @@ def test_eigenvectors_equal_those_of_scipy(matrix: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("matrix", _matrices([(3, 8), (8, 3), (6, 6), (0, 4), (4, 0), (12, 30)]))
-def test_null_space_and_pivoted_triangle_equal_those_of_scipy(matrix: np.ndarray) -> None:
-    """Reference: ``scipy.linalg.null_space`` and ``qr``, to the last bit."""
+def test_bases_and_pivoted_triangle_equal_those_of_scipy(matrix: np.ndarray) -> None:
+    """Reference: ``scipy.linalg.null_space``, ``orth`` and ``qr``, to the last bit."""
     for rcond in (None, 1e-9):
         expected = linalg.null_space(matrix, rcond=rcond)
         np.testing.assert_array_equal(lapack.null_space(matrix, rcond), expected)
+    np.testing.assert_array_equal(lapack.orth(matrix), linalg.orth(matrix))
     triangle, order = lapack.pivoted_qr(matrix)
     _, expected_triangle, expected_order = linalg.qr(matrix, mode="economic", pivoting=True)
     np.testing.assert_array_equal(triangle, expected_triangle)
     np.testing.assert_array_equal(order, expected_order)
 
 
-@pytest.mark.parametrize("function", [lapack.eig, lapack.null_space, lapack.pivoted_qr])
+@pytest.mark.parametrize(
+    "function", [lapack.eig, lapack.null_space, lapack.orth, lapack.pivoted_qr]
+)
 def test_numbers_that_are_not_finite_are_refused(function: object) -> None:
     with pytest.raises(ValueError, match="NaN"):
         function(np.array([[1.0, np.nan], [0.0, 1.0]]))  # type: ignore[operator]
