@@ -87,7 +87,7 @@ class Motor:
     resistance_temperature: float | None = _number("temperature")
     resistance_rise: float | None = _number("relative rise")
     gear_ratio: float | None = _number("ratio")
-    gear_efficiency: float | None = _number("fraction")
+    gear_efficiency: float | None = _number("efficiency")
     output_torque_constant: float | None = _number("torque constant")
     rotor_inertia: float | None = _number("inertia")
     coulomb_friction: float | None = _number("friction torque")

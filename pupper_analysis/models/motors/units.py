@@ -57,6 +57,7 @@ KINDS = {
     "relative rise": Kind("1/K", {"1/K": 1.0, "%/K": 1e-2}, zero=True, most=0.1),
     "ratio": Kind("1", {"": 1.0}),
     "fraction": Kind("1", {"": 1.0, "%": 1e-2}, zero=True, most=1.0),
+    "efficiency": Kind("1", {"": 1.0, "%": 1e-2}, most=1.0),
     "inertia": Kind("kg m^2", {"kg m^2": 1.0, "g cm^2": 1e-7, "kg cm^2": 1e-4}),
     "viscous friction": Kind(
         "N m s/rad",
@@ -105,6 +106,12 @@ def parse_quantity(name: str, text: object, kind: Kind) -> float:
     valid = low <= value if kind.signed or kind.zero else low < value
     if not (valid and value <= kind.most and math.isfinite(value)):
         raise ConfigurationError(
-            name, diagnose("motor-out-of-range", given=str(text), low=low, most=kind.most)
+            name,
+            diagnose(
+                "motor-out-of-range",
+                given=str(text),
+                low=low,
+                most=kind.most if math.isfinite(kind.most) else None,
+            ),
         )
     return value

@@ -66,6 +66,8 @@ def test_numbers_are_converted_from_their_unit(kind: str, text: object, value: f
         ("mass", "heavy", "no number"),
         ("ratio", True, "no number"),
         ("fraction", "120 %", "at most 1"),
+        ("efficiency", "0 %", "out of range"),
+        ("mass", "-1 kg", "more than 0 in SI units"),
         ("temperature", "-300 degC", "out of range"),
         ("current", "inf A", "no number"),
     ],
@@ -98,6 +100,7 @@ def test_a_file_contains_numbers_with_units(tmp_path: Path) -> None:
         ('no_load_speed = "400 rad/s"', r"no_load_speed of 400 rad/s contradicts 40 rad/s"),
         ('peak_torque = "1 N m"\ncontinuous_torque = "2 N m"', "2 N m is above the peak torque"),
         ('kp = "5 N m"', "N m is not a unit"),
+        ("gear_efficiency = 0", "gear_efficiency: 0 is out of range"),
         ("mass = 3", "no unit"),
     ],
 )
