@@ -419,6 +419,31 @@ def test_slides_and_a_ball_of_the_base_are_no_joints_of_lists(tmp_path: Path) ->
     assert angles == dict(zip(JOINTS, ANGLES, strict=True))
 
 
+LEGGED_LAB = """from isaaclab import ArticulationCfg, DCMotorCfg, EnvCfg, RobotCfg, SimCfg
+
+LEGS = ArticulationCfg(
+    init_state=ArticulationCfg.InitialStateCfg(joint_pos={".*": 0.0}),
+    actuators={"legs": DCMotorCfg(joint_names_expr=[".*"], stiffness=5.0, damping=0.25)},
+)
+WALK = EnvCfg(
+    scene=LEGS,
+    robot=RobotCfg(action_scale=0.75),
+    sim=SimCfg(dt=0.002, decimation=10),
+)
+"""
+
+
+def test_scale_and_decimation_of_legged_lab_are_read(tmp_path: Path) -> None:
+    """As in atom01_train and TienKung-Lab, whose actions are no terms of Isaac Lab."""
+    path = tmp_path / "walk_cfg.py"
+    path.write_text(LEGGED_LAB)
+    found = read_contract(MJCF, f"{path}:WALK", stand=False)
+    stated = {(fact.quantity, fact.joint): fact.value for fact in found.facts
+              if fact.source.startswith("walk_cfg.py")}  # fmt: skip
+    assert {stated["action scale", joint] for joint in JOINTS} == {0.75}
+    assert stated["policy step", ""] == 0.02
+
+
 def test_error_of_the_only_model_is_raised_if_other_sources_are_read(tmp_path: Path) -> None:
     """Not that there is no model."""
     model, path = tmp_path / "own.xml", tmp_path / "own.yaml"
