@@ -116,7 +116,10 @@ def judge_simulation(
         alone = None if alone is None else _fail_without_torque(alone, null, springs=springs)
         null = None
     elif null is not None and not fed.passed:  # the motors hold nothing in the stand
-        fed, null = replace(fed, failures=(*fed.failures, null)), None
+        joints = null.values["joints"]
+        is_cause = isinstance(joints, tuple) and 2 * len(joints) > robot.nu
+        failures = (null, *fed.failures) if is_cause else (*fed.failures, null)
+        fed, null = replace(fed, failures=failures), None
     if statics is not None:
         unknown = describe_unknown_limits(robot, statics)
         strained = describe_loaded_passive_joints(robot, statics)

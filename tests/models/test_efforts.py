@@ -400,12 +400,17 @@ def test_effort_of_zero_is_reported_with_the_effort_of_a_sibling_limb(tmp_path: 
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 12])
 def test_other_failures_stay_if_a_motor_without_torque_holds_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int
 ) -> None:
-    """A time step that is too long was reported as a motor without torque, at an idle joint."""
+    """A time step that is too long was reported as a motor without torque, at an idle joint.
+
+    If most motors have no torque, they are the first cause: in bare MuJoCo an upright arm without
+    torque falls after any nudge.
+    """
     pair = quadruped(tmp_path)
-    rewrite_file(pair.urdf, ('effort="80"', 'effort="0"'), count=1)
+    rewrite_file(pair.urdf, ('effort="80"', 'effort="0"'), count=count)
     robot = pa.load_robot(*pair)
     stand, statics = pa.solve_stand(robot), pa.stance.stand_statics
     monkeypatch.setattr(judge, "explain_own_run", lambda _: None)
@@ -414,7 +419,7 @@ def test_other_failures_stay_if_a_motor_without_torque_holds_nothing(
     held = statics(robot, stand)
     idle = replace(held, joint_torques=np.zeros(robot.nu))
     for prediction, expected in (
-        (idle, ["posture-left", "motors-without-torque"]),
+        (idle, ["posture-left", "motors-without-torque"][:: 1 if count == 1 else -1]),
         (held, ["motors-without-torque"]),
     ):
         verdict = judge.judge_simulation(robot, stand, fed, statics=prediction)
