@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.units import READ_IN
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
@@ -346,6 +347,11 @@ def recording_document(recording: Recording, _: Robot | None = None) -> doc.Docu
     message = "stands-taken" if recording.missing_stands else "all-stands-taken"
     summary = text(message, file=doc.Name(recording.file), **values)
     reasons = tuple(doc.diagnostic_text(finding) for finding in recording.findings)
+    friction: tuple[doc.Words, ...] = ()
+    if angles := recording.friction_angles:
+        joint = max(angles, key=lambda name: angles[name])
+        angle = Quantity(angles[joint], "rad")
+        friction = (doc.diagnostic_text(diagnose("friction-of-joints", joint=joint, angle=angle)),)
     return doc.Document(
         text("recording-of-stands"),
         doc.Name(recording.name),
@@ -353,7 +359,7 @@ def recording_document(recording: Recording, _: Robot | None = None) -> doc.Docu
         passed=recording.complete,
         verdict=text("recording-complete") if recording.complete else text("recording-incomplete"),
         failures=(summary, *reasons) if recording.missing_stands else reasons,
-        findings=() if recording.missing_stands else (summary,),
+        findings=friction if recording.missing_stands else (summary, *friction),
     )
 
 

@@ -153,6 +153,50 @@ def test_joint_that_moves_against_its_command_is_not_accepted(robot: Robot) -> N
     assert session._last_live_rows.tolist() == [0] + [3] * (robot.nu - 1)
 
 
+class Sticky(Reversed):
+    """Bridge of joints that dry friction holds within a band about the positions without friction.
+
+    The positions without friction are those of the command minus a lead of 0.1 rad.
+    """
+
+    band = np.linspace(0.001, 0.012, 12)
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot)
+        self._position = np.full(robot.nu, 0.2)
+
+    def send(self, command: Array) -> None:
+        free = command - 0.1
+        self._position = np.clip(self._position, free - self.band, free + self.band)
+
+
+@pytest.mark.parametrize("start", [0.2, 0.4])
+def test_stand_is_approached_from_both_sides_so_that_friction_cancels(
+    robot: Robot, start: float
+) -> None:
+    """Closed form: the mean is the position without friction, half the difference the band.
+
+    A single reading is off by the band, with the sign of the last motion.
+    """
+    bridge = Sticky(robot)
+    person = SimpleNamespace(
+        stops=lambda: False, prepare=lambda *_: True, feet_up=lambda _, swing: swing
+    )
+    session = _RecordingSession(robot, bridge, person)  # type: ignore[arg-type]
+    session._command = np.full(robot.nu, start)
+    bridge.send(session._command)
+    target = np.full(robot.nu, 0.3)
+    named = dict(zip(robot.joint_names, target.tolist(), strict=True))
+    session._ramp_commands(PlannedStand("s0", (), named, None), target, 0)
+    single = bridge.read()[1] - 0.2
+    np.testing.assert_allclose(np.abs(single), bridge.band, atol=1e-12)
+    position, _ = session.take_stand(PlannedStand("s1", (), named, None), {}, (), 0)
+    np.testing.assert_allclose(position, 0.2, atol=1e-12)
+    angles = session.compute_friction_angles(1)
+    np.testing.assert_allclose(list(angles.values()), bridge.band, atol=1e-12)
+    assert session.compute_friction_angles(0) == {}
+
+
 class Faulty(SimulatedRobot):
     """Simulated robot with faults at given times [s]: a servo that stops following or has no
     torque, lost messages, a push, and a pressed key.
@@ -202,9 +246,9 @@ STOPPED = ["servo-does-not-follow", "rows-withdrawn"]
     ("fault", "codes", "taken"),
     [
         ({"stuck": 4.0}, STOPPED, 0),
-        ({"off": 5.0}, STOPPED, 1),
-        ({"lost": (8.0, math.inf)}, ["positions-lost"], 2),
-        ({"key": 8.0}, ["recording-stopped"], 2),
+        ({"off": 12.0}, STOPPED, 1),
+        ({"lost": (21.0, math.inf)}, ["positions-lost"], 2),
+        ({"key": 21.0}, ["recording-stopped"], 2),
     ],
 )
 def test_recording_holds_on_a_fault_and_resumes_later(

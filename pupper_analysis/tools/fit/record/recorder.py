@@ -1,5 +1,8 @@
 """Record planned stands with a robot: ramp, wait for rest, average and write positions.
 
+Each stand is approached from both sides: by commands beyond and short of those planned. Dry
+friction then acts with both signs, and hardly changes the mean of both positions at rest.
+
 Whenever the recording ends, the robot holds the last command: at the end of the plan, by a key, if
 no positions arrive, or if a servo does not follow. Each row is written before the next stand
 begins, and stands that are already in the file are not recorded again.
@@ -10,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +30,7 @@ from pupper_analysis.base.files import (
     resolve_target,
     write_all,
 )
+from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.kinds import RECORD_KIND
 from pupper_analysis.base.locks import lock_file
 from pupper_analysis.base.results import Result
@@ -75,6 +79,15 @@ _REST_WINDOW = 1.0
 """Duration [s] of the last measurements whose range decides whether the robot is at rest, and over
 which the joint positions are averaged. Chosen, not tuned."""
 
+LEAD_RATIOS = (1.3, 0.7)
+"""Factors of the lead (command minus position at rest) with which a stand is approached before the
+positions are read. Measured with simulated dry friction of 0.65 of the limit that was left in the
+joints at rest: 0.15 of the limit remains in the mean of both readings."""
+
+_RETURN_SECONDS = 2.0
+"""Least duration [s] of the return of the command to the plan, so slow that the joints follow
+without oscillation. Chosen, not tuned."""
+
 _REST_TIMEOUT = 20.0
 """Time [s] after which a stand that does not come to rest is skipped. Chosen, not tuned."""
 
@@ -93,6 +106,9 @@ class Recording(Result):
         recorded_stands: Stands that were recorded now.
         existing_stands: Stands that were in the file before.
         missing_stands: Stands that are still missing.
+        friction_angles: {joint: half the difference [rad] of its positions at rest after a larger
+            and after a smaller command, median of the stands recorded now}. Times the stiffness of
+            the servo, it is an estimate of the dry friction. Empty if positions are typed.
         findings: Reasons for skipped stands, or for the end of the recording.
     """
 
@@ -101,6 +117,7 @@ class Recording(Result):
     recorded_stands: tuple[str, ...]
     existing_stands: tuple[str, ...]
     missing_stands: tuple[str, ...]
+    friction_angles: Mapping[str, float] = field(metadata={"unit": "rad"})
     findings: tuple[Diagnostic, ...]
 
     @property
@@ -224,7 +241,10 @@ def _record_missing_stands(
         bridge.close()
     missing = [planned.names[row] for row in rows if planned.names[row] not in taken]
     names = tuple(name for name in planned.names if name in recorded_names)
-    return Recording(robot.name, str(path), tuple(taken), names, tuple(missing), tuple(findings))
+    angles = session.compute_friction_angles(len(taken))
+    return Recording(
+        *(robot.name, str(path), tuple(taken), names, tuple(missing), angles, tuple(findings))
+    )
 
 
 class _RecordingSession:
@@ -235,6 +255,16 @@ class _RecordingSession:
         self._command: Array | None = None
         # Number of rows when each servo last worked.
         self._last_live_rows = np.zeros(robot.nu, dtype=int)
+        # Half differences of the two readings of each recorded stand, (nu,) [rad].
+        self._half_differences: list[Array] = []
+
+    def compute_friction_angles(self, num_stands: int) -> FrozenDict[str, float]:
+        """Return {joint: median half difference [rad] of both readings} of the first stands."""
+        differences = self._half_differences[:num_stands]
+        if not differences:
+            return FrozenDict()
+        medians = np.median(np.abs(differences), axis=0).tolist()
+        return FrozenDict(zip(self._robot.joint_names, medians, strict=True))
 
     def hold_position(self) -> None:
         """Send the last commanded joint positions again, if there are any."""
@@ -250,8 +280,8 @@ class _RecordingSession:
     ) -> tuple[Array, Sequence[str]]:
         """Move the robot to a stand, and return joint positions at rest and the feet in the air.
 
-        Positions are averaged once the robot is at rest; those of a bridge without ramps (typed)
-        are read once.
+        Positions are averaged at rest, after approaches from both sides (`LEAD_RATIOS`); those of a
+        bridge without ramps (typed) are read once.
 
         Args:
             stand: Planned stand.
@@ -274,11 +304,43 @@ class _RecordingSession:
             self._bridge.send(target)
         if not self._operator.prepare(stand, loads, instructions):
             raise _StandSkippedError(diagnose("recording-left-out", stand=stand.name))
-        position = self._average_at_rest(stand) if self._bridge.ramps else self._bridge.read()[1]
+        half_difference: Array | None = None
+        if self._bridge.ramps:
+            position, half_difference = self._average_from_both_sides(stand, target)
+        else:
+            position = self._bridge.read()[1]
         swing = self._operator.feet_up(tuple(self._robot.feet), stand.swing)
         if swing is None:
             raise _StandSkippedError(diagnose("recording-left-out", stand=stand.name))
+        if half_difference is not None:
+            self._half_differences.append(half_difference)
         return position, swing
+
+    def _average_from_both_sides(self, stand: PlannedStand, target: Array) -> tuple[Array, Array]:
+        """Return the mean joint positions at rest after approaches from both sides.
+
+        Args:
+            stand: Stand, which the robot has reached.
+            target: Commands of the stand, shape (nu,) [rad].
+
+        Returns:
+            Mean positions, and half the difference of both positions, shape (nu,) [rad] each.
+
+        Raises:
+            _StandSkippedError: If the robot does not come to rest.
+            _RecordingEndedError: If a servo does not follow, positions are lost, or the operator
+                stops the recording.
+        """
+        rest = self._average_at_rest(stand)
+        lower, upper = self._robot.lower_limits, self._robot.upper_limits
+        readings = []
+        for ratio in LEAD_RATIOS:
+            beyond = np.clip(rest + ratio * (target - rest), lower, upper)
+            self._move_command(stand, beyond, self._read_positions(stand))
+            self._move_command(stand, target, self._read_positions(stand), _RETURN_SECONDS)
+            readings.append(self._average_at_rest(stand))
+        first, second = readings
+        return (first + second) / 2, (first - second) / 2
 
     def _ramp_commands(self, stand: PlannedStand, target: Array, rows: int) -> None:
         """Ramp the command to the joint positions ``target`` of a stand, shape (nu,) [rad].
@@ -292,19 +354,41 @@ class _RecordingSession:
             self._bridge.send(self._command)
             self._average_at_rest(stand)  # the previous command is unknown
         start, first_position = self._command, self._read_positions(stand)
-        steps = max(
-            1, math.ceil(np.abs(target - start).max() / (MAX_JOINT_SPEED * _COMMAND_INTERVAL))
-        )
-        for step in range(1, steps + 1):
-            self._command = start + step / steps * (target - start)
-            self._bridge.send(self._command)
-            self._bridge.wait(_COMMAND_INTERVAL)
-            self._check_tracking(stand, start, first_position)
+        self._move_command(stand, target, first_position)
         commanded_travel, travel = target - start, self._read_positions(stand) - first_position
         works = (np.abs(commanded_travel) > _MIN_COMMANDED_TRAVEL) & (
             travel * np.sign(commanded_travel) > _LIVE_TRAVEL_RATIO * np.abs(commanded_travel)
         )
         self._last_live_rows[works] = rows
+
+    def _move_command(
+        self,
+        stand: PlannedStand,
+        target: Array,
+        first_position: Array,
+        min_seconds: float = 0.0,
+    ) -> None:
+        """Ramp the command to ``target``, at most at `MAX_JOINT_SPEED`, and check the servos.
+
+        Args:
+            stand: Stand, for messages.
+            target: Commands at the end of the ramp, shape (nu,) [rad].
+            first_position: Joint positions at the start of the ramp, shape (nu,) [rad].
+            min_seconds: Least duration of the ramp [s].
+
+        Raises:
+            _RecordingEndedError: If a servo does not follow, positions are lost, or the operator
+                stops the recording.
+        """
+        assert self._command is not None
+        start = self._command
+        seconds = max(min_seconds, float(np.abs(target - start).max()) / MAX_JOINT_SPEED)
+        steps = max(1, math.ceil(seconds / _COMMAND_INTERVAL))
+        for step in range(1, steps + 1):
+            self._command = start + step / steps * (target - start)
+            self._bridge.send(self._command)
+            self._bridge.wait(_COMMAND_INTERVAL)
+            self._check_tracking(stand, start, first_position)
 
     def _check_tracking(self, stand: PlannedStand, start: Array, first_position: Array) -> None:
         """Check that all servos follow, and that no key is pressed.
