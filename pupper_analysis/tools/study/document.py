@@ -94,12 +94,13 @@ def _describe_best(outcome: StudyOutcome) -> Iterator[doc.Words]:
     single = len(outcome.objectives) == 1
     if not outcome.requirements and not single:
         return
-    requirements = join_words(map(doc.Name, outcome.requirements)) if outcome.requirements else ""
     values = {
         "total": len(outcome.table),
-        "requirements": requirements or text("without-requirements"),
+        "requirements": join_words(map(doc.Name, outcome.requirements)),
         "count": outcome.feasible,
     }
+    if not outcome.requirements and outcome.front.empty:
+        return
     if not outcome.feasible:
         yield text("no-design-meets", **values)
         yield join_words(
@@ -115,7 +116,7 @@ def _describe_best(outcome: StudyOutcome) -> Iterator[doc.Words]:
     number = 1 + list(outcome.table["design"]).index(best["design"])
     columns = [*outcome.variables, *(name for name in (objective,) if name in outcome.front)]
     yield text(
-        "best-design",
+        "best-design" if outcome.requirements else "best-of-all",
         number=number,
         values=doc.Name(_format_design(best[list(dict.fromkeys(columns))])),
         **values,

@@ -22,6 +22,7 @@ from pupper_analysis.tools.study.outcome import study_outcome
 from pupper_analysis.tools.study.requirements import Requirement
 from pupper_analysis.tools.study.study import Study, read_study
 from pupper_analysis.tools.study.write import write_design
+from tests.support.repository import ROOT
 from tests.support.variants import load
 
 PRESENT = find_motor("steadywin-gim4305-10")
@@ -124,6 +125,16 @@ def test_unknown_values_meet_no_requirement() -> None:
         assert Requirement.parse("heat", text).is_met(table).tolist() == expected
     assert Requirement.parse("stands", True).is_met(table).tolist() == [True, False, True, False]
     assert Requirement.parse("other", "< 1").is_met(table).tolist() == [False] * 4
+
+
+def test_question_about_the_lightest_motors_is_a_short_file() -> None:
+    """Reference: the file; 4 lengths, 4 motors and 3 stiffnesses."""
+    path = ROOT / "examples/motors.toml"
+    assert len(path.read_text().splitlines()) <= 15
+    study = Study.read(path)
+    assert len(study) == 4 * 4 * 3
+    assert len(study.motors) == 4
+    assert [item.text for item in study.requirements][-1] == "time_until_hot > 600"
 
 
 def test_code_of_a_motor_follows_its_numbers_only() -> None:
