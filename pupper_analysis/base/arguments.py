@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import math
 import reprlib
+import sys
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -218,6 +219,9 @@ def _make_type_tests(function: Any) -> dict[str, Callable[[Any], bool]]:
     return {name: _make_type_test(hint) for name, hint in _get_type_hints(function).items()}
 
 
+_MAX_DOUBLE = int(sys.float_info.max)
+"""Largest integer that is accepted as a float: larger integers have no float."""
+
 _NUMBER_TYPES: dict[Any, Any] = {float: Real, int: Integral}
 """{annotated type: abstract type of the accepted numbers, which includes NumPy's}."""
 
@@ -266,7 +270,11 @@ def _make_type_test(hint: Any) -> Callable[[Any], bool]:
         kind = _NUMBER_TYPES[hint]
         return lambda value: (
             type(value) is hint
-            or (isinstance(value, kind) and not isinstance(value, _BOOLEAN_TYPES))
+            or (
+                isinstance(value, kind)
+                and not isinstance(value, _BOOLEAN_TYPES)
+                and (hint is int or not isinstance(value, int) or abs(value) <= _MAX_DOUBLE)
+            )
         )
     if hint is bool:
         return lambda value: isinstance(value, _BOOLEAN_TYPES)
@@ -309,6 +317,8 @@ def _make_elements_test(
         is_sequence = isinstance(value, Sequence) and not isinstance(value, str | bytes)
         is_array = isinstance(value, np.ndarray) and value.ndim
         if of_known_length and not is_sequence and not is_array:
+            return False
+        if isinstance(value, np.ndarray) and not is_array:  # an array without elements to iterate
             return False
         # Elements of an iterator are not tested here, because that would consume the iterator.
         reusable = is_sequence or is_array

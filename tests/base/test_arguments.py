@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from fractions import Fraction
 from pathlib import Path
@@ -294,3 +294,16 @@ def test_fractions_and_integers_are_accepted_as_coordinates() -> None:
     state = [Fraction(0)] * 3 + [1] + [0] * 15
     qpos = pa.Configuration(load("v3"), state).qpos
     assert qpos.tolist() == [0.0] * 3 + [1.0] + [0.0] * 15
+
+
+def test_numbers_without_a_float_and_arrays_without_a_length_are_refused() -> None:
+    """Reference: `float` raises an OverflowError, and `iter` a TypeError, for these values."""
+
+    @check_arguments
+    def take(*, number: float = 0.0, count: int = 0, parts: Iterable[float] = ()) -> None:
+        del number, count, parts
+
+    take(number=10**300, count=10**400, parts=np.array([1.0]))
+    for wrong in ({"number": 10**400}, {"number": -(10**400)}, {"parts": np.array(1.0)}):
+        with pytest.raises(pa.ConfigurationError):
+            take(**wrong)

@@ -638,7 +638,7 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
         raise ConfigurationError("robot", diagnose("robot-cannot-stand", robot=robot.name))
     for foot in stand.foot_targets:
         robot.check_foot(foot)
-    if feet not in ("pinned", "sliding"):
+    if not isinstance(feet, str) or feet not in ("pinned", "sliding"):
         raise ConfigurationError("feet", diagnose("feet-not-valid", given=str(feet)))
     if not 0 <= seconds <= MAX_CREEP_DURATION or (seconds and feet == "sliding"):
         problem = diagnose("creep-not-valid", given=f"{seconds} s")
