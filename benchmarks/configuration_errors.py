@@ -8,6 +8,7 @@ its own coordinates) and MuJoCo. Errors are relative to the largest element of t
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
@@ -24,6 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 import pupper_analysis as pa  # noqa: E402
+from pupper_analysis.statics.polytope import MIN_LEVER_ARM  # noqa: E402
 from tests.robot.test_configuration_analysis import (  # noqa: E402
     ODD,
     REFERENCES,
@@ -33,7 +35,7 @@ from tests.robot.test_configuration_analysis import (  # noqa: E402
     load_odd_robot,
     states,
 )
-from tests.support.engines import addresses, evaluate_mujoco  # noqa: E402
+from tests.support.engines import addresses, evaluate_mujoco, with_efforts  # noqa: E402
 
 Array = np.ndarray
 Row = tuple[str, str, Array, Array]
@@ -113,6 +115,65 @@ def compare_dynamics(config: pa.Configuration, mj: mujoco.MjData) -> Iterator[Ro
         yield "centroidal_map_time_variation", "Pinocchio", mine, expected
 
 
+EFFORT = 50.0
+"""Effort limit of all motors [N m, N] in the comparison of force polytopes. Chosen: it holds the
+static load of most states, so that few forces are 0."""
+
+
+def compare_forces(config: pa.Configuration, offset: Array) -> Iterator[Row]:
+    """Yield the largest forces on each link in 26 directions, by a closed form with both engines.
+
+    A force F u is withstood by a motor with the static load l if |l - F J^T u| is at most the
+    limit; the result is the smallest F of all motors, and 0 if a static load exceeds the limit.
+    Robots with closed loops are left out: their motors bear forces through the loops.
+    """
+    robot, (_, columns) = config.robot, addresses(config.robot)
+    if robot.closure is not None:  # motors bear forces through loops
+        return
+    strong = with_efforts(robot, EFFORT)
+    at_rest = pa.Configuration(strong, config.qpos)
+    still = evaluate_mujoco(robot, config.qpos, np.zeros(robot.nv))
+    _, q, mapping, _ = compute_by_pinocchio(at_rest)
+    gravity = mapping.T @ pin.computeGeneralizedGravity(robot.pin_model, robot.pin_data(), q)
+    joints = slice(robot.nv - robot.nu, None)
+    springs = still.qfrc_passive[columns][joints]
+    data = robot.pin_data()
+    pin.computeJointJacobians(robot.pin_model, data, q)
+    pin.updateFramePlacements(robot.pin_model, data)
+    loads = {
+        "Pinocchio": gravity[joints] - springs,
+        "MuJoCo": still.qfrc_bias[columns][joints] - springs,
+    }
+    directions = [
+        np.array(way) for way in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(way)
+    ]
+    for name, body in links(robot):
+        place = (name, *offset)
+        polytope = pa.statics.force_polytope(at_rest, place)
+        frame = robot.pin_model.getFrameId(name, pin.FrameType.BODY)
+        six = pin.getFrameJacobian(robot.pin_model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        lever = data.oMf[frame].rotation @ offset
+        by_pin = (six.reshape(6, -1)[:3] - pin.skew(lever) @ six.reshape(6, -1)[3:]) @ mapping
+        rows = np.zeros((3, robot.mj_model.nv))
+        mujoco.mj_jac(robot.mj_model, still, rows, None, polytope.point, body)
+        for engine, jacobian in (("Pinocchio", by_pin), ("MuJoCo", rows[:, columns])):
+            load = loads[engine]
+            for way in directions:
+                unit = way / np.linalg.norm(way)
+                lever_arms = unit @ jacobian[:, joints]
+                bearing = np.abs(lever_arms) > MIN_LEVER_ARM
+                moving = np.isin(robot.joint_names, polytope.joints)
+                if not bearing.any():
+                    continue
+                ends = (EFFORT + np.sign(lever_arms) * load)[bearing] / np.abs(lever_arms[bearing])
+                overloaded = bool((np.abs(load[moving]) > EFFORT).any())
+                expected = 0.0 if overloaded else float(ends.min())
+                # Relative to 1 N or the force: lever arms near zero give forces of 1e9 N.
+                mine = polytope.largest_force(unit)
+                size = max(1.0, abs(expected))
+                yield "force_polytope", engine, np.array(mine / size), np.array(expected / size)
+
+
 @click.command()
 @click.option("--table", is_flag=True, help="Write docs/data/configuration-errors.csv.")
 def main(*, table: bool) -> None:
@@ -124,7 +185,11 @@ def main(*, table: bool) -> None:
             robot = load_odd_robot(name, Path(folder))
             for config, _, offset in states(robot):
                 mj = evaluate_mujoco(robot, config.qpos, config.qvel)
-                rows = [*compare_frames(config, mj, offset), *compare_dynamics(config, mj)]
+                rows = [
+                    *compare_frames(config, mj, offset),
+                    *compare_dynamics(config, mj),
+                    *compare_forces(config, offset),
+                ]
                 for function, engine, value, expected in rows:
                     size = max(1.0, float(np.abs(expected).max(initial=0.0)))
                     error = float(np.abs(value - expected).max(initial=0.0)) / size
