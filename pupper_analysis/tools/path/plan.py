@@ -15,7 +15,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.arguments import (
+    check_arguments,
+    check_type,
+)
 from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, StaticsInfeasibleError
@@ -307,6 +310,8 @@ def stance_path(
         StaticsInfeasibleError: If a sample cannot be held at this speed. The error states the time.
         ModelError: If a number of a motor is unknown.
     """
+    for joint, motor in (motors or {}).items():
+        check_type(f"motors[{joint!r}]", motor, Motor)
     if not robot.fixed_parts:
         robot.check_floating()
     robot.check_tree("a path")
