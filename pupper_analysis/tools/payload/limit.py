@@ -341,7 +341,8 @@ def payload_limit(
         """Return the verdict of the stance with a payload [kg], simulated with feed-forward only.
 
         The simulation with position commands alone is left out, since it does not decide whether
-        the verdict passes. ``trial`` contains simulations of the loaded stand after nudges, if any.
+        the verdict passes; so are tests of growing modes if the response to the nudge has decided.
+        ``trial`` contains simulations of the loaded stand after nudges, if any.
         """
         loaded = with_payload(robot, mass, place)
         stand = solve_stand(loaded, task)
