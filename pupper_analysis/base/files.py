@@ -70,6 +70,8 @@ takes that long. Process ids are reused, and ids of another container cannot be 
 def remove_stale_files(folder: Path) -> None:
     """Remove old temporary files from a folder, once per process; only on POSIX systems.
 
+    On other systems ``os.kill(pid, 0)``, which tests if a process has ended, may end the process.
+
     A temporary file is removed if the writing process ran on this machine and has ended, or if the
     file is older than `MAX_TEMPORARY_AGE`, whatever its process. Files that cannot be removed
     remain.
@@ -77,7 +79,6 @@ def remove_stale_files(folder: Path) -> None:
     Each run that may write to a folder calls this function, also if the run writes nothing in the
     end.
     """
-    # On other systems os.kill(pid, 0) may end the process.
     if os.name != "posix" or (os.getpid(), folder) in _cleaned_folders:
         return
     _cleaned_folders.add((os.getpid(), folder))

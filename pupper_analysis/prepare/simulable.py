@@ -174,7 +174,8 @@ warm-started, as in consecutive simulation steps. Chosen, not tuned."""
 def compute_solver_residual(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
     """Compute the error of MuJoCo's solver: the residual of M qacc = f of a pushed free base.
 
-    The push is a force of `_PUSH_FRACTION` of the robot's weight along each axis.
+    The push is a force of `_PUSH_FRACTION` of the robot's weight along each axis. If the model has
+    no gravity, the weight is that on Earth.
 
     Args:
         model: Model.
@@ -184,7 +185,6 @@ def compute_solver_residual(model: mujoco.MjModel, data: mujoco.MjData, base: in
     Returns:
         Largest of the residuals of the three base forces, divided by the robot's weight.
     """
-    # Without gravity, the weight on Earth is the reference.
     gravity = float(np.linalg.norm(model.opt.gravity)) or EARTH_GRAVITY
     weight = float(model.body_subtreemass[base]) * gravity
     first = int(model.body_dofadr[base])

@@ -195,9 +195,9 @@ def _escape_brackets(text: str) -> str:
 def _make_location(file: str, line: int | None) -> dict[str, Any]:
     """Create a SARIF location, in line 1 if there is no line number.
 
-    GitHub shows no result without a line.
+    GitHub shows no result without a line. A colon in a relative path is quoted: the reference must
+    not begin with a scheme, such as "C:".
     """
-    # A relative reference must not begin with a scheme, such as "C:"; so ":" is quoted, too.
     uri = Path(file).as_uri() if Path(file).is_absolute() else quote(os.fsencode(file))
     return {"artifactLocation": {"uri": uri}, "region": {"startLine": line or 1}}
 
@@ -245,8 +245,11 @@ def write_github(annotations: Iterable[Annotation]) -> str:
 
 
 def _escape_data(text: str) -> str:
-    """Escape the message of a GitHub workflow command, a line that GitHub shows beside a file."""
-    # GitHub defines escapes for line ends; other control characters are written visibly.
+    """Escape the message of a GitHub workflow command, a line that GitHub shows beside a file.
+
+    Line ends and "%" have escapes that GitHub defines; other control characters become visible text
+    (`escape_control`).
+    """
     message = text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
     return escape_control(message)
 

@@ -100,9 +100,9 @@ state: BADQPOS, BADQVEL and BADQACC."""
 def nudge_velocity(model: mujoco.MjModel) -> Array:
     """Return a nudge: pseudo-random velocities of base and joints, shape (nv,) [m/s, rad/s].
 
-    Repeatable; the elements are at most ``NUDGE_SPEED``.
+    The absolute values are at most ``NUDGE_SPEED``. A random vector excites all modes; its seed is
+    constant, so that results are repeatable.
     """
-    # The seed makes results repeatable. A random vector excites all modes.
     nudge = np.random.default_rng(0).uniform(-1.0, 1.0, model.nv)
     return np.asarray(NUDGE_SPEED * nudge / np.abs(nudge).max(initial=0.5))
 

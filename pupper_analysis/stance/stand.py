@@ -162,8 +162,10 @@ def stand_statics(
 
 
 def stand_contacts(robot: Robot, stand: Stand) -> Contacts:
-    """Return the contacts of a stand's stance feet, with ground normals and penetrations [m]."""
-    # Contacts on level, rigid ground are cached by the robot.
+    """Return the contacts of a stand's stance feet, with ground normals and penetrations [m].
+
+    The robot caches contacts on level, rigid ground.
+    """
     level = all(normal.tolist() == _UP for normal in stand.normals.values())
     normals, depths = None if level else stand.normals, stand.depths
     sunk = depths if any(depths.values()) else None

@@ -52,7 +52,9 @@ def align_frames(
     """Express the tree ``second`` in link frames as near as possible to those of ``first``.
 
     A link frame may have any position along a hinge axis, and any orientation, without changing the
-    robot. The frames that minimise the deviation are selected joint by joint.
+    robot. The frames that minimise the deviation are selected joint by joint. The alignment uses
+    smaller tolerances than the comparison, because it could distribute a difference to parts below
+    the tolerance.
 
     Args:
         second: Tree whose link frames are transformed.
@@ -61,7 +63,6 @@ def align_frames(
         fixed: Prismatic joints whose origin must not be moved.
         only: Joints whose frames are transformed; all by default.
     """
-    # Smaller tolerances, because a difference could be distributed to parts below the tolerance.
     tolerances = tighten_tolerances(tolerances)
     names = list(first.joints if only is None else only)
     nearest = _align_by_cost(second, first, tolerances, fixed, names, as_the_first=False)

@@ -577,9 +577,9 @@ def _compare_sides(
 def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
     """Yield differences between the joint orders of sources that feed a policy.
 
-    Models, assumed orders, and two sources that both map joints to motors are not compared.
+    Models, assumed orders (which prove nothing), and two sources that both map joints to motors
+    (which may use any order) are not compared.
     """
-    # Assumed orders prove nothing; a source with a motor map may use any order.
     feeding = [
         placed_source
         for placed_source in placed

@@ -89,13 +89,14 @@ def find_free_port(host: str, port: int | None) -> int:
 def start_server(host: str, port: int, label: str, access: Access | None = None) -> Any:
     """Start a viser server that cannot be shared on the internet from the page.
 
+    Connections without a request, or with a malformed request, are not logged as errors.
+
     Args:
         host: Address of the server.
         port: Free port.
         label: Title of the page.
         access: Access control; by default that of the host.
     """
-    # Connections without or with malformed requests are not reported as errors.
     for name in ("websockets.server", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     # A browser that disconnects while its page is created is no error either.
