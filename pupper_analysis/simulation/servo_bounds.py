@@ -250,9 +250,9 @@ def find_soft_servos(
 ) -> SoftServos | None:
     """Find the servos whose stiffness alone makes a stand with feed-forward fail.
 
-    Simulated are the joints of the unstable modes that ``run`` names, with the other joints of
-    their class: first each class alone, then these classes together. Their stiffness and damping
-    are multiplied by `_SINGLE_FACTORS` until the robot stands.
+    The joints of the unstable modes that ``run`` names belong to classes of joints, of which up to
+    `_MAX_SUSPECTS` are simulated: first each class alone, then these classes together. Their
+    stiffness and damping are multiplied by `_SINGLE_FACTORS` in turn, until the robot stands.
 
     Args:
         robot: Robot, with the contacts of the stand.
@@ -262,8 +262,9 @@ def find_soft_servos(
         kd: Present damping [N m s/rad], scalar or shape (nu,); default: the model's.
 
     Returns:
-        Servos of the first class that suffices. None if the robot stands, if its failures name no
-        unstable mode, or if no tried factor suffices.
+        Servos of the first class that suffices, or of all these classes. None if the robot stands
+        or has a fixed base, if its failures name no unstable mode of servos with stiffness, or if
+        no tried factor suffices.
 
     Raises:
         The errors of `bound_servo_gains`.

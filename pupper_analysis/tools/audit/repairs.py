@@ -313,7 +313,8 @@ def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 
     The shapes are the collision shapes, or without these the visual shapes; the solid of an open
     mesh is its convex hull. A stated CoM far outside of the shapes (`_MAX_OUTSIDE`) is replaced,
-    too. Nothing is proposed for a link with a shape of unknown size, or with an impossible density.
+    too. Nothing is proposed, for example, for a link with a shape of unknown size, without mass or
+    <inertial>, or with an impossible density.
     """
     link, tags = robot.links[name], robot.file.tree.links.get(name)
     if tags is None or link.mass <= 0 or _find_element(robot, "link", name, "inertial") is None:
