@@ -267,7 +267,8 @@ class Stability(Result):
             rest, the spectrum does not describe the stability.
         uses_noslip_solver: Whether MuJoCo's no-slip solver is active. Friction then holds buckling
             modes until the contact slips; a simulation shows such modes, the spectrum does not.
-        refuted_modes: Modes that grow in the spectrum, but not in a nudged simulation.
+        refuted_modes: Modes that grow in the spectrum, and that a nudged simulation does not
+            confirm.
     """
 
     timestep: float = field(metadata={"unit": "s"})

@@ -93,7 +93,7 @@ def proves_unrest(nudge: Nudge) -> bool:
 
 
 def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
-    """Create the message about a mode that grows in the spectrum, but not in a nudged simulation.
+    """Create the message about a mode of the spectrum that a nudged simulation does not confirm.
 
     The first of `Stability.refuted_modes` is described; empty if there is none.
     """

@@ -117,7 +117,7 @@ class GrowthTrial(Result):
         nudge: Largest initial deviation of a joint (rad or m); 0 if only velocities deviate.
         duration: Simulated time (s).
         doubling_time: Half the time of two successive doublings (s); None if the deviation does not
-            grow by ``2 ** DOUBLINGS``, or the growth slows down. If the simulation diverges
+            grow by ``2 ** DOUBLINGS``, or the growth slows down or ends. If the simulation diverges
             earlier, mean time of a doubling.
         joints: Joints with the largest final deviations, the largest first.
         sustained: Whether modes that shake leave an oscillation that does not decay.
@@ -150,7 +150,7 @@ def confirm_growth(
         The stability with tested modes. In ``unstable``, one mode with the simulated doubling time
         (None for a sustained oscillation) replaces the modes that were tested together; modes that
         grow within ``HOLD_DURATION`` and were not tested are omitted. ``refuted_modes`` contains
-        tested modes that do not grow in the simulation.
+        tested modes that the simulation does not confirm.
     """
     leaving = stability.modes_growing_within()
     if not leaving or not stability.at_rest:
@@ -228,7 +228,7 @@ def simulate_growth(
     maxima: list[float] = []
     lows, highs = list[Array](), list[Array]()  # of the signed difference, in each window
     deviations, time, doubling = np.zeros(len(columns)), 0.0, None
-    first, diverged = 0, False  # first: window in which the last transient ended
+    first = 0  # window in which the last transient ended
     while time < LONGEST_TRIAL or (doubling is not None and time < 2 * LONGEST_TRIAL):
         control = np.tile(ctrl, (1, chunk, 1))
         rollouts = roll_out(model, workers, states, control)

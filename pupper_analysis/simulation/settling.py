@@ -162,7 +162,7 @@ def comes_to_rest(
     growing = spectrum.modes_growing_within()
     if growing and all(_is_refuted_by_nudge(mode, duration) for mode in growing):
         return True
-    # The simulation of growing modes takes up to `LONGEST_TRIAL`, the nudge a few seconds.
+    # The simulation of growing modes takes up to twice `LONGEST_TRIAL`, the nudge a few seconds.
     return confirm_growth(spectrum, model, settled, held.ctrl).is_stable_for()
 
 

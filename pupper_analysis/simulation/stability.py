@@ -55,7 +55,7 @@ def stand_stability(
     """Judge whether a stand is stable, from the eigenvalues of a MuJoCo step.
 
     The evaluation takes milliseconds unless a mode grows; then nudged simulations, of up to
-    ``growth.LONGEST_TRIAL`` each, test whether the mode does grow (``confirm_growth``). With
+    twice ``growth.LONGEST_TRIAL`` each, test whether the mode does grow (``confirm_growth``). With
     feed-forward the stand is evaluated; without, the equilibrium of the servos (``steady_state``,
     feet pinned). Larger pushes are not covered.
 
