@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,11 +87,21 @@ PAIRS += [("one iteration", "study")]
 confirms, and a metric that uses the linearised step alone would pass it."""
 
 
+@pytest.fixture(scope="module")
+def find_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], Path]]:
+    """Return the folder of an edit. All commands on an edit share its robot."""
+    folders = {name: tmp_path_factory.mktemp("edit") for name in {name for name, _ in PAIRS}}
+    with every_command.share_robots():
+        yield folders.__getitem__
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "command"), PAIRS)
-def test_no_command_is_better_than_bare_mujoco(name: str, command: str, tmp_path: Path) -> None:
+def test_no_command_is_better_than_bare_mujoco(
+    name: str, command: str, find_folder: Callable[[str], Path]
+) -> None:
     """``tests.explore`` draws pairs of the other edits and commands at random."""
-    row = every_command.make_row(name, EDITS[name], tmp_path, (command,))
+    row = every_command.make_row(name, EDITS[name], find_folder(name), (command,))
     assert not row.wrong, row.cells[command].word
 
 

@@ -109,11 +109,13 @@ def compare_commands(
         _compare_analysis(found, run, stance)
         _compare_push(found, run, stance)
     _compare_path(found, run, stood, stance)
-    _compare_payload(found, run, stood)
+    loaded = _compare_payload(found, run, stood)
     if stood.returncode == 0 and everywhere:
         there, _ = run("stand", "--slope", SLOPE)
         _compare_payload(found, run, there, "--slope", SLOPE)
-        _compare_loaded_push(found, run)
+        if loaded:
+            load = "--payload", f"{INSIDE * found.payload:.9g}", "--payload-at", PAYLOAD_PLACE
+            _compare_push(found, run, loaded, *load)
     if stance:
         _compare_study(found, stance, files, folder)
     if stood.returncode == 0:
@@ -249,9 +251,11 @@ def _compare_path(found: Agreement, run: Commands, stood: Answer, stance: dict[s
         found.disagreements.append("path: exit 0 where stand fails")
 
 
-def _compare_payload(found: Agreement, run: Commands, stood: Answer, *ground: str) -> None:
+def _compare_payload(
+    found: Agreement, run: Commands, stood: Answer, *ground: str
+) -> dict[str, Any]:
     """Check that ``stand`` holds with 97 % of the payload that ``payload`` prints, and fails with
-    103 %.
+    103 %; return the JSON of the stand with 97 %, empty if there is none.
     """
     told = " ".join(ground)
     done, content = run("payload", "--payload-at", PAYLOAD_PLACE, *ground)
@@ -263,28 +267,21 @@ def _compare_payload(found: Agreement, run: Commands, stood: Answer, *ground: st
         found.disagreements.append(f"payload {told}: nothing where stand holds")
     mass = content.get("mass")
     if not isinstance(mass, float) or not 0 < mass < math.inf:
-        return
+        return {}
     if not ground:
         found.payload = mass
     if done.returncode != 0:
-        return
+        return {}
+    stances = {}
     place = f"{content['link']},{PAYLOAD_PLACE}"
     for part in (INSIDE, OUTSIDE):
         asked = ("--payload", f"{part * mass:.9g}", "--payload-at", place, *ground)
-        loaded, answered = run("stand", *asked)
-        code = _result_code(loaded, answered)
+        loaded, stances[part] = run("stand", *asked)
+        code = _result_code(loaded, stances[part])
         found.codes[f"stand {told}, {part} of it"] = code
         if (loaded.returncode == 0) is not (part < 1):
             found.disagreements.append(f"stand {told} with {part} of {mass:.4g} kg: {code}")
-
-
-def _compare_loaded_push(found: Agreement, run: Commands) -> None:
-    """Compare stand and verdict of ``push`` with those of ``stand``, with 97 % of the payload."""
-    if not math.isnan(found.payload):
-        load = "--payload", f"{INSIDE * found.payload:.9g}", "--payload-at", PAYLOAD_PLACE
-        _, stance = run("stand", *load)
-        if stance:
-            _compare_push(found, run, stance, *load)
+    return stances[INSIDE]
 
 
 def _compare_study(

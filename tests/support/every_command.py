@@ -10,9 +10,12 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import mujoco
 import numpy as np
@@ -21,7 +24,11 @@ import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.base.errors import NotStandingError, PupperAnalysisError
 from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.prepare.convert import load
 from pupper_analysis.prepare.judge import judge_stand
+from pupper_analysis.prepare.passes import make_robot
 from pupper_analysis.simulation.verdict import Verdict
 from tests.support import arm, arm_features, features, legged, slips
 from tests.support.commands import answer
@@ -169,6 +176,26 @@ def _copy_keyframe(plain: mujoco.MjModel, model: mujoco.MjModel, data: mujoco.Mj
     for motor in range(model.nu):
         if model.actuator_trntype[motor] == mujoco.mjtTrn.mjTRN_JOINT:
             data.ctrl[motor] = data.qpos[model.jnt_qposadr[model.actuator_trnid[motor, 0]]]
+
+
+@contextmanager
+def share_robots() -> Iterator[None]:
+    """Prepare a pair of files once: commands that load the same bytes with the same options get
+    the same robot. Robots are immutable.
+    """
+    shared: dict[tuple[object, ...], pa.Robot] = {}
+
+    def make_shared_robot(urdf: UrdfFile, mjcf: MjcfFile, **options: Any) -> pa.Robot:
+        given = {name: value for name, value in options.items() if name != "finish"}
+        paths = urdf.path, mjcf.path
+        key = (*paths, *(path.read_bytes() for path in paths), repr(given))
+        if key not in shared:
+            shared.clear()  # tests of one edit follow each other
+            shared[key] = make_robot(urdf, mjcf, **options)
+        return shared[key]
+
+    with mock.patch.object(load, "make_robot", make_shared_robot):
+        yield
 
 
 @dataclass(frozen=True)
@@ -458,8 +485,11 @@ def make_row(
     folder: Path,
     commands: Iterable[str] = COMMANDS,
 ) -> Row:
-    """Run commands on an edited file, each in its own folder."""
-    (folder / "plain").mkdir()
+    """Run commands on an edited file, each in its own folder.
+
+    Several rows of one edit may use the same folder, if their commands differ.
+    """
+    (folder / "plain").mkdir(exist_ok=True)
     plain = slips.standing(folder / "plain")
     pair = write(folder)
     row = Row(name, simulate_truth(pair.mjcf, plain.mjcf))
