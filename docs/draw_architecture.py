@@ -115,7 +115,7 @@ def read_purpose(folder: str) -> str:
 def collect_facts(graph: Graph, tools: Mapping[str, list[str]]) -> dict[str, object]:
     """Return the content of the picture as JSON, which is embedded in the picture."""
     return {
-        "floors": sort_layers(graph),
+        "layers": sort_layers(graph),
         "arrows": {folder: dict(sorted(graph[folder].items())) for folder in sorted(graph)},
         "purposes": {folder: read_purpose(folder) for folder in sorted(graph)},
         "tools": tools,

@@ -11,7 +11,7 @@ import pytest
 from pupper_analysis.base.csv_text import cell_text, csv_text
 from pupper_analysis.pupper.variant_files import write_variant
 from tests.support.commands import answer
-from tests.support.rooms import PACKAGE
+from tests.support.layers import PACKAGE
 
 FORMULAS = [
     "=cmd|' /C calc'!A0", "+1+1", "-2+3", "@SUM(1)", "\t=1", "\r=1", "\n=1", "\uff1d1+1", "-", "-a",

@@ -13,8 +13,8 @@ from itertools import chain
 import pytest
 
 from pupper_analysis.base.tools import own_packages, own_tools
+from tests.support.layers import LAYERS, PACKAGE, trees
 from tests.support.repository import script
-from tests.support.rooms import FLOOR, PACKAGE, trees
 
 drawing = script("docs/draw_architecture.py")
 
@@ -50,9 +50,9 @@ def test_number_of_packages_and_imports_is_bounded() -> None:
     assert sum(map(len, graph.values())) <= 70
     loose = {path.name for path in drawing.PACKAGE.glob("*.py")}
     assert loose == {"__init__.py", "__main__.py"}
-    assert set(graph) == set(FLOOR)
+    assert set(graph) == set(LAYERS)
     for folder, below in graph.items():
-        assert all(FLOOR[other] < FLOOR[folder] for other in below), folder
+        assert all(LAYERS[other] < LAYERS[folder] for other in below), folder
 
 
 def test_modules_contain_no_banners() -> None:

@@ -18,9 +18,9 @@ import yaml
 import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.tools.audit.audit import CHECKS
+from tests.support.layers import LAYERS
 from tests.support.names import public, public_modules
 from tests.support.repository import ROOT, script
-from tests.support.rooms import FLOOR
 
 PACKAGE = ROOT / "pupper_analysis"
 PAGES = sorted(
@@ -65,11 +65,11 @@ def test_modules_named_in_pages_exist() -> None:
     ignored = (ROOT / ".gitignore").read_text()
     for page in PAGES:
         for path in re.findall(r"`([a-z_]+/[a-z_/]*(?:\.py)?)`", page.read_text()):
-            room = path.split("/")[0]
-            if room in FLOOR:
+            folder = path.split("/")[0]
+            if folder in LAYERS:
                 assert (PACKAGE / path).exists(), f"{page}: {path}"
             else:  # of the repository, or made by a command of the Makefile
-                assert (ROOT / path).exists() or f"{room}/" in ignored, f"{page}: {path}"
+                assert (ROOT / path).exists() or f"{folder}/" in ignored, f"{page}: {path}"
         for name in re.findall(r"`pupper_analysis\.([a-z_.]+)`", page.read_text()):
             importlib.import_module(f"pupper_analysis.{name}")
 
@@ -170,7 +170,7 @@ def test_architecture_page_has_the_current_import_graph() -> None:
 
 def test_each_package_is_described_on_the_architecture_page() -> None:
     described = [row[0] for row in rows("docs/explanation/architecture.md") if len(row) == 4]
-    assert described == [f"`{room}/`" for room in FLOOR]
+    assert described == [f"`{folder}/`" for folder in LAYERS]
 
 
 def test_release_check_requires_one_version_in_all_files(tmp_path: Path) -> None:
@@ -359,7 +359,7 @@ def test_architecture_page_states_the_place_of_new_things() -> None:
     """For each subpackage, and for terms of the field: the first row with the term."""
     table = [row for row in rows("docs/explanation/architecture.md") if len(row) == 2]
     places = " ".join(row[1] for row in table)
-    assert {room for room in FLOOR if re.search(rf"`{room}/", places)} == set(FLOOR)
+    assert {folder for folder in LAYERS if re.search(rf"`{folder}/", places)} == set(LAYERS)
     expected = {
         "metric": "tools/push/metrics.py",
         "failure": "diagnose(",

@@ -23,7 +23,7 @@ QUICK = (
     "tests/robot/test_contact.py",
     "tests/statics/test_support_polygon.py",
     "tests/prepare/test_own_run.py",
-    "tests/repository/test_house.py",
+    "tests/repository/test_architecture.py",
 )
 """Quick tests of the core that use no tool."""
 

@@ -53,14 +53,14 @@ def test_constraint_slack_is_the_smallest_of_all_margins() -> None:
     assert ground is not None
     near = replace(ground, distance=0.03)
 
-    def room(**changes: object) -> float:
+    def slack(**changes: object) -> float:
         asked = {"ground_clearance": 0.04, "self_clearance": 0.05}
         return replace(stand, task=replace(stand.task, **asked), **changes).constraint_slack  # type: ignore[arg-type]
 
-    assert room(ground_clearance=near, self_clearance=None) == pytest.approx(0.03 - 0.04)
-    assert room(ground_clearance=ground, self_clearance=near) == pytest.approx(0.03 - 0.05)
-    assert room(ground_clearance=near, self_clearance=ground) == pytest.approx(0.03 - 0.04)
-    assert room(ground_clearance=None, self_clearance=None) == 0.0
+    assert slack(ground_clearance=near, self_clearance=None) == pytest.approx(0.03 - 0.04)
+    assert slack(ground_clearance=ground, self_clearance=near) == pytest.approx(0.03 - 0.05)
+    assert slack(ground_clearance=near, self_clearance=ground) == pytest.approx(0.03 - 0.04)
+    assert slack(ground_clearance=None, self_clearance=None) == 0.0
 
 
 def test_configuration_with_a_nan_is_refused_by_its_element() -> None:

@@ -71,25 +71,25 @@ def test_vertices_equal_the_intersection_of_half_spaces() -> None:
     random = np.random.default_rng(1)
     for count in (3, 4, 7):
         for _ in range(10):
-            rows, room = random.normal(size=(count, 3)), random.uniform(0.5, 5.0, 2 * count)
+            rows, limits = random.normal(size=(count, 3)), random.uniform(0.5, 5.0, 2 * count)
             faces = np.concatenate([rows, -rows])
-            mine = find_vertices(rows, room)
+            mine = find_vertices(rows, limits)
             assert mine is not None
-            halves = np.column_stack([faces, -room])
+            halves = np.column_stack([faces, -limits])
             theirs = spatial.HalfspaceIntersection(halves, np.zeros(3)).intersections
             mine_hull, their_hull = spatial.ConvexHull(mine), spatial.ConvexHull(theirs)
             assert mine_hull.volume == pytest.approx(their_hull.volume, rel=1e-9)
             assert len(mine) == len(np.unique(theirs.round(8), axis=0))
             direction = random.normal(size=3)
             bounds = [(None, None)] * 3
-            best = optimize.linprog(-direction, A_ub=faces, b_ub=room, bounds=bounds)
+            best = optimize.linprog(-direction, A_ub=faces, b_ub=limits, bounds=bounds)
             assert (mine @ direction).max() == pytest.approx(-best.fun, rel=1e-9)
 
 
 def test_motor_without_torque_makes_the_polytope_flat() -> None:
     """Reference: corners of the rectangle with half sides of 1 and 2."""
-    rows, room = np.eye(3), np.array([1.0, 2.0, 0.0, 1.0, 2.0, 0.0])
-    vertices = find_vertices(rows, room)
+    rows, limits = np.eye(3), np.array([1.0, 2.0, 0.0, 1.0, 2.0, 0.0])
+    vertices = find_vertices(rows, limits)
     expected = [(x, y, 0) for x in (-1, 1) for y in (-2, 2)]
     assert vertices is not None
     np.testing.assert_allclose(sorted(vertices.tolist()), sorted(expected), atol=1e-15)

@@ -15,14 +15,16 @@ PACKAGE = Path(pupper_analysis.__file__).parent
 """Folder of the package."""
 
 
-def _floors() -> list[list[str]]:
+def _list_layers() -> list[list[str]]:
     """Return the layers from the lowest on, as ``pyproject.toml`` states them for import-linter."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
-    layers = next(one["layers"] for one in settings["contracts"] if one["id"] == "floors")
+    layers = next(
+        contract["layers"] for contract in settings["contracts"] if contract["id"] == "layers"
+    )
     return [re.split(r" [|:] ", layer) for layer in reversed(layers)]
 
 
-FLOOR = {room: floor for floor, rooms in enumerate(_floors()) for room in rooms}
+LAYERS = {name: layer for layer, names in enumerate(_list_layers()) for name in names}
 """{subpackage: number of its layer, 0 for the lowest}."""
 
 

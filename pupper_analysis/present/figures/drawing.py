@@ -141,10 +141,10 @@ def make_plots_figure(
     legend_lines = max(
         -(-len(legend) // count) for legend, count in zip(legends, legend_columns, strict=True)
     )
-    room = 0.4 + len(rows) * (0.15 * several + 0.19 * legend_lines)
+    extra_height = 0.4 + len(rows) * (0.15 * several + 0.19 * legend_lines)
     figure = make_page_figure(
         get_english(title or plots[0].title),
-        across * sum(heights) + room,
+        across * sum(heights) + extra_height,
         layout="constrained",
         create=create,
     )

@@ -234,14 +234,14 @@ def _select_drawn_points(points: Array, marked_index: int | None) -> NDArray[np.
     return np.union1d(kept, np.intersect1d(finite, [-1 if marked_index is None else marked_index]))
 
 
-def _compute_range(values: Array, room: float) -> tuple[float, float]:
-    """Return the bounds of an axis: the range of the values, extended by a fraction ``room``.
+def _compute_range(values: Array, margin: float) -> tuple[float, float]:
+    """Return the bounds of an axis: the range of the values, extended by a fraction ``margin``.
 
     Equal values get a range that is not empty.
     """
     low, high = float(values.min()), float(values.max())
     span = high - low or abs(high) or 1.0
-    return low - room * span, high + room * span if high > low or room else high + span
+    return low - margin * span, high + margin * span if high > low or margin else high + span
 
 
 def draw_grid(

@@ -38,7 +38,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.diagnostics.catalogue import word_files
 from pupper_analysis.base.diagnostics.templates import fill_template, format_number
 from pupper_analysis.base.results import to_json
-from tests.support.rooms import PACKAGE, trees
+from tests.support.layers import PACKAGE, trees
 
 WORDS = {
     whose: tomllib.loads(path.read_text(encoding="utf-8")) for whose, path in word_files().items()
