@@ -41,9 +41,12 @@ COMMITS = {
     "Improbable-AI/walk-these-ways": "0e7236b",
     "JensenLav/unitree_rl_mjlab": "5053c93",
     "LeCAR-Lab/ASAP": "91df82c",
+    "LeCAR-Lab/FALCON": "25ad085",
     "Open-X-Humanoid/TienKung-Lab": "7ce828b",
+    "OpenRobotLab/HIMLoco": "ef289ac",
     "OpenRobotLab/HoST": "70bb580",
     "OpenRobotLab/OpenHomie": "0746fab",
+    "Roboparty/atom01_train": "c93d119",
     "amazon-far/holosoma": "fc600e7",
     "ccrpRepo/RoboMimic_Deploy": "ffe3d40",
     "fan-ziqi/rl_sar": "e384912",
@@ -175,7 +178,7 @@ def list_cases() -> Iterator[Case]:
             f"legged_gym/envs/{home}_flat/{home}_flat_config.py"))  # fmt: skip
     yield Case("roboterax/humanoid-gym", "XBot-L", (
         "resources/robots/XBot/urdf/XBot-L.urdf", "resources/robots/XBot/mjcf/XBot-L.xml",
-        "humanoid/envs/custom/humanoid_config.py"))  # fmt: skip
+        "humanoid/envs/custom/humanoid_config.py", "humanoid/scripts/sim2sim.py"))  # fmt: skip
     for robot, model in (("g1", "g1/g1_23dof"), ("h1", "h1/urdf/h1"),
                          ("pi", "pi_12dof/urdf/pi_12dof_release_v1")):  # fmt: skip
         yield Case("OpenRobotLab/HoST", robot, (
@@ -225,11 +228,27 @@ def list_cases() -> Iterator[Case]:
     assets = "legged_lab/assets/tienkung2_lite"
     yield Case("Open-X-Humanoid/TienKung-Lab", "tienkung2_lite", (
         f"{assets}/urdf/tienkung2_lite.urdf", f"{assets}/mjcf/tienkung.xml",
-        f"{assets}/tienkung.py", "legged_lab/scripts/sim2sim.py"))  # fmt: skip
+        "legged_lab/envs/tienkung/walk_cfg.py", "legged_lab/scripts/sim2sim.py", "."))  # fmt: skip
+    yield Case("Roboparty/atom01_train", "atom01", (
+        "legged_lab/assets/roboparty/atom/mjcf/atom01.xml",
+        "legged_lab/envs/atom01/atom01_config.py",
+        "legged_lab/scripts/sim2sim_atom01.py"))  # fmt: skip
+    yield Case("LeCAR-Lab/FALCON", "g1", (
+        "humanoidverse/data/robots/g1/g1_29dof.urdf",
+        "humanoidverse/config/robot/g1/g1_29dof_waist_fakehand.yaml",
+        "sim2real/config/g1/g1_29dof_falcon.yaml",
+        "sim2real/models/falcon/g1_29dof.onnx"))  # fmt: skip
+    for robot in ("a1", "aliengo", "go1"):
+        yield Case("OpenRobotLab/HIMLoco", robot, (
+            f"legged_gym/resources/robots/{robot}/urdf/{robot}.urdf",
+            f"legged_gym/legged_gym/envs/{robot}/{robot}_config.py"))  # fmt: skip
 
 
 def _make_rows(folder: Path, case: Case) -> Iterator[list[str]]:
-    """Yield a row per finding of a case; a single row with "none" if there is no finding."""
+    """Yield a row per finding of a case, and per source or quantity that is not compared.
+
+    A single row with "none" is yielded if there are no such rows.
+    """
     paths = case.paths(folder)
     first = [case.repository, COMMITS[case.repository], case.robot,
              " + ".join(path.name for path in paths if path.suffix)]  # fmt: skip
@@ -247,7 +266,9 @@ def _make_rows(folder: Path, case: Case) -> Iterator[list[str]]:
         values = ["" if value is None else f"{value:.6g}" for value in one.values]
         lines = " ".join(Path(place).name for place in one.places)
         yield [*first, f"{one.kind}{slip}", str(one.severity), joints, *values, lines]
-    if not found.findings:
+    for note in found.unread:
+        yield [*first, "not read", "warning", "", "", "", str(note).rpartition("/")[2]]
+    if not (found.findings or found.unread):
         yield [*first, "none", "", "", "", "", ""]
 
 

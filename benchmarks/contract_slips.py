@@ -67,6 +67,12 @@ GYM = "deploy/deploy_mujoco/configs/g1.yaml"
 LITE = "policy_humanoid.yaml"
 """End of the path of the policy configuration of the Berkeley Humanoid Lite."""
 
+BOOSTER = "deploy/configs/T1.yaml"
+"""End of the path of the deployment file of booster_gym."""
+
+FALCON = "g1_29dof_falcon.yaml"
+"""End of the path of the deployment file of FALCON."""
+
 PAIRS: dict[tuple[str, str], dict[str, Slot]] = {
     ("JensenLav/unitree_rl_mjlab", "go2"): {
         **DEPLOY,
@@ -93,6 +99,35 @@ PAIRS: dict[tuple[str, str], dict[str, Slot]] = {
         "scale": Slot("env.py", "scale=", ",", ("action scale",)),
         "kp": Slot("env.py", "stiffness=", ",", ("kp",)),
         "limit": Slot("policy_latest.json", '"joint_upper_limits":', "]", ("upper limit",)),
+    },
+    ("BoosterRobotics/booster_gym", "t1"): {
+        "default": Slot(BOOSTER, "0.2, 1.35, 0, 0.5,\n    0,\n", "]", _ANGLE_QUANTITIES),
+        "scale": Slot(BOOSTER, "action_scale:", "\n", ("action scale",)),
+        "kp": Slot(
+            BOOSTER,
+            "stiffness: [\n    20, 20,\n    20, 20, 20, 20,\n    20, 20, 20, 20,\n    200,\n",
+            "]",
+            ("kp",),
+        ),
+        "limit": Slot("T1_serial.urdf", 'effort="', '"', ("effort",)),
+    },
+    ("Open-X-Humanoid/TienKung-Lab", "tienkung2_lite"): {
+        "default": Slot(
+            "legged_lab/scripts/sim2sim.py", "default_dof_pos = np.array(", "]", _ANGLE_QUANTITIES
+        ),
+        "scale": Slot("legged_lab/scripts/sim2sim.py", "action_scale =", "\n", ("action scale",)),
+        "limit": Slot("tienkung2_lite.urdf", 'effort="', '"', ("effort",)),
+    },
+    ("Roboparty/atom01_train", "atom01"): {
+        "default": Slot("sim2sim_atom01.py", "default_pos = np.array([", "]", _ANGLE_QUANTITIES),
+        "scale": Slot("sim2sim_atom01.py", "action_scale =", "\n", ("action scale",)),
+        "kp": Slot("sim2sim_atom01.py", "kps = np.array([", "]", ("kp",)),
+        "limit": Slot("sim2sim_atom01.py", "kds = np.array([", "]", ("kd",)),
+    },
+    ("LeCAR-Lab/FALCON", "g1"): {
+        "default": Slot(FALCON, "DEFAULT_DOF_ANGLES: [", "]", _ANGLE_QUANTITIES),
+        "kp": Slot(FALCON, "JOINT_KP: [", "]", ("kp",)),
+        "limit": Slot("g1_29dof.urdf", 'effort="', '"', ("effort",)),
     },
 }
 """{(repository, robot): {kind of mistake: location}}."""
@@ -179,6 +214,9 @@ def plant_mistake(home: Path, paths: list[Path], slot: Slot, slip: str, seed: in
         a, b = spans[number]
         text = f"{text[:a]}{changed[number]}{text[b:]}"
     lines = tuple(1 + text.count("\n", 0, spans[number][0]) for number in changed)
+    if path.suffix == ".urdf":  # a place in XML is the end of the start tag
+        ends = (text.index(">", spans[number][0]) for number in changed)
+        lines += tuple(1 + text.count("\n", 0, end) for end in ends)
     return Edit(path, text, lines, slot.quantities)
 
 
