@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,7 @@ def test_motors_change_mass_effort_speed_inertia_and_gains() -> None:
     assert found.mj_model.actuator_biasprm[actuator, 2] == pytest.approx(-0.2)
 
 
+@pytest.mark.slow
 def test_mass_matrices_of_both_engines_agree_with_other_motors() -> None:
     """Reference: MuJoCo's mass matrix; Pinocchio's follows from the URDF."""
     robot = with_motors(load("v3"), dict.fromkeys(load("v3").joint_names, OTHER), PRESENT)
@@ -171,7 +173,8 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Path]:
     (folder / "weak.toml").write_text(WEAK)
     (folder / "study.toml").write_text(FILE)
     study = Study.read(folder / "study.toml")
-    study.execute(folder / "results", workers=1)
+    with ThreadPoolExecutor(1) as executor:  # a thread needs no start of a process
+        study.execute(folder / "results", executor=executor)
     return study, folder / "results"
 
 
@@ -242,7 +245,8 @@ def test_a_design_that_stands_only_undisturbed_says_so(
 ) -> None:
     """Reference: the simulated drop, here from a height from which the robot collapses."""
     study = Study("v3", {"kp": [2.5], "payload": [0.0]}, ["stands", "set_down"])
-    study.execute(tmp_path, workers=1)
+    with ThreadPoolExecutor(1) as executor:
+        study.execute(tmp_path, executor=executor)
     assert study.table(tmp_path)["set_down"].tolist() == [1.0]
     assert not write_design(study, 1, tmp_path).warnings
     monkeypatch.setattr(measures, "SET_DOWN_HEIGHT", 1.0)
