@@ -28,7 +28,8 @@ def compute_region_utilisation(motor: Motor, torques: ArrayLike, speeds: ArrayLi
         speeds: Speeds of the output [rad/s], shape (n,).
 
     Returns:
-        Shape (n,). Infinite if the motor exerts no torque at the speed; 0 without torque.
+        Shape (n,). Infinite if the motor exerts no torque at the speed; 0 without torque; not a
+        number if torque or speed is not.
 
     Raises:
         ModelError: If a number of the motor is unknown.
@@ -37,7 +38,7 @@ def compute_region_utilisation(motor: Motor, torques: ArrayLike, speeds: ArrayLi
     sizes = np.abs(values)
     available = motor.compute_available_torques(np.where(values < 0, -rates, rates))
     with np.errstate(divide="ignore", invalid="ignore"):
-        shares: Array = np.where(sizes > _MIN_TORQUE, sizes / available, 0.0)
+        shares: Array = np.where(sizes <= _MIN_TORQUE, 0.0, sizes / available)
     return shares
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.models.motors.assignment import describe_weak_motor
 from pupper_analysis.tools.heat.heat import HeatStudy, study_heat
 
 
@@ -51,8 +52,14 @@ def _measure_time_until_hot(design: Any) -> float:
     times = [math.inf]
     for heat in design.compute_once(_compute_heat).motors:
         if heat.time_to_limit is None and heat.torque:
-            unknown = heat.unknown or ("peak_torque" if heat.too_weak else "winding_resistance",)
-            raise ModelError(heat.motor, diagnose("motor-numbers-unknown", numbers=[*unknown]))
+            if heat.too_weak and heat.largest_torque is not None:
+                problem = describe_weak_motor(
+                    heat.joint, heat.motor, heat.torque, heat.largest_torque, heat.limiting_number
+                )
+            else:
+                unknown = heat.unknown or ("winding_resistance", "winding_capacity")
+                problem = diagnose("motor-numbers-unknown", numbers=[*unknown])
+            raise ModelError(heat.motor, problem)
         times.append(math.inf if heat.time_to_limit is None else heat.time_to_limit)
     return min(times)
 

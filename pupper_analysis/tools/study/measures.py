@@ -253,8 +253,8 @@ def survives_set_down(design: Design) -> bool:
     """Return True if the robot stands after it is set down from `SET_DOWN_HEIGHT`.
 
     The servos hold the positions of the stand, without feed-forward; the base starts at rest. The
-    robot must have an equilibrium in which it stays up. It must neither fall in the simulation, nor
-    have collapsed at its end (`StandReference.has_collapsed`).
+    robot must have an equilibrium in which it stays up. It must neither have fallen in one of the
+    checked states, nor have collapsed in the last one (`StandReference.has_collapsed`).
 
     Raises:
         NotStandingError: If the robot does not stay up in the predicted equilibrium.

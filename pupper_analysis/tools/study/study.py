@@ -158,9 +158,11 @@ class Study:
 
         Raises:
             ConfigurationError: If an argument is not valid; the message lists valid values.
-            UnknownNameError: If the pattern of a variable matches nothing in the robot.
+            UnknownNameError: If the pattern of a variable matches nothing in the robot, or no motor
+                has a name.
             VariantError: If the variant of the robot does not exist, or a scale is not valid.
-            ModelError: If the files of the robot cannot be used.
+            ModelError: If the files of the robot or of a motor cannot be used, or the mass of
+                ``present_motor`` is unknown.
         """
         check_type("vary", vary, Mapping[str, Any])
         check_type("measure", measure, Sequence[str | MetricFunction])

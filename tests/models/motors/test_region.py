@@ -57,6 +57,7 @@ def test_region_agrees_with_mujocos_motor_at_full_voltage(voltage: float) -> Non
 def test_utilisation_beyond_the_speed_without_load_is_infinite() -> None:
     """Reference: no torque in the direction of the motion at 24 V / 0.6 N m/A = 40 rad/s."""
     shares = compute_region_utilisation(MOTOR, [1.0, 0.0, -1.0, 9.0], [41.0, 41.0, 41.0, 20.0])
+    assert np.isnan(compute_region_utilisation(MOTOR, [np.nan], [np.nan])).all()
     assert shares[0] == np.inf
     assert shares[1] == 0.0
     assert shares[2] == pytest.approx(1 / 18.0)  # braking: 30 A
