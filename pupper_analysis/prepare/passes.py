@@ -760,7 +760,7 @@ def make_robot(
     (`defer_stages`). If servos may change the order of the joints, servos and rest pose are
     computed immediately; visual meshes are then postponed only with a fixed base, and kinematics
     and statics do not wait for them. The function ``finish``, if any, is applied to the robot after
-    all steps.
+    all steps, and to the robot of `Robot.before_servos`.
 
     Raises:
         ConfigurationError: See `parse_feet`.
@@ -780,8 +780,13 @@ def make_robot(
         robot, _ = _complete_preparation(replace(draft, request=replace(request, visuals=visuals)))
         return robot if finish is None else finish(robot)
 
+    def pose_without_servos() -> Robot:
+        """Return the robot in its start pose, without servo tuning and visual meshes."""
+        robot = _pose_without_servos(draft)
+        return robot if finish is None else finish(robot)
+
     if _keeps_joint_order(draft.robot):
-        return defer_stages(draft.robot, complete_preparation, partial(_pose_without_servos, draft))
+        return defer_stages(draft.robot, complete_preparation, pose_without_servos)
     if visuals and draft.mjcf.deferred_visuals is not None and not draft.robot.floating:
         robot = complete_preparation(visuals=False)
         return defer_stages(robot, complete_preparation, lambda: robot)

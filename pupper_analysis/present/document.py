@@ -562,7 +562,7 @@ def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1
     shown = scale * float(value)
     text = format_number(shown, form)
     if not float(text.rstrip("%") or "nan"):
-        text = format(0.0, form)  # no minus before a zero
+        text = format_number(0.0, form)  # no minus before a zero
     return Number(text, shown, mark)
 
 

@@ -55,6 +55,7 @@ _IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ("walk", "v3", "--policy", "policy.json"): (("--fit", "fit.json"),),
     ("walk", "v3", "--policy", "policy.json", "--orders"): (
         *(("--command", "1,0,0"), ("--seeds", "2"), ("--vary", "mass"), ("--fit", "fit.json")),
+        ("--motor", "dephy-actpack"),
     ),
     ("walk", "v3", "--policy", "policy.json", "--response"): (
         *(("--vary", "mass"), ("--orders",), ("--trace", "trace.npz")),
@@ -137,7 +138,7 @@ USED: dict[str, set[str]] = {
     "heat": _LOAD | {"motors", "list_motors", "ambient", "limit", "battery"},
     "hold": _SERVO | _LOAD | {"positions", "tool", "continuous"},
     "live": {*("language", "host", "no_browser", "viewer", "dropped"), *_POLICY} - {"seeds"},
-    "path": _SERVO | _LOAD | {"seconds"},
+    "path": _SERVO | _LOAD | {"seconds", "motors"},
     "payload": _SERVO | _LOAD | {"continuous", "payload_at"},
     "push": _SERVO | _LOAD | {"directions", "resolution"},
     "stand": _SERVO | _LOAD | {"minimum_stiffness", "explain", "start"},

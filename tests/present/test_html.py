@@ -624,7 +624,8 @@ def test_audit_with_warnings_is_not_marked_as_passed() -> None:
     [
         (-1e-9, "+.3f", "+0.000"),
         (None, ".1f", "-"),
-        (0.1234, ".1%", "12.3%"),
+        (0.1234, ".1%", "12.3 %"),
+        (-1e-9, ".1%", "0.0 %"),
         (float("inf"), "g", "inf"),
     ],
 )
