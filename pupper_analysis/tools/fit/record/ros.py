@@ -182,6 +182,10 @@ class RosListener(WallClock):
         messages: {class name: message class}.
         topics: {key of `LISTENED_TOPICS`: topic}.
         order: Joints of the controller, the order of its commanded positions.
+
+    Raises:
+        ConfigurationError: If ``order`` lacks a joint of the robot, or contains another joint or a
+            joint twice.
     """
 
     def __init__(
