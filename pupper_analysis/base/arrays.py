@@ -10,10 +10,8 @@ from collections.abc import Iterable
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-
+from pupper_analysis.base.array_types import Array
 
 INERTIA_ENTRIES = {
     "ixx": (0, 0),

@@ -16,8 +16,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from pupper_analysis.base.array_types import Array, ComplexArray
 
 _EXTENSION = "scipy.linalg._flapack"
 """Name of SciPy's extension module with the LAPACK routines. The module is private, so

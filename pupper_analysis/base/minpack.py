@@ -13,11 +13,9 @@ from importlib.machinery import PathFinder
 from importlib.util import module_from_spec
 from typing import Any
 
-import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from pupper_analysis.base.array_types import Array
 
 _EXTENSION = "scipy.optimize._minpack"
 """Name of SciPy's extension module with MINPACK. The module is private, so ``scipy.optimize`` is

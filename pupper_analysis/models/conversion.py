@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 from lxml import etree
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import (
     make_inertia,
     make_placement,
@@ -35,8 +35,6 @@ from pupper_analysis.models.places import one_line
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
-
-Array = NDArray[np.float64]
 
 _T = TypeVar("_T")
 """Type of the values of a mapping."""

@@ -15,15 +15,13 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import JointKind, free_joints
 from pupper_analysis.models.mjcf_file import compile_with_shells, put_shells
 from pupper_analysis.models.places import one_line
-
-Array = NDArray[np.float64]
 
 _UNSUPPORTED_COUNTS: Final = {
     "nflex": "flex",

@@ -30,8 +30,6 @@ from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_content, read_input
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.xml import MAX_BYTES, MAX_NUMBER, make_unique_name
 
-Array = NDArray[np.float64]
-
 
 class JointKind(IntEnum):
     """Type of a joint, with MuJoCo's numbers."""

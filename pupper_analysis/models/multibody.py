@@ -13,14 +13,12 @@ from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import make_inertia
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,15 +15,13 @@ import coal  # comes with pin
 import numpy as np
 import pinocchio as pin
 from lxml import etree
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.attributes import UNSTATED
 from pupper_analysis.models.urdf_tree import set_origin
 from pupper_analysis.models.xml import add_element, make_unique_name, to_text, write_numbers
-
-Array = NDArray[np.float64]
 
 _MAX_POSITION: Final = 1e6
 """Absolute joint limit [rad, m] from which a joint counts as unlimited. Chosen: Pinocchio uses the

@@ -18,13 +18,11 @@ import coal  # comes with pin
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 Direction = tuple[float, float, float]
 
 
@@ -81,9 +79,9 @@ class Mesh:
     """
 
     vertices: Array
-    faces: Integers
+    faces: IntArray
 
-    def select(self, numbers: Array | Integers, faces: Array | Integers) -> Mesh:
+    def select(self, numbers: Array | IntArray, faces: Array | IntArray) -> Mesh:
         """Return a part of this mesh: the mesh of some of its vertices and triangles.
 
         Args:

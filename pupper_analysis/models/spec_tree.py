@@ -15,8 +15,9 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import inertia_entries
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.attributes import (
@@ -30,9 +31,6 @@ from pupper_analysis.models.attributes import (
 )
 from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, JointKind, add_plane, compile_spec
 from pupper_analysis.models.xml import make_unique_name
-
-Array = NDArray[np.float64]
-
 
 _OPTION_VALUES: Final[dict[tuple[str, Number], Any]] = {
     ("cone", "elliptic"): mujoco.mjtCone.mjCONE_ELLIPTIC,

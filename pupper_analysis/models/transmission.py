@@ -13,13 +13,10 @@ from enum import StrEnum
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.units import DAMPING_UNIT, STIFFNESS_UNIT
 from pupper_analysis.models.mjcf import JointKind
-
-Array = NDArray[np.float64]
-
 
 _JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
 """Transmissions of actuators that act on a single joint, in a compiled model."""

@@ -15,6 +15,7 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import (
     INERTIA_ENTRIES,
     inertia_entries,
@@ -30,8 +31,6 @@ from pupper_analysis.models.xml import (
     parse_text,
     write_numbers,
 )
-
-Array = NDArray[np.float64]
 
 
 def origin_of(element: etree._Element | None) -> pin.SE3:

@@ -183,8 +183,6 @@ def _make_parser() -> etree.XMLParser:
 
 # Writing of new model files.
 
-Array = NDArray[np.float64]
-
 _ROUNDING_RTOL = 1e-13
 """Absolute value, relative to the largest number, up to which `write_numbers` writes a number as 0:
 the rounding errors of products of rotation matrices."""

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import (
     make_placement,
@@ -26,8 +25,6 @@ from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.contact_points import compute_lowest_height
 from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.matching.match import limbs_on_the_world
-
-Array = NDArray[np.float64]
 
 _GROUND_ATOL = 1e-6
 """Distance [m] by which a base frame may be above the robot's lowest point and still count as at

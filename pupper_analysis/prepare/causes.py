@@ -37,8 +37,6 @@ from pupper_analysis.robot.as_published import Cause
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.rollout import FILTER_DYNAMICS
 
-Array = NDArray[np.float64]
-
 _OBJECT_TYPE = mujoco.mjtObj
 """MuJoCo's enumeration of element types."""
 

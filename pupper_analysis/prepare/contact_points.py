@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base import lapack
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.models.mjcf import free_joints
 from pupper_analysis.models.shapes import Shape, read_shape
 from pupper_analysis.robot.contact import find_acting_contacts, ground_geom
@@ -186,8 +186,6 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
             found = center, float((tip - center) @ down)
     return found
 
-
-Array = NDArray[np.float64]
 
 _MAX_SOLE_TILT = math.radians(25.0)
 """Upper bound of the tilt of a sole in the start pose [rad]. A foot with a larger tilt

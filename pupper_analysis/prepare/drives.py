@@ -16,8 +16,8 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.base.progress import report_progress
@@ -56,8 +56,6 @@ from pupper_analysis.simulation.verify import (
 )
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import Stand, stand_statics
-
-Array = NDArray[np.float64]
 
 _SAG_CANDIDATES = (0.02, 0.05, 0.1)
 """Deflections [rad] of the most loaded joint in the nominal stand, from which stiffness is

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import project_perpendicular
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
@@ -33,8 +33,6 @@ from pupper_analysis.robot.alike import list_limbs
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import ground_geom, limb_ends
 from pupper_analysis.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 _MAX_LEG_HEIGHT_FRACTION = 0.15
 """Upper bound of the height of a limb's lowest point above the lowest limb, relative to the height

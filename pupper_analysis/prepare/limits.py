@@ -11,8 +11,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.efforts import (
     EffortCode,
@@ -31,8 +31,6 @@ from pupper_analysis.statics.equilibrium import (
     GravityCompensation,
     compute_utilisation,
 )
-
-Array = NDArray[np.float64]
 
 
 def list_driven_limits(robot: Robot) -> list[EffortLimit]:

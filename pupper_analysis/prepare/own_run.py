@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import JointKind, silence_mujoco
@@ -57,8 +58,6 @@ from pupper_analysis.robot.fall import (
 )
 from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 _CTRL_ANGLE_RTOL = 0.1
 """Upper bound of ``|ctrl - angles| / |angles|`` (norms over all joints) with which the ctrl of a

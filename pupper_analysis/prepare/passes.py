@@ -13,8 +13,8 @@ from functools import partial
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Term,
@@ -188,9 +188,6 @@ class Draft:
         """
         assert self.built is not None
         return self.built
-
-
-Array = NDArray[np.float64]
 
 
 PassOutput = tuple[Draft, Iterable[Diagnostic]]

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.additions import (
@@ -49,8 +50,6 @@ from pupper_analysis.robot.servos import (
     write_position_servos,
 )
 from pupper_analysis.simulation.rollout import settled_activations
-
-Array = NDArray[np.float64]
 
 _BASE_POSE_ATOL = 1e-10
 """Largest position and orientation error [m, rad] with which `place_at_state` accepts the pose of

@@ -16,8 +16,9 @@ from functools import cache
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare.causes import (
@@ -73,8 +74,6 @@ from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.statics.equilibrium import gravity_compensation
-
-Array = NDArray[np.float64]
 
 SETTLING_TIME = 1.0
 """Simulated time before the nudge [s]. Chosen: servos with natural frequencies of some hertz are

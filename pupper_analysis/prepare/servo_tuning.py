@@ -21,14 +21,13 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 
-Array = NDArray[np.float64]
 Gains = tuple[Array, Array]
 
 DEFAULT_SAG = 0.02

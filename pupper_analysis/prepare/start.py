@@ -18,8 +18,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError, UnknownNameError
 from pupper_analysis.models.additions import StartKeyframe
@@ -168,8 +168,6 @@ def with_keyframes(
         spec.add_key(name=name, qpos=qpos)
     return replace(description, mjcf=spec)
 
-
-Array = NDArray[np.float64]
 
 _LIMIT_ATOL = 1e-3
 """Upper bound of the distance [rad, m] of a keyframe's joint beyond its limit with which the

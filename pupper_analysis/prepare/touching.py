@@ -14,8 +14,8 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.additions import ContactExclusion, DisabledContacts
@@ -61,8 +61,6 @@ def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
     spec.compiler.discardvisual = original.compiler.discardvisual
     return bool(before != spec.compiler.discardvisual)
 
-
-Array = NDArray[np.float64]
 
 _MAX_FOOT_SHARE = 0.5
 """Fraction of the load that a foot's own shape carries, above which the foot keeps this shape as

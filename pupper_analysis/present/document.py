@@ -13,8 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
     from pupper_analysis.base.diagnostics import Diagnostic
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from pupper_analysis.statics.equilibrium import GravityCompensation
 from collections.abc import Iterable
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import (
     SHORT_FORM,
     fill_template,
@@ -32,8 +32,6 @@ from pupper_analysis.base.diagnostics import (
     phrase,
 )
 from pupper_analysis.base.diagnostics.diagnostic import Severity
-
-Array = NDArray[np.float64]
 
 SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
 """{severity of a finding: emphasis in a document}."""

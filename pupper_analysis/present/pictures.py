@@ -22,11 +22,11 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from pupper_analysis import __version__
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array, Pixels
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
 from pupper_analysis.base.files import write_atomically
@@ -38,9 +38,6 @@ from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.whole_body import SolvedPosture
-
-Array = NDArray[np.float64]
-Pixels = NDArray[np.uint8]
 
 DEFAULT_SIZE = (640, 480)
 """Width and height of a picture [pixel]. Chosen, not tuned."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.models.shapes import NUM_SIZES, Mesh, Shape, read_mesh, read_shape
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground, Step
@@ -22,9 +22,6 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.statics.support_polygon import support_polygon
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 NUM_VISIBLE_GROUPS = 3
 """Number of geom groups that MuJoCo's viewer shows by default: groups 0 to 2."""

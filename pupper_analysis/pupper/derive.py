@@ -16,14 +16,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import yourdfpy
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.pupper.variants import BASE_MODELS, VariantSpec
-
-Array = NDArray[np.float64]
 
 BALLAST_COLOUR = (0.13, 0.14, 0.16, 1.0)
 """Colour of the block that marks a heavier torso (red, green, blue, opacity). Chosen, not tuned."""

@@ -15,8 +15,6 @@ from pathlib import Path
 from typing import Final
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import diagnose
@@ -48,8 +46,6 @@ from pupper_analysis.pupper.variants import (
 )
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import PublishedFile, Robot
-
-Array = NDArray[np.float64]
 
 _SAFE_SCALE = 20.0
 """Scale of legs or torso mass above which, or below the inverse of which, the derived MJCF of a

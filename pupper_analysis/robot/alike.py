@@ -11,13 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 _SIMILARITY_TOLERANCE = 0.05
 """Tolerance for similar limbs: of masses, relative to the larger mass; of distances between joints,

@@ -19,9 +19,9 @@ from typing import Any
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import make_placement
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
@@ -60,8 +60,6 @@ from pupper_analysis.robot.robot import (
     with_friction,
 )
 from pupper_analysis.robot.tendons import report_ignored_equalities, report_ignored_tendon_ranges
-
-Array = NDArray[np.float64]
 
 
 def build_robot(

@@ -23,14 +23,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.mjcf import equality_name
 from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.impedance import EqualityCompliance
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 CLOSED_ATOL = 1e-10
 """Residual of the independent loop equations [m, rad] below which Newton's method has closed a

@@ -14,18 +14,16 @@ from typing import Literal
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_type, check_vector
+from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.base.arrays import cross_matrices, rotation_from_quaternion
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.base.results import Pictured
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.structure import Workspace
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 Reference = Literal["local", "world", "local_world_aligned"]
 """Reference frame of a Jacobian, as ``pin.ReferenceFrame``."""

@@ -16,12 +16,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.robot.impedance import effective_solref
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -27,14 +27,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.mjcf import free_joints
 from pupper_analysis.models.transmission import is_at_one_joint
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 def normalise_quaternion(qpos: Array) -> None:

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, overload
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_vector, real_array
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.description import Description
@@ -26,8 +27,6 @@ from pupper_analysis.robot.coordinates import (
 )
 from pupper_analysis.robot.mujoco_spec import make_mujoco_spec
 from pupper_analysis.robot.shapes import CarriedShape, may_touch
-
-Array = NDArray[np.float64]
 
 
 class EngineModels:

@@ -18,9 +18,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.robot.contact import find_acting_contacts, list_contact_bodies
-
-Array = NDArray[np.float64]
 
 FALLEN_TILT = 0.5
 """Tilt of the base, relative to its initial or requested orientation [rad], above which a robot has

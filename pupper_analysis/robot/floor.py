@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Quantity,
@@ -18,8 +18,6 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, silence_mujoco
 from pupper_analysis.models.spec_tree import SpecTree
-
-Array = NDArray[np.float64]
 
 _LEVEL_ATOL = 1e-9
 """Tolerance with which a floor counts as level at z = 0 and is not changed: distance from z = 0

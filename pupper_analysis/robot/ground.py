@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import (
     check_arguments,
@@ -22,6 +21,7 @@ from pupper_analysis.base.arguments import (
     check_finite,
     check_length,
 )
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -29,7 +29,6 @@ from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.units import find_untyped_degrees
 from pupper_analysis.robot.plane import Plane, describe_surface, slope_normal
 
-Array = NDArray[np.float64]
 Point = tuple[float, float]
 
 

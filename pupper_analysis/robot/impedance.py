@@ -14,9 +14,8 @@ from collections.abc import Iterable
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from pupper_analysis.base.array_types import Array
 
 _NUM_EQUATIONS = {
     mujoco.mjtEq.mjEQ_CONNECT.value: 3,

@@ -13,9 +13,9 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_finite
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.base.units import (
@@ -28,9 +28,6 @@ from pupper_analysis.base.units import (
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-
-Array = NDArray[np.float64]
-
 
 OBLIQUE_MOTIONS = ("oblique", "oblique slide")
 """Motion types of hinges and slides whose axis is more than 1 degree from each world axis (see

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.robot.floor import disable_ground, find_floor
-
-Array = NDArray[np.float64]
 
 
 def make_mujoco_spec(

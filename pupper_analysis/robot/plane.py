@@ -12,14 +12,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_finite, check_length, check_type, check_vector
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.units import READ_IN, UNIT_FACTORS, find_untyped_degrees
 
-Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 MAX_FRICTION = 1e6

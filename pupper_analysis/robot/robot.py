@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.base.frozen import FrozenDict
@@ -39,8 +40,6 @@ from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvent
 from pupper_analysis.robot.engine_models import EngineModels
 from pupper_analysis.robot.shapes import CarriedShape, shapes_of
 from pupper_analysis.robot.structure import Structure
-
-Array = NDArray[np.float64]
 
 _EFFORT_RTOL = 1e-6
 """Relative difference up to which two effort limits count as equal, because files contain rounded

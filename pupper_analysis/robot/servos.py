@@ -19,14 +19,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import real_array
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.models.mjcf import TIMESTEP_RANGE
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.robot.joints import get_common_units
 from pupper_analysis.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 INTEGRATOR_TYPES = {
     "Euler": mujoco.mjtIntegrator.mjINT_EULER,

@@ -10,18 +10,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
-import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Term, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.shapes import NUM_SIZES, Pose, Shape, read_shape
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.structure import Structure
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,16 +13,14 @@ from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base import lapack
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.mjcf import JointKind, silence_mujoco
-
-Array = NDArray[np.float64]
 
 DIFFERENCE_STEP = 1e-7
 """Step of the centred differences of a MuJoCo step, for positions [m, rad] and velocities [m/s,

@@ -12,13 +12,11 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_vector
+from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.robot.coordinates import PinocchioConvention, normalise_quaternion
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _MAX_SPARE_DATA = 32
 """Maximum number of unused Pinocchio data that a robot keeps for reuse. An upper bound of memory:

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
@@ -27,8 +28,6 @@ from pupper_analysis.robot.floor import find_floor, is_fixed, rotate_floor
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.plane import KINDS, describe_surface
 from pupper_analysis.robot.robot import Robot, Touching
-
-Array = NDArray[np.float64]
 
 
 def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robot:

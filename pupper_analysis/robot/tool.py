@@ -23,6 +23,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments, check_length, real_array
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.base.results import Result
@@ -32,8 +33,6 @@ from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import copy_metadata, rebuild_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 _MIN_ARM_JOINTS = 3
 """Minimum number of joints that move the link with the fingers, for the link to count as a hand

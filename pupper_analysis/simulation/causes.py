@@ -10,8 +10,8 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
@@ -25,8 +25,6 @@ from pupper_analysis.simulation.stability import (
 )
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
-
-Array = NDArray[np.float64]
 
 _CHATTER_STATES = 50
 """Number of states at the end of a rollout of which ``find_chatter`` evaluates the contact forces.

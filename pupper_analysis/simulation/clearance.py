@@ -11,13 +11,11 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.rollout import STATE_SPEC
-
-Array = NDArray[np.float64]
 
 
 class GroundClearance:

@@ -26,6 +26,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
@@ -37,8 +38,6 @@ from pupper_analysis.robot.stability import (
     select_most_moving,
 )
 from pupper_analysis.simulation.rollout import StandStart
-
-Array = NDArray[np.float64]
 
 MAX_RATE = 100_000.0
 """Upper bound of the accepted control rate [Hz]: motor drives run at 10 to 40 kHz. Chosen, not

@@ -30,16 +30,14 @@ from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.mjcf import JointKind, scalar_joints
 from pupper_analysis.robot.fall import nudge_velocity
 from pupper_analysis.robot.stability import HOLD_DURATION, Mode, Stability, select_most_moving
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import STATE_SPEC, full_state, roll_out
-
-Array = NDArray[np.float64]
 
 DOUBLINGS = 3
 """Number of doublings of the difference between two simulations, displaced along growing modes in

@@ -11,11 +11,9 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.robot.stability import step_derivative
-
-Array = NDArray[np.float64]
 
 _MAX_SAMPLE_TIME = 0.05
 """Upper bound of the time between the evaluated displacements of a prediction [s]. The displacement

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.results import Result
@@ -33,8 +33,6 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.terrain import find_touched_surface, weld_forces
 from pupper_analysis.simulation.rollout import STATE_SPEC
 from pupper_analysis.stance.stand import Stand
-
-Array = NDArray[np.float64]
 
 FALLEN_HEIGHT_RATIO = 0.5
 """Remaining fraction of the expected CoM height above the feet below which a robot has fallen. The

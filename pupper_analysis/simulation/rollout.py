@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import mujoco
 import mujoco.rollout
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.mjcf import silence_mujoco
@@ -25,8 +26,6 @@ from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.terrain import build_on_ground, close_welds
 from pupper_analysis.stance.stand import Stand, stand_contacts, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
-
-Array = NDArray[np.float64]
 
 _MIN_DROP, _MAX_DROP = 1e-6, 0.065536
 """First and largest distance [m] by which ``place_on_ground`` lowers the base; the distance is

@@ -12,8 +12,9 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.errors import NoStiffnessError
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import (
@@ -35,8 +36,6 @@ from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sag.stiffness import estimate_minimum_stiffness, minimum_stiffness
 from pupper_analysis.stance.stand import Stand
-
-Array = NDArray[np.float64]
 
 _DAMPING_TOLERANCE = 0.02
 """Relative tolerance of the largest damping. Chosen for results with two digits."""

@@ -15,8 +15,9 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION, Mode
 from pupper_analysis.simulation import monitor
@@ -39,8 +40,6 @@ from pupper_analysis.simulation.stability import (
 )
 from pupper_analysis.simulation.verify import NUDGED_FRACTION, SETTLED_DRIFT
 from pupper_analysis.stance.stand import Stand
-
-Array = NDArray[np.float64]
 
 MAX_HEIGHT_DEVIATION = 2e-4
 """Upper bound of the standard deviation of the base's height, within a second, for a robot at rest

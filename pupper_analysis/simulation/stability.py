@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.mjcf import JointKind, scalar_joints
 from pupper_analysis.robot.fall import NUDGE_SPEED, nudge_velocity
@@ -33,8 +34,6 @@ from pupper_analysis.simulation.rollout import (
 )
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.stand import Stand
-
-Array = NDArray[np.float64]
 
 CONTACT_SETTLING_TIME = 0.05
 """Time for which a predicted equilibrium is simulated before its modes are computed [s]. It is

@@ -15,8 +15,9 @@ from enum import StrEnum
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.configuration import Configuration
@@ -36,8 +37,6 @@ from pupper_analysis.simulation.rollout import (
 from pupper_analysis.simulation.stability import evaluate_spectrum
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
-
-Array = NDArray[np.float64]
 
 BASE_NUDGE_SPEED = 0.01
 """Initial speed of the base in each direction [m/s]; for a yaw rotation, speed / CoM height is the

@@ -14,9 +14,10 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import project_perpendicular, rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -60,8 +61,6 @@ from pupper_analysis.simulation.verdict import TWO_ROBOTS_CODE, Creep, Outcome
 from pupper_analysis.stance.sag.steady_state import SteadyState
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
-
-Array = NDArray[np.float64]
 
 
 def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompensation) -> float:

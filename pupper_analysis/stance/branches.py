@@ -14,16 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array, BoolArray, IntArray
 from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.robot.robot import Robot
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 _NUM_STARTS = 32
 """Number of random initial guesses per limb, the joints that move a foot. Measured on 800 random

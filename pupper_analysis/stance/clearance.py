@@ -17,8 +17,9 @@ from typing import NamedTuple
 import coal  # comes with pin
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.shapes import Direction
 from pupper_analysis.robot.configuration import Configuration
@@ -26,9 +27,6 @@ from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.shapes import CarriedShape, excluded_pairs
 from pupper_analysis.robot.structure import Kinematics
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 NUM_NEAREST_PAIRS = 12
 """Number of nearest pairs of collision shapes whose distances a search of a stand or posture

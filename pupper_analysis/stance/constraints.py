@@ -15,14 +15,13 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.robot.closure import Closure
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.structure import Kinematics
 from pupper_analysis.stance.clearance import NUM_NEAREST_PAIRS, Clearance, ClearanceShapes
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.statics.support_polygon import SIDES, margin_of_position, polygon_sides
-
-Array = NDArray[np.float64]
 
 TASK_TOLERANCE = 1e-9
 """Largest residual [m, rad] with which a requirement of a task counts as satisfied. Chosen, not

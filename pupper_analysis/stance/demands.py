@@ -14,8 +14,8 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Quantity,
@@ -33,8 +33,6 @@ from pupper_analysis.stance.problem import (
     nominal_foot_positions,
 )
 from pupper_analysis.stance.task import StandTask
-
-Array = NDArray[np.float64]
 
 _FIELDS_BY_DEMAND: dict[str, list[Field]] = {}
 """{demand (attribute of `StandTask`): its fields in ``fields.toml``}."""

@@ -16,8 +16,9 @@ from typing import Any, Protocol, runtime_checkable
 from weakref import ref
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Pictured, Tabular
@@ -36,8 +37,6 @@ from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import list_grips, prescribed_forces
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.statics.support_polygon import support_corners
-
-Array = NDArray[np.float64]
 
 _ERROR_BY_CONSTRAINT = {
     "base-orientation": "orientation_error",

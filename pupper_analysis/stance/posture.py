@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
@@ -27,8 +28,6 @@ from pupper_analysis.robot.joints import (
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.judge import Stand, attach_robot
 from pupper_analysis.stance.task import StandTask
-
-Array = NDArray[np.float64]
 
 _MAX_CLOSING_DISPLACEMENT = 1e-3
 """Largest displacement [rad, m] by which a joint position that the user gave may be changed to

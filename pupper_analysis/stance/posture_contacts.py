@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import freeze_arrays
@@ -25,8 +25,6 @@ from pupper_analysis.stance.posture_tasks import OrientationTask, PositionTask, 
 from pupper_analysis.stance.problem import compute_foot_targets, make_goal
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.task import StandTask
-
-Array = NDArray[np.float64]
 
 
 class KeptContact(NamedTuple):

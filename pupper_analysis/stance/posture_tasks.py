@@ -14,13 +14,12 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 import placo
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import real_array
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
-
-Array = NDArray[np.float64]
 
 _ROTATION_TOLERANCE = 1e-6
 """Largest absolute element of R^T R - 1 with which a matrix R is accepted as a rotation matrix.

@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from pupper_analysis.base import lapack
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict, freeze_arrays
@@ -30,9 +30,6 @@ from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import list_grips, prescribed_forces
 from pupper_analysis.statics.support_polygon import Corner, margin_of_position, support_corners
-
-Array = NDArray[np.float64]
-
 
 _MIN_SUPPORT_WIDTH = 1e-3
 """Width of the support region [m], below which the contacts count as collinear and the task is

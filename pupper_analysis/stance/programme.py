@@ -16,18 +16,15 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base import lapack
+from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.constraints import TASK_TOLERANCE, Constraint, make_constraints
 from pupper_analysis.stance.demands import DemandVector
 from pupper_analysis.stance.problem import Goal, make_goal
 from pupper_analysis.stance.task import StandTask
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _DIFFERENCE_STEP = 1e-7
 """Finite-difference step of the residuals' derivative by a relaxable value of the task, such as the

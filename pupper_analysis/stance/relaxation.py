@@ -13,8 +13,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.robot.configuration import Configuration
@@ -36,8 +36,6 @@ from pupper_analysis.stance.programme import Relaxation, StanceProgram
 from pupper_analysis.stance.search import describe_mechanism_limit, search_stand
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.task import StandTask
-
-Array = NDArray[np.float64]
 
 _DEAD_POINT_RATIO = 1e-2
 """Ratio of a foot's mobility (singular value of the foot Jacobian) with closed loops to that

@@ -16,8 +16,8 @@ from operator import itemgetter
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.frozen import freeze_arrays
 from pupper_analysis.robot.configuration import Configuration
@@ -35,8 +35,6 @@ from pupper_analysis.stance.judge import Stand, evaluate_stand, is_base_in_groun
 from pupper_analysis.stance.problem import Goal, has_redundant_joints
 from pupper_analysis.stance.programme import StanceProgram
 from pupper_analysis.stance.solver import SearchContext, SolverResult
-
-Array = NDArray[np.float64]
 
 _MAX_COMBINATIONS_PER_ROUND = 256
 """Upper bound of combinations of IK branches that are tried as initial guesses in a round of

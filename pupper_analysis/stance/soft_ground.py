@@ -14,10 +14,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base import lapack
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import NotSettlingError, StanceUnreachableError
 from pupper_analysis.base.minpack import find_root
@@ -38,9 +38,6 @@ from pupper_analysis.stance.stand import (
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
-
-Array = NDArray[np.float64]
-
 
 DEPTH_TOLERANCE = 1e-9
 """Largest change of a penetration depth or loop opening [m, rad] in an iteration, below which the

@@ -13,10 +13,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.errors import ConfigurationError, StanceUnreachableError, UnknownNameError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, borrow
@@ -34,8 +34,6 @@ from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import Contacts, make_contacts
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation, balance_load
-
-Array = NDArray[np.float64]
 
 __all__ = ["Stand", "solve_stand", "stand_statics"]
 

@@ -14,17 +14,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard
 
-import numpy as np
 import orjson
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, UnknownNameError
 from pupper_analysis.base.inputs import read_text
 from pupper_analysis.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 @check_arguments

@@ -12,11 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_finite, check_length, check_type
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Phrase, diagnose
 from pupper_analysis.base.diagnostics.templates import fill_template
 from pupper_analysis.base.errors import ConfigurationError
@@ -25,7 +24,6 @@ from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.stance.fields import FIELDS, Field
 
-Array = NDArray[np.float64]
 Point = tuple[float, float]
 
 

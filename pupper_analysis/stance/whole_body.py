@@ -18,9 +18,10 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 import placo
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments, check_type
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import (
     ConfigurationError,
@@ -50,8 +51,6 @@ from pupper_analysis.stance.posture_tasks import (
 )
 from pupper_analysis.stance.solver import RADIUS_REDUCTION, UNLIMITED_POSITION, PooledPlacoRobot
 from pupper_analysis.stance.task import StandTask
-
-Array = NDArray[np.float64]
 
 POSTURE_TOLERANCE = 1e-6
 """Largest residual [m, rad] with which a task counts as satisfied. Chosen, not tuned: 1 um is below

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.progress import report_progress
@@ -26,8 +26,6 @@ from pupper_analysis.stance.search import search_near_stand, search_stand
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
-
-Array = NDArray[np.float64]
 
 BISECTION_RTOL = 1e-3
 """Accuracy of the ends of a reachable interval, relative to the first step of the search

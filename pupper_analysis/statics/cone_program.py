@@ -20,11 +20,9 @@ from types import SimpleNamespace
 
 import clarabel
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base import lapack
-
-Array = NDArray[np.float64]
+from pupper_analysis.base.array_types import Array
 
 BALANCE_TOLERANCE = 1e-9
 """Largest norm of the residual of the base's balance that counts as zero, relative to the norm of

@@ -13,9 +13,10 @@ from dataclasses import dataclass, field, replace
 from numbers import Real
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import real_array
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -25,8 +26,6 @@ from pupper_analysis.robot.plane import MAX_FRICTION
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, TangentialMetric
 from pupper_analysis.statics.support_polygon import margin_of_position, support_corners
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

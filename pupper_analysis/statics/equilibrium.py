@@ -14,9 +14,10 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
@@ -35,8 +36,6 @@ from pupper_analysis.statics.cone_program import (
     split_force,
 )
 from pupper_analysis.statics.contacts import Contacts, make_contacts
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,13 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments, real_array
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import Place, Tool, find_place, find_tool
-
-Array = NDArray[np.float64]
 
 MIN_LEVER_ARM = 1e-9
 """Lever arm of a force about a hinge [m], or force component along a slide [1], below which the

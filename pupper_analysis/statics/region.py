@@ -11,9 +11,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
@@ -24,8 +25,6 @@ from pupper_analysis.statics.support_polygon import (
     margin_of_position,
     support_corners,
 )
-
-Array = NDArray[np.float64]
 
 _MIN_DEPTH = 1e-7
 """Distance [m] of a corner from the line between its neighbours, up to which the corner is removed.

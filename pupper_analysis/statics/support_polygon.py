@@ -13,12 +13,11 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.statics.cone_program import MAX_TOTAL_NORMAL_FORCE, Balance
 
-Array = NDArray[np.float64]
 Corner = tuple[float, float]
 
 

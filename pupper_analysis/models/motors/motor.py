@@ -11,13 +11,11 @@ from contextlib import suppress
 from dataclasses import dataclass, field, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.motors.units import KINDS
-
-Array = NDArray[np.float64]
 
 MAX_STALL_RATIO = 1.1
 """Largest ratio of a stated stall torque to Kt V N / R of the same motor. A gear only reduces the

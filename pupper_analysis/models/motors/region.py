@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.models.motors.motor import Motor
-
-Array = NDArray[np.float64]
 
 _MIN_TORQUE = 1e-9
 """Torque [N m] up to which a motor counts as unloaded (rounding). Chosen, not tuned."""

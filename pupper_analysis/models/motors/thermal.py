@@ -16,13 +16,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.motors.motor import Motor
-
-Array = NDArray[np.float64]
 
 THERMAL_NUMBERS = (
     "winding_resistance",

@@ -16,6 +16,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import inertia_tensor, rotation_from_quaternion
 from pupper_analysis.models.attributes import (
     COMPILED_ATTRIBUTES,
@@ -33,7 +34,6 @@ from pupper_analysis.models.stated.model import (
     FREE_JOINT,
     HINGE_JOINT,
     SLIDE_JOINT,
-    Array,
     Frame,
     Inertial,
     Joint,

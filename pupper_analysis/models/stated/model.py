@@ -12,8 +12,8 @@ from functools import cached_property
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import make_inertia
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.units import JointUnits, select_joint_units
@@ -22,8 +22,6 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import Pose, Shape
 from pupper_analysis.models.urdf_file import UrdfFile
-
-Array = NDArray[np.float64]
 
 HINGE_JOINT = "hinge"
 """Kind of a joint that rotates about an axis."""

@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import make_inertia
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError
@@ -24,8 +24,6 @@ from pupper_analysis.models.places import make_file_error
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree, origin_of, set_origin
 from pupper_analysis.models.xml import NUM_DIGITS, parse_text, to_text
-
-Array = NDArray[np.float64]
 
 WORLD_LINK: Final = "world"
 """Name of a root link that is the world itself, as in MuJoCo's own importer."""

@@ -18,7 +18,6 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 from lxml import etree
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, make_placement
 from pupper_analysis.base.diagnostics import (
@@ -44,8 +43,6 @@ from pupper_analysis.models.xml import (
     new_file_text,
     write_numbers,
 )
-
-Array = NDArray[np.float64]
 
 _DEFAULT_VELOCITY_LIMIT = 100.0
 """Velocity limit that is written for all joints [rad/s, m/s]: a URDF requires a limit, and an MJCF

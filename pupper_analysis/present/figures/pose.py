@@ -18,8 +18,8 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # type: ignore[import-untyped]
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.scene import StandingScene, describe_scene
 from pupper_analysis.robot.robot import Robot
@@ -35,8 +35,6 @@ import shapely
 from numpy.typing import ArrayLike
 
 from pupper_analysis.robot.contact import foot_site
-
-Array = NDArray[np.float64]
 
 BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 """Corner indices of the six faces of a box, in the order of ``Skeleton.boxes``."""

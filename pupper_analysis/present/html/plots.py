@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.present.document import (
     Axis,
     BarPlot,
@@ -28,7 +29,6 @@ from pupper_analysis.present.document import (
     text,
 )
 
-Array = NDArray[np.float64]
 Mark = Mapping[str, Any]
 
 PLOT_WIDTH, PLOT_HEIGHT = 640.0, 300.0

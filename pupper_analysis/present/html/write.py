@@ -23,10 +23,11 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 import orjson
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis import __version__
 from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -65,9 +66,6 @@ from pupper_analysis.robot.robot import Robot
 
 if TYPE_CHECKING:
     import jinja2
-
-
-Array = NDArray[np.float64]
 
 MAX_FACES = 12_000
 """Approximate upper bound of the triangles of all meshes of a robot: about 150 kB of the file, so

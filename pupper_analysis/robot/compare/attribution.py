@@ -14,8 +14,8 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.units import DOWNWARD_GRAVITY, select_joint_units
 from pupper_analysis.models.multibody import MultibodyTree
@@ -45,8 +45,6 @@ from pupper_analysis.robot.matching.conventions import Conventions
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import Mimics, Reference, kinematic_trees
 from pupper_analysis.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 MAX_RESIDUAL = 1e-9
 """Largest deviation between the models that remains after all found differences are removed,

@@ -14,16 +14,14 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.models.conversion import MujocoTree
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.contact import foot_site
 from pupper_analysis.robot.matching.trees import Reference
 from pupper_analysis.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 class MujocoBehaviour:

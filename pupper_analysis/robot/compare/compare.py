@@ -21,8 +21,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Quantity,
@@ -69,8 +69,6 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.robot.shapes import may_touch
-
-Array = NDArray[np.float64]
 
 CONTACT_HEIGHT_ATOL = 2e-4
 """Difference of the heights of two contact surfaces [m] up to which the difference is not reported.

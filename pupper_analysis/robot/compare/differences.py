@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import INERTIA_ENTRIES
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
@@ -42,8 +42,6 @@ from pupper_analysis.models.urdf_file import MAX_SLIDE_POSITION
 from pupper_analysis.robot.matching.alignment import with_base
 from pupper_analysis.robot.matching.conventions import Conventions, describe_pose, with_zero
 from pupper_analysis.robot.matching.tolerances import Tolerances
-
-Array = NDArray[np.float64]
 
 INERTIAL_KINDS = ("mass", "com", "inertia")
 """Kinds of differences in the inertial parameters of a body."""

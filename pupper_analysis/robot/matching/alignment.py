@@ -15,12 +15,10 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 from pupper_analysis.robot.matching.tolerances import Tolerances
-
-Array = NDArray[np.float64]
 
 _MIN_BITS_SAVED_BY_BODY_FRAME = 0.5
 """Smallest decrease of the deviation between two trees [bits, see `measure_deviation_bits`] with

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pinocchio as pin
 from lxml import etree
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Quantity,
@@ -35,8 +35,6 @@ from pupper_analysis.robot.matching.alignment import (
     with_base,
 )
 from pupper_analysis.robot.matching.tolerances import Tolerances
-
-Array = NDArray[np.float64]
 
 _MIN_BITS_SAVED_BY_BASE_FRAME = 3.0
 """Smallest decrease of the total deviation [bits, see `measure_deviation_bits`] with which a

@@ -16,8 +16,8 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 from lxml import etree
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import make_placement
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
@@ -33,8 +33,6 @@ from pupper_analysis.models.urdf_file import to_engine_xml
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 def kinematic_trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:

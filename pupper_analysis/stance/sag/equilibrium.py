@@ -22,6 +22,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base import lapack
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
@@ -200,8 +201,6 @@ class ContactKinematics:
         change: Array = rates + moved.T @ (self._depth_rates / 2)
         return change
 
-
-Array = NDArray[np.float64]
 
 GROUND_NORMAL = (0.0, 0.0, 1.0)
 """Unit normal of the ground in the contact frame, whose z axis is the normal."""

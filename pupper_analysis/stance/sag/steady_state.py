@@ -17,10 +17,11 @@ from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base import lapack
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Quantity,
@@ -48,8 +49,6 @@ from pupper_analysis.stance.sag.equilibrium import (
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.cone_program import split_force
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
-
-Array = NDArray[np.float64]
 
 MAX_PIVOT_RATIO = 0.01
 """Upper bound of the slip of a sole [stand heights] with which `find_sliding_feet` counts the sole

@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments, real_array
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
 from pupper_analysis.robot.robot import Robot
@@ -32,8 +33,6 @@ from pupper_analysis.stance.sag.steady_state import (
     simulate_creep,
 )
 from pupper_analysis.stance.stand import Stand
-
-Array = NDArray[np.float64]
 
 HIGHEST_KP = 2500.0
 """Upper bound of the kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`:

@@ -11,9 +11,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import (
@@ -43,8 +43,6 @@ from pupper_analysis.statics.equilibrium import (
 )
 from pupper_analysis.tools.analyze.gain_sweep import GainSweep, sweep_gains
 from pupper_analysis.tools.crosscheck.crosscheck import CrossCheck, cross_check
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

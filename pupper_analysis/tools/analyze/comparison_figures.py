@@ -18,8 +18,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.diagnostics.diagnostic import Diagnostic
 from pupper_analysis.base.diagnostics.templates import Quantity
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from pupper_analysis.simulation.verify import StandVerification
     from pupper_analysis.tools.analyze.analysis import Analysis
     from pupper_analysis.tools.analyze.gain_sweep import GainSweep
-
-Array = NDArray[np.float64]
 
 NUM_COLUMNS = 2
 """Panels in a row: with three, the labels are illegible at the width of a printed page."""

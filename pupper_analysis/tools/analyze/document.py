@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import (
     EFFORT_UNIT,
@@ -402,7 +403,7 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
     yield height_plot(both, float(analysis.stand.qpos[2]))
 
 
-def _format_interval(values: doc.Array) -> str:
+def _format_interval(values: Array) -> str:
     """Format the range of values; a single number if equal."""
     low, high = float(values.min()), float(values.max())
     return f"{low:g}" if low == high else f"{low:g} … {high:g}"

@@ -24,8 +24,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array, Pixels
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.models.mjcf import JointKind, compile_spec
@@ -38,8 +38,6 @@ from pupper_analysis.present.figures.pose import (
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.tools.analyze.analysis import measure_leg_lengths
-
-Array = NDArray[np.float64]
 
 CAMERA_ELEVATION = math.radians(20)
 """Angle between the camera's line of sight and the horizontal plane [rad]. Chosen, not tuned."""
@@ -174,7 +172,6 @@ def _bound_ground(lines: Skeleton, radius: float) -> Array:
     return np.array([(x, y, 0.0) for x, y in corners])
 
 
-Image = NDArray[np.uint8]
 BACKGROUND_COLOUR = "#EEF1F5"
 """Colour of the picture's background."""
 _OVERSAMPLING_FACTOR = 2
@@ -217,11 +214,11 @@ def _compile_model(tile: Tile) -> mujoco.MjModel:
     return compile_spec(spec, robot.description.mjcf_source)
 
 
-def render_tiles(tiles: Sequence[Tile]) -> tuple[list[Image], str, str | None]:
+def render_tiles(tiles: Sequence[Tile]) -> tuple[list[Pixels], str, str | None]:
     """Render the robot of each tile with the first OpenGL backend that works.
 
     Returns:
-        Image of each tile, shape (height, width, 3); name of the backend; None. Without OpenGL: an
+        Pixels of each tile, shape (height, width, 3); name of the backend; None. Without OpenGL: an
         empty list; ``"lines"``, for a line drawing instead; the reason.
     """
     reasons = []
@@ -280,7 +277,7 @@ def _quiet_attempt() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _render_with(backend: str, tiles: Sequence[Tile]) -> list[Image]:
+def _render_with(backend: str, tiles: Sequence[Tile]) -> list[Pixels]:
     """Render pictures of robots with a single backend of MuJoCo, such as ``egl``."""
     size = tiles[0].width, max(tile.height for tile in tiles)
     window: Any = import_module(f"mujoco.{backend}").GLContext(*size)
@@ -294,7 +291,7 @@ def _render_with(backend: str, tiles: Sequence[Tile]) -> list[Image]:
         window.free()
 
 
-def _render_tile(tile: Tile) -> Image:
+def _render_tile(tile: Tile) -> Pixels:
     """Render the picture of one robot, with the background in `BACKGROUND_COLOUR`."""
     model = _compile_model(tile)
     data = mujoco.MjData(model)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.base.results import Tabular
@@ -45,8 +46,6 @@ from pupper_analysis.simulation.stability import (
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution
-
-Array = NDArray[np.float64]
 
 GainPair = tuple[float, float]
 """kp and kd."""

@@ -14,12 +14,13 @@ from types import MappingProxyType
 
 import numpy as np
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Severity
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.base.tools import formats
 from pupper_analysis.models.loading import Check
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.stated.model import Array, Link, RobotModel
+from pupper_analysis.models.stated.model import Link, RobotModel
 
 MODEL_FORMATS = ("urdf", "mjcf", *formats())
 """Names of all supported file formats, including formats of other packages."""

@@ -21,11 +21,12 @@ import mujoco
 import numpy as np
 from lxml import etree
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import INERTIA_ENTRIES
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.sides import find_mirror_pairs, strip_sides
-from pupper_analysis.models.stated.model import Array, Link, MjcfModel, RobotModel, UrdfModel
+from pupper_analysis.models.stated.model import Link, MjcfModel, RobotModel, UrdfModel
 from pupper_analysis.tools.audit.registry import (
     ValueRepair,
     compute_hull_distance,

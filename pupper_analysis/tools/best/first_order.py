@@ -14,9 +14,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy import linalg
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
@@ -25,8 +25,6 @@ from pupper_analysis.robot.tool import Tool, with_payload
 from pupper_analysis.stance.sag.equilibrium import Anchor, ContactKinematics
 from pupper_analysis.stance.stand import Stand, stand_contacts
 from pupper_analysis.statics.equilibrium import distribute_loads
-
-Array = NDArray[np.float64]
 
 SMALL_PAYLOAD_RATIO = 0.1
 """Payload mass, relative to the robot's mass, of an equilibrium from which torques and forces are

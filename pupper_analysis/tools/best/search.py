@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import (
     ConfigurationError,
@@ -34,7 +35,6 @@ from pupper_analysis.statics.equilibrium import differentiate_torques, peak_util
 from pupper_analysis.tools.best.first_order import SmallPayload, largest_feasible_mass
 from pupper_analysis.tools.best.space import JOINT_LIMIT_OVERSHOOT, StanceSlack, StanceSpace
 
-Array = NDArray[np.float64]
 _SAMPLE_COUNT = 128
 """Number of stances (Latin hypercube samples of the search space) that are evaluated to choose the
 initial guesses of the descents. Chosen, not tuned."""

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
@@ -26,8 +26,6 @@ from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import Point, StandTask
 from pupper_analysis.stance.workspace import find_interval
 from pupper_analysis.statics.support_polygon import differentiate_side_distances, polygon_sides
-
-Array = NDArray[np.float64]
 
 BASE_COORDINATES = ("height", "x", "y", "roll", "pitch", "yaw")
 """Coordinates of the base; see `BestStance.coordinates` for the definition."""

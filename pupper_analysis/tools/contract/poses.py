@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
@@ -26,8 +25,6 @@ from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import solve_stand, stand_statics
 from pupper_analysis.tools.contract.findings import Pose
 from pupper_analysis.tools.contract.orders import PlacedSource
-
-Array = NDArray[np.float64]
 
 _MIN_STATED_FRACTION = 0.5
 """Fraction of the joints whose default angles a source must state, for a stand in this pose to be

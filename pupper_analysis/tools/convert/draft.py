@@ -16,7 +16,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from lxml import etree
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
@@ -44,8 +44,6 @@ from pupper_analysis.prepare.passes import list_urdf_ground_additions, make_robo
 from pupper_analysis.prepare.published_model import PublishedModel, place_at_state
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
-
-Array = NDArray[np.float64]
 
 _CONVERTED_TAGS = ("link", "joint", "material")
 """Children of ``<robot>`` that are converted. Other tags (``<transmission>``, ``<gazebo>``,

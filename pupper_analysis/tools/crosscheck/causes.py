@@ -22,8 +22,8 @@ from typing import Any
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_tensor
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.conversion import inertia_of_body, pinocchio_from_mujoco
@@ -43,8 +43,6 @@ from pupper_analysis.robot.matching.conventions import quarter_turns
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import compute_poses_at_zero, kinematic_trees
 from pupper_analysis.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
@@ -239,9 +240,6 @@ def _list_engine_deviations(check: CrossCheck, explanation: Explanation) -> tupl
         # If differences are missing in the list, the engines did not get the same model.
         and (explanation.complete or whose not in MJCF_ENGINE_EDGES)
     )
-
-
-Array = NDArray[np.float64]
 
 
 Evaluation = dict[str, Array]

@@ -16,9 +16,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose, format_pair
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Result
@@ -55,8 +55,6 @@ from pupper_analysis.tools.diff.elements import (
     match_elements,
 )
 from pupper_analysis.tools.diff.version import Version, VersionedFile, open_version, read_version
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Quantity,
@@ -246,8 +247,6 @@ def has_flag(model: mujoco.MjModel, bit: Any) -> bool:
         return not model.opt.disableflags & bit.value
     return bool(model.opt.enableflags & bit.value)
 
-
-Array = NDArray[np.float64]
 
 MIN_FELT_MOTION = 1e-4
 """Difference of a simulated coordinate [m, rad] between two versions, within `SIMULATION_SECONDS`,

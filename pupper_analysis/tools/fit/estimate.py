@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import FitError
 from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTable
-
-Array = NDArray[np.float64]
 
 _MAX_STEPS = 60
 """Upper bound of the Gauss-Newton steps of a fit. A fit that starts at the values of the model file

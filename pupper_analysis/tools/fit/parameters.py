@@ -16,15 +16,13 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.units import UNIT_FACTORS
 from pupper_analysis.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,15 +14,13 @@ from enum import StrEnum
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import POSITION_UNIT
 from pupper_analysis.tools.fit.estimate import HALF_WIDTH_95, Posterior
 from pupper_analysis.tools.fit.parameters import SURROUNDINGS_KINDS, Parameter
-
-Array = NDArray[np.float64]
 
 
 class Determined(StrEnum):

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import orjson
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import InputError
@@ -39,8 +39,6 @@ from pupper_analysis.tools.sync.numbers import (
     WrittenNumbers,
     write_numbers,
 )
-
-Array = NDArray[np.float64]
 
 _UNCHANGED_STDS = 1e-3
 """Change of a parameter, in standard deviations, up to which the stated value is written. Chosen,

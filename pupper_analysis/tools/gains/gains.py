@@ -14,9 +14,10 @@ from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, NoStiffnessError
 from pupper_analysis.base.progress import report_progress
@@ -57,8 +58,6 @@ from pupper_analysis.stance.sag.stiffness import minimum_stiffness
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, resolve_stance
 from pupper_analysis.stance.task import StandTask
-
-Array = NDArray[np.float64]
 
 _SIMULATED_TOLERANCE = 0.02
 """Relative tolerance of the bisection for the gains at which simulated stands begin to fail. Larger

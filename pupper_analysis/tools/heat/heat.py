@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
@@ -28,8 +28,6 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, resolve_stance, stand_statics
 from pupper_analysis.stance.task import StandTask
-
-Array = NDArray[np.float64]
 
 _NUM_TIMES = 121
 """Number of times of the curves of temperature. Chosen, not tuned."""

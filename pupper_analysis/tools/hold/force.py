@@ -12,9 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -25,8 +25,6 @@ from pupper_analysis.statics.polytope import (
     force_inequalities,
     force_limits_along,
 )
-
-Array = NDArray[np.float64]
 
 _NUM_SECTION_DIRECTIONS = 72
 """Number of directions in a section of the polytope, every 5 degrees. Chosen, not tuned."""

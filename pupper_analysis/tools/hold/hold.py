@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import NoEquilibriumError
 from pupper_analysis.base.progress import report_progress
@@ -53,8 +54,6 @@ from pupper_analysis.statics.equilibrium import (
 from pupper_analysis.tools.hold.force import ToolForce, tool_force
 from pupper_analysis.tools.hold.motions import JointMotions, group_coupled_joints
 from pupper_analysis.tools.hold.worst import WorstPostures, worst_postures
-
-Array = NDArray[np.float64]
 
 _NUM_REACH_POSTURES = 600
 """Number of random postures of `reach_load`. Chosen, not tuned: enough for a plot over distance."""

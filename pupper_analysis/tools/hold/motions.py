@@ -11,15 +11,12 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.robot.closure import Closure
 from pupper_analysis.robot.joints import joint_ranges
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.posture import Posture
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _MAX_LINEAR_OPENING = 1e-6
 """Largest opening of a loop [m, rad], at `_TESTED_RANGE_FRACTIONS`, with which the dependent joints

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.progress import report_progress
@@ -29,8 +30,6 @@ from pupper_analysis.robot.tool import Tool
 from pupper_analysis.stance.posture import Posture
 from pupper_analysis.statics.equilibrium import compute_utilisation
 from pupper_analysis.tools.hold.motions import JointMotions
-
-Array = NDArray[np.float64]
 
 _NUM_AGREEING_SEARCHES = 3
 """Number of searches from different postures that must end at the same largest torque of a motor

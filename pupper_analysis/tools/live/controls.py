@@ -16,9 +16,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_finite
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Term, term
 from pupper_analysis.base.diagnostics.templates import fill_template
 from pupper_analysis.base.errors import PupperAnalysisError
@@ -37,8 +37,6 @@ from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.stance.fields import FIELDS, Field, Slider
 from pupper_analysis.tools.live.render import Translator
 from pupper_analysis.tools.live.state import PAGE_UNITS, SLIDER_FIELDS, State, find_contact_factor
-
-Array = NDArray[np.float64]
 
 PLACE_LABELS = {"centre": "place-centre", "inside": "place-inside", "offset": "place-offset"}
 """{mode of the horizontal base position (`PLACE_MODES`): catalogue key of its label}."""

@@ -8,9 +8,6 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import (
     PupperAnalysisError,
@@ -30,8 +27,6 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.live.state import State
 from pupper_analysis.tools.push.bench import PushTrial, simulate_push
 from pupper_analysis.tools.stand.stance import Stance, study_stance
-
-Array = NDArray[np.float64]
 
 PUSH_SECONDS = 4.0
 """Duration of the simulation of a push [s]. A robot that recovers is at rest by then."""

@@ -14,8 +14,8 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.models.shapes import Mesh, Shape
 from pupper_analysis.present.formats import escape_control
@@ -33,8 +33,6 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import find_place
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.tools.live.model import Answer
-
-Array = NDArray[np.float64]
 
 # Colours of motor utilisation: blue, yellow, red, which colour-blind users can distinguish.
 

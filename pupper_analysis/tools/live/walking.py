@@ -13,8 +13,8 @@ from collections import deque
 from typing import Any, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
@@ -29,8 +29,6 @@ from pupper_analysis.tools.live.server import ServedPage, ServeOptions
 from pupper_analysis.tools.walk.gait import describe_fall, evaluate_tracking, joint_torques
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Lockstep, Run, Stage, make_push_forces, prepare_stage
-
-Array = NDArray[np.float64]
 
 _MAX_SPEED, _MAX_TURNING_RATE, _MAX_PUSH = 1.0, 2.0, 3.0
 """Bounds of the sliders, extended to the initial command: speed [m/s], turning rate [rad/s], push

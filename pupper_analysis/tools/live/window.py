@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.cli.next_step import print_next_step
 from pupper_analysis.models.transmission import MadeServo
@@ -43,8 +43,6 @@ from pupper_analysis.robot.servos import (
 from pupper_analysis.simulation.monitor import ContactSampler, StandCheck, StandReference
 from pupper_analysis.simulation.rollout import full_state, settled_activations
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
-
-Array = NDArray[np.float64]
 
 DROP_SECONDS = 6.0
 """Duration of a simulated drop [s]. v3 lands after 0.18 s and is steady to 0.005 mm after 2.3 s."""

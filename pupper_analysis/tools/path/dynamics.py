@@ -13,9 +13,10 @@ from dataclasses import dataclass, field, fields
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments, check_vector
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, Infeasibility
 from pupper_analysis.robot.compliance import GroundLaw
@@ -24,8 +25,6 @@ from pupper_analysis.robot.impedance import effective_solref
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.equilibrium import Equilibrium, ForceDistribution, balance_load
-
-Array = NDArray[np.float64]
 
 MAX_ACCELERATION = 1e9
 """Upper bound of each generalised acceleration [m/s^2, rad/s^2]. Beyond this bound squares of

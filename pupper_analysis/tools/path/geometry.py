@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import (
     ConfigurationError,
@@ -32,8 +33,6 @@ from pupper_analysis.stance.problem import feet_centre, ground_normals
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
-
-Array = NDArray[np.float64]
 
 _T = TypeVar("_T", float, NDArray[np.float64])
 """Type of a value that is interpolated: a number or an array."""

@@ -19,6 +19,7 @@ from pupper_analysis.base.arguments import (
     check_arguments,
     check_type,
 )
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, StaticsInfeasibleError
@@ -42,8 +43,6 @@ from pupper_analysis.statics.support_polygon import com_margin
 from pupper_analysis.tools.path.dynamics import InverseDynamics, inverse_dynamics
 from pupper_analysis.tools.path.geometry import PathPlace, clearance, minimum_jerk, path_geometry
 from pupper_analysis.tools.path.kinds import PATH_TABLE
-
-Array = NDArray[np.float64]
 
 MIN_FADED_LOAD = 1e-3
 """Smallest fraction of the robot's load that a path assigns to the remaining feet alone while a

@@ -16,6 +16,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -45,8 +46,6 @@ from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.path.dynamics import joint_resistance
 from pupper_analysis.tools.path.plan import StancePath, stance_path
-
-Array = NDArray[np.float64]
 
 MAX_TIMESTEP = 2.5e-4
 """Upper bound of the default time step [s]. An implicit integrator adds kd x time step to the

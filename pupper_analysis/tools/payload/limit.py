@@ -13,9 +13,10 @@ from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import (
     NotSettlingError,
@@ -108,8 +109,6 @@ def simulate_payload(
     )
     return PayloadTrial(**vars(trial), mass=float(mass))
 
-
-Array = NDArray[np.float64]
 
 MAX_BOUND_RATIO = 10.0
 """Largest payload at which the search for the other kinds of failure (stance, motors, servos) ends

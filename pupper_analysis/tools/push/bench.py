@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments, check_finite
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.configuration import Configuration
@@ -37,8 +38,6 @@ from pupper_analysis.simulation.rollout import (
 from pupper_analysis.simulation.stability import evaluate_spectrum
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.stand import Stand
-
-Array = NDArray[np.float64]
 
 PULSE_DURATION = 0.02
 """Duration of a push [s], rounded to whole time steps, at least one. Chosen, not tuned: short

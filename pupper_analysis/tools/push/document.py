@@ -11,8 +11,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.results import Result
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, text
@@ -28,8 +28,6 @@ from pupper_analysis.present.verdict import judged_document, select_step_after_f
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.push.bench import PushTrial
 from pupper_analysis.tools.push.recovery import PushedStance, PushRecovery
-
-Array = NDArray[np.float64]
 
 
 @build_document.register(PushedStance)

@@ -14,9 +14,10 @@ from itertools import pairwise
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.progress import report_progress
@@ -39,8 +40,6 @@ from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.push.bench import MAX_IMPULSE, PushBench, PushSettings, make_push_bench
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

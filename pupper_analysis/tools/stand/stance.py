@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
@@ -48,8 +49,6 @@ from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, resolve_stance, stand_contacts, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

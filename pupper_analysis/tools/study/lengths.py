@@ -19,8 +19,8 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 from lxml import etree
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import inertia_entries, make_inertia
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
@@ -32,8 +32,6 @@ from pupper_analysis.models.xml import parse_numbers, write_numbers
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import foot_site, stand_height
 from pupper_analysis.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 _MIN_LINK_LENGTH = 1e-6
 """Minimum length of a link that can be stretched [m]. A shorter link has no defined direction.

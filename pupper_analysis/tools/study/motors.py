@@ -12,8 +12,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.attributes import BY_KIND
@@ -31,8 +31,6 @@ from pupper_analysis.robot.servos import resolve_servo_gains
 from pupper_analysis.robot.tool import find_tool
 from pupper_analysis.tools.study.parameters import VariablePattern, match_joints, with_gains
 from pupper_analysis.tools.study.variables import Variable
-
-Array = NDArray[np.float64]
 
 MOTOR_KIND = "motor"
 """Name of the variable of a study whose values are motors, and kind of ``motor:PATTERN``."""

@@ -19,6 +19,7 @@ import orjson
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_type, real_array
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
@@ -40,8 +41,6 @@ from pupper_analysis.tools.study.study import Study
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,9 @@ from fnmatch import fnmatchcase
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Vector, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.models.attributes import BY_KIND, BY_MJCF
@@ -30,8 +31,6 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.tools.study.lengths import stretch_links
-
-Array = NDArray[np.float64]
 
 # Names of factors and offsets, and the joints and bodies that match.
 

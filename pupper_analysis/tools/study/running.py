@@ -33,8 +33,8 @@ from multiprocessing.process import BaseProcess
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.drivers import no_mujoco_log
 from pupper_analysis.base.errors import PupperAnalysisError, StudyError
@@ -51,8 +51,6 @@ from pupper_analysis.tools.study.design import (
 )
 from pupper_analysis.tools.study.measures import Metric, MetricFunction, make_metric
 from pupper_analysis.tools.study.store import Store, make_design_keys
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import orjson
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_finite, check_type
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import (
     ConfigurationError,
@@ -76,9 +76,6 @@ from pupper_analysis.tools.study.variables import Sampling, Variable, make_varia
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-Array = NDArray[np.float64]
 
 STUDY_KEYS = (
     "robot",

@@ -12,17 +12,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_finite, check_type
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Array = NDArray[np.float64]
-
 
 _MIN_PROBABILITY = 2.0**-33
 """Lower bound of a probability and of the complement: an eighth of the step 2^-30 of scipy's Sobol

@@ -7,12 +7,9 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.models.xml import NUMBER_PATTERN
-
-Array = NDArray[np.float64]
-
 
 NUMBER_RTOL: Final = 1e-12
 """Largest deviation of a number in a file from the requested number with which the text in the file

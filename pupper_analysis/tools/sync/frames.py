@@ -13,7 +13,6 @@ from typing import TypeVar
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
@@ -22,8 +21,6 @@ from pupper_analysis.robot.matching.alignment import Alignment
 from pupper_analysis.robot.matching.conventions import with_zero
 from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees
-
-Array = NDArray[np.float64]
 
 Part = TypeVar("Part", bound=Hashable)
 """Type of the keys of a body's parts, such as the name of a link."""

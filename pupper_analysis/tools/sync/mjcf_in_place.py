@@ -11,15 +11,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.published import existing_file
 from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
 from pupper_analysis.tools.sync.digits import format_numbers
-
-Array = NDArray[np.float64]
 
 
 class EditableMjcf:

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import (
     inertia_entries,
     make_placement,
@@ -40,8 +40,6 @@ from pupper_analysis.tools.sync.digits import (
 )
 from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, list_single_part_changes
 from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
-
-Array = NDArray[np.float64]
 
 _NEW_INERTIAL_COST = 100
 """Number of changed attributes to which adding an <inertial> to a body is equivalent: of several

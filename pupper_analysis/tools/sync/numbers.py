@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.base.files import Writing, remove_stale_files, resolve_target
@@ -52,8 +53,6 @@ from pupper_analysis.tools.sync.plan import (
     write_temporary_files,
 )
 from pupper_analysis.tools.sync.urdf_side import UrdfSide
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_entries
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES, UNSTATED
@@ -23,8 +23,6 @@ from pupper_analysis.models.xml import write_numbers
 from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.tools.sync.digits import format_numbers
 from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, list_single_part_changes
-
-Array = NDArray[np.float64]
 
 Changes = dict[tuple[str, str], str]
 """New values: {(path below an element, attribute): text}."""

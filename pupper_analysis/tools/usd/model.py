@@ -20,11 +20,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Vector, diagnose
 from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.places import Place, make_file_error
-from pupper_analysis.models.shapes import Array, Pose
+from pupper_analysis.models.shapes import Pose
 from pupper_analysis.models.stated.model import (
     BALL_JOINT,
     FIXED_JOINT,

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import real_array
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.tools.contract.deployment import Deployment
@@ -26,8 +26,6 @@ from pupper_analysis.tools.contract.facts import (
     Origin,
     Source,
 )
-
-Array = NDArray[np.float64]
 
 TERM_SIZES = {
     "linear-velocity": 3,

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import limit_cell
@@ -27,8 +27,6 @@ from pupper_analysis.tools.walk.intervals import TrackedInterval, TrackedInterva
 from pupper_analysis.tools.walk.orders import MIN_COST_RATIO, Candidate, Orders
 from pupper_analysis.tools.walk.response import ResponseAxis, ResponseMap
 from pupper_analysis.tools.walk.trace import TraceCheck
-
-Array = NDArray[np.float64]
 
 
 @build_document.register(Walk)

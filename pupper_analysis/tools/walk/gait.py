@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
@@ -39,8 +40,6 @@ from pupper_analysis.tools.walk.runs import (
     simulate_cases,
 )
 from pupper_analysis.tools.walk.trace import TraceCheck
-
-Array = NDArray[np.float64]
 
 DEFAULT_SECONDS, WARM_UP_SECONDS = 8.0, 2.0
 """Duration of a run [s], and of the warm-up [s], which is not evaluated. A robot needs about a

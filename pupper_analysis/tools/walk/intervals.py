@@ -20,6 +20,7 @@ import orjson
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
@@ -35,8 +36,6 @@ from pupper_analysis.tools.walk.gait import (
 )
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Case, Stage, prepare_stage, simulate_cases
-
-Array = NDArray[np.float64]
 
 DEFAULT_SECONDS, WARM_UP_SECONDS = 5.0, 1.5
 """Duration of a run [s], and of the warm-up [s]. Chosen: most falls occur within the first 3 s."""

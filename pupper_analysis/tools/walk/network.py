@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 
-Array = NDArray[np.float64]
 Operation = Callable[..., Any]
 """Function of arrays that returns an array, or a tuple of arrays."""
 

@@ -11,11 +11,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.tools.walk.network import ACTIVATIONS, MAX_WEIGHTS, Operation, elu, gru, lstm
-
-Array = NDArray[np.float64]
 
 Make = Callable[[dict[str, Any], int], Operation | None]
 """Function that creates an operation from ONNX attributes and the number of outputs; returns None

@@ -14,9 +14,10 @@ from itertools import permutations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.walk.contract import BY_FRAME, BY_TERM, Contract
@@ -30,8 +31,6 @@ from pupper_analysis.tools.walk.gait import (
 from pupper_analysis.tools.walk.intervals import DEFAULT_SECONDS, WARM_UP_SECONDS
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import find_joint_indices, prepare_stage, simulate_cases
-
-Array = NDArray[np.float64]
 
 DEFAULT_COMMANDS = ((0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8))
 """Default commands [m/s, m/s, rad/s]: forward, to the left, turning. With a single command, wrong

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 import orjson
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import (
     ConfigurationError,
@@ -133,9 +133,6 @@ class Policy:
     def with_contract(self, **changed: Any) -> Policy:
         """Return the policy with changed fields of its contract (observation and action)."""
         return replace(self, contract=replace(self.contract, **changed))
-
-
-Array = NDArray[np.float64]
 
 
 SOURCE_SUFFIXES = (".yaml", ".yml", ".py")

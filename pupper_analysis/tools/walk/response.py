@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
@@ -28,8 +29,6 @@ from pupper_analysis.tools.walk.gait import (
 from pupper_analysis.tools.walk.intervals import DEFAULT_SECONDS, WARM_UP_SECONDS
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import prepare_stage, simulate_cases
-
-Array = NDArray[np.float64]
 
 DEFAULT_LIMITS = (1.0, 0.5, 1.0)
 """Largest commands of a map: forward [m/s], to the left [m/s], turning [rad/s]. Chosen: ranges of

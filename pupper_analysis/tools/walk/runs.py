@@ -19,6 +19,7 @@ import mujoco.rollout
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.models.mjcf import silence_mujoco
@@ -33,9 +34,6 @@ from pupper_analysis.simulation.monitor import FALLEN_HEIGHT_RATIO, StandReferen
 from pupper_analysis.simulation.rollout import FORCED_CONTROL_SPEC, STATE_SPEC, full_state
 from pupper_analysis.tools.walk.contract import BY_FRAME, Contract
 from pupper_analysis.tools.walk.policy import Policy
-
-Array = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 _BATCH_SIZE = 16
 """Maximum number of runs in lockstep. Chosen, not tuned: bounds the share of Python's overhead and
@@ -118,7 +116,7 @@ class Stage:
     robot: Robot
     policy: Policy
     model: mujoco.MjModel
-    joints: Integers
+    joints: IntArray
     gear: Array
     ctrl: Array
     default: Array
@@ -203,7 +201,7 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
     )
 
 
-def with_contract_efforts(robot: Robot, contract: Contract, joints: Integers) -> Robot:
+def with_contract_efforts(robot: Robot, contract: Contract, joints: IntArray) -> Robot:
     """Return the robot with the torque limits of a policy's contract, if the contract states any.
 
     A limit of a TOML file replaces the limit of the robot's files. A limit of another source, for
@@ -254,7 +252,7 @@ def replace_efforts(
     return with_efforts(robot, efforts), policy
 
 
-def find_joint_indices(robot: Robot, policy: Policy) -> Integers:
+def find_joint_indices(robot: Robot, policy: Policy) -> IntArray:
     """Return the index of the robot's joint for each joint of the policy, by name or by order.
 
     Raises:
@@ -557,7 +555,7 @@ class Observer:
         shape = (len(commands), self._contract.max_history, self._contract.frame_size)
         self._frames = np.zeros(shape)
 
-    def observe(self, states: Array, active: Integers, tick: int) -> Array:
+    def observe(self, states: Array, active: IntArray, tick: int) -> Array:
         """Return the observations (inputs of the policy) of the active runs, shape (n, inputs).
 
         Args:
@@ -585,7 +583,7 @@ class Observer:
         ]
         return np.concatenate([part.reshape(len(active), -1) for part in parts], axis=1)
 
-    def _make_frame(self, states: Array, active: Integers, tick: int) -> Array:
+    def _make_frame(self, states: Array, active: IntArray, tick: int) -> Array:
         """Return the newest observation frame of n runs, shape (n, frame size), before clipping.
 
         Args:
@@ -625,7 +623,7 @@ class Observer:
         return np.concatenate(parts, axis=1)
 
     def _measure_dynamics(
-        self, states: Array, active: Integers, base_rotations: Array
+        self, states: Array, active: IntArray, base_rotations: Array
     ) -> dict[str, Array]:
         """Return the accelerometer at the origin of the base, and the contacts of the feet.
 

@@ -15,8 +15,8 @@ from typing import Any, ClassVar
 from zipfile import BadZipFile
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, decode_input, read_input
@@ -31,8 +31,6 @@ from pupper_analysis.tools.walk.runs import (
     prepare_stage,
     rotations_from_quaternions,
 )
-
-Array = NDArray[np.float64]
 
 MIN_SAMPLES = 20
 """Smallest number of samples of a trace. Chosen, not tuned."""

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import (
     Quantity,
     Severity,
@@ -29,7 +30,6 @@ from pupper_analysis.models.sides import strip_sides
 from pupper_analysis.models.stated.mjcf import find_element_place
 from pupper_analysis.models.stated.model import (
     HINGE_JOINT,
-    Array,
     Joint,
     Link,
     MjcfModel,

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from scipy.constants import g as standard_gravity
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import (
     Quantity,
     Severity,
@@ -25,14 +26,7 @@ from pupper_analysis.models.mjcf import has_free_joint
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.sides import LEG_JOINT_NAME
 from pupper_analysis.models.stated.mjcf import find_element_place, joint_name
-from pupper_analysis.models.stated.model import (
-    HINGE_JOINT,
-    Array,
-    Inertial,
-    Link,
-    MjcfModel,
-    RobotModel,
-)
+from pupper_analysis.models.stated.model import HINGE_JOINT, Inertial, Link, MjcfModel, RobotModel
 from pupper_analysis.tools.audit.registry import (
     compute_hull_distance,
     list_extent_points,

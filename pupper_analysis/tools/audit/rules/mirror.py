@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_entries
 from pupper_analysis.base.diagnostics import (
     Quantity,
@@ -28,7 +29,6 @@ from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.sides import find_mirror_pairs, find_unlike_pairs, strip_sides
 from pupper_analysis.models.stated.model import (
     HINGE_JOINT,
-    Array,
     Inertial,
     Joint,
     Link,

@@ -12,6 +12,7 @@ from pathlib import PurePath
 
 import numpy as np
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import (
     Quantity,
     Severity,
@@ -22,7 +23,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.base.qhull import ConvexHull, QhullError
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.shapes import Shape
-from pupper_analysis.models.stated.model import Array, Link, RobotModel, UrdfModel
+from pupper_analysis.models.stated.model import Link, RobotModel, UrdfModel
 from pupper_analysis.models.urdf_tree import origin_of
 from pupper_analysis.tools.audit.registry import (
     list_extent_points,

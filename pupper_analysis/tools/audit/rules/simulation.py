@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from scipy.constants import g as standard_gravity
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Quantity,
@@ -22,7 +23,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.shapes import read_shape
-from pupper_analysis.models.stated.model import Array, MjcfModel, UrdfModel
+from pupper_analysis.models.stated.model import MjcfModel, UrdfModel
 from pupper_analysis.robot.contact import combine_geoms, ground_geom
 from pupper_analysis.robot.shapes import may_touch
 from pupper_analysis.tools.audit.registry import rule

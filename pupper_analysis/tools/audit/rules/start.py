@@ -16,6 +16,7 @@ from itertools import combinations
 import mujoco
 import numpy as np
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Quantity,
@@ -27,7 +28,7 @@ from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf import JointKind, has_free_joint
 from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.models.stated.mjcf import joint_name
-from pupper_analysis.models.stated.model import Array, MjcfModel, RobotModel
+from pupper_analysis.models.stated.model import MjcfModel, RobotModel
 from pupper_analysis.robot.contact import ground_geom
 from pupper_analysis.robot.fall import simulate_keyframe
 from pupper_analysis.robot.shapes import may_touch

@@ -14,12 +14,11 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, MissingPackageError
 
-Array = NDArray[np.float64]
 BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 """File suffixes of MCAP files, of the storage of ROS 2 bags (SQLite) and of ROS 1 bags."""
 _MAX_GAP_RATIO = 1.5

@@ -17,17 +17,15 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.csv_text import cell_text
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, MeasurementError
 from pupper_analysis.base.inputs import decode_input, read_input
 from pupper_analysis.base.units import UNIT_FACTORS
 from pupper_analysis.models.places import quote_short
-
-Array = NDArray[np.float64]
 
 _MISSING_CELLS = ("", "nan", "na", "null", "none")
 """Contents of cells without a measurement."""

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import (
     ConfigurationError,
@@ -27,8 +27,6 @@ from pupper_analysis.base.inputs import check_input
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.bags import MAX_BAG_BYTES, is_bag, read_bag
 from pupper_analysis.tools.fit.measurements.columns import Column, read_columns
-
-Array = NDArray[np.float64]
 
 _MIN_JUMP = 0.5
 """Time [s] between two samples above which the clock has jumped, which ends a run; ten median

@@ -10,15 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, diagnose
 from pupper_analysis.base.errors import MeasurementError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.log import Log
-
-Array = NDArray[np.float64]
 
 _MAX_GAP_RATIO = 1.5
 """Upper bound of the time between two samples, in median intervals. Above, samples are missing.

@@ -12,16 +12,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import MeasurementError, UnknownNameError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.columns import Column, Columns, read_columns
 from pupper_analysis.tools.fit.measurements.log_quality import find_column_step, find_degrees
-
-Array = NDArray[np.float64]
 
 STAND_COLUMNS = (
     Column("stand", ""),

@@ -12,11 +12,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import solve_toeplitz
 from scipy.signal import fftconvolve, lfilter
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError
 from pupper_analysis.robot.build import build_robot
@@ -35,8 +36,6 @@ from pupper_analysis.tools.fit.motions.rollouts import (
 )
 from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, apply_priors, parse_priors
 from pupper_analysis.tools.fit.result import MotionFit, describe_parameters, estimate_kp_over_mass
-
-Array = NDArray[np.float64]
 
 HOLD_OUT_FRACTION = 0.2
 """Default fraction at the end of each log that is predicted, not fitted. Chosen, not tuned."""
@@ -401,9 +400,6 @@ def _estimate_encoder_noise(series: Sequence[Array]) -> float:
 _NORMAL_MEDIAN = 0.6744897501960817
 """Median of the absolute value of a standard normal variable, which converts the median of
 differences of readings to the standard deviation of the noise."""
-
-
-IntArray = NDArray[np.int64]
 
 _MIN_DECREASE = 0.04
 """Predicted decrease of the cost below which the iteration has converged: sqrt(0.04) is a fifth of

@@ -20,15 +20,13 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import lfilter
 
+from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.simulation.rollout import full_state, roll_out, settled_activations
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.measurements.log import Log
 from pupper_analysis.tools.fit.parameters import AXES, ParameterTable, find_moved_link
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 SERVOS_SUBJECT = "servos"
 """`Parameter.subject` of the delay and the lags, which are common to all servos."""

@@ -13,15 +13,11 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.stands.plan import PlannedStand
-
-Array = NDArray[np.float64]
 
 ENTRY_POINT_GROUP = "pupper_analysis.bridges"
 """Group of entry points by which other packages add bridges (connections to robots). An entry point

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError
 from pupper_analysis.base.files import check_writable, write_atomically
@@ -23,7 +23,6 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.kinds import TRACE_KIND
 
-Array = NDArray[np.float64]
 Series = Mapping[str, Sequence[tuple[float, Array]]]
 """{signal: (time of reception [s], values)}; the signals are arrays of a trace."""
 

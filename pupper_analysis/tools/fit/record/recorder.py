@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, OutputError
 from pupper_analysis.base.files import (
@@ -41,8 +41,6 @@ from pupper_analysis.statics.support_polygon import com_margin
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, format_stands, read_stands
 from pupper_analysis.tools.fit.record.bridge import Bridge, Operator
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, compute_com_std
-
-Array = NDArray[np.float64]
 
 MAX_JOINT_SPEED = 0.5
 """Upper bound of the commanded joint speed [rad/s] between stands. Two adjacent stands of a plan

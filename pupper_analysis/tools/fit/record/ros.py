@@ -16,15 +16,13 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.record.bridge import WallClock
 from pupper_analysis.tools.fit.record.terminal import Terminal
-
-Array = NDArray[np.float64]
 
 STATE_TOPIC, COMMAND_TOPIC = "/joint_states", "/forward_position_controller/commands"
 """Default ROS topics of measured joint positions and of commanded joint positions."""

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.configuration import Configuration
@@ -25,8 +25,6 @@ from pupper_analysis.tools.fit.parameters import list_bodies
 from pupper_analysis.tools.fit.stands.equations import compute_level_base
 from pupper_analysis.tools.fit.stands.plan import PlannedStand
 from pupper_analysis.tools.study.parameters import scale_robot
-
-Array = NDArray[np.float64]
 
 MASS_LOG_STD, COM_STD, OFFSET_STD, KP_LOG_STD = 0.1, 0.006, math.radians(1.0), 0.07
 """Standard deviations of the perturbations: log mass of each link, CoM components [m], encoder

@@ -13,15 +13,13 @@ from collections.abc import Mapping, Sequence
 
 import click
 import numpy as np
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.units import READ_IN
 from pupper_analysis.robot.joints import list_position_units
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.record.bridge import WallClock
 from pupper_analysis.tools.fit.stands.plan import PlannedStand
-
-Array = NDArray[np.float64]
 
 
 class Terminal:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
@@ -23,8 +23,6 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.estimate import LinearisedResiduals, Posterior
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
 from pupper_analysis.tools.fit.parameters import AXES, KINDS, ParameterTable, list_bodies
-
-Array = NDArray[np.float64]
 
 _TILT_HEIGHT_INDICES = [3, 4, 2]
 """Indices in qvel of a stand's base unknowns: rotations about the base x and y axes, and height.

@@ -16,6 +16,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments, check_finite
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, FitError, MeasurementError
 from pupper_analysis.base.results import Result
@@ -50,8 +51,6 @@ from pupper_analysis.tools.fit.result import (
 )
 from pupper_analysis.tools.fit.stands.equations import StandEquations, StandNoise
 from pupper_analysis.tools.fit.stands.wiring import find_wiring
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

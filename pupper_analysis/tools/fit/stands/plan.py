@@ -14,9 +14,10 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, PupperAnalysisError
 from pupper_analysis.base.files import write_atomically
@@ -49,8 +50,6 @@ from pupper_analysis.tools.fit.stands.fit import (
     list_parameters,
     predict_noise,
 )
-
-Array = NDArray[np.float64]
 
 _MAX_STANDS = 1000
 """Upper bound of the number of planned stands. Chosen, not tuned: more than a day of work."""

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
@@ -21,8 +20,6 @@ from pupper_analysis.robot.joints import leg_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
 from pupper_analysis.tools.fit.result import Fit
-
-Array = NDArray[np.float64]
 
 _MAX_FITTED_WIRINGS = 3
 """Maximum number of wirings (assignments of measured columns to joints, with signs) that are
