@@ -2,18 +2,22 @@
 swapped plugs.
 
     python benchmarks/fit_disturbed.py [--robot v3] [--kp 60] [--only none --only stiction-0.1]
-        [--seeds 2] [--csv docs/data/fit-disturbances.csv]
+        [--seeds 2] [--single] [--csv docs/data/fit-disturbances.csv]
 
 Stands are planned by ``fit --plan``, and simulated in MuJoCo alone: with the bodies and contacts of
 the MJCF, random errors of masses (15 %), CoM positions (10 mm), encoder offsets (1.5 deg) and kp
 (15 %, half of it common), and ``noslip``. Servos are explicit torques. Dry friction is a bristle: a
 spring to a point that is dragged along above the friction torque (MuJoCo's own friction creeps).
-Each stand is released 1 cm above the ground and read after 4 s by an encoder of 14 bits. The feet
-that carry load are known; stands with fewer than three such feet, or that move, are left out. The
-stands are then fitted with default priors and ``--weight``.
+Each stand is released 1 cm above the ground. After 4 s the commands lead by 1.3 and then by 0.7
+times their lead, and return within 2 s each; an encoder of 14 bits is read 1 s later, and the mean
+is the measurement, as the recorder of `fit --record` does it. With ``--single`` the positions are
+read once, after 4 s. Each seed has a plan of its own, because dry friction at rest belongs to the
+posture. The feet that carry load are known; stands with fewer than three such feet, or that move,
+are left out. The stands are then fitted with default priors and ``--weight``.
 
 For each disturbance, the number of EXPLAINED fits is counted, the number of measured 95 % intervals
-that contain the true value, the diagnostics of other fits, and the refusals.
+that contain the true value, the diagnostics of other fits, and the refusals. Of the encoder zeros,
+which share a weak direction, also chi2 of all zeros together is printed: its mean is their number.
 """
 
 from __future__ import annotations
@@ -38,6 +42,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, resolve_servo_gains
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, format_stands, read_stands
 from pupper_analysis.tools.fit.parameters import KINDS, list_bodies
+from pupper_analysis.tools.fit.record.recorder import LEAD_RATIOS
 from pupper_analysis.tools.fit.stands.fit import (
     KNOWN_MASS_FRACTION,
     SCALE_RTOL,
@@ -66,6 +71,9 @@ FOOT_FRICTION = (1e-3, 2e-4)
 
 TIMESTEP = 1e-3
 """Time step of the simulation [s]."""
+
+RAMP_SECONDS, RETURN_SECONDS, REST_SECONDS = 0.5, 2.0, 1.0
+"""Durations [s] in which the commands lead, return, and rest before a reading."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,7 +257,8 @@ class Rig:
         other: Disturbance.
     """
 
-    def __init__(self, planted: Planted, other: Disturbance) -> None:
+    def __init__(self, planted: Planted, other: Disturbance, *, single: bool = False) -> None:
+        self.single = single
         stated, self.other = planted.stated, other
         factors = {}
         last = [stated.joint_names[j] for j in last_joints(stated)]
@@ -354,29 +363,38 @@ class Rig:
         offset = self.planted.offsets
         said = np.array([one.command[name] for name in true.joint_names])
         command = (self.signs * said)[self.wiring] - offset  # of each motor, true
-        data = mujoco.MjData(model)
-        data.qpos[self.every] = self._pose_above_ground(command, one.swing, other.drop)
-        size, along = float(np.linalg.norm(true.gravity)), math.sin(other.slope)
-        c, s = math.cos(one.heading), math.sin(one.heading)
-        model.opt.gravity[:] = size * np.array([c * along, -s * along, -math.cos(other.slope)])
-        data.xfrc_applied[self.base, :3] = self.weight * np.array(
-            [-other.cable[0], other.lean, other.cable[1]]
-        )
+        data = self._release_robot(one, command)
         limits, kp = self.limits, self.kp
         bristle, friction = data.qpos[self.qpos].copy(), self.friction
         side = np.zeros(true.nu)
-        for _ in range(int(other.seconds / TIMESTEP)):
-            q = data.qpos[self.qpos]
-            motor = q + other.backlash / 2 * side
-            error = command - motor
-            error = np.sign(error) * np.maximum(np.abs(error) - other.deadband, 0.0)
-            torque = np.clip(kp * error, -limits, limits)
-            side += 0.02 * (np.clip(torque / (0.05 * friction + 1e-9), -1, 1) - side)
-            stretch = q - bristle
-            held = np.clip(stretch / BRISTLE_DEFLECTION, -1, 1)
-            bristle = q - BRISTLE_DEFLECTION * held
-            data.qfrc_applied[self.dofs] = torque - friction * held
-            mujoco.mj_step(model, data)
+
+        def simulate(first: np.ndarray, last: np.ndarray, seconds: float) -> None:
+            """Simulate the servos while the command moves from one position to another."""
+            nonlocal bristle, side
+            steps = max(1, int(seconds / TIMESTEP))
+            for step in range(1, steps + 1):
+                q = data.qpos[self.qpos]
+                motor = q + other.backlash / 2 * side
+                error = first + step / steps * (last - first) - motor
+                error = np.sign(error) * np.maximum(np.abs(error) - other.deadband, 0.0)
+                torque = np.clip(kp * error, -limits, limits)
+                side += 0.02 * (np.clip(torque / (0.05 * friction + 1e-9), -1, 1) - side)
+                stretch = q - bristle
+                held = np.clip(stretch / BRISTLE_DEFLECTION, -1, 1)
+                bristle = q - BRISTLE_DEFLECTION * held
+                data.qfrc_applied[self.dofs] = torque - friction * held
+                mujoco.mj_step(model, data)
+
+        simulate(command, command, other.seconds)
+        readings = [data.qpos[self.qpos] + other.backlash / 2 * side]
+        if not self.single:
+            lead = command - readings.pop()
+            for ratio in LEAD_RATIOS:
+                beyond = command + (ratio - 1) * lead
+                simulate(command, beyond, RAMP_SECONDS)
+                simulate(beyond, command, RETURN_SECONDS)
+                simulate(command, command, REST_SECONDS)
+                readings.append(data.qpos[self.qpos] + other.backlash / 2 * side)
         if not np.isfinite(data.qpos).all() or np.abs(data.qvel).max() > 0.02:
             return None
         self.height = float(data.qpos[self.every[2]])
@@ -391,12 +409,24 @@ class Rig:
         on = {foot for foot, value in carry.items() if value > 0.005 * self.weight}
         if len(on) < 3:
             return None
-        q = data.qpos[self.qpos] + other.backlash / 2 * side
         step = 2 * math.pi / 2**other.bits
-        read = np.round((q + offset) / step) * step
+        read = np.mean([np.round((q + offset) / step) * step for q in readings], axis=0)
         back = np.empty_like(read)
         back[self.wiring] = read
         return self.signs * back, tuple(foot for foot in true.feet if foot not in on)
+
+    def _release_robot(self, one: PlannedStand, command: np.ndarray) -> mujoco.MjData:
+        """Return the state above the ground in the commanded posture, with gravity and cable."""
+        other, true, model = self.other, self.robot, self.model
+        data = mujoco.MjData(model)
+        data.qpos[self.every] = self._pose_above_ground(command, one.swing, other.drop)
+        size, along = float(np.linalg.norm(true.gravity)), math.sin(other.slope)
+        c, s = math.cos(one.heading), math.sin(one.heading)
+        model.opt.gravity[:] = size * np.array([c * along, -s * along, -math.cos(other.slope)])
+        data.xfrc_applied[self.base, :3] = self.weight * np.array(
+            [-other.cable[0], other.lean, other.cable[1]]
+        )
+        return data
 
     def _pose_above_ground(self, q: np.ndarray, swing: tuple[str, ...], drop: float) -> np.ndarray:
         """Return qpos with the carrying feet level.
@@ -541,6 +571,9 @@ class Row:
         spread: Root mean square of the errors of these values, in standard deviations.
         kp: Relative error of the common factor of all kp.
         kp_said: Half width of its 95 % interval, relative.
+        zeros_held, zeros_determined: As ``held`` and ``determined``, of encoder zeros alone.
+        zeros_chi2: d^T C^-1 d of the errors d of all encoder zeros, with their covariance C.
+        zeros: Number of encoder zeros, the mean of this chi2.
     """
 
     robot: str
@@ -554,6 +587,10 @@ class Row:
     spread: float = math.nan
     kp: float = math.nan
     kp_said: float = math.nan
+    zeros_held: int = 0
+    zeros_determined: int = 0
+    zeros_chi2: float = math.nan
+    zeros: int = 0
 
 
 def run_fits(name: str, robot: Robot, kp: float | None, given: argparse.Namespace) -> Iterator[Row]:
@@ -567,8 +604,8 @@ def run_fits(name: str, robot: Robot, kp: float | None, given: argparse.Namespac
     """
 
     @functools.cache
-    def plan(added: float) -> StandPlan:
-        return plan_stands(robot, given.stands, kp=kp, added=added * robot.total_mass)
+    def plan(added: float, seed: int) -> StandPlan:
+        return plan_stands(robot, given.stands, kp=kp, added=added * robot.total_mass, seed=seed)
 
     had = set()
     if given.csv and given.csv.exists():
@@ -584,9 +621,10 @@ def run_fits(name: str, robot: Robot, kp: float | None, given: argparse.Namespac
                 planted = replace(planted, kp=planted.kp * kp / resolve_servo_gains(robot).kp)
             if given.drawn:
                 planted, other = draw_disturbance(planted, resolve_servo_gains(robot, kp).kp, seed)
-            rig = Rig(planted, replace(other, seconds=max(other.seconds, given.seconds)))
+            longer = replace(other, seconds=max(other.seconds, given.seconds))
+            rig = Rig(planted, longer, single=given.single)
             stands = load_or_measure_stands(
-                name, title, seed, rig, partial(plan, other.added), given.keep
+                name, title, seed, rig, partial(plan, other.added, seed), given.keep
             )
             if stands is None:
                 yield Row(name, title, seed, 0, "does not stand", "")
@@ -632,8 +670,15 @@ def evaluate_fit(
     if fit.kp_factor is not None:
         by, half = fit.kp_factor.mean / factor - 1, 1.96 * fit.kp_factor.std / factor
     counts = int(held), len(determined), round(spread, 3)
+    zeros = [one for one in determined if one.kind == "offset"]
+    zeros_held = sum(one.low <= truth[one.name] <= one.high for one in zeros)
+    posterior = fit.posterior
+    rows = np.flatnonzero(posterior.kinds == "offset")
+    errors = np.array([posterior.mean[r] - truth[posterior.parameters[r].name] for r in rows])
+    chi2 = float(errors @ np.linalg.solve(posterior.covariance[np.ix_(rows, rows)], errors))
     return Row(
-        name, title, seed, len(stands), outcome, codes, *counts, round(by, 4), round(half, 4)
+        *(name, title, seed, len(stands), outcome, codes, *counts, round(by, 4), round(half, 4)),
+        *(zeros_held, len(zeros), round(chi2, 1), len(rows)),
     )
 
 
@@ -650,6 +695,7 @@ def main() -> None:
     parser.add_argument(
         "--seconds", type=float, default=0.0, help="read no sooner than after these"
     )
+    parser.add_argument("--single", action="store_true", help="read each stand once")
     parser.add_argument("--keep", type=Path, help="a folder of measurements: what it has is used")
     parser.add_argument("--csv", type=Path, help="a file to add rows to, but for those that it has")
     given = parser.parse_args()
