@@ -1,8 +1,8 @@
 """Operators of ONNX networks as functions of NumPy arrays.
 
 The operators occur in public walking policies, or belong to the same layers. Values that depend on
-the observation have a leading axis of runs: an ONNX tensor of shape (1, n) is an array (runs, 1, n),
-and (1, c, n) is (runs, c, n).
+the observation have a leading axis of runs: an ONNX tensor of shape (1, n) is an array of shape
+(runs, 1, n), and (1, c, n) is (runs, c, n).
 """
 
 from __future__ import annotations
