@@ -278,7 +278,7 @@ _Value = TypeVar("_Value")
 def shorten_paths(value: _Value, prefix: str) -> _Value:
     """Return a copy of a value without a prefix (a temporary folder) of the texts and paths in it.
 
-    Dataclasses, tuples and mappings are searched; values without the prefix are returned unchanged.
+    Dataclasses, tuples and dicts are searched; values without the prefix are returned unchanged.
     """
     return cast(_Value, _shorten(value, prefix))
 

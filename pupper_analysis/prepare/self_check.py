@@ -368,11 +368,12 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
     """Predict the state of rest of a stand, with feed-forward and with position commands alone.
 
     Returns:
-        Predictions: with feed-forward, then without. For a fixed base, only with feed-forward.
-        The stand is that on soft ground, or that on rigid ground if the former is out of reach.
-        Empty if this stand is not in balance. The prediction without feed-forward is left out if a
-        joint of the prepared robot has no position servo, if a servo of the file was replaced, if
-        the file drives a joint through a tendon, or if no steady state without failures is found.
+        Predictions: with feed-forward, then without. For a fixed base, only with feed-forward. The
+        stand is that on soft ground, or that on rigid ground if the former is out of reach, or does
+        not converge because of closed loops. Empty if this stand is not in balance. The prediction
+        without feed-forward is left out if a joint of the prepared robot has no position servo, if
+        a servo of the file was replaced, if the file drives a joint through a tendon, or if no
+        steady state without failures is found.
     """
     if not robot.floating:
         joints = stand.qpos[-robot.nu :]

@@ -585,8 +585,8 @@ def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
 def select_step_after_failure(verdict: Verdict, otherwise: NextStep) -> NextStep:
     """Return the command to run after a failure: `crosscheck` if the files explain it.
 
-    The files explain it if they describe two robots, if the robot does not stand as predicted, or
-    if a difference of the files is the cause for which the published file deviates. A robot of one
+    The files explain it if they describe two robots, if the robot or the published file does not
+    stand as predicted, or if a difference of the files is the cause of a deviation. A robot of one
     file is audited instead.
     """
     differs = verdict.code in (VerdictCode.DIFFERS_AS_PUBLISHED, VerdictCode.DISAGREES)

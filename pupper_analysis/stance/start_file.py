@@ -29,7 +29,7 @@ def read_start(path: str | Path, robot: Robot) -> Array:
     """Read the initial guess of a stand from a file, for ``solve_stand(start=...)``.
 
     Positions with joint names are assigned by name; other joints keep their position in ``home``.
-    Of a result, the joint positions are used, and the base is that of ``home``.
+    The base is that of ``home``, unless the file contains a configuration of length nq.
 
     Args:
         path: JSON or CSV file.
@@ -54,7 +54,7 @@ def read_start(path: str | Path, robot: Robot) -> Array:
     except orjson.JSONDecodeError:
         content = _read_table(text)
     positions, belongs_to = _find_positions(content)
-    # Of names, shapes and inertias, the fingerprint contains a hash after the robot's name.
+    # A fingerprint is the robot's name, followed by a hash.
     own_hash = robot.fingerprint.rpartition(" ")[2]
     if belongs_to and belongs_to.rpartition(" ")[2] != own_hash:
         raise ConfigurationError(str(path), diagnose("start-of-another-robot", robot=belongs_to))
@@ -86,7 +86,8 @@ _Positions = Mapping[str, float] | Sequence[float] | None
 def _read_table(text: str) -> Any:
     """Return the content of a CSV: {joint: position} of a table of joints, or a list of numbers.
 
-    None if the text is neither, for example if several rows of numbers follow each other.
+    Cells that contain no number stay texts, which `_find_positions` rejects. None if the text is
+    neither, for example if several rows of numbers follow each other.
     """
     try:
         rows = [row for row in csv.reader(text.splitlines()) if any(map(str.strip, row))]
