@@ -45,6 +45,17 @@ def rotation_from_quaternion(quaternion: Array) -> Array:
     return rotation
 
 
+def rotations_from_quaternions(quaternions: Array) -> Array:
+    """Return rotation matrices, shape (..., 3, 3), of unit quaternions wxyz, shape (..., 4)."""
+    w, x, y, z = np.moveaxis(quaternions, -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
 def quaternion_from_rotation(rotation: Array) -> Array:
     """Return the unit quaternion (w, x, y, z) of a rotation matrix (3, 3)."""
     x, y, z, w = pin.Quaternion(rotation).coeffs()

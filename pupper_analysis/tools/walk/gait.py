@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
+from pupper_analysis.base.arrays import rotations_from_quaternions
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
@@ -36,7 +37,6 @@ from pupper_analysis.tools.walk.runs import (
     Run,
     Stage,
     prepare_stage,
-    rotations_from_quaternions,
     simulate_cases,
 )
 from pupper_analysis.tools.walk.trace import TraceCheck

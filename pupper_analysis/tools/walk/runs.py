@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.array_types import Array, IntArray
+from pupper_analysis.base.arrays import rotations_from_quaternions
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.models.mjcf import silence_mujoco
@@ -495,17 +496,6 @@ def _compute_controls(stage: Stage, actions: Array) -> Array:
     actuators = stage.robot.mj_convention.actuator_index[stage.joints]
     ctrl[:, stage.model.actuator_ctrladr[actuators]] = stage.gear * targets
     return ctrl
-
-
-def rotations_from_quaternions(quaternions: Array) -> Array:
-    """Return rotation matrices, shape (..., 3, 3), of unit quaternions wxyz, shape (..., 4)."""
-    w, x, y, z = np.moveaxis(quaternions, -1, 0)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def measure_lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:

@@ -17,6 +17,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from pupper_analysis.base.array_types import Array
+from pupper_analysis.base.arrays import rotations_from_quaternions
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, decode_input, read_input
@@ -29,7 +30,6 @@ from pupper_analysis.tools.walk.runs import (
     Lockstep,
     find_joint_indices,
     prepare_stage,
-    rotations_from_quaternions,
 )
 
 MIN_SAMPLES = 20
