@@ -406,7 +406,7 @@ def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") 
 
 
 def parse_motors(texts: tuple[str, ...], robot: Robot, option: str = "motor") -> dict[str, Motor]:
-    """Return {joint: motor} of the texts ``[JOINTS=]MOTOR``, of which later texts have priority.
+    """Return {joint: motor} from the texts ``[JOINTS=]MOTOR``; later texts have priority.
 
     Args:
         texts: Texts of ``--motor``. A pattern that matches no joint is an error.

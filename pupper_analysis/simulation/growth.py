@@ -269,10 +269,10 @@ def simulate_growth(
 
 
 def _has_ended(maxima: Array, doubling: float) -> bool:
-    """Return True if a deviation that grew is larger by less than ``_ENDED_GROWTH`` than before.
+    """Return True if growth has ended: a factor below ``_ENDED_GROWTH`` in two doubling times.
 
-    The time between is two doubling times. False if the growth began less than two doubling times
-    ago.
+    The factor is the ratio of the largest deviation so far to that of two doubling times ago. False
+    if the growth began later.
 
     Args:
         maxima: Largest deviation in each window of time, shape (n,).

@@ -44,7 +44,7 @@ def _measure_continuous_utilisation(design: Any) -> float:
 
 
 def _measure_time_until_hot(design: Any) -> float:
-    """Return the time until the first winding reaches its limit [s]; infinite if none does.
+    """Return the time until the first winding reaches its limit [s]; infinite if no winding does.
 
     Raises:
         ModelError: If a motor is too weak for its torque, or the time is unknown.
