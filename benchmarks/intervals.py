@@ -56,6 +56,7 @@ class Setting:
         base: Name of the base body.
         policy: Policy, of which the network and the stated numbers are used.
         limit: Torque limit of all motors [N m].
+        integrator: Integrator instead of that of the file, which has no position servos.
     """
 
     name: str
@@ -63,6 +64,7 @@ class Setting:
     base: str
     policy: Policy
     limit: float
+    integrator: int | None = None
 
 
 def make_model(setting: Setting) -> tuple[mujoco.MjModel, list[int], list[int]]:
@@ -82,7 +84,8 @@ def make_model(setting: Setting) -> tuple[mujoco.MjModel, list[int], list[int]]:
     model.actuator_ctrllimited[motors] = 0
     model.actuator_forcelimited[motors] = 1
     model.actuator_forcerange[motors] = (-setting.limit, setting.limit)
-    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    if setting.integrator is not None:
+        model.opt.integrator = setting.integrator
     return model, joints, motors
 
 
@@ -229,7 +232,14 @@ def main(folder: Path, names: tuple[str, ...], chosen: str | None) -> None:
         onnx = lite / "checkpoints/policy_biped_50hz.onnx"
         files = [lite / "configs/policy_biped_50hz.yaml", lite / trainer / "biped/env_cfg.py"]
         policy = Policy.load(onnx, deployment=read_deployment(robot, files, onnx))
-        cases.append((robot, Setting("bhl", scene, "base", policy, 5.0)))
+        cases.append(
+            (
+                robot,
+                Setting(
+                    "bhl", scene, "base", policy, 5.0, mujoco.mjtIntegrator.mjINT_IMPLICITFAST.value
+                ),
+            )
+        )
     missed = 0
     for robot, setting in cases:
         found = tracked_intervals(robot, setting.policy, COMMAND, quantities=names or tuple(RANGES))
