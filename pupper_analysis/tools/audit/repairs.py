@@ -294,9 +294,12 @@ def _repair_implausible_tensor(robot: RobotModel, found: CheckFinding) -> Iterat
 
     This is the mirror image of the tensor on the other side, if it differs, or else the tensor of
     the solid shapes (`_fill_shapes`). Impossible tensors are repaired by the rules that name them.
+    Nothing is proposed if the masses of both sides differ: then the mass may be wrong.
     """
-    link = robot.links[found.name]
+    link, twin = robot.links[found.name], _find_twin(robot, found.name)
     if not isinstance(robot, UrdfModel) or link.inertial is None:
+        return
+    if twin is not None and not math.isclose(link.mass, twin.mass, rel_tol=0.01):
         return
     smallest, middle, largest = link.inertial.moments
     if smallest > 0 and smallest + middle >= largest * (1 - _TRIANGLE_RTOL):
