@@ -329,7 +329,11 @@ def print_warnings(robot: Robot, *, everything: bool = False) -> None:
 
 
 def hide_notes(robot: Robot) -> None:
-    """Let the last line of the next report count the notes that `print_warnings` does not print."""
+    """Add the number of a robot's notes (not warnings) to the count below the next report.
+
+    Commands that print only the warnings (`print_warnings`) call this function. The count is in
+    Click's context (``shared.HIDDEN_NOTES``), and is printed as "with -v: 3 notes".
+    """
     from pupper_analysis.base.diagnostics import Severity, merge_diagnostics
 
     notes = merge_diagnostics(robot.notes)

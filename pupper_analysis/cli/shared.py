@@ -750,7 +750,9 @@ degrees: no option needs more than a turn."""
 
 
 def is_degrees(kind: str, value: float) -> bool:
-    """Return True if a number without a unit is an angle that is probably in degrees.
+    """Return True if a number without a unit is an angle above `MAX_BARE_ANGLE` [rad].
+
+    Such an angle is probably in degrees.
 
     Args:
         kind: Quantity, a key of ``base.units.UNIT_FACTORS``; the result is False unless "angle".

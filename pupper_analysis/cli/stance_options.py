@@ -369,7 +369,12 @@ def _parse_assignments(option: str, texts: tuple[str, ...]) -> list[tuple[str, f
 
 
 def match_joints(option: str, pattern: str, robot: Robot) -> list[bool]:
-    """Return for each joint True if the name matches a pattern.
+    """Return for each joint of ``robot.joint_names`` whether the name matches a shell pattern.
+
+    Args:
+        option: Name of the command-line option, for the error message.
+        pattern: Pattern with the wildcards of ``fnmatch``, such as "leg_*_3"; case-sensitive.
+        robot: Robot.
 
     Raises:
         UnknownNameError: If no joint matches.

@@ -74,9 +74,10 @@ def _read_package_name(folder: Path) -> str:
 
 
 def find_package_folders(folder: Path, package: str) -> Iterator[Path]:
-    """Yield a folder if it is that of a ROS package, and its subfolder with the package's name.
+    """Yield the folders of a ROS package: ``folder`` itself and its subfolder of that name.
 
-    The folder itself is that of the package by its name, or by the name in its ``package.xml``.
+    ``folder`` is yielded if its name, or the name in its ``package.xml``, is ``package``. The
+    subfolder ``folder / package`` is yielded if it exists, whether or not ``folder`` is yielded.
     """
     if package in (folder.name, _read_package_name(folder)):
         yield folder

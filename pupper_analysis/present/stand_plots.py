@@ -76,7 +76,7 @@ def draw_verification(run: StandVerification, _: Robot | None = None) -> tuple[A
 
 @draw_result.register(Equilibrium)
 def draw_equilibrium(statics: Equilibrium, _: Robot | None = None) -> tuple[Axes, ...]:
-    """Draw the motor torques [N m, N] as bars, one row per joint, and return the axes.
+    """Draw the motor torques [N m, N] as bars, one row per joint, and return the single axes.
 
     Beside each bar is the utilisation of the motor, if its torque limit is known.
     """

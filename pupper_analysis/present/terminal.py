@@ -102,16 +102,17 @@ def print_report(
 ) -> None:
     """Print the documents of a report, and then its overview.
 
-    If the report has an overview and ``everything`` is false, a summary takes the place of each
-    document. If a document has blocks, the last line then names the option that prints them.
+    If the report has an overview and ``everything`` is false, only a summary of each document is
+    printed (`print_summary`). The last line of the report then names the option ``-v``, if a
+    document contains tables, findings or other blocks.
 
     Args:
         out: Console.
         report: Report.
-        everything: Also print the blocks that the short view omits.
+        everything: Print all documents in full, with details and all notes (option ``-v``).
         next_command: Command line to run after the report; empty for none.
-        hidden_notes: Number of notes on the robot that the caller does not print; stated for a
-            single document only.
+        hidden_notes: Number of notes on the robot that the caller does not print. A report with a
+            single, not summarised document states the number; other reports ignore it.
     """
     several = bool(report.overview) and not everything
     single = len(report.documents) == 1

@@ -451,7 +451,10 @@ _REPORTED_FLAGS = (
 
 
 def report_options(model: mujoco.MjModel) -> Iterator[Diagnostic]:
-    """Yield diagnostics of MuJoCo options that are unusual for a robot on Earth."""
+    """Yield diagnostics of MuJoCo options that are unusual for a robot on Earth.
+
+    The options are gravity, the disable flags of `_REPORTED_FLAGS`, and disabled actuator groups.
+    """
     gravity = acting_gravity(model)
     if float(np.linalg.norm(gravity - DOWNWARD_GRAVITY)) > _GRAVITY_ATOL:
         yield diagnose("gravity-not-the-earths", gravity=gravity)

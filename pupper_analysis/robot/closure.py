@@ -258,7 +258,8 @@ class Closure:
         """Return True if all loops have the assembly mode of the reference configuration.
 
         The assembly mode counts as different (for example, crossed rods of a four-bar linkage) if
-        det(A^T A_ref) is negative for a loop, with the Jacobian A by its dependent joints.
+        det(A^T A_ref) is negative for a loop. A is the Jacobian of the loop equations by the
+        dependent joints of the loop, A_ref its value in the reference configuration.
         """
         rows = self.jacobian(qpos)[:, self.dependent_joints]
         return all(

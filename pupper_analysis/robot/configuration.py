@@ -402,8 +402,9 @@ class Configuration(Pictured):
         external forces and of their moments about the CoM. The bias of the momentum is dA/dt qvel.
 
         ``pin.computeCentroidalMapTimeVariation`` differentiates about a fixed point at the CoM.
-        Its angular rows therefore lack the CoM velocity times the linear rows, which is added here
-        (Pinocchio's issue 2093). The product of both matrices with qvel is equal.
+        Its angular rows therefore lack the cross product of the CoM velocity and the linear rows
+        of ``centroidal_map``, which is subtracted here (Pinocchio's issue 2093). Multiplied by
+        qvel, both matrices give the same vector.
         """
         # Pinocchio's function reads data.vcom[0], which must be zero, as in new data.
         data = self._model.createData()

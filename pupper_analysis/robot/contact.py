@@ -106,7 +106,7 @@ def contact_offset(radius: ArrayLike, normal: Array, depth: ArrayLike) -> Array:
 
     Args:
         radius: Radius (...) [m] of the foot's sphere.
-        normal: Normal (..., 3) of the ground.
+        normal: Unit normal (..., 3) out of the ground. The result is in the same frame.
         depth: Penetration (...) [m].
     """
     distance = np.asarray(radius) - np.asarray(depth) / 2

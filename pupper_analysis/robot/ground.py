@@ -117,13 +117,14 @@ class Ground:
         return ground
 
     def describe_surface(self, foot: str) -> Diagnostic | None:
-        """Describe the step, plane or bar under a foot or hand, for messages: "wall of left_palm".
+        """Describe the surface that a foot or hand touches instead of the floor, for messages.
 
         Args:
-            foot: Foot or hand; empty for the floor.
+            foot: Foot or hand.
 
         Returns:
-            Kind of the surface, with the foot; None for the floor.
+            Kind of the surface (wall, table, ceiling, plane, bar or step) and the foot, such as
+            "wall of left_palm". None if the foot has no surface of its own: it is on the floor.
         """
         if foot in self._planes:
             plane = self._planes[foot]
@@ -203,14 +204,16 @@ class Ground:
         return steps
 
     def foot_ground_point(self, foot: str, centres: Array) -> tuple[Array, float]:
-        """Return the ground point (3,) [m] under the mean of a foot's contact points, and a size.
-
-        The size is the largest distance of a contact point from the mean [m]. The ground point is
-        computed by ``ground_point``.
+        """Return the ground point of a foot with several contact spheres, and the foot's radius.
 
         Args:
             foot: Foot.
-            centres: Sphere centres (n, 3) [m] of the contact points in the world frame.
+            centres: Sphere centres, shape (n, 3) [m], in the world frame.
+
+        Returns:
+            ``ground_point`` of the mean sphere centre: the point vertically below it, or the
+            nearest point of the foot's own plane, shape (3,) [m], in the world frame; and the
+            largest distance [m] of a sphere centre from the mean.
         """
         centre = centres.mean(axis=0)
         reach = float(np.linalg.norm(centres - centre, axis=1).max())

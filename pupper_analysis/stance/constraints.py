@@ -302,7 +302,11 @@ class GroundClearance(Constraint):
         return np.array(heights) - goal.task.ground_clearance + CLEARANCE_TOLERANCE / 2
 
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
-        """Return the Jacobian of the heights of the parts above the ground by qvel, (n, nv)."""
+        """Return the Jacobian by qvel of the heights of n collision shapes, shape (n, nv).
+
+        The shapes are those of the residual. ``goal`` specifies the ground and the foot targets,
+        which are the places of steps.
+        """
         return self._shapes.height_jacobian(at, goal.task.ground, goal.rigid_targets)
 
     def smallest_clearance(self, goal: Goal, at: Kinematics) -> Clearance | None:
@@ -329,7 +333,7 @@ class SelfClearance(Constraint):
         return np.array([pair.distance for pair in pairs]) - least
 
     def jacobian(self, _: Goal, at: Configuration) -> Array:
-        """Return the Jacobian of the distances of the nearest shape pairs by qvel, (n, nv)."""
+        """Return the Jacobian by qvel of the distances of n nearest shape pairs, shape (n, nv)."""
         return self._shapes.distance_jacobian(at, NUM_NEAREST_PAIRS)
 
     def smallest_clearance(self, _: Goal, at: Kinematics) -> Clearance | None:

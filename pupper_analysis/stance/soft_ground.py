@@ -336,9 +336,11 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
         return np.asarray(basis.T @ compute_forces(basis @ coefficients) - wanted)
 
     def derivative(coefficients: Array) -> Array:
-        """Return the Jacobian of ``residual`` (contact minus required forces), (k, k) [N/m].
+        """Return the Jacobian of ``residual`` by its argument, shape (k, k) [N/m].
 
-        It is the derivative by the ``coefficients`` [m], which determine the penetrations.
+        Args:
+            coefficients: As for ``residual``, shape (k,) [m]: factors of the k columns of
+                ``basis``; their sum is the penetration of each contact point of the sole.
         """
         depths = (basis @ coefficients).tolist()
         stiff = np.array([law.normal_stiffness(d) for law, d in zip(laws, depths, strict=True)])

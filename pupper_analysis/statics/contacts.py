@@ -205,15 +205,17 @@ def make_contacts(
 ) -> Contacts:
     """Validate the contact arguments of `gravity_compensation`, and create the contacts.
 
-    Contacts with default friction, normals and depths are cached per robot.
+    If ``friction``, ``normals`` and ``depths`` are None, the result is cached per robot.
 
     Args:
         robot: Robot.
-        contacts: Contact points that carry load. Default: `Robot.bearing_points` for a free base,
-            none for a fixed base.
-        friction: Friction coefficient, for all contact points or per contact point.
-        normals: {contact point: direction out of the ground, shape (3,), in the world frame}.
-        depths: {contact point: penetration into the ground [m]}.
+        contacts: Contact points that carry load. None: `Robot.bearing_points` for a free base, no
+            contact points for a fixed base.
+        friction: Friction coefficient [1] of all contact points, or {contact point: coefficient}
+            with all of ``contacts``. None: the coefficients of the model.
+        normals: {contact point: direction out of the ground, shape (3,), in the world frame}. The
+            default of a contact point is vertical.
+        depths: {contact point: penetration into the ground [m]}. The default is 0.
 
     Raises:
         UnknownNameError: If a contact point is unknown.

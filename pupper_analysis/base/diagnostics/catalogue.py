@@ -148,9 +148,10 @@ def meaning(kind: type, field: str, language: str) -> str:
 
 
 def word_files() -> Mapping[str, Path]:
-    """Return {owner: TOML file} of all files with texts of this package.
+    """Return the TOML files that contain the texts of messages, as {name: path}.
 
-    The owner is the name of the catalogue file, or "tools/NAME".
+    Files of the folder ``catalogue`` are named without their suffix; the file ``words.toml`` of a
+    tool is named "tools/TOOL".
     """
     catalogues = {path.stem: path for path in sorted(_CATALOGUE_FOLDER.glob("*.toml"))}
     tools = {name: tool.folder / "words.toml" for name, tool in own_packages().items()}

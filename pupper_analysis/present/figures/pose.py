@@ -192,13 +192,15 @@ def make_pose_figure(
     statics: GravityCompensation,
     create: Callable[..., Figure] = Figure,
 ) -> Figure:
-    """Draw the two panels of ``write_pose_figure`` into a new figure.
+    """Draw a stand with its contact forces in a new figure: oblique view, and view from above.
+
+    Both panels show legs, base, contact forces, centre of mass and support polygon.
 
     Args:
         robot: Robot.
         stand: Stand.
         statics: Static equilibrium.
-        create: Creates the empty figure, as for ``drawing.make_page_figure``.
+        create: Creates an empty figure: ``Figure``, or ``pyplot.figure`` for notebooks.
     """
     lines, seen = compute_skeleton(robot, stand.qpos), describe_scene(robot, stand, statics)
     title, height = f"{robot.name}: how it stands", 0.6 * drawing.PAGE_WIDTH

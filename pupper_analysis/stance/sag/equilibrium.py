@@ -137,9 +137,9 @@ class ContactKinematics:
         self.places[:, 2] = deep
 
     def place_rates(self) -> Array:
-        """Compute the derivative of slips and penetrations of the contacts by qvel, (n, 3, nv).
+        """Return the Jacobian of ``places`` by qvel, shape (n, 3, nv) [m/m, m/rad].
 
-        Rows of a contact: slip along the two ground tangents and penetration, as in ``places``.
+        Rows of a contact: slip along the two ground tangents, and penetration.
         """
         deeper = self._depth_rates
         # The rate of a rotation vector is the inverse of the left Jacobian x angular velocity.

@@ -626,10 +626,19 @@ times, numbers overflow."""
 
 
 def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None:
-    """Raise an error if an argument of `steady_state` is invalid, or the robot cannot stand.
+    """Raise an error if an argument of `steady_state` is invalid.
+
+    Args:
+        robot: Robot.
+        stand: Stand.
+        feet: ``"pinned"`` or ``"sliding"``.
+        seconds: Creep time [s] from 0 to `MAX_CREEP_DURATION`; 0 if ``feet`` is ``"sliding"``.
 
     Raises:
-        ConfigurationError: If an argument is invalid, or the robot cannot stand.
+        ConfigurationError: If ``feet`` or ``seconds`` is invalid, the stand belongs to another
+            robot, a robot with a free base has no contact points, ``feet`` is ``"sliding"`` on a
+            slope or on planes of feet, or ``feet`` is ``"pinned"`` and a contact point has no
+            friction.
         UnknownNameError: If the stand has feet that the robot lacks.
     """
     stands = robot.is_base_fixed or robot.fixed_parts or (robot.floating and robot.contacts)
@@ -652,9 +661,9 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
 def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
     """Compute the equilibrium to which a stand sags when its feed-forward is removed.
 
-    The path of equilibria starts at the stand, whose servo commands contain the lead that holds the
-    load (feed-forward). The lead is removed in steps. Then the contact points creep slowly
-    under their tangential forces, as in MuJoCo.
+    The path of equilibria starts at the stand, whose servo commands are ahead of the joint
+    positions by the feed-forward torque / kp. The feed-forward is removed in steps. Then the
+    contact points creep under their tangential forces, as in MuJoCo.
 
     Args:
         path: Path at its start, with the full feed-forward; modified.
@@ -662,8 +671,8 @@ def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0
         seconds: Duration of the creep [s]; 0 for no creep.
 
     Raises:
-        NoEquilibriumError: If no equilibrium continues the stand, or the creep ends the
-            equilibrium.
+        NoEquilibriumError: If the path of equilibria ends while feed-forward is removed, or during
+            the creep.
     """
     path.follow(0.0 if feedforward else 1.0)
     margin = release_margin(path)

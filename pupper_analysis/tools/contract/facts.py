@@ -382,7 +382,11 @@ class Node:
 
     @property
     def number(self) -> float | None:
-        """Value of this node of a file as a float; None if no number, or too large for a float."""
+        """Value of this node of a file as a float.
+
+        None if the value is no int or float (text and booleans are no numbers), or is an int too
+        large for a float.
+        """
         value = self.value
         if isinstance(value, bool) or not isinstance(value, int | float):
             return None

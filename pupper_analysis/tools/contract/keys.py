@@ -103,7 +103,20 @@ def _load_builtin_rules() -> tuple[KeyRule, ...]:
 
 
 def load_order_keys(source: Path) -> tuple[tuple[str, ...], ...]:
-    """Return the user's keys of lists of joint names, each as a path of keys in lower case."""
+    """Return the keys under which a configuration file lists its joint names in order.
+
+    The user defines such keys in ``pupper-analysis.toml``.
+
+    Args:
+        source: Configuration file. ``pupper-analysis.toml`` is searched in its folder and the
+            folders above, then in the current folder and the folders above.
+
+    Returns:
+        Nested keys in lower case, such as ("robot", "joints"), for each definition.
+
+    Raises:
+        ModelError: If an entry of the user's file is not valid.
+    """
     return tuple(rule.path for rule in _load_rules("table", source) if rule.quantity == JOINT_ORDER)
 
 

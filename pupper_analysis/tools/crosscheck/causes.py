@@ -223,6 +223,8 @@ class PatternCase:
     def find_explained(self, second: MultibodyTree) -> set[Key]:
         """Return the differences between the files that disappear if the MJCF's tree is modified.
 
+        A modification that explains several differences is a common cause of them.
+
         Args:
             second: Modified tree of the MJCF, in the body frames of the URDF.
 

@@ -306,11 +306,17 @@ def study_gains(
     stiffness, damping = gains.find_stable_pair()
 
     def with_stiffness(factor: float) -> _Pair:
-        """Return the present kp times ``factor``, and the stable pair's kd, shape (nu,) each."""
+        """Return kp = ``factor`` times the stand's kp, and the kd of ``find_stable_pair``.
+
+        Units: kp [N m/rad], kd [N m s/rad], shape (nu,) each.
+        """
         return gains.scale_gains(factor, damping)
 
     def with_damping(factor: float) -> _Pair:
-        """Return the stable pair's kp, and the present kd times ``factor``, shape (nu,) each."""
+        """Return the kp of ``find_stable_pair``, and kd = ``factor`` times the stand's kd.
+
+        Units: kp [N m/rad], kd [N m s/rad], shape (nu,) each.
+        """
         return gains.scale_gains(stiffness, factor)
 
     report_progress(_STAGE, 0, num_parts)

@@ -188,13 +188,15 @@ def stretch_links(
 def stretch_inertia(
     inertia: pin.Inertia, matrix: Array, shift: Array, factor: float
 ) -> pin.Inertia:
-    """Return the inertia of a link after the stretch p' = A p + b with constant density.
+    """Return the inertia of a link whose points p move to A p + b.
+
+    The mass is multiplied by ``factor``, and its distribution over the points is unchanged.
 
     Args:
-        inertia: Inertia before the stretch, in the frame of p.
+        inertia: Inertia before the stretch, in the frame of p. The result is in the same frame.
         matrix: A, shape (3, 3).
         shift: b, shape (3,) [m].
-        factor: Factor s on the mass.
+        factor: Factor on the mass; independent of A.
     """
     tensor = np.array(inertia.inertia)
     second_moments = factor * matrix @ (np.trace(tensor) / 2 * np.eye(3) - tensor) @ matrix.T

@@ -227,7 +227,14 @@ def confirm_ready() -> bool:
 def split_chunks(
     work: bytes, names: Sequence[str], numbers: Sequence[tuple[float, ...]], size: int
 ) -> Iterator[Chunk]:
-    """Yield designs (hashes and variable values) in chunks of at most ``size`` designs."""
+    """Split the designs of a study into chunks of at most ``size`` designs.
+
+    Args:
+        work: Pickled `WorkDefinition`, copied into each chunk.
+        names: Hash of each design.
+        numbers: Variable values of each design, in the order of ``names``.
+        size: Largest number of designs in a chunk.
+    """
     for start in range(0, len(names), size):
         part = slice(start, start + size)
         yield Chunk(work, tuple(names[part]), tuple(numbers[part]))

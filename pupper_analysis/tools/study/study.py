@@ -519,7 +519,10 @@ def _resolve_motor_files(folder: Path, data: dict[str, Any]) -> None:
 
 
 def name_motors(table: pd.DataFrame, variables: Mapping[str, Variable]) -> pd.DataFrame:
-    """Return the table of a study with names of motors in place of their codes."""
+    """Return the table of a study with names of motors in place of their codes.
+
+    Codes are in the columns of the variables that have labels (``Variable.labels``).
+    """
     named = {
         name: variable.name_values(table[name])
         for name, variable in variables.items()

@@ -299,9 +299,9 @@ def make_changed_case(stage: Stage, name: str, value: float, command: Array, see
 
     Args:
         stage: Robot, policy and model of the simulation.
-        name: Key of `QUANTITIES`.
-        value: Value of the quantity in the unit of the quantity; of a push, the velocity change
-            [m/s].
+        name: Key of `QUANTITIES`, such as ``"mass"`` or ``"push-left"``.
+        value: Value in the unit of the quantity (`QUANTITIES`); of a push, the velocity change of
+            the robot [m/s].
         command: Command, shape (3,) [m/s, m/s, rad/s].
         seed: Seed of the case.
     """
@@ -433,7 +433,10 @@ def tracked_intervals(
     outcomes: dict[tuple[str, float, int], Tracking] = {}
 
     def simulate(trials: list[tuple[str, float, int]]) -> None:
-        """Simulate the trials that have not been simulated."""
+        """Simulate the trials that are no key of ``outcomes``, and add their tracking to it.
+
+        A trial is a name of a quantity, a value of the quantity, and a seed.
+        """
         new = [trial for trial in dict.fromkeys(trials) if trial not in outcomes]
         cases = [
             make_changed_case(stage, name, value, checked_command, seed)

@@ -316,21 +316,22 @@ class StandRows:
         return left_vectors[:, rank:].T @ whitened[:, :n], log_noise, step
 
     def find_contradictions(self, covariance: Array) -> tuple[Array, Array]:
-        """Estimate the error of each joint's measured position in a stand.
+        """Estimate the error (measured minus true) of each joint position in this stand.
 
-        The error of a joint position is estimated from all other readings of the stand; the
-        uncertainty of the parameters is taken into account. r are the residuals after elimination
-        of the unknowns of the stand (see `eliminate_own_unknowns`), d their derivative by the error
-        of the joint position (measured minus true), A their derivative by the parameters, and C the
-        covariance of the parameters:
+        The estimate uses all readings of the stand except the joint's own position:
 
-            error = -d^T r / (d^T d - d^T A C A^T d)
+            error = -d^T r / w,    standard deviation = 1 / sqrt(w),
+            w = d^T d - d^T A C A^T d, at least `_MIN_READING_INFORMATION` / (encoder noise)^2
+
+        r are the whitened residuals: divided by their noise, and projected so that they do not
+        depend on base tilt, base height and contact forces of the stand. d is the derivative of r
+        by the error of the joint position, A the derivative of r by the parameters.
 
         Args:
             covariance: Covariance C of the parameters, shape (n, n).
 
         Returns:
-            Errors and standard deviations of the errors, shape (nu,) [rad] each.
+            Errors, shape (nu,) [rad], and their standard deviations, shape (nu,) [rad].
         """
         columns = [self.residual, self.by_x, self.by_noise[:, : self._robot.nu]]
         projected = self._project_out_unknowns(np.column_stack(columns))[0]
@@ -680,16 +681,20 @@ class GravityRegressor:
     def evaluate(
         self, config: Configuration, values: StandValues
     ) -> tuple[Array, list[Array], list[Array], list[Array]]:
-        """Compute the generalised forces of gravity and their derivatives.
+        """Compute the generalised forces that balance gravity, g(q), and their derivatives.
 
         Args:
             config: Configuration of the robot.
             values: Masses, CoM positions, known masses and gravity.
 
         Returns:
-            Generalised forces, shape (nv,) [N, N m]; derivatives by each body's mass, shape (nv,);
-            by each body's CoM in the joint frame, shape (nv, 3); by the slope of the ground along x
-            and y, shape (nv,). In the lists of bodies, the known masses are last.
+            1. g(q), shape (nv,) [N, N m].
+            2. Derivative of g by the mass of each body, shape (nv,) [N/kg, N m/kg] each: first the
+               bodies of ``values.bodies``, then the known masses ``values.loads``.
+            3. Derivative of g by the CoM of each body in the joint frame, shape (nv, 3) [N/m, N]
+               each; same order of bodies.
+            4. Derivatives of g by the sine of the ground's slope along x and along y, shape (nv,)
+               [N, N m] each.
         """
         bodies = [(number, mass, com) for _, number, mass, com in values.bodies]
         bodies += [(load.number, load.mass, load.place) for load in values.loads]
