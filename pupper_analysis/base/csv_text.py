@@ -26,7 +26,7 @@ def csv_text(rows: Iterable[Iterable[object]]) -> str:
 
 
 def _line(row: Iterable[object]) -> str:
-    """Return a row as a line of CSV."""
+    """Format a row as one line of CSV."""
     text = io.StringIO(newline="")
     # The writer quotes a carriage return only if its line terminator contains one.
     csv.writer(text, lineterminator="\r\n").writerow([_escape_formula(cell) for cell in row])

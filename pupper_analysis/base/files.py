@@ -307,7 +307,10 @@ def resolve_target(path: Path) -> tuple[Path, os.stat_result | None]:
 
 
 def _standard_stream(status: os.stat_result) -> int | None:
-    """Return 1 or 2 if standard output or standard error is this file; None otherwise."""
+    """Return the descriptor, 1 or 2, of the standard output or error that is a file; else None.
+
+    ``status`` is the status of the file.
+    """
     for number in (1, 2):
         with suppress(OSError):
             if os.path.samestat(status, os.fstat(number)):

@@ -41,6 +41,8 @@ def _load_routines() -> Any:
 
 
 _routines = _load_routines()
+"""Module that contains the LAPACK routines below."""
+
 dgels, dgesv, dggev = _routines.dgels, _routines.dgesv, _routines.dggev
 dgglse, dtrcon = _routines.dgglse, _routines.dtrcon
 

@@ -15,9 +15,11 @@ from pathlib import Path
 from typing import Final
 
 _guard: Final = threading.Lock()
+"""Lock of the threads of this process: a single thread at a time reads or changes `_held`."""
+
 _held: Final[set[str]] = set()
-"""Lock files of this process: the system does not refuse a lock to the process that holds the
-lock."""
+"""Resolved paths of the lock files that this process holds. Another thread is refused by this set,
+because the system grants the lock again to the process that holds it."""
 
 
 @contextmanager
@@ -55,7 +57,7 @@ def lock_file(path: Path, *, temporary: bool = False) -> Iterator[bool]:
 
 
 def _open_locked(place: str) -> int | None:
-    """Open and lock a file; return None if another process holds the lock."""
+    """Open and lock a file, and return its descriptor; None if another process holds the lock."""
     while True:
         handle = os.open(place, os.O_RDWR | os.O_CREAT, 0o666)
         try:
@@ -73,7 +75,7 @@ def _open_locked(place: str) -> int | None:
 
 
 def _lock(handle: int) -> bool:
-    """Lock an open file for this process; return False if another process holds the lock.
+    """Lock a file by its descriptor; return True if locked, False if another process has the lock.
 
     On systems without POSIX locks nothing is locked, and the result is True.
     """

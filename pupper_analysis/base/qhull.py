@@ -64,4 +64,6 @@ def _load_without_packages() -> ModuleType | None:
 
 
 _extension = _load_extension()
+"""Module that contains ``ConvexHull`` and ``QhullError``."""
+
 ConvexHull, QhullError = _extension.ConvexHull, _extension.QhullError

@@ -246,7 +246,11 @@ def shorten(value: object, other: object = None) -> str:
 
 
 def _shorten_items(values: Sequence[object] | np.ndarray, other: object) -> list[str]:
-    """Return a short text per item of a vector, with digits as `shorten` beside ``other``."""
+    """Return a short text of each item of a vector, by `shorten`.
+
+    ``other`` is the vector that is printed beside ``values``: two different numbers at the same
+    position get different texts. An ``other`` of another length is ignored.
+    """
     items = list(values)
     compared = list(other) if isinstance(other, tuple | list | np.ndarray) else []
     if len(compared) != len(items):
@@ -258,7 +262,7 @@ def _shorten_items(values: Sequence[object] | np.ndarray, other: object) -> list
 
 
 def _to_number(item: object) -> object:
-    """Return a number of NumPy as a number of Python; another item as it is."""
+    """Convert a NumPy scalar to a Python object; return other items unchanged."""
     return item.item() if isinstance(item, np.generic) else item
 
 

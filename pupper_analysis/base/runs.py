@@ -94,6 +94,7 @@ class Run:
 
 
 _current_run: Final[ContextVar[Run | None]] = ContextVar("run", default=None)
+"""Run that is active in the present context; None outside of a run."""
 
 
 def current_run() -> Run | None:

@@ -150,8 +150,9 @@ class Position(float):
 
 
 _TYPED_DIGITS = 4
-"""Largest number of significant digits of a typed angle. An angle that was converted from degrees
-to radians has more."""
+"""Largest number of significant digits with which `find_untyped_degrees` takes an angle as typed by
+the user, possibly in degrees. An angle converted from degrees to radians has more digits. Chosen,
+not tuned."""
 
 
 def find_untyped_degrees(angle: float, low: float, high: float) -> float | None:

@@ -236,7 +236,8 @@ _CONTACT_WORDS: Final = ("solref", "solimp", "margin", "gap")
 """Contact parameters that geoms and contact pairs of an MJCF have in common."""
 
 _UNITS_BY_WORD: Final = {"margin": "m", "gap": "m", "timestep": "s", "gravity": "m/s^2"}
-"""{attribute of an MJCF: unit}; other attributes have no unit here."""
+"""{compared attribute of a geom, contact pair or option in an MJCF: unit}. The values of other
+attributes are reported without unit."""
 
 _GEOM_WORDS: Final = (
     "friction", "condim", *_CONTACT_WORDS, "contype", "conaffinity", "priority", "solmix",

@@ -98,12 +98,12 @@ class MujocoTree:
 
 
 def _select_changed(values: Mapping[str, _T], previous: Mapping[str, _T]) -> dict[str, _T]:
-    """Return the values that are not the same object as before."""
+    """Return the {name: value} whose value is not the same object (``is``) in ``previous``."""
     return {name: value for name, value in values.items() if value is not previous.get(name)}
 
 
 def _structure_key(parameters: MultibodyTree) -> tuple[object, ...]:
-    """Return a key that is equal for trees that differ only in parameters."""
+    """Return a cache key of a tree's structure: names, parents and joint types, without numbers."""
     joints = tuple((name, joint.parent, joint.slides) for name, joint in parameters.joints.items())
     frames = tuple((name, owner) for name, (owner, _) in parameters.frames.items())
     return parameters.base, parameters.floating, joints, tuple(parameters.bodies), frames

@@ -416,7 +416,11 @@ def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 
 
 def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
-    """Return the limits of the force of an actuator [N], without its gear."""
+    """Return the limits of an actuator's force before its gear [N or N m].
+
+    The limits are ``forcerange`` and, for an actuator with constant gain and no bias, the gain
+    times ``ctrlrange``. The list is empty if the actuator has neither range.
+    """
     found, name = [], str(model.actuator(actuator).name)
     if model.actuator_forcelimited[actuator]:
         range_ = model.actuator_forcerange[actuator]

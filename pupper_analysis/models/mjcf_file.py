@@ -657,7 +657,10 @@ class MjcfFile:
         return self._list_missing_values("bodies")
 
     def _list_missing_values(self, key: str) -> tuple[str, ...]:
-        """Return the names in the field ``key`` of the notes on missing files, each once."""
+        """Return the names in one value of all diagnostics ``files-missing``, without duplicates.
+
+        ``key`` is the name of the value, such as ``bodies``.
+        """
         values = [note.values.get(key) for note in self.notes if note.code == "files-missing"]
         names = (str(name) for value in values if isinstance(value, tuple) for name in value)
         return tuple(dict.fromkeys(names))

@@ -299,14 +299,14 @@ def _find_links(model: pin.Model) -> dict[int, str]:
 
 
 _BODY_FIELDS = ("mass", "com", "inertia")
-"""Kinds of differences that are fields of `TreeBody`."""
+"""Names of the compared fields of `TreeBody`, also used as kinds of differences between models."""
 
 _JOINT_FIELDS = {
     **{kind: kind for kind in ("position", "rotation", "axis", "parent")},
     "type": "slides",
     **{attribute.kind: attribute.field for attribute in JOINT_ATTRIBUTES if attribute.field},
 }
-"""{kind of a difference: field of `TreeJoint`}."""
+"""{kind of a difference between two models' joints: field of `TreeJoint` with the value}."""
 
 
 def copy_value(

@@ -28,8 +28,9 @@ _MAX_POSITION: Final = 1e6
 largest double."""
 
 _IDENTITY_ATOL: Final = 1e-12
-"""Tolerance [m, 1] with which a body frame counts as equal to the frame of its joint: it then names
-the link of the joint, and gets no link of its own. Chosen, not tuned."""
+"""Tolerance of the placement of a body frame in the frame of its joint, positions in m and matrix
+entries, up to which both frames count as equal. An equal frame names the link of the joint; another
+frame gets a link of its own. Chosen, not tuned."""
 
 _WORLD: Final = "world"
 """Name of the root link above a free base."""

@@ -24,6 +24,7 @@ from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 
 Direction = tuple[float, float, float]
+"""Vector or point (x, y, z)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,7 +98,10 @@ def list_tendon_joints(model: mujoco.MjModel) -> dict[int, set[int]]:
 
 
 def _list_branches(model: mujoco.MjModel, tendon: int) -> list[list[int]]:
-    """Return the bodies of the points of each branch of a spatial tendon; pulleys end a branch."""
+    """Return the body ids along each branch of a spatial tendon; a pulley starts a new branch.
+
+    Each site or wrapping geom contributes the id of its body. Empty branches are omitted.
+    """
     branches: list[list[int]] = [[]]
     first = int(model.tendon_adr[tendon])
     for wrap in range(first, first + int(model.tendon_num[tendon])):
@@ -113,7 +116,7 @@ def _list_branches(model: mujoco.MjModel, tendon: int) -> list[list[int]]:
 
 
 def _list_ancestors(model: mujoco.MjModel, body: int) -> set[int]:
-    """Return a body and its ancestors, without the world."""
+    """Return the ids of a body and its ancestors, without the world."""
     found = set()
     while body:
         found.add(body)
@@ -182,7 +185,8 @@ def fixed_tendon_levers(model: mujoco.MjModel) -> dict[int, dict[int, float]]:
 
 
 _WRAPS_JOINT = mujoco.mjtWrap.mjWRAP_JOINT.value
-"""Type of a part of a fixed tendon: a joint."""
+"""MuJoCo's type (``wrap_type``) of the elements of a fixed tendon, which are joints. Elements of a
+spatial tendon are sites, geoms and pulleys."""
 
 
 def list_tendon_servos(model: mujoco.MjModel, joint: int) -> list[int]:

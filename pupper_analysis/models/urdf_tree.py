@@ -62,7 +62,7 @@ def set_origin(element: etree._Element, placement: pin.SE3, digits: int | None =
 
 
 UNSTATED_LIMITS = dict.fromkeys(("effort", "velocity"), f"{UNSTATED:g}")
-"""{attribute that a ``<limit>`` must have: text that means unknown}."""
+"""{required attribute of ``<limit>`` in a URDF: text of an unknown limit}; see `UNSTATED`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -89,7 +89,11 @@ def _remove(element: etree._Element) -> None:
 
 
 def _is_harmless(element: etree._Element, resolve: ResolveMesh, depth: int) -> bool:
-    """Return True if a xacro element is known to change neither links nor joints."""
+    """Return True if a xacro element is known to change neither links nor joints.
+
+    An ``<include>`` is harmless if the children of the included file are. ``resolve`` finds this
+    file, and ``depth`` is the number of files that include each other up to here.
+    """
     tag = etree.QName(element).localname
     if tag in _DECLARATIONS:
         return True

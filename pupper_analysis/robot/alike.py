@@ -18,10 +18,10 @@ from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.robot import Robot
 
 _SIMILARITY_TOLERANCE = 0.05
-"""Tolerance for similar limbs: of masses, relative to the larger mass; of distances between joints,
-relative to the length of the limb; of |cos| between axes, absolute. Left and right limbs of
-published robots agree within 1 %. Equal masses or equal dimensions are sufficient, because a single
-wrong value affects only one of the two."""
+"""Tolerance with which two limbs count as similar. It applies to masses (relative to the larger
+mass), to distances between joints (relative to the length of the limb), and to |cos| between axes
+(absolute). Similar masses, or similar distances and axes, are sufficient, because a single wrong
+value affects only one of the two. Left and right limbs of published robots agree within 1 %."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -268,7 +268,12 @@ class Closure:
         )
 
     def _close_by_newton(self, qpos: Array, moving: Array, give: Array | None) -> Array | None:
-        """Close the loops as ``close_loops`` (same arguments), but accept any assembly mode."""
+        """Close the loops as `close_loops`, with the same arguments, but accept any assembly mode.
+
+        Returns:
+            Configuration, shape (nq,). None if the iteration does not converge, or if, without
+            ``give``, a redundant equation is violated by ``MAX_OPENING`` or more.
+        """
         result = qpos.copy()
         joints = result[self._num_coordinates - len(self._joint_names) :]  # a view
         for _ in range(_MAX_ITERATIONS):

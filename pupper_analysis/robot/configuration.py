@@ -607,7 +607,10 @@ class Configuration(Pictured):
         return np.array(parameters, dtype=float).reshape(-1)
 
     def _bodies(self) -> IntArray:
-        """Return the joint indices (n,) of the moving bodies: free base, then actuator order."""
+        """Return Pinocchio's joint index of each moving body, shape (n,).
+
+        Order: free base (if any), then the bodies of the joints in actuator order.
+        """
         base = [2] if self._structure.floating else []  # translation 1, then rotation 2
         return np.array([*base, *self._structure.joints.values()], dtype=np.int64)
 

@@ -133,7 +133,7 @@ class PinocchioConvention:
 
     @cached_property
     def _q_address_of_qpos(self) -> IntArray | None:
-        """Address in q of each element of qpos; None if the robot has continuous joints."""
+        """Index in Pinocchio's q of each element of qpos; None if a joint is continuous."""
         return None if self._qpos_address_of_q is None else np.argsort(self._qpos_address_of_q)
 
     def with_joints(self, q: Array, joints: Array) -> Array:

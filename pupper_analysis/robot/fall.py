@@ -71,10 +71,11 @@ MAX_CLEARANCE = 5.0
 a free fall over 5 m takes 1 s."""
 
 _MAX_RUN_DISTANCE = 1e-4
-"""Largest distance of a coordinate between two runs from one keyframe [m, rad], halfway through the
-runs, with which the second run counts as equal to the first, and ends. A nudge that upsets a robot
-at the end of a run has grown from about 1e-4 to `FALLEN_TILT` exponentially, and is above 1e-3
-halfway. The difference between the velocities must be below the speed of the nudge."""
+"""Largest difference of a coordinate [m, rad] between two runs from one keyframe with different
+nudges, halfway through the runs. Up to this difference the second or third run counts as equal to
+the first, and ends. If a nudge upsets a robot by the end of a run, the difference grows
+exponentially from about 1e-4 to `FALLEN_TILT`, and exceeds 1e-3 halfway. The velocities must also be
+equal, within `NUDGE_SPEED`."""
 
 _SEARCH_MARGIN = 0.05
 """Longest downward step of the search for the ground below a robot, and contact margin of the
@@ -153,7 +154,7 @@ class BodyMotion:
         return self.collapses and not self.diverged and not self._has_collapsed(0.0)
 
     def _has_collapsed(self, away: float) -> bool:
-        """Call the function ``has_collapsed`` with the tilt, height loss and size of this motion.
+        """Return the result of the function `has_collapsed` for this motion.
 
         ``away`` is the horizontal distance of the CoM from its start [m].
         """

@@ -30,6 +30,7 @@ from pupper_analysis.base.units import find_untyped_degrees
 from pupper_analysis.robot.plane import Plane, describe_surface, slope_normal
 
 Point = tuple[float, float]
+"""Horizontal coordinates (x, y) in the world frame [m]."""
 
 
 _DEFAULT_ANGLE = 0.0
@@ -264,7 +265,8 @@ def _check_slope(name: str, value: float) -> float:
 
 _BAR_LENGTH_FACTOR = 3.0
 """Half length of the cylinder that represents a bar in MuJoCo's model, relative to the half width
-that a box under the same foot has. Chosen, not tuned: a foot must not reach the end of the bar."""
+of a box for the same foot (reach of the contact points plus ``STEP_HALF_WIDTH``). Chosen, not
+tuned: a foot must not reach the end of the bar."""
 
 STEP_HALF_WIDTH = 0.03
 """Distance [m] by which the box of a step extends horizontally beyond the contact points of its

@@ -20,6 +20,7 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.units import READ_IN, UNIT_FACTORS, find_untyped_degrees
 
 Point = tuple[float, float, float]
+"""Point or vector (x, y, z)."""
 
 MAX_FRICTION = 1e6
 """Maximum friction coefficient that is accepted. Larger values are physically equivalent. Chosen,

@@ -873,6 +873,7 @@ _pool: list[tuple[Robot, object, Any]] = []
 robot to an object that references the robot would delay the release of memory."""
 
 _pool_lock = Lock()
+"""Guards `_pool`: a single thread at a time takes objects from the pool or returns objects."""
 
 
 @contextmanager

@@ -273,8 +273,8 @@ collision shapes is computed: the library (coal) requires a body with a volume. 
 tuned."""
 
 _DEFAULT_BALL_RADIUS = 1e-2
-"""Radius [m] of the contact sphere of a hand (a touching part other than a foot), if the sphere's
-centre is not inside a collision shape of the link. Chosen, not tuned."""
+"""Radius [m] of the contact sphere of a hand (a touching part other than a foot) if the centre of
+the sphere is not inside a collision shape of the link. Chosen, not tuned."""
 
 
 def _inscribed_radius(robot: Robot, tool: Tool) -> float:

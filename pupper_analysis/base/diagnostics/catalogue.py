@@ -34,8 +34,8 @@ LANGUAGES = ("en", "zh")
 """Languages of all catalogue texts: English and Chinese."""
 
 SHORT_FORM = "short"
-"""Key of the short English form of a catalogue text, which the short answer on a terminal contains
-instead of the text. Most texts have none."""
+"""Key, beside ``en`` and ``zh``, of the short English form of a catalogue text. Documents print the
+short form instead of the text in a short answer. Most texts have no short form."""
 
 _TABLE_HEADER = re.compile(r"^\[([a-z0-9-]+)\]$", re.MULTILINE)
 """Pattern of the header line of a TOML table."""
@@ -53,9 +53,9 @@ _CATALOGUE_FOLDER = Path(__file__).parent / "catalogue"
 """Folder of the catalogue files."""
 
 _TABLES_BY_FILE = {_TERMS_FILE: "terms", _TEXTS_FILE: "texts", _MEANINGS_FILE: "meanings"}
-"""{catalogue file: table for entries of the same kind in a file ``words.toml``}. Each tool (a
-subpackage of ``pupper_analysis.tools``, or a package of another distribution) has its texts in such
-a file."""
+"""{catalogue file: table of a file ``words.toml`` that contains the same kind of entries}. Each
+tool, a subpackage of ``pupper_analysis.tools`` or a package of another distribution, may have a
+file ``words.toml`` with its own texts."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,10 @@ def _split_tables(path: Path) -> Mapping[str, str]:
 
 @cache
 def _load_plugin_tables() -> Mapping[str, str]:
-    """Return {code: TOML text of the table} from the ``words.toml`` files of `other_packages`."""
+    """Return {table header: TOML text of the table} of the ``words.toml`` of `other_packages`.
+
+    The header of a table is the code of a diagnostic, or a table name of `_TABLES_BY_FILE`.
+    """
     paths = [tool.folder / "words.toml" for tool in other_packages().values()]
     tables = [_split_tables(path) for path in paths if path.is_file()]
     return MappingProxyType({code: text for table in tables for code, text in table.items()})
@@ -202,7 +205,7 @@ def _load_plugin_entries(file: str) -> Mapping[str, str]:
 
 @cache
 def _load_tables() -> Mapping[str, str]:
-    """Return {code: text of the table} of this package.
+    """Return {code of a diagnostic: unparsed TOML text of its table} from this package's files.
 
     Parsing all TOML takes 50 ms per 1,000 entries, a tenth of the start of a command, and a command
     uses few entries. Therefore the files are only split at the table headers, and entries are

@@ -101,7 +101,7 @@ def format_pair(
 
 
 def _format_value(value: float | Quantity | Vector, spec: str) -> str:
-    """Return a number, with the unit if it has one, in a format specification."""
+    """Format a number by a format specification, such as ``.3g``; append its unit, if any."""
     return format_number(value, spec) if isinstance(value, float | int) else format(value, spec)
 
 
@@ -283,7 +283,8 @@ _SEPARATORS = {
 """{language: {separator in a list format: its text}}."""
 
 _OMITTED_ITEMS = {"en": "{listed} and {left} more", "zh": "{listed}，另有 {left} 个"}  # noqa: RUF001
-"""{language: template for a list that is cut off, with the number of the other items}."""
+"""{language: template of a shortened list}: ``listed`` is the text of the listed items, ``left``
+the number of omitted items."""
 
 
 def fill_template(template: str, values: Mapping[str, Any], language: str) -> str:

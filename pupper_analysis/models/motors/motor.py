@@ -18,21 +18,24 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.motors.units import KINDS
 
 MAX_STALL_RATIO = 1.1
-"""Largest ratio of a stated stall torque to Kt V N / R of the same motor. A gear only reduces the
-torque; 10 % permit rounded numbers. Chosen, not tuned."""
+"""Largest ratio between a stated stall torque and Kt V N / R of the same motor; a motor with a
+larger ratio is refused. Also the largest factor between a stated stall current and V / R. Losses in
+a gear only reduce the torque; 10 % permit rounded numbers. Chosen, not tuned."""
 
 MIN_STALL_RATIO = 0.3
-"""Smallest such ratio: below, friction and gear would lose more than 70 % of the torque, which
-suggests other units. The worst published servo in the data has 0.8. Chosen, not tuned."""
+"""Smallest ratio between a stated stall torque and Kt V N / R of the same motor; a motor with a
+smaller ratio is refused. Friction and gear would lose more than 70 % of the torque, which suggests
+other units. The worst published servo in the data has 0.8. Chosen, not tuned."""
 
 MAX_CONVENTION_RATIO = 2.0
-"""Largest ratio of two stated numbers that define the same constant of a motor: output torque
-constant to Kt N, and speed without load to V / (Kt N). Line and phase currents, and rms and peak
-values, differ by up to sqrt(3). The smallest accepted ratio is `MIN_STALL_RATIO`."""
+"""Largest ratio between two stated numbers that define the same constant of a motor: the output
+torque constant and Kt N, or the speed without load and V / (Kt N). A motor with a larger ratio, or
+a ratio below `MIN_STALL_RATIO`, is refused. Line and phase currents, and rms and peak values,
+differ by up to sqrt(3)."""
 
 
 def _number(kind: str) -> float | None:
-    """Return the field of a number of a kind of quantity; its default is unknown."""
+    """Return a dataclass field for a number of a kind in ``KINDS``; None (unknown) by default."""
     found: float | None = field(default=None, metadata={"kind": kind, "unit": KINDS[kind].unit})
     return found
 
@@ -155,9 +158,10 @@ class Motor:
             )
 
     def _check_conventions(self) -> None:
-        """Raise a ModelError if two numbers that define the same constant are of other units.
+        """Raise a ModelError if two stated numbers for the same constant contradict each other.
 
-        These are the output torque constant and Kt N, and the speed without load and V / (Kt N).
+        Compared are the output torque constant with Kt N, and the speed without load with
+        V / (Kt N). Their ratio must be in [`MIN_STALL_RATIO`, `MAX_CONVENTION_RATIO`].
         """
         if self.torque_constant is None or self.gear_ratio is None:
             return

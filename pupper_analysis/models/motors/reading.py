@@ -19,6 +19,7 @@ from pupper_analysis.models.motors.motor import NUMBERS, Motor
 from pupper_analysis.models.motors.units import KINDS, parse_quantity
 
 _DATA = files("pupper_analysis.models.motors") / "data"
+"""Folder of this package with a TOML file per motor."""
 
 BAM_MODELS = {
     "m1": (),

@@ -74,9 +74,10 @@ KINDS = {
     "mass": Kind("kg", {"kg": 1.0, "g": 1e-3}),
     "price": Kind("USD", {"USD": 1.0}),
 }
-"""{kind of quantity: units}."""
+"""{kind of quantity: accepted units, with their factors to the SI unit, and range}."""
 
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*\Z")
+"""Pattern of a number and its unit, as in ``1.2 N m``; the unit may be missing."""
 
 
 def parse_quantity(name: str, text: object, kind: Kind) -> float:

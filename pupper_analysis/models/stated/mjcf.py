@@ -230,8 +230,9 @@ def _stated_values(
 ) -> dict[str, float]:
     """Return {kind: value} of the joint parameters that the file specifies, including defaults.
 
-    Finite limits count. Of the other parameters, a zero counts only if the joint or a default class
-    contains the attribute.
+    Infinite limits are omitted. A parameter other than a limit is omitted if its value is 0 and
+    neither the joint nor a default class contains the attribute. ``limits`` is
+    {field of `TreeJoint`: limit}. Without ``spec_joint``, only the limits are returned.
     """
     values = {
         attribute.kind: limits[attribute.field]

@@ -97,7 +97,10 @@ def _make_joint(joint: UrdfJoint, pose: Pose) -> Joint:
 
 
 def _stated_values(joint: UrdfJoint) -> dict[str, float]:
-    """Return {kind: value} of the joint parameters that the file specifies."""
+    """Return {kind: value} of the joint parameters that the file specifies.
+
+    An effort or velocity limit of `UNSTATED` or more is omitted.
+    """
     texts = {attribute.kind: joint.parameter_text(attribute) for attribute in JOINT_ATTRIBUTES}
     found = {kind: float(text) for kind, text in texts.items() if text is not None}
     # The reader adds values of UNSTATED to a <limit> that lacks them.

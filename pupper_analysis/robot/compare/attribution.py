@@ -184,7 +184,10 @@ def align_robot(robot: Robot, tolerances: Tolerances) -> Alignment:
 
 
 def _report_mimic(name: str, mimic: tuple[str, float, float]) -> Difference:
-    """Return the difference for a mimic joint without an equality in the MJCF."""
+    """Return the difference for a mimic joint of the URDF without an equality in the MJCF.
+
+    ``mimic`` contains the leading joint, the multiplier and the offset [rad, m].
+    """
     leader, multiplier, offset = mimic
     message = diagnose(
         "mimic-without-equality",

@@ -51,7 +51,7 @@ class MujocoBehaviour:
         self._joints = [names.joint(name).id for name in robot.joint_names]
         self._slides = model.jnt_type[self._joints] == JointKind.SLIDE
         self._coordinates = model.jnt_qposadr[self._joints]
-        self._is_robot_body = _is_robot_body(robot, reference)
+        self._is_robot_body = _mask_robot_bodies(robot, reference)
         frames = {**robot.description.contact_points, **robot.description.frames}
         self._frames = [frame for _, frame in frames.values()]
         self._local_offsets = np.array([moved.get(name, np.zeros(3)) for name in robot.joint_names])
@@ -121,7 +121,7 @@ def offsets_in_world(
     return np.where(hinges[:, None], along, np.einsum("nij,nj->ni", bodies, local))
 
 
-def _is_robot_body(robot: Robot, reference: Reference) -> list[bool]:
+def _mask_robot_bodies(robot: Robot, reference: Reference) -> list[bool]:
     """Return a mask (nbody,) of the bodies of a compiled MJCF that belong to the robot.
 
     For a fixed base, all static bodies belong to the robot, as in `pinocchio_from_mujoco`.

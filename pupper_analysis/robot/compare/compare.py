@@ -569,10 +569,10 @@ def compare_files(
 
 
 def _find_causes(*of: object) -> tuple[PatternCause, ...]:
-    """Return mistakes in a file that explain several differences, or a different inertia, each.
+    """Return causes of differences; a cause explains several differences, or one of an inertia.
 
-    The mistakes are found by the first installed tool that has a module ``causes``; without such a
-    tool the result is empty.
+    The first installed tool with a module ``causes`` finds the causes. Without such a tool, the
+    result is empty.
 
     Args:
         *of: Arguments of the tool's ``find_causes``: robot, tree of the MJCF in the URDF's link
@@ -586,7 +586,7 @@ def _find_causes(*of: object) -> tuple[PatternCause, ...]:
 
 
 def _bodies_with_geom_mass(mjcf: MjcfFile) -> set[str]:
-    """Return the bodies whose mass is computed from geoms."""
+    """Return the names of the bodies whose mass MuJoCo computes from geoms."""
     spec = mjcf.spec
     return {geom.parent.name for geom in spec.geoms if gives_mass(spec, geom)}
 
@@ -736,5 +736,6 @@ def _find_objections(explanation: Explanation, tolerances: Tolerances) -> Iterat
 
 
 _DYNAMIC_KINDS = ("mass", "com", "inertia", "position", "rotation", "axis", "damping", "dynamics")
-"""Kinds of tolerances for values that affect the dynamics. The largest of these tolerances is also
-permitted as a relative deviation of the results."""
+"""Fields of `Tolerances` for values that affect the dynamics. If all differences between two files
+are within the tolerances, the largest of these tolerances also bounds the relative deviation of
+each dynamic quantity; above the bound the files do not agree (`_find_objections`)."""

@@ -394,7 +394,8 @@ _ABOUT_KEYS = {
     "refused": "about-refused",
     "stale": "about-stale",
 }
-"""{kind of remark: key of the description in the catalogue}; for other kinds a default is used."""
+"""{kind of a check result: key of its description in the catalogue}. Other kinds are differences,
+with the description ``about-difference``."""
 
 
 @dataclass(frozen=True)

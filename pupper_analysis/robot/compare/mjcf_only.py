@@ -31,7 +31,8 @@ from pupper_analysis.robot.compare.differences import Stated
 from pupper_analysis.robot.matching.trees import Mimics, Reference
 
 Slot = tuple[str, int | slice]
-"""Array of ``mjModel`` (or option), and rows."""
+"""(array of ``mjModel``, row or slice of rows). Names of options have the prefix ``opt.``, as in
+``opt.density``."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -265,11 +265,13 @@ def _candidate_steps(
 ) -> Iterator[Array]:
     """Yield candidate displacements (3,) [m] of a joint's origin in the tree ``second``.
 
-    They are expressed in the axes of the body that the joint moves. The first is zero. The others
-    derive from two vectors: d, from the origin to that in the tree ``first``, and m, the median
-    displacement of the points on the body (`_matching_points`). For a hinge they are the components
-    of d and m along the axis; for a slide d, m and the part of d perpendicular to the axis, or none
-    if ``still``.
+    Displacements are expressed in the axes of the body that the joint moves. The first displacement
+    is zero. The others derive from two vectors: d leads from the joint's origin in ``second`` to
+    the origin in ``first``, and m is the median displacement of the points on the body
+    (`_matching_points`).
+
+    - Hinge: the components of d and m along the axis.
+    - Slide: d, m, and the part of d perpendicular to the axis; only zero if ``still``.
     """
     yield np.zeros(3)
     first_joint, second_joint = first.joints[name], second.joints[name]

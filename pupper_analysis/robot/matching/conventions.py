@@ -42,8 +42,8 @@ displaced base frame is accepted, if the robots agree with this frame. A decreas
 is always sufficient. Chosen, not tuned."""
 
 _MAX_JOINTS_TRIED = 6
-"""Largest number of joints on the base that are tried: the placements of a joint in both files give
-a candidate for the pose between the two base frames. Chosen, to bound the computing time."""
+"""Largest number of joints on the base whose placements in both files serve as candidates for the
+pose between the two base frames. Chosen, to bound the computing time."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -158,9 +158,10 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
 
 
 def _make_part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovablePart | None:
-    """Return the subtree of a link as a part to remove; None if both files have a joint of it.
+    """Return the subtree of a link as a part that can be removed from a file.
 
-    ``extra`` are the joints that only this file has.
+    None if the other file also has a joint of the subtree. ``extra`` are the joints that the other
+    file lacks.
     """
     inside = list(tree.subtree(link))
     joints = tuple(joint for name in inside for joint in tree.movers(name))
@@ -391,7 +392,10 @@ def match_models(
 
 
 def _check_feet(feet: Sequence[str], frames: Mapping[str, tuple[str, str]], urdf: Path) -> None:
-    """Raise an error for feet that are no frames of both files."""
+    """Raise an UnknownNameError if a foot is not among the common frames of both files.
+
+    The keys of ``frames`` are the names of the common frames.
+    """
     for foot in feet:
         if foot not in frames:
             raise UnknownNameError(urdf, "frame of both files (for a foot)", foot, frames)

@@ -110,7 +110,10 @@ def match_joints(
 
 
 def _list_map_options(urdf_joint: str, candidates: Sequence[str]) -> Diagnostic:
-    """Return the command line options that select a candidate."""
+    """Return a diagnostic with an option ``--map URDF_JOINT=CANDIDATE`` for each candidate.
+
+    Candidates are joints of the MJCF that may correspond to the joint of the URDF.
+    """
     options = [f"--map {urdf_joint}={candidate}" for candidate in candidates]
     return diagnose("ways-to-map", subject=("joint", urdf_joint), options=options)
 

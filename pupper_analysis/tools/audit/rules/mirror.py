@@ -275,7 +275,7 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
     I and I' are the inertias about the CoMs in base axes at zero angles, S is the reflection. A
     pair is reported, with the entry of largest difference, if an entry of S I S - I' exceeds 10 %
     of the largest entry of both, or if I' has products of inertia of the wrong sign
-    (`_find_wrong_sign`). Twice the rounding of the written digits (up to 50 %) replaces the 10 % if
+    (`_has_wrong_sign`). Twice the rounding of the written digits (up to 50 %) replaces the 10 % if
     larger. Pairs with different masses are not compared.
     """
     names = tuple(INERTIA_ENTRIES)
@@ -290,7 +290,7 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
         first_entries, second_entries = inertia_entries(image), inertia_entries(tensor)
         gap = np.abs(first_entries - second_entries)
         worst = int(np.argmax(gap))
-        flipped = _find_wrong_sign(first_entries, second_entries)
+        flipped = _has_wrong_sign(first_entries, second_entries)
         if gap[worst] > max(INERTIA_RTOL * scale, min(rounding, 0.5 * scale)) or flipped:
             message = diagnose(
                 "mirror-inertia",
@@ -311,15 +311,17 @@ _PRODUCTS = np.array([name[1] != name[2] for name in INERTIA_ENTRIES])
 """Mask of the products among the entries of an inertia, in the order of `INERTIA_ENTRIES`."""
 
 
-def _find_wrong_sign(image: Array, entries: Array) -> bool:
-    """Return True if one or three products of inertia only differ in sign, and the rest is equal.
+def _has_wrong_sign(image: Array, entries: Array) -> bool:
+    """Return True if one or three products of inertia have the opposite sign.
 
-    An equal part that is mounted turned by 180 degrees, not mirrored, has two products of the other
-    sign. The number of wrong signs is known only if no product is zero.
+    All other entries must be equal. With two opposite signs the result is False: such a part is not
+    mirrored, but turned by 180 degrees. The result is also False if a product of ``image`` is zero
+    (at most ``MIN_PRODUCT_FRACTION`` of the largest entry), because its sign is then unknown.
 
     Args:
-        image: Entries of the mirrored inertia, shape (6,) [kg m^2].
-        entries: Entries of the compared inertia, shape (6,) [kg m^2].
+        image: Entries of the mirrored inertia, shape (6,) [kg m^2], in the order of
+            `INERTIA_ENTRIES`: ixx, iyy, izz, ixy, ixz, iyz.
+        entries: Entries of the compared inertia, with the same shape, unit and order.
     """
     tolerance = SIGN_RTOL * np.abs(image)
     is_equal = np.abs(image - entries) <= tolerance
