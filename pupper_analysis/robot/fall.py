@@ -74,8 +74,8 @@ _MAX_RUN_DISTANCE = 1e-4
 """Largest difference of a coordinate [m, rad] between two runs from one keyframe with different
 nudges, halfway through the runs. Up to this difference the second or third run counts as equal to
 the first, and ends. If a nudge upsets a robot by the end of a run, the difference grows
-exponentially from about 1e-4 to `FALLEN_TILT`, and exceeds 1e-3 halfway. The velocities must also be
-equal, within `NUDGE_SPEED`."""
+exponentially from about 1e-4 to `FALLEN_TILT`, and exceeds 1e-3 halfway. The velocities must also
+be equal, within `NUDGE_SPEED`."""
 
 _SEARCH_MARGIN = 0.05
 """Longest downward step of the search for the ground below a robot, and contact margin of the
