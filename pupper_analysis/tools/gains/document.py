@@ -28,7 +28,7 @@ _VERDICT_KEYS = {
     (True, False): "gains-beyond",
     (False, False): "gains-unstable",
 }
-"""{(modes are stable, `GainStudy.passed`): key of the verdict's text}."""
+"""{(whether all modes are stable, `GainStudy.passed`): catalogue key of the verdict's text}."""
 
 
 @build_document.register(GainStudy)
@@ -54,7 +54,7 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
 
 
 def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
-    """Yield texts: replaced servos, unstable mode, sag, joint classes that exceed a bound."""
+    """Yield texts of replaced servos, an unstable mode, sag, and kp or kd above a bound."""
     yield from map(clause_text, make_replaced_clauses(study.servos.replacement_servos))
     if not study.worst.stable:
         joints = join_words([doc.Name(name) for name in study.worst.joints])
@@ -122,7 +122,7 @@ def _describe_controller(study: GainStudy) -> doc.Words:
 
 
 def _select_next_step(study: GainStudy) -> NextStep:
-    """Return the next command: `stand`, with the recommended gains if all joints have the same."""
+    """Return the command to run next: `stand`, with the recommended gains if uniform."""
     first = study.classes[0]
     if study.uniform and first.recommended_kp is not None and first.recommended_kd is not None:
         return NextStep(

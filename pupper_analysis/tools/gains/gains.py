@@ -474,7 +474,7 @@ class _Gains:
         return self._find_end(gains, inside, 0.5), self._find_end(gains, inside, 2.0)
 
     def _is_stable(self, pair: _Pair) -> bool:
-        """Return True if no mode grows with kp and kd of all joints, shape (nu,) each."""
+        """Return True if no mode of the controlled stand grows with the gains ``pair`` (kp, kd)."""
         return self.loop.is_stable(*pair)
 
     def _find_end(

@@ -107,7 +107,7 @@ def command(
 
 
 def _read_file_motors(robot: Robot) -> dict[str, Motor]:
-    """Return {joint: motor} of the `dcmotor` actuators of the robot's MJCF, if there is a file."""
+    """Return {joint: motor} of the `dcmotor` actuators in the robot's MJCF; empty without one."""
     from pupper_analysis.models.mjcf_file import read_mjcf
     from pupper_analysis.models.motors.dcmotor import list_dcmotors
 

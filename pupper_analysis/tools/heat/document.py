@@ -50,7 +50,7 @@ def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
 
 
 def _select_verdict(study: HeatStudy) -> str:
-    """Return the key of the verdict: too weak, hot, cool or unknown."""
+    """Return the catalogue key of the verdict: motors too weak, hot, cool, or unknown."""
     if study.weak:
         return "heat-weak"
     if study.overheats:
@@ -59,9 +59,9 @@ def _select_verdict(study: HeatStudy) -> str:
 
 
 def _select_next_step(study: HeatStudy) -> NextStep:
-    """Return the next command.
+    """Return the command to run next.
 
-    `best` if a motor is too weak or becomes hot, `payload` if none is, `stand` if that is unknown.
+    `best` if a motor is too weak or overheats, `payload` if the study passes, otherwise `stand`.
     """
     if study.overheats or study.weak:
         return NextStep("best", ("utilisation",))
@@ -75,7 +75,12 @@ def _format_minutes(seconds: float) -> str:
 
 
 def _describe_first(motor: MotorHeat) -> doc.Words:
-    """State the largest torque, the time to the limit, or the final temperature of a motor."""
+    """State the result of the motor that the report names first.
+
+    If the motor is too weak, this is its largest torque. If the final temperature is unknown, this
+    is the comparison with the continuous torque. Otherwise this is the time to the temperature
+    limit, or the final temperature, or a temperature that rises without bound.
+    """
     time, final = motor.time_to_limit, motor.steady_temperature
     values = {
         "joint": doc.Name(motor.joint),
@@ -130,7 +135,7 @@ def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
 def _describe_losses(study: HeatStudy) -> Iterable[doc.Words]:
     """Yield the copper loss of all motors, and current and time of the battery if known.
 
-    If motors are too weak for the stance, their number instead.
+    If the loss is unknown, since motors are too weak, the number of weak motors is yielded.
     """
     if study.loss is None:
         yield text("heat-weak-count", count=len(study.weak), total=len(study.motors))
@@ -184,7 +189,7 @@ def _make_table(study: HeatStudy) -> doc.Table:
 
 
 def _finite(value: float | None) -> float | None:
-    """Return a finite value; None for an infinite value or None."""
+    """Return ``value`` if finite; None for an infinite value, NaN or None."""
     return None if value is None or not math.isfinite(value) else value
 
 

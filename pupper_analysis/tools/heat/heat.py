@@ -274,7 +274,10 @@ def _check_request(
 def _compute_heat(
     joint: str, motor: Motor, torque: float, ambient: float | None, limit: float | None
 ) -> MotorHeat:
-    """Compute the heat of a motor with a torque [N m]; temperatures [degC] replace the motor's."""
+    """Compute the heating of a motor with a constant torque [N m].
+
+    ``ambient`` and ``limit`` [degC] replace the temperatures of the motor, unless None.
+    """
     current = motor.compute_current(torque)
     largest, limiting = motor.largest_torque or (None, "")
     unknown = [*list_unknown_thermal_numbers(motor, ambient)]
@@ -334,7 +337,9 @@ def _choose_times(
 ) -> Array:
     """Return the times of the curves [s], shape (n,), from 0 to the longest time of a motor.
 
-    This is the time to the limit, or to `_SETTLED_FRACTION` of the final rise; at most a day.
+    The time of a motor is the time to its temperature limit, otherwise to `_SETTLED_FRACTION` of
+    the final rise. If the temperature rises without bound, the time is the product of total heat
+    capacity and total thermal resistance. The longest time is cut at `_MAX_DURATION`.
     """
     longest = 0.0
     for heat, motor in zip(heats, motors, strict=True):

@@ -32,7 +32,11 @@ def _check_motors(design: Any) -> None:
 
 
 def _measure_continuous_utilisation(design: Any) -> float:
-    """Return the largest ratio of torque to continuous torque of a motor."""
+    """Return the largest |torque| / continuous torque of the motors of a design.
+
+    Raises:
+        ModelError: If the continuous torque of a motor is unknown.
+    """
     ratios = [0.0]
     for heat in design.compute_once(_compute_heat).motors:
         if heat.continuous_torque is None:
@@ -71,7 +75,7 @@ def _measure_copper_loss(design: Any) -> float:
 
 
 def _sum_numbers(design: Any, number: str) -> float:
-    """Return the sum of a number over the motors of a design.
+    """Return the sum of a motor field, such as ``mass`` [kg], over the motors of a design.
 
     Raises:
         ModelError: If the number of a motor is unknown.

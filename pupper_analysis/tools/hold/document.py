@@ -78,9 +78,10 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
 
 
 def _select_verdict_word(hold: Hold) -> doc.Text | None:
-    """Return the verdict word if this posture holds but another one does not; else None.
+    """Return the verdict word "holds in this posture only", or None.
 
-    The other posture does not hold if motors exceed their limits in it.
+    None if the given posture does not hold, or if no motor exceeds its effort limit in the worst
+    posture that was found.
     """
     if hold.passed and _find_overloaded_motors(hold):
         return qualify_verdict_word("holds-in-one-posture", hold.verdict.converted)
@@ -256,7 +257,7 @@ def _make_limit_table(
 ) -> doc.Table:
     """Create a table of limits, each with the joint that reaches the effort limit.
 
-    Rows are (quantity, limit, joint); "" for no joint.
+    Each of ``rows`` is (quantity, limit, joint); the joint is "" if no motor limits the quantity.
     """
     cells = tuple(
         (quantity, _make_limit_cell(limit), doc.Name(joint or "-"))
@@ -272,7 +273,7 @@ def _make_limit_cell(value: float) -> doc.Cell:
 
 
 def _describe_trial(hold: Hold) -> Iterator[doc.Text]:
-    """Yield the text of the result of the simulation with a payload; nothing without one."""
+    """Yield the result of the simulation with a payload; nothing if none was simulated."""
     trial, fraction = hold.payload_trial, format_number(VERIFIED_FRACTION, ".0%")
     if trial is not None and trial.passed:
         yield text("payload-trial-holds", share=fraction)
@@ -449,5 +450,5 @@ def _describe_unknown_limits(hold: Hold) -> doc.Text:
 
 
 def _format_limit(limit: float) -> str:
-    """Return a limit with three significant digits as text; "" if not finite."""
+    """Return a limit as text: three digits, from 1000 on without decimals; "" if not finite."""
     return (f"{limit:.3g}" if limit < 1e3 else f"{limit:.0f}") if math.isfinite(limit) else ""

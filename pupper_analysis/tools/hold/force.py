@@ -116,16 +116,21 @@ def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
 
 
 def _find_weakest_direction(rows: Array, margins: Array) -> tuple[float, Array, int]:
-    """Find the smallest force f on a tool with a motor at the effort limit.
+    """Find the smallest force on a tool with which a motor reaches its effort limit.
+
+    The motors withstand a force f [N] if ``rows @ f <= margins``. The smallest force that reaches a
+    limit is the shortest vector from zero to a face of this polytope.
 
     Args:
-        rows: Normals of the 2 nu inequalities rows f <= margins, shape (2 nu, 3) [N m / N].
-        margins: Torques that remain up to the effort limits, shape (2 nu,) [N m]; infinite for an
-            unknown limit, negative if the static load alone exceeds a limit.
+        rows: Rows of `force_inequalities`, shape (2 nu, 3) [m, or 1 for a slide].
+        margins: Slack of `force_inequalities`, shape (2 nu,) [N m, or N for a slide]; infinite for
+            an unknown limit, negative if the static load alone exceeds a limit.
 
     Returns:
-        Distance of the nearest face of the polytope from the origin [N], unit normal (3,) of this
-        face, and index of the joint; see `ToolForce.weakest` for values without such a face.
+        Magnitude of the force [N], unit vector of its direction in world axes, shape (3,), and
+        index of the joint of the motor. If the static load alone exceeds a limit: 0, zeros, and
+        the joint. If a motor that bears forces has an unknown limit: NaN, zeros, and -1. If no
+        motor bears forces: infinity, zeros, and -1.
     """
     if margins.min() < 0:
         return 0.0, np.zeros(3), int(margins.argmin()) % (len(rows) // 2)

@@ -116,9 +116,9 @@ _PAYLOAD_RTOL = 1e-4
 tuned."""
 
 _MIN_SOFTENING = 1e-6
-"""Lower bound of the fraction of a motion's stiffness that a payload as heavy as the robot removes
-(largest generalised eigenvalue), with which the stiffness limits the payload. A smaller fraction is
-rounding; the payload by stiffness is then infinite. Chosen, not tuned."""
+"""Bound of the softening: the largest fraction of the stiffness of a motion that a payload as heavy
+as the robot removes (generalised eigenvalue) [1]. Up to this bound the softening counts as
+rounding, and the servo stiffness does not limit the payload. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

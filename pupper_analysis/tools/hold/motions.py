@@ -41,8 +41,8 @@ _NUM_LOOP_SAMPLES = 25
 Bounds the computing time, since closing a loop takes 15 ms."""
 
 _NUM_COMBINED_SAMPLES = 9
-"""Number of samples along each of several independent joints of a loop. The loop is closed at
-combinations of these samples, fewer than `_NUM_LOOP_SAMPLES`."""
+"""Number of samples along each independent joint, if a loop has several independent joints. Smaller
+than `_NUM_LOOP_SAMPLES`, since the loop is closed at combinations of these samples."""
 
 _LIMIT_ATOL = 1e-6
 """Largest distance [rad, m] of a dependent joint beyond the limits that counts as rounding. Chosen,

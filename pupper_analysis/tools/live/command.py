@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.live.state import State
 
 PYTHON_THRESHOLDS = 700, 10, 10
-"""Python's default thresholds of garbage collection, which the page restores because it runs for
-hours: new objects, and collections of each younger generation, after which a generation is
-collected."""
+"""Arguments of `gc.set_threshold` while the page runs: new objects before a collection of
+generation 0, and collections of generations 0 and 1 before a collection of the next generation.
+Python's defaults, which replace `cli.GC_THRESHOLDS` because the page runs for hours."""
 
 _ROBOT_OPTIONS = frozenset(("words", *(one.name for one in fields(RobotOptions))))
 """Names of the command's parameters that all modes accept: files and options of the robot."""

@@ -123,7 +123,7 @@ class Controls:
                 self._add_folder_sliders(folder)
 
     def _add_folder_sliders(self, folder: str, *excluded: str) -> None:
-        """Add the sliders of a folder of the web page, without those ``excluded``."""
+        """Add the sliders of a folder of the web page, except the slider names ``excluded``."""
         for name, control in CONTROL_BY_NAME.items():
             if name not in excluded and _find_folder(control.field) == folder:
                 self._add_slider(control)
@@ -207,7 +207,7 @@ class Controls:
         return state.with_values(contacts=to_task_value(FIELDS["contacts"], [*lines]))
 
     def _show_contacts(self, *, typed: bool) -> None:
-        """Update the list of feet by the contacts of the stance, and the text unless ``typed``."""
+        """Update the list of feet from the contacts of the stance, and the text unless ``typed``."""
         contacts = self._state.contacts
         if not typed:
             self.contacts.value = "\n".join(
@@ -306,7 +306,7 @@ class Controls:
 
 
 def _list_folders(fields: Mapping[str, Field]) -> list[str]:
-    """Return the folders of all fields except joint folders, in order."""
+    """Return the page folders that contain the sliders of fields, each once, without joints."""
     return list(
         dict.fromkeys(
             field.slider.folder
@@ -330,8 +330,8 @@ def _clamp_to_range(span: Range, value: float) -> float:
 
 
 _UNLIMITED_BOUND = {"rad": math.pi, "m": 1.0}
-"""Bounds (+-) of a joint slider where the joint has no limit or a larger limit, by unit [rad or m].
-Chosen, not tuned."""
+"""{unit of a joint: largest magnitude of the bounds of its slider [rad or m]}. Applies if the joint
+has no limit, or a larger limit. Chosen, not tuned."""
 
 _JOINT_STEP = 0.5
 """Step of a joint slider [deg or mm]: half of the smallest visible change. Chosen, not tuned."""
@@ -511,7 +511,7 @@ def make_slider_ranges(robot: Robot) -> dict[str, Range]:
 
 
 def _make_length_range(field: Field, slider: Slider, robot: Robot) -> Range:
-    """Return the range of a length [mm] or mass [kg]."""
+    """Return the slider range of a length [mm] or mass [kg], scaled with the robot."""
     scale = robot.total_mass if field.kind == "mass" else 1e3 * robot.stand_height
     low, high = (math.copysign(round_up_slider_end(abs(bound) * scale), bound) if bound else 0.0
                  for bound in (slider.low, slider.high))  # fmt: skip
@@ -523,7 +523,7 @@ def _make_length_range(field: Field, slider: Slider, robot: Robot) -> Range:
 
 
 def _make_gain_range(field: Field, slider: Slider, robot: Robot) -> Range:
-    """Return the range of a servo gain, from the median of the model's gains.
+    """Return the slider range of a servo gain, from the median of the model's gains.
 
     A stiffness of 0 is excluded.
     """

@@ -65,13 +65,13 @@ def stance_document(
 
 
 def _make_title(answer: Answer) -> doc.Name:
-    """Return name and mass of the robot."""
+    """Return the title of a document: name and mass [kg] of the robot; empty without robot."""
     robot = answer.robot
     return NO_TITLE if robot is None else doc.Name(f"{robot.name}, {robot.total_mass:.3f} kg")
 
 
 def _make_sag_blocks(sag: SteadyState | Diagnostic | None) -> Iterable[doc.Block]:
-    """Yield the blocks of the predicted sag."""
+    """Yield the table of the predicted sag, or the failure; a waiting message if None."""
     title = text("predicted-sag-without-feed-forward")
     if sag is None:
         yield doc.Lines((text("being-worked-out"),), "warn", title)

@@ -123,7 +123,7 @@ def make_address(server: Any, host: str, access: Access) -> str:
 
 @contextlib.contextmanager
 def _guard_requests(access: Access) -> Iterator[None]:
-    """Make servers that viser starts within the context refuse requests without access.
+    """Make the servers that viser starts within this context refuse requests without access.
 
     Requests are checked with `Access.find_refusal`; sizes of messages are limited, too.
     """
@@ -311,7 +311,10 @@ def _render_box(mark: str, text: str) -> str:
 
 @singledispatch
 def _render_block(_: object, __: Translator) -> str:
-    """Render a block; plots and views are left out, since the scene shows both."""
+    """Render a block of a document as HTML; empty for types without a registered renderer.
+
+    Plots and 3-D views have no renderer, since the scene of the page shows their contents.
+    """
     return ""
 
 

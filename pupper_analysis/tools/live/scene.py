@@ -343,7 +343,7 @@ class Scene:
         return node
 
     def _draw_only(self, names: tuple[str, ...]) -> None:
-        """Hide the discs of joints, and all nodes except the given nodes and the ground."""
+        """Show the nodes ``names`` and the ground; hide all other nodes and the joint discs."""
         for name, node in self._nodes.items():
             node.visible = name in (*names, "ground")
         for node in self._joints.values():

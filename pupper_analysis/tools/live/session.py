@@ -314,10 +314,10 @@ class Session:
         try:
             job(answer)
         except PupperAnalysisError as error:
-            self._if_shown(answer, partial(self._panels.show_result, failure_document(error)))
+            self._run_if_current(answer, partial(self._panels.show_result, failure_document(error)))
 
-    def _if_shown(self, answer: Answer, show: Callable[[], None]) -> bool:
-        """Call a function if the answer is still current; return True if called."""
+    def _run_if_current(self, answer: Answer, show: Callable[[], None]) -> bool:
+        """Call ``show`` if ``answer`` is still the shown answer; return True if called."""
         with self._lock:
             if self._answer is not answer or self._closed.is_set():
                 return False
@@ -343,7 +343,7 @@ class Session:
                 self._panels.show_nearest_button(nearest is not None)
                 self._scene.draw_ghost(robot, nearest)
 
-            self._if_shown(answer, show_refusal)
+            self._run_if_current(answer, show_refusal)
         elif answer.statics is not None:
             sag, verdict = (
                 answers.predict_sag(answer),
@@ -354,7 +354,7 @@ class Session:
                 self._sag, self._verdict = sag, verdict
                 self._show_status()
 
-            self._if_shown(answer, show_sag)
+            self._run_if_current(answer, show_sag)
 
     def _simulate_stance(self, answer: Answer) -> None:
         """Simulate the stance and show the motion."""
@@ -384,7 +384,7 @@ class Session:
             self._show_status()
             self._panels.show_result(document)
 
-        if self._if_shown(answer, show):
+        if self._run_if_current(answer, show):
             self._play_motion(answer, time, motion)
 
     def _play_motion(self, answer: Answer, time: Any, motion: Any) -> None:
@@ -403,7 +403,7 @@ class Session:
                 qpos = interpolate_motion(times, motion, instant)
                 self._scene.draw_twin(robot, qpos, task.ground)
 
-            if not self._if_shown(answer, show) or self._closed.wait(_FRAME_PERIOD):
+            if not self._run_if_current(answer, show) or self._closed.wait(_FRAME_PERIOD):
                 return
 
 

@@ -276,7 +276,7 @@ def make_state(task: StandTask, **robot_values: Any) -> State:
 def write_stance_file(state: State) -> str:
     """Return the stance, payload and gains of a state as TOML text, a file for ``--stance``."""
     lines, tables = [], []
-    for option, element, value in _typed_options(state):
+    for option, element, value in _list_options(state):
         if element:
             tables.append(f"{option}.{json.dumps(element)} = {json.dumps(value)}")
         else:
@@ -284,10 +284,11 @@ def write_stance_file(state: State) -> str:
     return "".join(f"{line}\n" for line in (*lines, *tables))
 
 
-def _typed_options(state: State) -> Iterator[tuple[str, str, str]]:
-    """Yield the command-line options of a page's stance, payload and gains.
+def _list_options(state: State) -> Iterator[tuple[str, str, str]]:
+    """Yield the command-line options that specify the stance, payload and gains of a page.
 
-    Each is (option, foot, joint or link, value as typed); the name is "" for a single value.
+    Each is (option, element, value as typed). The element is the foot, joint or link of the value,
+    and "" for an option with a single value.
     """
     for field, value in state.requested_values():
         for element, item in value.items() if field.per else [("", value)]:

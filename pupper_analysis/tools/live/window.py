@@ -177,7 +177,10 @@ def view_robot(robot: Robot, *, headless: bool) -> None:
 
 
 def _describe_home(robot: Robot, data: mujoco.MjData) -> str:
-    """Return the text about the start pose: base height and clearance of the feet, or servos."""
+    """Return the text about the start pose.
+
+    It states the heights of base and lowest foot [mm]; of a robot with a fixed base, the commands.
+    """
     if not robot.floating:
         return "base fixed in the home pose, servos commanded to its joint positions"
     qpos, _ = robot.mj_convention.read_state(data)

@@ -496,7 +496,9 @@ def track_path(
 
 
 def _compare_torques(plan: PathCommands, states: Array) -> tuple[list[Diagnostic], float]:
-    """Find saturated motors, and compute the largest torque error relative to the largest torque.
+    """Return a diagnostic per saturated motor, and the largest torque error [1].
+
+    The error is relative to the largest torque of the path.
 
     Torques are evaluated by the servo law. With an implicit integrator, damping acts on the
     velocity at the end of the step; ``qfrc_actuator`` of MuJoCo contains the velocity at the start

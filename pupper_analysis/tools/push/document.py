@@ -176,7 +176,7 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
 def _make_closed_series(
     name: doc.Words, directions: Array, values: Array, **options: Any
 ) -> doc.Series:
-    """Create a line over directions [rad] that ends at the first value, drawn at 360 deg."""
+    """Create a plot line over directions [rad], closed by the first value at 360 degrees."""
     degrees = np.append(np.degrees(directions), 360.0)
     return doc.Series(name, degrees, np.append(values, values[0]), points=True, **options)
 

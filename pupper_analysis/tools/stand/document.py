@@ -169,7 +169,7 @@ _NEXT_STEPS = {
     VerdictCode.DISAGREES: NextStep("crosscheck"),
     VerdictCode.FAILS: NextStep("best", ("margin",)),
 }
-"""{verdict code: next command}; for all other codes, the largest payload of the stance."""
+"""{verdict code: command to run next}; for all other codes this is `payload`."""
 
 
 def _select_next_step(stance: Stance) -> NextStep:
@@ -200,7 +200,7 @@ def _select_next_step(stance: Stance) -> NextStep:
 
 
 def _stiffen_servos(run: StandVerification) -> NextStep:
-    """Return the next command after too soft servos, `stand` with larger kp and kd.
+    """Return the command to run if servos are too soft: `stand` with larger kp and kd.
 
     The gains are `STIFFNESS_FACTOR` times the present gains; with this factor the unmodified file
     stands in a simulation. If the gains of the joints differ, the command is instead
@@ -310,7 +310,10 @@ def _round_bound(bound: float | None) -> float | None: ...
 
 
 def _round_bound(bound: float | None) -> float | None:
-    """Round a bound of gains to two digits, the accuracy of the estimates; None without a bound."""
+    """Round a bound on a servo gain, or on a factor of gains, to two significant digits.
+
+    The bounds are estimates, not more accurate than two digits. None if ``bound`` is None.
+    """
     return None if bound is None else float(f"{bound:.2g}")
 
 

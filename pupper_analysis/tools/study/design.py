@@ -592,7 +592,7 @@ def measure_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, fl
 
 
 def _make_columns(name: str, measured: Any) -> Row:
-    """Return the columns of a metric: ``NAME``, or ``NAME.KEY`` for each key of a mapping."""
+    """Return the columns of a metric, {``NAME``, or ``NAME.KEY`` per key of a mapping: number}."""
     if isinstance(measured, Mapping):
         return {f"{name}.{key}": _to_float(name, value) for key, value in measured.items()}
     return {name: _to_float(name, measured)}

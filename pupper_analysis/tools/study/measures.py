@@ -46,6 +46,7 @@ from pupper_analysis.stance.workspace import BaseWorkspace, base_workspace
 from pupper_analysis.statics.equilibrium import GravityCompensation, compute_utilisation
 
 T = TypeVar("T")
+"""Type of the result of a function that `Design.compute_once` calls."""
 
 MetricValue = float | bool
 """Value of a metric."""

@@ -36,7 +36,8 @@ MOTOR_KIND = "motor"
 """Name of the variable of a study whose values are motors, and kind of ``motor:PATTERN``."""
 
 _CODE_DIGITS = 13
-"""Hexadecimal digits of the code of a motor: 52 bits, which a double represents exactly."""
+"""Number of hexadecimal digits of the hash by which tables identify a motor (`encode_motor`): 52
+bits, which a double represents exactly."""
 
 
 def is_motor_variable(name: str) -> bool:
@@ -47,14 +48,14 @@ def is_motor_variable(name: str) -> bool:
 def encode_motor(motor: Motor) -> float:
     """Return a number that identifies a motor by its name and its numbers, as a table stores it."""
     parts = [
-        repr(getattr(motor, item.name)) for item in fields(Motor) if item.name not in _ADDRESSES
+        repr(getattr(motor, item.name)) for item in fields(Motor) if item.name not in _SOURCE_FIELDS
     ]
     digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()
     return float(int(digest[:_CODE_DIGITS], 16))
 
 
-_ADDRESSES = ("source", "sources")
-"""Fields of a motor without effect on a design."""
+_SOURCE_FIELDS = ("source", "sources")
+"""Fields of `Motor` that `encode_motor` leaves out: sources of numbers do not affect a design."""
 
 
 def make_motor_variable(name: str, requested: object) -> tuple[Variable, dict[float, Motor]]:

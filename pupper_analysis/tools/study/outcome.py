@@ -268,7 +268,7 @@ def _is_numeric(column: pd.Series[Any]) -> bool:
 
 
 def _number_levels(column: pd.Series[Any]) -> Array:
-    """Return the number of each name of a column, shape (n,)."""
+    """Return a number for each row of a column of names, shape (n,): equal for equal names."""
     return np.unique(column.to_numpy().astype(str), return_inverse=True)[1].astype(float)
 
 
@@ -383,7 +383,7 @@ def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataF
 
 
 def _find_unbeaten(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return True for each row of the costs (n, m) that no other row dominates.
+    """Return a mask of the rows of the costs (n, m) that no other row dominates (Pareto front).
 
     In lexicographic order only an earlier row can dominate a later row. Comparing with the rows of
     the front is sufficient.
@@ -401,9 +401,10 @@ def _find_unbeaten(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 MAX_VALUE_CELLS, MIN_CELLS, DESIGNS_PER_CELL = 24, 4, 3
-"""Maximum number of distinct values that are separate cells, and of cells of equal width.
-`MIN_CELLS` is the minimum number of cells, and `DESIGNS_PER_CELL` scales their number: sqrt(n /
-`DESIGNS_PER_CELL`) for n designs. Chosen, not tuned."""
+"""Sizes of the groups (cells) of a sampled variable, of which main effects compare the means. Up to
+`MAX_VALUE_CELLS` distinct values are a cell each. More values are divided into sqrt(n /
+`DESIGNS_PER_CELL`) intervals of equal width for n designs, at least `MIN_CELLS` and at most
+`MAX_VALUE_CELLS` intervals. Chosen, not tuned."""
 
 ROUNDING_RTOL = 1e-9
 """Difference of two values, relative to the larger magnitude, up to which the range between them

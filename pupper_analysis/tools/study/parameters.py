@@ -68,8 +68,8 @@ COM_OFFSET_KINDS = ("com_x", "com_y", "com_z")
 the URDF's link."""
 
 ADDITIVE_KINDS = (*COM_OFFSET_KINDS, *JOINT_STANCE_KINDS, *LINK_STANCE_KINDS, "motor")
-"""Kinds of variables of a study that are values or offsets, not factors on numbers of the files;
-`check_variable_range` checks no bounds of these."""
+"""Kinds of variables of a study whose values are offsets, positions or motors, not factors on
+numbers of the files. `check_variable_range` checks no bounds of variables of these kinds."""
 
 BODY_VARIABLE_KINDS = ("mass", "inertia", "length", *COM_OFFSET_KINDS)
 """Kinds of variables ``KIND:PATTERN`` whose pattern selects bodies instead of joints."""
@@ -133,11 +133,10 @@ def match_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...]:
 
 
 def _list_names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
-    """Return {joint: names by which a pattern selects it}, for a kind of parameter.
+    """Return {joint: names that a pattern may match} for a kind of variable.
 
-    For the ``BODY_VARIABLE_KINDS``, a joint stands for the body that it moves: the names are those
-    of its link, body and joint, and "" stands for the base. For other kinds the name is that of the
-    joint.
+    A variable of ``BODY_VARIABLE_KINDS`` selects the body that the joint moves: the names of link,
+    body and joint match. The joint "" means the base. For other kinds the joint's name matches.
     """
     if kind not in BODY_VARIABLE_KINDS:
         return {joint: (joint,) for joint in robot.joint_names}

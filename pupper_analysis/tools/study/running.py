@@ -245,10 +245,10 @@ CHUNK_SECONDS = 0.5
 sending a chunk takes about 1 % of this time."""
 
 CHUNK_SECONDS_PER_WORKER = 0.01
-"""Least duration of the evaluation of a chunk [s], per worker, so that at most
-100 chunks per second reach the scheduler of a large cluster. Measured with 1,000 workers: a chunk
-takes 5.7 ms of processor time of Dask's scheduler and 3.0 ms of this process
-(``benchmarks/studies.py scheduler``)."""
+"""Smallest intended duration of the evaluation of a chunk of designs, divided by the number of
+workers [s]. At most 100 chunks per second then reach the scheduler of a large cluster. Measured
+with 1,000 workers: a chunk takes 5.7 ms of processor time of Dask's scheduler and 3.0 ms of this
+process (``benchmarks/studies.py scheduler``)."""
 
 MAX_CHUNK_DESIGNS = 512
 """Largest number of designs per chunk. If a worker crashes, all chunks in flight are evaluated
@@ -419,7 +419,7 @@ class WorkerPool:
 
     @contextlib.contextmanager
     def _block_interrupts(self) -> Iterator[None]:
-        """Block Ctrl-C in processes that are started, until `initialise_worker` ignores it."""
+        """Block Ctrl-C in processes started in a context, until `initialise_worker` ignores it."""
         if self._given_executor is not None or not hasattr(signal, "pthread_sigmask"):
             yield
             return
@@ -518,7 +518,7 @@ class StudyRun:
     def _find_missing(
         self, blocks: Iterable[tuple[list[str], Array]]
     ) -> Iterator[tuple[list[str], Array]]:
-        """Yield the designs of each block, hashes and variables, that the result store lacks.
+        """Yield (hashes, variable values) of the designs of each block without a stored result.
 
         The designs are sorted by all variables except servo gains, so that neighbours share a
         robot.

@@ -248,7 +248,7 @@ def _diagnose_grid(numbers: Any) -> Diagnostic:
 
 
 def _check_interval(name: str, low: float, high: float) -> tuple[float, float]:
-    """Return the bounds; raise ConfigurationError if empty or not finite."""
+    """Return both bounds; raise a ConfigurationError unless they are finite and low < high."""
     first, last = check_finite(name, low), check_finite(name, high)
     if not first < last:
         raise ConfigurationError(name, diagnose("interval-empty", low=first, high=last))
@@ -259,8 +259,8 @@ def _check_interval(name: str, low: float, high: float) -> tuple[float, float]:
 
 
 BLOCK_SIZE = 4096
-"""Number of designs per block: a power of 2, because the Sobol sequence is balanced over powers of
-2."""
+"""Number of designs that `Sampling.blocks` generates at once, which bounds the memory. A power of
+2, because the points of a Sobol sequence are balanced in groups of 2^k. Chosen, not tuned."""
 
 MAX_SAMPLES = 2**30
 """Maximum number of samples: the length of scipy's Sobol sequence with 30 bits."""

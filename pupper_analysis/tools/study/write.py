@@ -276,7 +276,10 @@ def _without_made_frames(description: Description) -> Description:
 
 
 def _choose_path(contents: dict[str, tuple[Path | None, bytes]], file: Path, content: bytes) -> str:
-    """Return the path of a mesh; a file of the same name with other content gets a number."""
+    """Choose the output path of a mesh, and add its content to ``contents``.
+
+    If a file with the same name and other content is present, the name gets a number.
+    """
     number = 0
     while True:
         place = f"{_MESH_FOLDER}/{file.stem}{f'_{number}' if number else ''}{file.suffix}"
@@ -286,7 +289,7 @@ def _choose_path(contents: dict[str, tuple[Path | None, bytes]], file: Path, con
 
 
 def _render_mjcf(description: Description, choose_path: Any) -> str:
-    """Render the MJCF with all file references in the folder of meshes."""
+    """Render the MJCF; its files are referenced by the paths that ``choose_path`` returns."""
     spec = description.mjcf.copy()
     source_folder = description.mjcf_source.parent
     path_of_file: dict[str, str] = {}

@@ -80,7 +80,7 @@ def is_same_body(first: pin.Inertia, second: pin.Inertia, tolerance: float = 1e-
 
 
 Key = tuple[str, str]
-"""Kind and element of a difference."""
+"""Kind and element of a difference between two files, such as ``mass`` and the name of a joint."""
 
 
 @dataclass(frozen=True, eq=False)

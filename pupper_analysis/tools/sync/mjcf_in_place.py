@@ -107,7 +107,10 @@ class EditableMjcf:
         return (section for section in self.root.children if section.tag == tag)
 
     def _find_bodies(self, spec: mujoco.MjSpec) -> dict[str, Element]:
-        """Return {name: body element}; bodies without name are included if no body is a copy."""
+        """Return {name: body element}.
+
+        Bodies without name are included, as ``body_N``, unless MuJoCo copies a body of the file.
+        """
         elements = [
             element
             for section in self._iterate_sections("worldbody")

@@ -115,7 +115,7 @@ class WrittenNumbers:
 
 
 def _has_content(path: Path, content: bytes) -> bool:
-    """Return True if the file has this content."""
+    """Return True if a file has this content; False if the file cannot be read."""
     try:
         return path.read_bytes() == content
     except OSError:
@@ -223,7 +223,7 @@ def write_numbers(
 
 
 def _make_urdf(robot: Robot) -> UrdfFile:
-    """Return the URDF of a robot, which was generated from its MJCF."""
+    """Return the URDF that was generated from the MJCF of a robot."""
     text = robot.description.urdf
     return urdf_from(robot.description.mjcf_source, text, parse_text(text), None)
 

@@ -154,7 +154,7 @@ class UrdfSide(Side):
             self._complete_limit(key, self._find_joint(name))
 
     def _complete_limit(self, key: Key, joint: UrdfJoint) -> None:
-        """Add the attributes that a <limit> requires, if missing."""
+        """Add missing attributes that a <limit> requires (`UNKNOWN_LIMITS`), each with a note."""
         limit = joint.element.find("limit")
         for word, value in UNKNOWN_LIMITS.items() if limit is not None else ():
             if limit.get(word) is None:

@@ -31,8 +31,8 @@ MAX_BYTES: Final = 500_000_000
 """Upper bound of the size of a layer [bytes]; meshes are part of the layer. Chosen, not tuned."""
 
 MAX_DEPTH: Final = 500
-"""Upper bound of the nesting depth of a text layer: USD's parser overflows its stack with deeper
-ones."""
+"""Upper bound of the nesting depth of brackets in a text layer. Deeper layers are refused, because
+they can overflow the stack of USD's parser."""
 
 
 @dataclass(frozen=True, eq=False)

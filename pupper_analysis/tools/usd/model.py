@@ -191,7 +191,7 @@ def read_edge(
 
 
 def _read_freedom(prim: Any) -> tuple[str, int, float, float]:
-    """Return kind, axis and limits of a joint in the units of the file.
+    """Return kind, axis index, and lower and upper limit of a joint in the units of the file.
 
     Joints of unknown types are free; such joints are refused when joints are compared.
     """
@@ -354,7 +354,7 @@ def read_body_mass(
 
 
 def _has_mass(body: Any, shape: Any) -> bool:
-    """Return True if a mass or density is stated for a shape."""
+    """Return True if a shape has a mass, or a density of its own, its material or its body."""
     from pxr import UsdShade
 
     material, _ = UsdShade.MaterialBindingAPI(shape).ComputeBoundMaterial("physics")

@@ -13,7 +13,8 @@ from typing import Any, Final
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 
 MAX_PRIMS: Final = 100_000
-"""Maximum number of prims, each reference counted. Chosen: robots have some thousand prims."""
+"""Maximum number of prims of a file; a referenced prim counts at each reference. Larger files are
+refused. Chosen: robots have some thousand prims."""
 
 
 def check_prim_count(path: Path) -> Diagnostic | None:
@@ -100,5 +101,5 @@ class _PrimCounter:
 
 
 def _added(operations: Any) -> tuple[Any, ...]:
-    """Return the items that a list editor of USD adds."""
+    """Return the added or explicit items of a USD list editor, such as references."""
     return tuple(operations.GetAddedOrExplicitItems())

@@ -449,9 +449,10 @@ def make_contract(
 
 
 def _set_number_of_feet(contract: Contract, inputs: int) -> Contract:
-    """Return a contract whose observed contacts have the elements that the other terms leave.
+    """Return a contract in which the number of feet follows from the size of the observation.
 
-    ``inputs`` is the size of the network's observation.
+    The contacts of the feet have the elements that the other terms leave of the ``inputs`` of the
+    network. Without contacts in the observation, the contract is unchanged.
     """
     contacts = [term for term in contract.terms if term.name == "contacts"]
     if not contacts:

@@ -81,7 +81,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
 
 
 def _select_next_step(walk: Walk) -> doc.NextStep:
-    """Return the command that tests changes of the robot, or other interpretations."""
+    """Return the command to run next: ``--vary`` if all runs track, otherwise ``--orders``."""
     if all(gait.tracks for gait in walk.gaits):
         return doc.NextStep("walk", ("--vary", "mass,kp,delay"))
     return doc.NextStep("walk", ("--orders",), omitted=("--command", "--seeds"))

@@ -309,7 +309,7 @@ def _expand(value: Array, sizes: Array) -> Array:
 
 
 def _fold(function: Callable[..., Any]) -> Operation:
-    """Return an operation of any number of values from a function of two."""
+    """Return the operation that applies a function of two arrays to any number, from the left."""
 
     def apply(first: Array, *others: Array) -> Any:
         for other in others:

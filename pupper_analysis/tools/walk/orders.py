@@ -223,7 +223,8 @@ def group_limbs(robot: Robot, joints: Sequence[str]) -> list[list[int]]:
 
 
 Change = tuple[str, str, tuple[str, ...]]
-"""Kind of a change, detail, and the flipped joints."""
+"""Difference of an interpretation from the stated contract: kind of the change, detail as text, and
+joints with the opposite sign."""
 
 
 def _list_interpretations(robot: Robot, contract: Contract) -> Iterator[tuple[Change, Contract]]:

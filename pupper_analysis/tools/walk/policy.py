@@ -227,7 +227,7 @@ def refuse_malformed(path: Path) -> Iterator[None]:
 
 
 def _read_policy(path: Path) -> tuple[Network, dict[str, Any]]:
-    """Return the network of a policy file, and the keys of a contract that the file states."""
+    """Return the network of a policy file, and {contract key: value} that the file states."""
     with refuse_malformed(path):
         if path.suffix == ".json":
             values = read_rtneural(path)
@@ -548,7 +548,7 @@ def build_rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
 def _read_word(
     path: Path, name: str, layer: object, key: str, valid_words: Collection[str], default: str = ""
 ) -> str:
-    """Return the word that a layer has for a key.
+    """Return the text that a layer of a policy file states for a key, such as its activation.
 
     Args:
         path: The file, for messages.
@@ -556,7 +556,7 @@ def _read_word(
         layer: The layer as read.
         key: The key.
         valid_words: Valid words.
-        default: Word of a layer that states none: no such key, null, or an empty text.
+        default: Word for a missing key, null, or an empty text; "" if the key is required.
 
     Raises:
         ModelError: If the layer is not an object, or the value is not one of the words.

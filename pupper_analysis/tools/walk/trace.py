@@ -325,7 +325,7 @@ def _make_signals(robot: Robot, policy: Policy, trace: Trace) -> dict[str, Array
 
 
 def _extract_frame(contract: Contract, observations: Array, *, newest: bool) -> Array:
-    """Return the newest or oldest frame of observations, shape (n, frame size)."""
+    """Return the newest or oldest frame of each of n observations, shape (n, frame size)."""
     size = contract.frame_size
     is_first = contract.newest_first is newest
     if contract.layout == BY_FRAME or contract.max_history == 1:
@@ -367,6 +367,9 @@ def _list_delays(seen: Array, expected: Array) -> Iterator[tuple[int, Array, Arr
 
 def _explain(seen: Array, expected: Array, names: Sequence[str]) -> tuple[float, str, str]:
     """Return the relative error, and the mistake and detail that explain a difference.
+
+    The mistake is "" if both signals agree, and "unexplained" if no known mistake explains the
+    difference.
 
     Args:
         seen: Recorded elements, shape (n, size).
