@@ -207,7 +207,7 @@ class Controls:
         return state.with_values(contacts=to_task_value(FIELDS["contacts"], [*lines]))
 
     def _show_contacts(self, *, typed: bool) -> None:
-        """Update the list of feet from the contacts of the stance, and the text unless ``typed``."""
+        """Update the list of feet from the stance; unless ``typed``, also the text of contacts."""
         contacts = self._state.contacts
         if not typed:
             self.contacts.value = "\n".join(
