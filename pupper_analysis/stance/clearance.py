@@ -204,7 +204,8 @@ class ClearanceShapes:
     def find_nearest_pairs(self, qpos: Array, most: int) -> list[SolidPair]:
         """Return the nearest pairs of collision shapes on links that are not neighbours.
 
-        The last result is cached: a program evaluates the distances with several goals.
+        The last result is cached, since the nonlinear program needs distances and Jacobian at the
+        same configuration.
 
         Args:
             qpos: Configuration, shape (nq,).

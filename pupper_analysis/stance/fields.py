@@ -238,7 +238,10 @@ class Field:
         raise ConfigurationError(name, message)
 
     def quantity(self, value: Any) -> Any:
-        """Return a value of this field with its SI unit, for a message; contacts are unchanged."""
+        """Return a value of this field as a `Quantity` or `Vector` with unit, for a message.
+
+        Values of the kind "contact" are returned unchanged.
+        """
         if self.kind == "contact":
             return value
         if isinstance(value, tuple):

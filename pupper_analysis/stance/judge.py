@@ -407,11 +407,11 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
 
 
 def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
-    """Return True if a shape of the base link is below the required ground clearance in each stand.
+    """Return True if height and orientation of the base put the base link into the ground.
 
-    Shapes of links that are fixed to the base count as well. The goal fixes height and orientation
-    of the base, so that no search is needed. False on a slope, and for robots with a weld or grip,
-    which are not tested. Steps are not tested either.
+    A stand of the goal does not exist then: a collision shape of the base link, or of a link that
+    is fixed to the base, has less than the required ground clearance. False on a slope, and for
+    robots with a weld or grip, which are not tested. Steps are not tested either.
     """
     if goal.task.ground.slope or shapes.robot.fixed_parts:
         return False

@@ -86,7 +86,7 @@ def keep_contacts(robot: Robot, stand: Stand) -> tuple[KeptContact, ...]:
 
 
 def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int) -> Stand:
-    """Describe a posture on the contacts of a stand as a stand.
+    """Create the `Stand` of a posture that keeps the contacts of another stand.
 
     The task of the result requires the base orientation, height and CoM of the posture, the
     positions of joints that move no foot, and the positions of lifted feet. The ground, the

@@ -307,6 +307,7 @@ class AxisAlignTask(PostureTask):
             return PlacoTask(task)
 
         def update(body: WholeBody) -> None:
+            """Set the target direction of PlaCo's task at the configuration of ``body``."""
             task.targetAxis_world = self._required(body)
 
         return PlacoTask(task, update)
@@ -380,6 +381,7 @@ class SelfClearanceTask(PostureTask):
         measured = _MeasuredClearance()
 
         def update(body: WholeBody) -> None:
+            """Linearise PlaCo's constraint at the configuration of ``body``."""
             distances = body.self_clearances()
             derivatives, q = body.linearise_self_clearances()
             # distance + derivative (q' - q) >= required distance

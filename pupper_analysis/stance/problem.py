@@ -58,10 +58,10 @@ tuned."""
 
 
 def has_redundant_joints(robot: Robot) -> bool:
-    """Return True if the robot has redundant joints while the base and all feet keep their poses.
+    """Return True if joints remain free when the base and all feet keep their poses.
 
-    Degrees of freedom are counted: 6 of the base, and those that `_FIXED_COORDINATES` lists for the
-    number of contact points of each foot.
+    This is a count: nv is larger than the number of fixed coordinates, 6 of the base plus the
+    number in `_FIXED_COORDINATES` for the contact points of each foot.
     """
     fixed = sum(_FIXED_COORDINATES.get(len(points), 6) for points in robot.feet.values())
     return 6 + fixed < robot.nv

@@ -240,8 +240,8 @@ class StanceProgram:
         """Return the configuration, shape (nq,), with the contact points nearest to the targets.
 
         The sum of squared distances is minimised subject to the constraints of this program, in
-        two runs: with the stand height as the unit of distance, then with the distance that the
-        first run leaves (at least the stand height / `_FINE_UNIT_DIVISOR`) as the unit.
+        two runs. The unit of distance is the stand height in the first run, and the remaining
+        distance (at least the stand height / `_FINE_UNIT_DIVISOR`) in the second run.
 
         Args:
             qpos: Initial configuration, shape (nq,).

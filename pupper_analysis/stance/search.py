@@ -407,14 +407,14 @@ def flatten_soles(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
     Such legs may tilt the soles to bring the CoM to the target. Servos that press these soles flat
     would give torques that the static balance lacks.
 
-    Returns:
-        The stand with smaller foot errors. The unchanged stand if the CoM is not free, or no solved
-        stand with smaller foot errors is found.
-
     Args:
         context: Search context of the robot.
         goal: Goal.
         stand: Stand of the goal with tilted soles.
+
+    Returns:
+        The stand with smaller foot errors. The unchanged stand if the CoM is not free, or no solved
+        stand with smaller foot errors is found.
     """
     robot = context.robot
     if not goal.com_is_free:

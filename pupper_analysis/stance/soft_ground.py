@@ -339,8 +339,8 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
         """Return the Jacobian of ``residual`` by its argument, shape (k, k) [N/m].
 
         Args:
-            coefficients: As for ``residual``, shape (k,) [m]: factors of the k columns of
-                ``basis``; their sum is the penetration of each contact point of the sole.
+            coefficients: As for ``residual``, shape (k,) [m]; ``basis @ coefficients`` are the
+                penetrations of the sole's contact points.
         """
         depths = (basis @ coefficients).tolist()
         stiff = np.array([law.normal_stiffness(d) for law, d in zip(laws, depths, strict=True)])

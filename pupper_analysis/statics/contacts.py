@@ -143,9 +143,9 @@ class Contacts:
     def weld_columns(self, config: Configuration) -> dict[str, Array]:
         """Return {part: transposed Jacobian} of each weld, (nv, 6), and of each grip, (nv, 3).
 
-        It converts the force [N] on the part, and for a weld the moment [N m], to generalised
-        forces. Both are in world axes, about the origin of the base, or the centre of the foot or
-        hand.
+        The transposed Jacobian converts the force [N] on the part, and for a weld the moment [N m],
+        to generalised forces. Force and moment are in world axes. The moment is about the origin of
+        the base, or the centre of the foot or hand.
         """
         base = np.eye(6, self.nv)
         base[3:, 3:6] = config.base_rotation()

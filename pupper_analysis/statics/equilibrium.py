@@ -753,6 +753,7 @@ def _explain_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibl
     """Return an error if scaling all grip limits by a common factor makes balance possible."""
 
     def holds(factor: float) -> bool:
+        """Return True if balance is possible with ``factor`` times the grip limits."""
         stronger = replace(problem, grips=factor * problem.grips)
         return stronger.minimum_tangential(carrying.friction, carrying.metric) is not None
 

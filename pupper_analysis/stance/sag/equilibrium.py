@@ -182,7 +182,8 @@ class ContactKinematics:
         Args:
             forces: Contact forces, shape (n, 3) [N], in the contact frame; constant in the
                 derivative.
-            held: Of w welds: Jacobians (w, 6, nv) and constant wrenches (w, 6) [N, N m].
+            held: Jacobians of w welds, shape (w, 6, nv), and their wrenches, shape (w, 6) [N, N m],
+                which are constant in the derivative. None: no welds.
         """
         pushing = (forces[:, None] @ self._frames)[:, 0]
         wrenches = np.empty((len(forces), 6))
@@ -272,7 +273,7 @@ class EquilibriumScales:
         Args:
             residual: Shape (nv + 3 n,); balance, then three equations per touching contact.
             nv: Number of velocity coordinates.
-            forces: Numbers of the contacts whose two slip equations have the unit N instead of m.
+            forces: Indices of the contacts whose two slip equations have the unit N instead of m.
         """
         units = np.full(len(residual), self.length)
         units[: self.moves], units[self.moves : nv] = self.weight, self.weight * self.length

@@ -344,7 +344,7 @@ class HomotopyPath:
         self.crept, self._euler_step = 0.0, math.inf
 
     def remove_feedforward(self) -> None:
-        """Command the joint positions at the end of the path; the equilibrium is not solved."""
+        """Set the servo commands without feed-forward; the equilibrium is not solved."""
         self.share = 1.0
         self._set_command(1.0)
 
