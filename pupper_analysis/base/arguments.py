@@ -255,8 +255,9 @@ def _union_members(hint: Any) -> tuple[Any, ...]:
 
 @cache
 def _make_type_test(hint: Any) -> Callable[[Any], bool]:
-    """Return a test of whether a value has a type; for unsupported types, the test always succeeds.
+    """Return a function that tests whether a value has a type.
 
+    For unsupported types, and unions that contain an enumeration, the function accepts any value.
     The result is cached, because arguments are checked often and the number of types is small.
     """
     options = _union_members(hint)
@@ -301,7 +302,9 @@ def _accept_anything(_: Any) -> bool:
 def _make_elements_test(
     element: Callable[[Any], bool], *, of_known_length: bool
 ) -> Callable[[Any], bool]:
-    """Return a test of whether a value is a sequence, or an iterable, of valid elements.
+    """Return a function that tests whether a value is an iterable of valid elements.
+
+    The elements of an iterator are not tested.
 
     Args:
         element: Test of an element.

@@ -24,7 +24,10 @@ _EXTENSION = "scipy.linalg._flapack"
 
 
 def _load_routines() -> Any:
-    """Return the module with the LAPACK routines; ``scipy.linalg.lapack`` if already imported."""
+    """Return the extension module with the LAPACK routines, without importing ``scipy.linalg``.
+
+    If the extension module does not exist, ``scipy.linalg.lapack`` is returned.
+    """
     if "scipy.linalg" not in sys.modules and _EXTENSION not in sys.modules:
         folders = [f"{folder}/linalg" for folder in scipy.__path__]
         spec = PathFinder.find_spec(_EXTENSION, folders)

@@ -102,12 +102,12 @@ def format_value(value: object) -> str:
 
 
 def _number_text(value: float) -> str:
-    """Return a number as text with 4 digits."""
+    """Format a number by `NUMBER_FORMAT`, with 4 significant digits."""
     return format_number(value, NUMBER_FORMAT)
 
 
 def _array_html(values: np.ndarray[Any, Any]) -> str:
-    """Return all numbers of a short vector; of other arrays the shape and the range of numbers."""
+    """Return the HTML of an array: numbers of a short vector, else shape, minimum and maximum."""
     if values.size == 0:
         return "empty"
     if values.dtype.kind not in "fiub":
@@ -122,7 +122,10 @@ def _array_html(values: np.ndarray[Any, Any]) -> str:
 
 
 def _sequence_html(values: Sequence[object]) -> str:
-    """Return short sequences of numbers and names on a single line, other items on a line each."""
+    """Return the HTML of a sequence, with a line per item.
+
+    A short sequence of numbers and names is on a single line.
+    """
     if not values:
         return _NOTHING
     simple = all(isinstance(value, str | int | float | np.number) for value in values)
@@ -132,7 +135,7 @@ def _sequence_html(values: Sequence[object]) -> str:
 
 
 def _lines_html(lines: Sequence[str]) -> str:
-    """Join at most ``MAX_SHOWN_ROWS`` HTML lines; of further lines the number is stated."""
+    """Join HTML lines, at most ``MAX_SHOWN_ROWS``; append the number of omitted lines."""
     if not lines:
         return _NOTHING
     hidden = len(lines) - MAX_SHOWN_ROWS
@@ -141,7 +144,10 @@ def _lines_html(lines: Sequence[str]) -> str:
 
 
 def _summarise(value: object) -> str:
-    """Return the text of an object that has a text, else the short ``repr``."""
+    """Return ``str(value)`` if the class defines ``__str__``, else ``repr(value)``.
+
+    A text longer than `MAX_TEXT_LENGTH` is cut off.
+    """
     own_text = type(value).__str__ is not object.__str__
     text = str(value) if own_text else repr(value)
     return text if len(text) <= MAX_TEXT_LENGTH else f"{text[:MAX_TEXT_LENGTH]} ..."

@@ -158,7 +158,7 @@ _NAN_FREE_FIELDS = (
 one of these is refused."""
 
 _ELEMENT_NAMES = {"jnt": "joint", "dof": "joint"}
-"""{prefix of a model's array: tag of the element}, where both differ."""
+"""{prefix of a model's array: tag of the element}, if both differ."""
 
 
 def find_invalid_number(model: mujoco.MjModel) -> Diagnostic | None:

@@ -153,7 +153,7 @@ def read_objects(
 
 
 def _is_geometry_of(geometry: pin.GeometryModel, model: pin.Model) -> bool:
-    """Return True if joint and frame of each shape exist in the model and belong together."""
+    """Return True if joint and frame of each shape exist, and the frame is fixed to this joint."""
     return all(
         item.parentJoint < model.njoints
         and item.parentFrame < model.nframes

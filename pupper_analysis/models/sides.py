@@ -45,9 +45,9 @@ _MOTOR_PARAMETER_RTOL = 0.02
 identical values."""
 
 _MIN_EQUAL_PAIRS_PER_UNEQUAL = 3
-"""Ratio of equal to unequal pairs of left and right motors from which each unequal pair is
-reported: the model then has a single set of values per motor type. If each motor was identified
-individually, no pair is equal."""
+"""Smallest number of equal pairs of left and right motors, per unequal pair, with which each
+unequal pair is reported: such a model has a single set of values per motor type. If each motor was
+identified individually, no pair is equal."""
 
 _MIN_REPORTED_RATIO = 20.0
 """Ratio between the values of left and right motor from which a pair is reported although motors

@@ -73,8 +73,8 @@ _DISABLE_FLAGS = (
     *("mjDSBL_CONTACT", "mjDSBL_LIMIT", "mjDSBL_FRICTIONLOSS", "mjDSBL_ACTUATION"),
     "mjDSBL_SENSOR",
 )
-"""MuJoCo's parts of the computation that are disabled, so that equality constraints alone
-remain."""
+"""MuJoCo's disable flags that are set in the copied model with which loops are closed, so that
+equality constraints are the only constraints."""
 
 
 class Closure:

@@ -198,13 +198,19 @@ def check_point(point: ArrayLike) -> Array:
 
 
 def _express_in_link(robot: Robot, body: int, world: Array) -> tuple[str, Array]:
-    """Return the link that moves with a body, and a world point (3,) [m] in the link frame."""
+    """Return the link that moves with a body, and a point (3,) [m] expressed in the link frame.
+
+    ``world`` is the point in the world frame, at the neutral configuration.
+    """
     link, config = _find_carrying_link(robot, body), Configuration(robot, robot.neutral())
     return link, config.frame_rotation(link).T @ (world - config.frame_position(link))
 
 
 def _find_carrying_link(robot: Robot, body: int) -> str:
-    """Return the first link of the URDF that moves with a body of the MJCF."""
+    """Return the first link of the URDF that moves with a body of the MJCF.
+
+    A body that is fixed in the world, or that a free base moves, has the base as link.
+    """
     model = robot.mj_model
     while body and not model.body_jntnum[body]:
         body = int(model.body_parentid[body])
@@ -239,7 +245,7 @@ def _find_chain(robot: Robot, link: str) -> tuple[str, ...]:
 
 
 def _find_end_link(robot: Robot) -> str:
-    """Return the link at the end of the longest chain, or the link that carries the fingers."""
+    """Return the last link of the longest chain of joints, or the link that carries its fingers."""
     model = robot.structure.model
     lengths = [len(support) - 1 for support in model.supports]
     last = int(np.argmax(lengths))  # the first of equals

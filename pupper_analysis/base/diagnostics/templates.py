@@ -108,7 +108,8 @@ def _format_value(value: float | Quantity | Vector, spec: str) -> str:
 def _split_precision(value: float | Quantity | Vector, spec: str) -> tuple[str, int, str]:
     """Return the part of a format before the precision, the number of digits, and the type.
 
-    Without a precision in ``spec``, these are the digits of the default format of ``value``.
+    If ``spec`` does not end with a number format, the type is ``g``, with 4 digits for a
+    `Quantity`, 6 for a `Vector`, and 17 for a number without unit.
     """
     match = _PRECISION.search(spec)
     if match is not None:

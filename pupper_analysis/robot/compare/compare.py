@@ -624,7 +624,7 @@ bodies are not compared."""
 
 
 def _has_mechanical_difference(differences: Iterable[Difference]) -> bool:
-    """Return True if a difference is not only one of coordinates (base frame or joint zero)."""
+    """Return True if any difference is not of a kind in `CONVENTION_KINDS` (coordinates only)."""
     return any(difference.kind not in CONVENTION_KINDS for difference in differences)
 
 

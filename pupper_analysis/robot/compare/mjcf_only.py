@@ -203,7 +203,8 @@ def _make_effect(
         subject: Element of the message: (type, name).
         prefix: Prefix of the arrays of ``mjModel``, for example ``jnt``.
         index: Row or rows of the element in the arrays.
-        numbers: {array without prefix: value}: entries that are zero if the element is disabled.
+        numbers: {array without prefix: value}: entries that are zero if the element is disabled,
+            except ``frictionloss``, which `make_passive_model` has disabled.
         beside: {attribute: value}: further values for the message, not changed.
     """
     value = {**numbers, **(beside or {})}

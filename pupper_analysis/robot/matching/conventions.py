@@ -127,9 +127,10 @@ def _is_base_frame_confirmed(
 def _find_zero_offset(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Return the offset between the zeros of a joint in two trees [rad, m].
+    """Return the offset of a joint: coordinate in ``first`` minus that in ``second`` [rad, m].
 
-    0 if the frames of the joint differ otherwise, or the limits contradict the offset.
+    0 if the offset is within tolerance, if type, axis or frame of the joint differ otherwise, or if
+    the limits contradict the offset.
     """
     first_joint, second_joint = first.joints[name], second.joints[name]
     if (
@@ -185,12 +186,17 @@ def _find_base_pose(
 ) -> pin.SE3 | None:
     """Return the pose of the base frame of the first tree in that of the second tree.
 
-    None if no joint is on the base, if a joint has the same placement in both trees (the frames are
-    equal), if the joints on the base do not correspond, or if no pose decreases the deviation
-    enough. Also None if exchanged names of limbs explain the deviation instead (a half turn about x
-    exchanges left and right, too): the joints on the base coincide under other names, and the base
-    bodies are equal only without the pose. For a ``fixed`` base, exchanged axes that remove the
-    whole deviation are also accepted.
+    For a ``fixed`` base, exchanged axes that remove the whole deviation are also accepted.
+
+    Returns:
+        Pose. None in each of these cases:
+
+        - No joint is on the base, or the joints on the base do not correspond.
+        - A joint has the same placement in both trees: the base frames are equal.
+        - Exchanged names of limbs explain the deviation (a half turn about x exchanges left and
+          right, too): the joints on the base coincide under other names, and the base bodies are
+          equal only without the pose.
+        - No pose decreases the deviation enough.
     """
     names = first.children(first.base)
     if not names or any(second.joints[name].parent != second.base for name in names):
@@ -312,7 +318,7 @@ def _base_deviation(
 
 
 def _is_axis_permutation(rotation: Array) -> bool:
-    """Return True if a rotation (3, 3) maps the axes onto each other."""
+    """Return True if a rotation (3, 3) maps x, y and z onto coordinate axes, of either sign."""
     return bool(np.allclose(np.abs(rotation).max(axis=0), 1.0, atol=1e-6))
 
 
