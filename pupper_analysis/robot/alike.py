@@ -43,7 +43,11 @@ class Limb:
     turns: Array
 
     def is_similar_to(self, other: Limb) -> bool:
-        """Return True if two limbs have the same joint types and similar masses or dimensions."""
+        """Return True if two limbs have the same joint types, and similar masses or dimensions.
+
+        Dimensions are distances between joints and angles between axes. Similar values agree within
+        `_SIMILARITY_TOLERANCE`.
+        """
         if self.kinds != other.kinds:
             return False
         total_length = np.maximum(self.lengths, other.lengths).sum()

@@ -441,11 +441,11 @@ class Configuration(Pictured):
         return self._structure.to_qvel_order(forces)
 
     def gravity(self) -> Array:
-        """Return the gravity vector g (nv,), the bias at rest.
+        """Return the gravity vector g, shape (nv,) [N, N m]: the bias forces at rest.
 
         With a free base, g[:3] = -m gravity [N]. As ``pin.computeGeneralizedGravity``. The joint
-        part contains the torques of a robot that hangs by its base; ``gravity_compensation``
-        computes those of a standing robot.
+        part contains the motor torques of a robot whose base is held, without contacts;
+        ``gravity_compensation`` computes the motor torques of a standing robot.
         """
         forces = pin.computeGeneralizedGravity(self._model, self._data, self._q)
         return self._structure.to_qvel_order(forces)

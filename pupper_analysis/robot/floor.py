@@ -86,7 +86,7 @@ def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
 
 
 def is_fixed(body: mujoco.MjsBody | None) -> bool:
-    """Return True if a body is fixed to the world: no joint between, and no mocap body."""
+    """Return True if neither a body nor any of its ancestors has joints or is a mocap body."""
     while body is not None and body.name != "world":
         if body.joints or body.mocap:
             return False

@@ -52,7 +52,11 @@ def joint_motions(robot: Robot) -> dict[str, str]:
 
 
 def is_slide(robot: Robot, joint: str) -> bool:
-    """Return True if a joint is a slide; does not wait for servo tuning."""
+    """Return True if a joint is a slide.
+
+    The model without postponed servos (`Robot.before_servos`) is read, so that the servos need not
+    be tuned.
+    """
     model = robot.before_servos.mj_model
     return bool(model.jnt_type[model.joint(joint).id] == JointKind.SLIDE)
 
@@ -202,14 +206,19 @@ def named_positions(
 
 
 def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
-    """Return a posture in which each position is a `Position` with the unit rad or m.
-
-    The unit is that of the joints that match the pattern; a position whose pattern matches both
-    hinges and slides stays a number without unit.
+    """Add the unit to each position of a posture: rad for hinges, m for slides.
 
     Args:
         robot: Robot.
-        posture: {name or pattern of joints: position}.
+        posture: {name or pattern of joints: position [rad, m]}.
+
+    Returns:
+        {name or pattern: `Position`}. A position whose pattern matches both hinges and slides stays
+        a number without unit.
+
+    Raises:
+        UnknownNameError: If a pattern matches no joint.
+        ConfigurationError: As for `named_positions`.
     """
     result = dict(posture)
     for pattern, value in posture.items():

@@ -168,11 +168,11 @@ class PublishedFile:
         return self.file is None and self.imported is None
 
     def for_modified_copy(self, robot: Robot) -> PublishedFile:
-        """Return this record for a modified copy of a robot, with the unmodified robot.
+        """Return the record for a modified copy of a robot: ``loaded`` is the unmodified robot.
 
         Args:
-            robot: Robot before the modification. At the first modification, it is stored as
-                ``loaded``; later, the record is returned unchanged.
+            robot: Robot before the modification; stored as ``loaded`` at the first modification.
+                At later modifications, this record is returned unchanged.
         """
         return self if self.loaded is not None else replace(self, loaded=robot)
 

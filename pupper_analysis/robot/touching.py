@@ -48,7 +48,10 @@ environment: MuJoCo's welds are soft, and a light base would oscillate. Chosen, 
 
 
 def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
-    """Return a robot that can make the contacts of a task; often the robot itself.
+    """Return a robot that can make the contacts of a task.
+
+    The result is ``robot`` itself if ``robot`` already has the properties of these contacts, for
+    example without contacts.
 
     A part other than a foot (hand) gets a contact point: a massless sphere that collides only with
     its plane. The friction of a plane is that of the contact. The contact spheres of welded hands

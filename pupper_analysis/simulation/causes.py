@@ -78,10 +78,11 @@ def find_instability(
 
 
 def proves_unrest(nudge: Nudge) -> bool:
-    """Return True if `find_instability` reports the response to a nudge, or another failure.
+    """Return True if the response to a nudge alone shows that the stand is not stable.
 
-    The growing modes are not needed. A slow remaining motion proves nothing, since a foot with
-    almost no load may bounce.
+    True if a joint moved by `MAX_JOINT_DISPLACEMENT` or more; or if the remaining motion does not
+    decay, is faster than `MAX_RESTING_SPEED`, and is more than noise of the solver. A slow motion
+    proves nothing, since a foot with almost no load may bounce.
     """
     if not (nudge.moved < MAX_JOINT_DISPLACEMENT and nudge.stays):
         return True

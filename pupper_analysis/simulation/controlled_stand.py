@@ -366,6 +366,7 @@ def find_largest_damping_factor(
     """
 
     def is_stable(factor: float) -> bool:
+        """Return True if no mode grows with ``factor`` times the damping."""
         return loop.is_stable(kp, factor * kd)
 
     powers = sorted(range(-MAX_POWER, MAX_POWER + 1), key=abs)

@@ -56,9 +56,11 @@ class LinearStep:
         return self._predict(before, state, math.ceil(duration / (self._stride * self._timestep)))
 
     def reproduces(self, states: Array) -> bool:
-        """Return True if this linear model predicts simulated positions from the first two states.
+        """Return True if this linear model, started at the first two states, predicts the others.
 
-        False if the states do not reach the first predicted time.
+        Only positions are compared. The largest error [m, rad mixed] must be at most
+        ``_INTERVAL_RTOL`` times the largest displacement, plus ``_INTERVAL_ATOL``. False if the
+        states do not reach the first predicted time.
 
         Args:
             states: Successive states after each step, shape (n, size), n > 2.

@@ -429,7 +429,7 @@ varies, and 3, for growth that doubles in 12 s."""
 
 
 def remains_small(model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge) -> bool:
-    """Return True if the motion that a nudge has left is small after another ``BOUNCING_TIME``.
+    """Return True if the motion that remains after a nudge becomes small in ``BOUNCING_TIME``.
 
     A foot with almost no load may bounce by micrometres for a long time, and shakes the robot. The
     motion is small if its speed in the last third of the time is at most ``_MAX_BOUNCE_RATIO``

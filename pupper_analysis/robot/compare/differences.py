@@ -429,6 +429,7 @@ def with_names_of_models(message: Diagnostic, names: Mapping[str, Term]) -> Diag
     """Return a message in which the names of the models are replaced: {name: new name}."""
 
     def replace_names(value: Any) -> Any:
+        """Return a value of a message in which terms in ``names`` are replaced, also nested."""
         if isinstance(value, tuple):
             return tuple(replace_names(item) for item in value)
         if isinstance(value, Diagnostic):

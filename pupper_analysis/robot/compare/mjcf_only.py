@@ -280,8 +280,8 @@ def of_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 def of_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yield actuators with armature, damping or back-EMF, which a URDF cannot specify.
 
-    Armature and linear damping of an actuator at a single joint are no such effects: these count as
-    armature and damping of the joint. Back-EMF is that of DC motors without controller.
+    Armature and linear damping of an actuator at a single joint are omitted, because they count as
+    armature and damping of the joint. Back-EMF is the braking of DC motors without controller.
     """
     model = scene.model
     for motor in range(model.nactuator):

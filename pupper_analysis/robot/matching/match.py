@@ -114,8 +114,9 @@ alternatives are sorted from small to large."""
 def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
     """List the parts (subtrees) that could be removed because the other file lacks their joints.
 
-    A part begins at the link that a missing joint moves, or at a link that is fixed between this
-    joint and the moving joint that carries the part. These choices are alternatives.
+    A part begins at the link that a missing joint moves, or at one of the links above this link
+    that are fixed to the body which carries the part. The beginnings are alternatives, of which
+    `remove_parts` selects one.
 
     Args:
         tree: Tree of the file with the parts.
@@ -180,11 +181,11 @@ def remove_parts(
     removals: tuple[Removals, Removals],
     pairs: Mapping[str, str],
 ) -> list[Diagnostic]:
-    """Remove parts that the other file lacks, in place; return the diagnostics.
+    """Remove parts that the other file lacks, in place; return a diagnostic of each removed part.
 
-    For each body that carries such parts, one of the alternatives, or no removal, is selected: that
-    for which the mass of the body, with the remaining parts fixed to it, is nearest to its mass in
-    the other file.
+    The parts to remove are selected by mass. For each body that carries such parts, the selected
+    alternative (or no removal) makes the mass of the body, including the remaining parts, most
+    nearly equal to the body's mass in the other file.
 
     Args:
         trees: Trees of URDF and MJCF.
@@ -722,7 +723,7 @@ def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco
 
 
 def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
-    """Return True if any of the joints connects a body directly to the world: no separate base."""
+    """Return True if the MJCF has no base body: some of ``joints`` move children of the world."""
     world_joints = (joint for body in spec.worldbody.bodies for joint in body.joints)
     return any(joint.name in joints and joint.type != JointKind.FREE for joint in world_joints)
 

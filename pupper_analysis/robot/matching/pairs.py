@@ -301,7 +301,8 @@ def _match_by_position(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[
     guessed: dict[str, str] = {}
     choices: dict[str, tuple[str, ...]] = {}
 
-    def likeness(name: str, other: str) -> float:
+    def joint_distance(name: str, other: str) -> float:
+        """Return the distance [m] of two joints; infinite if too far, or axes not parallel."""
         (position, axis), (other_position, other_axis) = urdf_places[name], mjcf_places[other]
         distance = float(np.linalg.norm(position - other_position))
         parallel = abs(float(axis @ other_axis)) > _MIN_AXIS_COSINE
@@ -316,7 +317,7 @@ def _match_by_position(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[
         if partner_parent is None or not urdf_joints or not mjcf_joints:
             continue
         distances = np.array(
-            [[likeness(name, other) for other in mjcf_joints] for name in urdf_joints]
+            [[joint_distance(name, other) for other in mjcf_joints] for name in urdf_joints]
         )
         for row, name in enumerate(urdf_joints):
             column = int(np.argmin(distances[row]))

@@ -194,6 +194,7 @@ def strip_roots(
     other_joints = list_joint_axes_at_zero(other)
 
     def distance(tree: etree._Element) -> float:
+        """Return the sum of distances [m] between joints with equal names, rounded to 1 um."""
         joints = list_joint_axes_at_zero(urdf_tree(tree, source))
         common = [name for name in joints if name in other_joints]
         total = sum(
