@@ -88,7 +88,7 @@ def _describe_servos(study: GainStudy) -> Iterable[doc.Words]:
 
 
 def _describe_range(study: GainStudy) -> doc.Words:
-    """State the range of the gains, as values if equal at all joints, otherwise as factors."""
+    """State the smallest kp and largest kd of a stable stand, as factors if joints differ."""
     largest = study.largest_kd.factor
     if study.uniform:
         kp, kd = study.classes[0].kp, study.classes[0].kd

@@ -337,7 +337,7 @@ def servo_payload(
 def _find_smallest_payload(
     robot: Robot, tool: Tool, postures: list[Array]
 ) -> tuple[float, str, Array]:
-    """Return the smallest `posture_payload` [kg] of several postures, its joint and its posture."""
+    """Return the smallest `posture_payload` [kg], the limiting joint, and the posture, (nu,)."""
     limits = [(*posture_payload(robot, qpos, tool), qpos) for qpos in postures]
     return min(limits, key=lambda limit: limit[0])
 

@@ -164,7 +164,7 @@ class Controls:
         return moved
 
     def _apply_slider(self, control: Control, state: State) -> State:
-        """Return the state with the value of a slider."""
+        """Return ``state`` with the value that the slider of a control has on the page."""
         field = control.field
         value = check_finite(control.name, float(self.sliders[control.name].value))
         # A typed value may exceed the range of the slider and would be clipped later.

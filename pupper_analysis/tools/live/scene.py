@@ -149,8 +149,8 @@ PIT_COLOUR: Colour = (120, 126, 134)
 """Colour of a pit under a foot."""
 
 _NUM_POLYGON_CORNERS = 24
-"""Number of corners of the drawn support polygon. The last corner is repeated, so that the size of
-the array is constant."""
+"""Number of corners of the drawn support polygon. A polygon with fewer corners repeats its last
+corner, so that the array size is constant; further corners of a polygon are not drawn."""
 
 _WEIGHT_ARROW_LENGTH = 3.0
 """Length of the arrow of a force equal to the robot's weight, relative to the height of the stand.

@@ -289,7 +289,7 @@ class Session:
         self._panels.show_status(message)
 
     def _run_worker(self) -> None:
-        """Loop of the second thread: slower analysis of the shown stance, and simulations."""
+        """Analyse the shown stance closely, and run simulations, until the page is closed."""
         analysed: Answer | None = None
         while not self._closed.is_set():
             self._work_pending.wait()

@@ -27,8 +27,8 @@ from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.equilibrium import Equilibrium, ForceDistribution, balance_load
 
 MAX_ACCELERATION = 1e9
-"""Upper bound of each generalised acceleration [m/s^2, rad/s^2]. Beyond this bound squares of
-forces can overflow. Chosen, not tuned."""
+"""Upper bound of each generalised acceleration [m/s^2, rad/s^2]. Larger accelerations are refused,
+since squares of forces can overflow. Chosen, not tuned."""
 
 _MOMENT_ITERATIONS = 2
 """Number of fixed-point iterations between the normal forces and the rolling moments, which are

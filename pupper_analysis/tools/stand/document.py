@@ -215,7 +215,7 @@ def _stiffen_servos(run: StandVerification) -> NextStep:
 def _stiffen_soft_servos(stance: Stance) -> NextStep | None:
     """Return ``stand`` with the gains with which a failing stand holds (`SoftServos`).
 
-    None if the names of the classes, as patterns, match further joints.
+    None without such gains, or if the name of a class, as a pattern, matches further joints.
     """
     servos, soft = stance.servos, stance.soft_servos
     if servos is None or soft is None:

@@ -111,7 +111,10 @@ def from_record(record: dict[str, Any]) -> Diagnostic:
 
 
 def _encode_value(value: Value) -> Any:
-    """Encode a value as JSON; a typed value becomes a dict with the type as the only key."""
+    """Encode a value of a diagnostic as JSON data.
+
+    A diagnostic, quantity, vector, phrase or term becomes {name of its type: encoded data}.
+    """
     if isinstance(value, tuple):
         return [_encode_value(item) for item in value]
     if isinstance(value, Diagnostic):

@@ -86,10 +86,11 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
 
 
 def _describe_best(outcome: StudyOutcome) -> Iterator[doc.Words]:
-    """Yield the number of designs that meet the requirements, and the best of these.
+    """Yield the number of designs that meet the requirements, and the best design.
 
-    With several objectives the front contains several best designs; none of these is named.
-    Nothing is yielded for a study without requirements and with less or more than one objective.
+    The best design is named only if there is one objective. If no design meets all requirements,
+    the number of designs that meet each requirement is yielded instead. Nothing is yielded without
+    requirements, unless there is one objective.
     """
     single = len(outcome.objectives) == 1
     if not outcome.requirements and not single:

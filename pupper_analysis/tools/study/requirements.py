@@ -27,6 +27,7 @@ _COMPARISONS: Mapping[str, Callable[[Any, float], Any]] = {
 """{comparison in the text of a requirement: function}."""
 
 _REQUIREMENT = re.compile(r"\s*(<=|>=|<|>|=)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*\Z")
+"""Pattern of the text of a requirement, such as ``< 1.5``: comparison, then number."""
 
 
 @dataclass(frozen=True)

@@ -206,7 +206,7 @@ class Study:
         self._check_columns("minimise, maximise", [*self.minimise, *self.maximise])
 
     def _check_columns(self, argument: str, columns: Sequence[str]) -> None:
-        """Raise a ConfigurationError if a column is neither a metric nor a number that varies."""
+        """Raise a ConfigurationError if a column is of no metric and of no numeric variable."""
         measured = [metric.name for metric in self.metrics]
         numbers = [name for name in self.variables if not is_motor_variable(name)]
         for name in columns:

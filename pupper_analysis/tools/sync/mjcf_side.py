@@ -199,7 +199,7 @@ class MjcfSide(Side):
             plan_inertial(self, name, [key for key in taken if key[1] == name])
 
     def _compute_body_pose(self, body: int) -> pin.SE3:
-        """Return the pose of a body in the frame of the moved body to which it is fixed."""
+        """Return the pose of a body in the frame of the moved body to which the body is fixed."""
         name = str(self.model.body(body).name)
         return pin.SE3.Identity() if body == 0 else self.sides.bodies[name]
 

@@ -267,7 +267,7 @@ def _read_gains(
 def _read_mimic(
     prim: Any, is_hinge: bool, units: StageUnits, paths: Mapping[str, str]
 ) -> tuple[str, float, float] | None:
-    """Return leader, multiplier and offset of a joint, from the schema of Newton or PhysX."""
+    """Return leader, multiplier and offset [rad, m] of a coupled joint; None if not coupled."""
     unit = RADIANS_PER_DEGREE if is_hinge else units.length
     for name in prim.GetAuthoredPropertyNames():
         if not name.endswith(("newton:mimicJoint", ":referenceJoint")):
@@ -692,7 +692,7 @@ def _make_joint(edge: Edge, parent: str, child: str, pose: Pose) -> Joint:
 
 
 def _make_free_joint(body: str, pose: Pose) -> Joint:
-    """Create the free joint of a body."""
+    """Create the free joint between the world and a body."""
     zeros, infinite = np.zeros(3), (-math.inf, math.inf, math.inf)
     return Joint(f"({body})", FREE_JOINT, "world", body, pose.position, zeros, zeros, {}, *infinite)
 

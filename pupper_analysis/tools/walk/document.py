@@ -133,9 +133,9 @@ def _list_figures(walk: Walk) -> Iterable[doc.Words]:
 
 
 def _list_warnings(walk: Walk) -> Iterable[doc.Words]:
-    """Yield the numbers of runs that track the command and that fall; bodies that touched ground.
+    """Yield the numbers of runs that track the command and that fall, and the touching bodies.
 
-    The numbers are omitted for a single run. The bodies are those that are no feet.
+    The numbers are omitted for a single run. Touching bodies are no feet, and touch the ground.
     """
     gaits = walk.gaits
     if len(gaits) > 1:

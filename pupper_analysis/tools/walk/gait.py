@@ -602,9 +602,9 @@ def find_ground_contacts(
 
 
 _SUM_WEIGHT, _REGULARISATION = 1e3, 1e-5
-"""Weights [m] in the least-squares problem of static forces, relative to weight 1 of the distance
-[m] from the centre of pressure to the projected CoM: of the deviation of the sum of the force
-fractions from 1, and of the norm of these fractions (regularisation). Chosen, not tuned."""
+"""Weights [m] of two residuals in the least-squares problem of static contact forces. `_SUM_WEIGHT`
+multiplies the sum of the force fractions minus 1, `_REGULARISATION` multiplies each fraction. The
+distance [m] from the centre of pressure to the projected CoM has weight 1. Chosen, not tuned."""
 
 
 def _compute_static_torques(

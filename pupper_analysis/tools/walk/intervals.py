@@ -125,10 +125,10 @@ def _scale_strength(stage: Stage, model: mujoco.MjModel, value: float) -> None:
 
 
 def _scale_legs(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    """Multiply the positions in limbs with a foot by ``value``; sizes and masses are unchanged.
+    """Multiply the lengths of the legs by ``value``, in ``model``; sizes and masses are unchanged.
 
-    These are the positions of the bodies after the first body of a limb, and of their CoMs, geoms
-    and sites.
+    In each limb with a foot, the positions of the bodies after the first body are multiplied, and
+    the positions of the CoMs, geoms and sites of these bodies.
     """
     base, bodies_beyond = _find_base(stage, model), set()
     for body, _ in stage.robot.contact_places.values():

@@ -57,7 +57,7 @@ def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
 
 
 def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation Concat; None if not along the last axis, or of lists of sizes."""
+    """Return the operation Concat along the last axis, or of lists of sizes (axis 0); else None."""
     if attributes.get("axis") == 0:
         return _concatenate_sizes
     if not _is_last_axis(attributes):

@@ -574,7 +574,9 @@ class Observer:
         return np.concatenate([part.reshape(len(active), -1) for part in parts], axis=1)
 
     def _make_frame(self, states: Array, active: IntArray, tick: int) -> Array:
-        """Return the newest observation frame of n runs, shape (n, frame size), before clipping.
+        """Return the newest observation frame of n runs, shape (n, frame size).
+
+        Each term is clipped and scaled; the clip of the whole observation is not yet applied.
 
         Args:
             states: MuJoCo states of the n runs, a row per run.

@@ -274,7 +274,7 @@ def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
 
 
 def _describe_delay(detail: str, period: float) -> str:
-    """Return a delay in samples with its duration."""
+    """Return a text about a delay in samples, with the duration [ms] appended."""
     return f"{detail} ({1e3 * float(detail.split()[0]) * period:.3g} ms)"
 
 
@@ -397,7 +397,7 @@ def _explain(seen: Array, expected: Array, names: Sequence[str]) -> tuple[float,
 
 
 def _find_signs(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
-    """Return the elements with the opposite sign; None unless signs explain the difference."""
+    """Return ("sign", inverted elements); None unless signs explain the difference."""
     signs = np.where(np.sum(seen * expected, axis=0) < 0, -1.0, 1.0)
     if (signs > 0).all() or not _agrees(seen, signs * expected):
         return None
@@ -406,7 +406,7 @@ def _find_signs(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str
 
 
 def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
-    """Return the factors of the elements; None unless factors explain the difference."""
+    """Return ("scale", factors of elements); None unless factors explain the difference."""
     squares = np.sum(expected**2, axis=0)
     factors = np.sum(seen * expected, axis=0) / np.where(squares > 0, squares, 1.0)
     factors = np.where(squares > len(seen) * MATCH_ATOL**2, factors, 1.0)
@@ -423,7 +423,7 @@ def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[st
 
 
 def _find_order(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
-    """Return the elements that are elsewhere; None unless a permutation explains the difference."""
+    """Return ("order", moved elements); None unless a permutation explains the difference."""
     from scipy.optimize import linear_sum_assignment
 
     costs = np.array(
