@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pupper_analysis.robot.robot import Robot
 
 Command = Callable[..., None]
+"""Function of a command, whose arguments are the values of its options."""
 
 VARIANT_OPTIONS = (
     click.option("--base", metavar="BASE", help="Base model of a scaled variant: skeleton or v3."),
@@ -124,12 +125,16 @@ class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since cl
         return [CompletionItem(name) for name in names] or [CompletionItem(incomplete, type="file")]
 
 
-# Arguments of commands that take one robot, and several robots: variants or files.
 robot_argument = click.argument("words", nargs=-1, type=_RobotWord(), metavar="[ROBOT]")
+"""Argument of commands that take one robot: a variant or files."""
+
 robot_and_sources_argument = click.argument(
     "words", nargs=-1, type=_RobotWord(), metavar="[ROBOT] [SOURCE]..."
 )
+"""Argument of commands that take one robot, and the files of a policy (`walk`)."""
+
 robots_argument = click.argument("words", nargs=-1, type=_RobotWord(), metavar="[ROBOT]...")
+"""Argument of commands that take several robots: variants or files."""
 
 
 @dataclass(frozen=True)

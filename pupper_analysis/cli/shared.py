@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from pupper_analysis.robot.matching.tolerances import Tolerances
 
 CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
+"""Type of the function of a command."""
 
 EXIT_VERIFIED, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERNAL = 0, 1, 2, 3
 """Exit statuses of all commands: success, failed verification, invalid input, and a bug."""

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pupper_analysis.stance.task import StandTask
 
 Command = Callable[..., None]
+"""Function of a command, whose arguments are the values of its options."""
 
 OPTION_FIELDS = {name: field for name, field in FIELDS.items() if field.help}
 """{name: field} of the fields with an option; a command receives the value under this name."""
@@ -135,7 +136,10 @@ def to_task_value(field: Field, value: Any) -> Any:
 
 
 def _parse_value(field: Field, text: str, given: str) -> Any:
-    """Return the value of one text, by the kind of the field."""
+    """Convert a typed text to a value of a stand field, by the kind of the field.
+
+    ``given`` is the whole typed value that contains ``text``, for error messages.
+    """
     if field.kind == "contact":
         return parse_contact(field.option, text, given)
     if field.axes or field.choices:

@@ -334,7 +334,10 @@ def robot_and_stance(command: Command) -> Command:
 
 
 def _gather_options(command: Command, more: tuple[Callable[[Command], Command], ...]) -> Command:
-    """Add the options of robot and stance, and ``more``, to a command that takes `RobotAndTask`."""
+    """Return a command with the options of robot and stance, and with the options ``more``.
+
+    The function ``command`` receives the options of robot and stance as a `RobotAndTask`.
+    """
     own = ("stance", "which", "fixed_base")
     names = [field.name for field in fields(RobotAndTask) if field.name not in own]
 

@@ -380,7 +380,10 @@ def _list_contact_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
 
 
 def _select_bad_contacts(model: mujoco.MjModel, of: str, code: str) -> NDArray[np.bool_]:
-    """Return the mask of the geoms or pairs (``of``) that are slippery or soft (``code``)."""
+    """Return the mask of the geoms or contact pairs whose contacts are slippery or soft.
+
+    ``of`` is ``"geom"`` or ``"pair"``; ``code`` is ``"slippery"`` or ``"soft"``.
+    """
     if code == "slippery":
         return np.asarray(getattr(model, f"{of}_friction")[:, 0] < _MIN_FRICTION)
     return np.asarray(getattr(model, f"{of}_solref")[:, 0] > _MAX_CONTACT_TIME_CONSTANT)

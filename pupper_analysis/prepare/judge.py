@@ -199,10 +199,10 @@ def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic 
 def _list_overloaded_joints(
     robot: Robot, statics: GravityCompensation, positions: NDArray[np.float64] | None
 ) -> tuple[str, ...]:
-    """Return the motors beyond the limits, without motors whose limit is zero.
+    """Return the joints whose motor exceeds its torque limit; limits of zero or below do not count.
 
-    Actuators of tendons are evaluated at the joint ``positions``, shape (nu,) [rad, m]; None if
-    servos at the joints replace these actuators.
+    The torques of actuators at tendons are evaluated at the joint ``positions``, shape (nu,) [rad,
+    m]; ``positions`` is None if servos at the joints replace these actuators.
     """
     null = {limit.joint for limit in robot.efforts if limit.without_torque}
     overloaded = (

@@ -221,6 +221,7 @@ class Pass:
 
 
 _registered_passes: list[Pass] = []
+"""Passes in the order of their registration by `_register_pass`, which is that of application."""
 
 
 def _register_pass(
@@ -695,7 +696,8 @@ def list_urdf_ground_additions() -> tuple[Addition, ...]:
 
 
 _MATCH, _FIX_BASE, _CONVERT_MESHES = "match", "fix-base", "convert-visual-meshes"
-"""Names of the passes whose notes have another position than the pass."""
+"""Names of the passes whose notes are moved: `_complete_preparation` puts the note on a fixed base
+last, and `_add_notes` puts notes on visual meshes after those on the matching of the files."""
 
 PREPARATION_PASSES = tuple(_registered_passes)
 """All passes, in the order of application, which is that of the functions above."""

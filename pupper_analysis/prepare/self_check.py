@@ -580,7 +580,7 @@ def explain_own_run(robot: Robot) -> OwnRun | None:
 
 
 def _own_run_explained(robot: Robot) -> OwnRun | None:
-    """Compute the run of the unmodified file, with a named cause if the run fails."""
+    """Return the simulation of the unmodified file (`own_run`), with its causes if it fails."""
     run = own_run(robot)
     model = robot.compute_once(get_published_model)
     if run is None or not run.fails or model is None:

@@ -29,6 +29,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 
 Gains = tuple[Array, Array]
+"""Servo stiffness kp [N m/rad] and damping kd [N m s/rad], shape (nu,) each."""
 
 DEFAULT_SAG = 0.02
 """Default deflection of a joint of an arm under gravity [rad; m for a slide], from which the

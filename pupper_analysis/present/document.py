@@ -88,14 +88,14 @@ def get_english(words: Words) -> str:
 
 
 def _fill_phrase(key: str, values: dict[str, object], language: str) -> str:
-    """Fill the template of a catalogue key in the given language."""
+    """Return the text of the catalogue entry ``key`` in a language, with ``values`` inserted."""
     template = phrase(key, language)
     translated = {name: _select_language(value, language) for name, value in values.items()}
     return fill_template(template, translated, language) if translated else template
 
 
 def _fill_short(template: str, values: Mapping[str, object]) -> str:
-    """Fill the template of a short English text; insert texts in their short form, if any."""
+    """Return a short English text: a template with values inserted, texts in their short form."""
     shortened = {
         name: value.short if isinstance(value, Text) and value.short else value
         for name, value in values.items()
@@ -287,6 +287,7 @@ Words = Text | Name
 """Content of a line: a translated text or an untranslated name."""
 
 Cell = Text | Name | Number
+"""Content of a table cell: a translated text, an untranslated name, or a number."""
 
 
 @dataclass(frozen=True)
@@ -464,6 +465,7 @@ class View:
 
 
 Block = Table | Lines | FileFinding | Listing | Plot | View
+"""Part of a document: table, remarks, finding in a file, listing, plot, or 3-D view."""
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ def _write_document(document: Document, *, whole: bool) -> list[str]:
 
 
 def _write_block(block: object) -> list[str]:
-    """Return the Markdown parts of a block; those of a detail as a single folded section."""
+    """Return a block of a document as Markdown parts; a detail block as one folded section."""
     parts = _make_parts(block)
     if parts and getattr(block, "detail", False):
         return [_fold_text(_escape_words(_get_title(block)), "\n\n".join(parts))]
@@ -114,7 +114,7 @@ def _fold_text(title: str, text: str) -> str:
 
 @singledispatch
 def _make_parts(_: object) -> list[str]:
-    """Return the paragraphs of a block; none for plots and views."""
+    """Return the Markdown paragraphs of a block of a document; none for plots and views."""
     return []
 
 

@@ -251,26 +251,26 @@ def list_views(result: Any, robot: Robot | None = None) -> View:
 
 
 @list_views.register(Configuration)
-def _list_configuration(config: Configuration, robot: Robot | None = None) -> View:
+def _make_configuration_view(config: Configuration, robot: Robot | None = None) -> View:
     """Return the view of a robot in a configuration."""
     return _make_view(robot or config.robot, config.qpos)
 
 
 @list_views.register(SolvedPosture)
-def _list_posture(posture: SolvedPosture, robot: Robot | None = None) -> View:
+def _make_posture_view(posture: SolvedPosture, robot: Robot | None = None) -> View:
     """Return the view of a solved posture."""
     return _make_view(_require_robot(posture, robot or posture.robot), posture.qpos)
 
 
 @list_views.register(Stand)
-def _list_stand(stand: Stand, robot: Robot | None = None) -> View:
+def _make_stand_view(stand: Stand, robot: Robot | None = None) -> View:
     """Return the view of a stand, on the ground of the stand."""
     owner = _require_robot(stand, robot or stand.own_robot)
     return _make_view(_place_on_ground(owner, stand), stand.qpos)
 
 
 @list_views.register(StandVerification)
-def _list_verification(run: StandVerification, robot: Robot | None = None) -> View:
+def _make_verification_view(run: StandVerification, robot: Robot | None = None) -> View:
     """Return the view of the motion in a simulated stand."""
     stand = run.stand
     owner = _require_robot(run, robot or (stand.own_robot if stand is not None else None))

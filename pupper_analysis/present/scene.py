@@ -27,8 +27,9 @@ NUM_VISIBLE_GROUPS = 3
 """Number of geom groups that MuJoCo's viewer shows by default: groups 0 to 2."""
 
 _MAX_GRID_CELLS = 512
-"""Cells along the longest side of a mesh, on the first grid of the simplification. Chosen,
-not tuned."""
+"""Number of cells along the longest side of a mesh in the first, finest grid of `_simplify_mesh`.
+Vertices in the same cell are merged. Each further grid has 3/4 as many cells per side. Chosen, not
+tuned."""
 _MIN_MESH_FACES = 100
 """Number of triangles up to which a mesh is not reduced, however many meshes a robot has. Chosen,
 not tuned."""
@@ -306,9 +307,10 @@ def select_visible_geoms(model: mujoco.MjModel) -> list[int]:
 
 
 def _simplify_mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
-    """Reduce a mesh to about ``share`` of the faces, by clustering on increasingly coarse grids.
+    """Reduce the triangles of a mesh to the fraction ``share`` or fewer, by vertex clustering.
 
-    The result has more faces if that is below `_MIN_MESH_FACES`, or the coarsest grid leaves more.
+    Grids become coarser until the number of triangles is small enough. The result may have up to
+    `_MIN_MESH_FACES` triangles, and more if the coarsest grid leaves more.
     """
     simplified = read_mesh(model, mesh)
     max_faces, cells = max(int(share * len(simplified.faces)), _MIN_MESH_FACES), _MAX_GRID_CELLS

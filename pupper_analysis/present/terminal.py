@@ -181,11 +181,13 @@ def print_summary(out: Console, document: Document, *, next_command: str = "") -
 
 
 def _is_left_out(document: Document, block: Block, place: int) -> bool:
-    """Return True if the short view omits a block.
+    """Return True if the short view omits a block of a document.
+
+    The view omits details, tables of a brief document, and findings after `MAX_SHORT_FINDINGS`.
 
     Args:
         document: Document with the block.
-        block: Block.
+        block: Part of the document, such as a table or a finding.
         place: Number of findings up to the block, including the block.
     """
     if isinstance(block, FileFinding) and place > MAX_SHORT_FINDINGS:
@@ -343,7 +345,10 @@ def _make_listing_lines(block: Listing, _: _ViewOptions) -> list[_PrintedLine]:
 
 
 def _print_block(out: Console, block: Block, place: int = 0, *, everything: bool) -> None:
-    """Print the lines of a block; ``place`` is the number of a finding, from 1."""
+    """Print a block of a document; ``place`` is the number of a finding, from 1.
+
+    ``everything`` is an option of the view: True also prints details of the block.
+    """
     for line in _make_lines(block, _ViewOptions(out, place, everything)):
         _print_line(out, line.text, indent=line.indent, wrap=line.wrap)
 

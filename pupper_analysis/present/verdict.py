@@ -375,7 +375,7 @@ def make_replaced_clauses(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
 
 
 def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
-    """State how the simulations of the computed stand ended, and with which servos."""
+    """Yield clauses on how the simulations of the computed stand ended, and on the servos."""
     fed, alone = verdict.with_feedforward, verdict.commands_alone
     if fed is Ending.HOLDS and verdict.question is not Question.STANDS:
         pass  # what it carries, and how it follows, is told beside it
@@ -540,7 +540,7 @@ elements and the line in the file."""
 
 
 def _make_error_quantity(error: float | None) -> Quantity | None:
-    """Convert a relative error to the upper bound that a message states: None, or at least 1e-6."""
+    """Return a relative error [1], rounded up to at least 1e-6, as quantity; None without error."""
     return None if error is None else Quantity(max(error, 1e-6), "1")
 
 
@@ -565,9 +565,9 @@ def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
 
 
 def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
-    """State the creep of the robot, if it is known and the robot does not collapse.
+    """Yield a clause on the creep of the robot, if known, unless the robot collapses.
 
-    The statement is a warning if the creep is significant.
+    The clause is a warning if the creep exceeds a bound (``is_notable``).
     """
     creep = verdict.creep
     if creep is None or verdict.with_feedforward is Ending.COLLAPSES:

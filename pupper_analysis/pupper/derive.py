@@ -391,10 +391,10 @@ def _add_ballast_geom(torso: mujoco.MjsBody, variant: VariantSpec) -> None:
 
 
 def _measure_foot_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
-    """Return the vertical distance from the base down to the lowest foot [m].
+    """Return vertical distances [m] from a level base down to the lowest foot, one per posture.
 
-    The first value is at zero angles, the other values are in the keyframes, with a level base
-    each. ``sites`` are the names of the foot sites.
+    The postures are zero joint angles, then the keyframes. ``sites`` are the names of the foot
+    sites.
     """
     model = compile_spec(_copy_skeleton(spec), Path(spec.modelname))
     data = mujoco.MjData(model)

@@ -21,7 +21,7 @@ P = ParamSpec("P")
 
 
 def _accept_variants(load_files: Callable[P, Robot]) -> Callable[P, Robot]:
-    """Let ``load_robot`` accept a variant, or the name of a variant, in place of files."""
+    """Return a ``load_robot`` that also accepts a variant, or its name, in place of files."""
 
     @wraps(load_files)
     def load_named(*models: P.args, **options: P.kwargs) -> Robot:

@@ -55,9 +55,10 @@ friction would stop after a small nudge (``Mode.without_dry_friction``). Chosen 
 deviation that dry friction holds: 0.01 N m at a servo of 5 N m/rad hold 2e-3 rad."""
 
 LONGEST_TRIAL = (DOUBLINGS + 1) * HOLD_DURATION
-"""Simulated time [s] within which D must grow, with the interval that is being simulated:
-``DOUBLINGS`` of a mode that doubles in ``HOLD_DURATION``, and one more ``HOLD_DURATION`` for the
-decay of other motion. If a foot has almost no load, growth is followed for as long again."""
+"""Simulated time [s] after which a growth test ends, if the deviation D (module docstring) has not
+grown by ``2 ** DOUBLINGS``; the current ``_CHUNK_DURATION`` is completed. Derived: ``DOUBLINGS``
+of a mode that doubles in ``HOLD_DURATION``, and one more ``HOLD_DURATION`` for the decay of other
+motion. If a foot has almost no load, growth is followed up to twice this time."""
 
 LEAVING_ANGLE = 1e-2
 """Displacement of a joint from the tested state [rad, m], at the end of a ``_CHUNK_DURATION``, from
@@ -284,12 +285,12 @@ def _has_ended(maxima: Array, doubling: float) -> bool:
 
 
 def _count_windows_until_grown(maxima: Array) -> int:
-    """Return the number of windows until the deviation has grown by ``2 ** DOUBLINGS``.
+    """Return the number of windows until the deviation is ``2 ** DOUBLINGS`` times its minimum.
 
-    All windows, if the deviation never grows as much.
+    The minimum is taken over the windows so far. Without such growth, the result is n.
 
     Args:
-        maxima: Largest deviation in each window of time, shape (n,).
+        maxima: Largest deviation in each of n windows of time, shape (n,).
     """
     grown = np.flatnonzero(maxima >= 2.0**DOUBLINGS * np.minimum.accumulate(maxima))
     return int(grown[0]) + 1 if len(grown) else len(maxima)
@@ -382,13 +383,15 @@ def _window_duration(mode: Mode) -> float:
 
 
 def _doubling_time_of(maxima: Array, window: float, *, lost: bool) -> float | None:
-    """Return the doubling time (s): half the time of two successive doublings; None without growth.
+    """Return the doubling time [s]: half the time of two successive doublings.
+
+    None for example if the deviation does not grow by ``2 ** DOUBLINGS``, or if growth slows down.
 
     Args:
         maxima: Largest deviation in each window of time, shape (n,).
-        window: Length of a window (s).
-        lost: Whether the simulation diverged, so that any growth counts; with few doublings, the
-            result is then the mean time of a doubling.
+        window: Length of a window [s].
+        lost: True if the simulation diverged. Fewer doublings are then sufficient, and the result
+            is their mean time.
     """
     if not math.isfinite(maxima[0]):
         return window  # diverged within the first window: an upper bound of the doubling time

@@ -41,12 +41,13 @@ _DAMPING_TOLERANCE = 0.02
 """Relative tolerance of the largest damping. Chosen for results with two digits."""
 
 _TRIED_RATIOS = (1.02, 1.1, 1.25, 1.5, 2.0)
-"""Ratios of the simulated stiffness to the least stiffness of the statics, in the order of the
-simulations; the first with which the robot stands is reported. Chosen, not tuned."""
+"""Ratios of the simulated stiffness to the least stiffness (`minimum_stiffness`), in the order of
+simulation. The first stiffness with which the robot stands is reported. Chosen, not tuned."""
 
 _STABLE_RATIO = 1.1
-"""Ratio to the least stiffness above which the damping is bounded at the present stiffness; with a
-softer servo, at this ratio. Chosen, not tuned."""
+"""Lower bound of the stiffness with which the largest damping is computed, relative to the least
+stiffness of the stand. Softer servos get this stiffness in the computation, since below the least
+stiffness a stand buckles with any damping. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
@@ -208,9 +209,10 @@ def bound_servo_gains(
 
 
 def _find_holding_factor(robot: Robot, stand: Stand, drive: Servos, least: float) -> float | None:
-    """Return the smallest simulated factor on kp with which the robot stands; None without one.
+    """Return the smallest simulated factor on kp with which the robot stands; None if none does.
 
-    Damping grows with the stiffness. ``least`` is the least factor of the statics.
+    The factors are `_TRIED_RATIOS` times ``least``, the least factor by `minimum_stiffness`. kd is
+    multiplied by the factor, too, if the factor is above 1.
     """
     for ratio in _TRIED_RATIOS:
         factor = ratio * least
@@ -305,10 +307,10 @@ def find_soft_servos(
 def _bound_damping(
     loop: ControlledStand, kp: Array, kd: Array, least: float | None
 ) -> float | None:
-    """Return the largest stable factor on the damping, infinite without a bound.
+    """Return the largest factor on the damping with which a stand is stable.
 
-    None without damping, or if no factor is stable. The stiffness is raised to ``_STABLE_RATIO``
-    times ``least``, if lower.
+    The factor is infinite if there is no bound. None if the damping is zero, or if no factor is
+    stable. The stiffness is multiplied by max(1, ``_STABLE_RATIO`` * ``least``).
 
     Args:
         loop: Stand with an explicit PD controller, one command per time step.

@@ -54,9 +54,9 @@ MAX_STAND_ROTATION = 0.1
 stand. Chosen, not tuned."""
 
 _RESTING_RATIO = 0.25
-"""Largest ratio of height deviation, height drift and foot displacement to their bounds up to which
-the settling simulation ends early. The growing modes then decide whether
-the robot stays at rest. Chosen, not tuned."""
+"""Upper bound of height deviation, height drift and foot displacement, each relative to its bound for
+a robot at rest, with which the settling simulation ends early. The growing modes then decide
+whether the robot stays at rest. Chosen, not tuned."""
 
 _LOST_RATIO = 2.0
 """Ratio of foot displacement to `MAX_FOOT_DISPLACEMENT`, or of base rotation to
@@ -325,11 +325,14 @@ def _stays_displaced(ratios: Sequence[float], remaining: float) -> bool:
 
 
 def _height_ratio(held: StandStart, states: Array) -> float:
-    """Return the larger ratio to a bound: deviation or drift of the base height.
+    """Return the larger of two ratios of the base height: deviation and drift, each by its bound.
+
+    The bounds are `MAX_HEIGHT_DEVIATION` for the standard deviation, and `SETTLED_DRIFT` for the
+    mean velocity.
 
     Args:
         held: Start of the simulation.
-        states: States over which deviation and drift are computed.
+        states: States over which deviation and drift are computed, shape (n, size).
     """
     heights = monitor.base_heights(held.robot, states)
     duration = float(held.drive.model.opt.timestep) * (len(states) - 1)

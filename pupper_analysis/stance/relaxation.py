@@ -227,9 +227,10 @@ class _Search:
         return relaxation
 
     def _reduce_demands(self, relaxation: Relaxation | None) -> Relaxation | None:
-        """Relax fewer requirements, as long as a solution is found.
+        """Reduce the number of relaxed requirements, if a stand still exists.
 
-        Requirements are left out one by one, the least relaxed first. Returns None for None.
+        Requirements are left out one by one, the least relaxed first; at least two remain relaxed.
+        None if ``relaxation`` is None.
         """
         if relaxation is None:
             return None

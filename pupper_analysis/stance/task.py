@@ -25,6 +25,7 @@ from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.stance.fields import FIELDS, Field
 
 Point = tuple[float, float]
+"""Horizontal coordinates (x, y) [m]."""
 
 
 @dataclass(frozen=True)

@@ -433,7 +433,7 @@ class _PostureSolver:
             self._stages.insert(0, self._make_stage(preferring))
 
     def _make_stage(self, tasks: Sequence[tuple[float, PostureTask]]) -> _Stage:
-        """Return a PlaCo solver of tasks, each with the weight of its squared error."""
+        """Create a PlaCo solver, and add tasks, each with the weight of its squared error."""
         solver = placo.KinematicsSolver(self._placo_robot.wrapper)
         solver.mask_fbase(not self._robot.floating)
         solver.enable_joint_limits(True)

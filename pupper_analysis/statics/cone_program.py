@@ -308,7 +308,10 @@ class Balance:
 
     @cached_property
     def _particular_and_null_space(self) -> tuple[Array, Array]:
-        """Least-squares solution of balance, shape (size,), and a null space basis of the rows."""
+        """Minimum-norm least-squares solution of the balance equations, and a null space basis.
+
+        The shapes are (size,) and (size, k); the equations are ``base_rows @ f = base_load``.
+        """
         left, sizes, right = np.linalg.svd(self.base_rows)
         rank = int((sizes > 1e-12 * sizes[0]).sum())
         particular: Array = (left[:, :rank].T @ self.base_load / sizes[:rank]) @ right[:rank]

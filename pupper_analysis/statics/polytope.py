@@ -178,7 +178,10 @@ def force_polytope(config: Configuration, point: str | Place) -> ForcePolytope:
 
 
 def _find_point(config: Configuration, point: str | Place) -> Tool:
-    """Return a contact point, the mean of the contact points of a foot, or a place, as a tool."""
+    """Return the `Tool` (a point on a link) that a name or a `Place` specifies.
+
+    The tool of a foot is at the mean position of the foot's contact points in ``config``.
+    """
     robot = config.robot
     if not isinstance(point, str):
         return find_place(robot, point)

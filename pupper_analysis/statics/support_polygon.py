@@ -19,6 +19,7 @@ from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.statics.cone_program import MAX_TOTAL_NORMAL_FORCE, Balance
 
 Corner = tuple[float, float]
+"""Corner of a support polygon: horizontal coordinates (x, y) [m] in the world frame."""
 
 
 def com_margin(com: Array, points: Mapping[str, Array]) -> float:

@@ -390,7 +390,7 @@ class UrdfBodies:
 
 
 def _read_nonzero(parent: etree._Element | None, attribute: str) -> str | None:
-    """Return an attribute; None if missing or zero."""
+    """Return an attribute of an element; None if it is missing, or all its numbers are zero."""
     text = None if parent is None else parent.get(attribute)
     return None if text is None or is_zero(text) else text
 

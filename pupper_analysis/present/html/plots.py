@@ -30,6 +30,7 @@ from pupper_analysis.present.document import (
 )
 
 Mark = Mapping[str, Any]
+"""SVG element of a plot: {"tag": name of the element, attribute: value}."""
 
 PLOT_WIDTH, PLOT_HEIGHT = 640.0, 300.0
 """Size of a line plot [CSS pixels]."""

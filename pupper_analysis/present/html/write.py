@@ -351,7 +351,7 @@ def load_viewer_library() -> ViewerLibrary | None:
 
 
 def _collect_licences(folder: Path) -> str:
-    """Return the licence texts of the package and of the bundled parts."""
+    """Return the licence texts of MeshCat, and of the libraries that its script contains."""
     named = (
         path
         for path in distribution(_VIEWER_PACKAGE).files or ()
@@ -465,13 +465,20 @@ def render_page(shown: Report, language: str = "en") -> str:
 
 
 def _draw_document(document: Document, scenes: list[dict[str, Any]]) -> Document:
-    """Convert the plots and views of a document; the scenes are appended to ``scenes``."""
+    """Return a document whose plots and views are converted for the HTML template.
+
+    The data of the 3-D views are appended to ``scenes``.
+    """
     blocks = [_draw_block(block, scenes) for block in document.blocks]
     return replace(document, blocks=tuple(block for block in blocks if block is not None))
 
 
 def _draw_block(block: Block, scenes: list[dict[str, Any]]) -> Any:
-    """Convert a block for the template; None if nothing is to be shown."""
+    """Convert a block, a part of a document, for the HTML template; plots become SVG.
+
+    The data of a 3-D view are appended to ``scenes``. A view without a scene becomes a remark.
+    None if the scene contains nothing to show. Other blocks are unchanged.
+    """
     if isinstance(block, Plot):
         return draw_svg(block)
     if not isinstance(block, View):

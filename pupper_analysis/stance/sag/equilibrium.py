@@ -301,10 +301,10 @@ RESIDUAL_TOLERANCE = 3e-12
 x height (torques) and height (lengths). Chosen, not tuned."""
 
 _ROUNDING_RESIDUAL = 3e-16
-"""Scaled residual of the equilibrium equations [1]. In exact solves, Newton's method reuses the
-previous Jacobian if the predicted residual after the step is at most this value. Forces are divided
-by the weight, torques by weight x height, lengths by the height. Chosen as the size of rounding
-errors."""
+"""Default upper bound of the predicted residual e[k]^2 / e[k-1] [1] with which a Newton step reuses
+the Jacobian of the previous step instead of a new one. e[k] is the residual after k steps: forces
+divided by the weight, torques by weight x height, lengths by the height. Chosen as the size of
+rounding errors."""
 
 CONTACT_DEPTH_TOLERANCE = 1e-8
 """Penetration, in units of `EquilibriumScales.length`, up to which a contact does not count as
@@ -706,9 +706,10 @@ class SagEquilibrium:
     def _iterate_newton(self, guess: Solution, left: float = _ROUNDING_RESIDUAL) -> Solution | None:
         """Iterate Newton's method until the scaled residual is below `RESIDUAL_TOLERANCE`.
 
-        A derivative is reused if the predicted residual e[k]^2 / e[k-1] is at most ``left``. None
-        after `_MAX_ITERATIONS`, if the residuals alternate, if the derivative is singular, or if a
-        step is too long.
+        The previous Jacobian is reused if the predicted residual e[k]^2 / e[k-1] is at most
+        ``left``; e[k] is the scaled residual after k steps. The result is None after
+        `_MAX_ITERATIONS`, or if the residuals alternate, a Jacobian is singular, or a step is too
+        long.
         """
         qpos, n = guess.qpos, self.robot.nv
         forces, derivative = self.stack_forces(guess), None

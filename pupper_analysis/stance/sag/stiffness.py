@@ -58,15 +58,17 @@ _FIRST_CREEP_RATIO = 0.04
 Measured: creep raises the least kp by 4 % (original), 6 % (Go2) and 8 % (v3)."""
 
 _MAX_PREDICTIONS = 4
-"""Number of values that are tested by predictions from the time for which an equilibrium lasts;
-then the bracket is halved. Chosen, not tuned."""
+"""Number of creep simulations of `_bisect_stiffness` at predicted kp: the first follows from
+`_FIRST_CREEP_RATIO`, the others from `_predict_stiffness`. Further simulations halve the bracket.
+Chosen, not tuned."""
 
 _ESTIMATE_TOLERANCE = 0.02
 """Relative width of the bracket of the static limit in `estimate_minimum_stiffness`. Chosen for
 results with two digits."""
 
 _MIN_DURATION = HOLD_DURATION / CREEP_STEPS
-"""Lower bound of the time [s] from which a prediction is computed: a step of the creep."""
+"""Lower bound of the time [s] by which `_predict_stiffness` divides: a backward Euler step of the
+creep of an equilibrium."""
 
 
 @check_arguments
@@ -158,9 +160,9 @@ def _bracket_stiffness(
     """Bracket the least kp [N m/rad] by powers of two.
 
     Returns:
-        The search, a value with which the robot does not stand, and twice this value, with which
-        the robot stands before the feet creep. The first value is 0 if the robot stands with all
-        values down to `_LEAST_KP`.
+        Tuple (search, low, high) with high = 2 low. The robot does not stand with kp = low, and
+        stands with kp = high before the feet creep. If the robot stands with all tested kp, down to
+        `_LEAST_KP`, low is 0.
 
     Raises:
         The errors of `minimum_stiffness`.
@@ -211,7 +213,10 @@ class _Grid:
 
 
 def _find_static_end(search: _StiffnessSearch, grid: _Grid) -> int:
-    """Return the index of the largest value with which the robot does not stand, without creep."""
+    """Return the index in ``grid`` of the largest kp with which the robot does not stand.
+
+    Creep is ignored. The index is 0 if the robot stands with all inner values of the grid.
+    """
     first, last = 0, grid.count
     while last - first > 1:
         middle = (first + last) // 2
@@ -244,8 +249,8 @@ def _bisect_stiffness(
 
     Args:
         search: Test of stiffnesses.
-        low: Value with which the robot does not stand.
-        high: Value with which the robot stands.
+        low: kp with which the robot does not stand [N m/rad].
+        high: kp with which the robot stands [N m/rad].
         tolerance: Largest width, relative to ``high``.
     """
     grid = _Grid(low, high, tolerance)
@@ -372,7 +377,10 @@ class _StiffnessSearch:
         return True
 
     def _set_stiffness(self, path: HomotopyPath, value: float, solution: Solution) -> None:
-        """Set the stiffness of a path to kp [N m/rad] times ratios, at an equilibrium, no creep."""
+        """Set the servo stiffness of ``path`` to ``value`` [N m/rad] times the joint ratios.
+
+        The path starts again at the equilibrium ``solution``, without feed-forward and creep.
+        """
         path.reset_creep(self._anchors)
         path.system.kp = np.where(path.system.kp > 0, value * self._ratios, 0.0)
         path.solution = solution
