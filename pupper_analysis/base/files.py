@@ -439,7 +439,7 @@ class _StagedFile:
     """File during ``write_all``.
 
     Attributes:
-        writing: Request.
+        writing: Path, content and kind of the file to write.
         target: Path with links resolved.
         existing: Status of the existing file; None if there is none.
         new: Temporary file with the new content.

@@ -383,7 +383,7 @@ def _copy_fields(
 
 
 def _with_polynomial(linear: Array, polynomial: Array, index: int) -> Array:
-    """Return the coefficients of a spring or damper: the linear one, then those of higher order."""
+    """Return the coefficients of a spring or damper in ascending order, the linear one first."""
     return np.concatenate([[linear[index]], polynomial[index]])
 
 
@@ -418,7 +418,10 @@ def _list_differences(model: mujoco.MjModel, made: mujoco.MjModel) -> Iterator[s
 
 
 def _outline(model: mujoco.MjModel, geom: int) -> Array:
-    """Return points of a geom in its body: vertices of a mesh, or ends of its axes [m]."""
+    """Return points of a geom in its body, shape (n, 3) [m].
+
+    The points are the vertices of a mesh, or the end points of the three sizes along the axes.
+    """
     data = int(model.geom_dataid[geom])
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])

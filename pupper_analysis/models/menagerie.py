@@ -87,7 +87,7 @@ def _find_default_file(folder: Path, name: str, robot: Any) -> Path | None:
     """Return the default model of a robot in ``folder``; None if there is none.
 
     ``robot`` is the robot's entry in the Menagerie package. Without an entry (None), the result is
-    the XML file whose name without suffix is an end of ``name``; of several, the longest.
+    the XML file with the longest stem with which ``name`` ends.
     """
     if robot is not None:
         return folder / str(robot.entry(robot.default_model).file)
@@ -108,7 +108,8 @@ def _import_package() -> Any:
 def _find_clone() -> Path | None:
     """Return the folder of MuJoCo Menagerie; None if it is not found.
 
-    It is that of ``MENAGERIE_ROOT``, or ``mujoco_menagerie`` in the working directory or above.
+    The environment variable ``MENAGERIE_ROOT`` contains the folder, which is not checked. Without
+    the variable, the folder is ``mujoco_menagerie`` in the working directory or above.
     """
     root = os.environ.get("MENAGERIE_ROOT")
     if root:

@@ -119,8 +119,8 @@ def is_published_name(word: str) -> bool:
 def _is_description(word: str) -> bool:
     """Return True if a word names a robot description.
 
-    It either has the prefix ``DESCRIPTION_PREFIX``, or it has a form such as
-    ``go2_mj_description`` and is not the name of an existing file.
+    Such a word has the prefix ``DESCRIPTION_PREFIX``, or has the form of ``go2_mj_description`` and
+    is not an existing path.
     """
     return word.startswith(DESCRIPTION_PREFIX) or (
         _BARE_DESCRIPTION.fullmatch(word) is not None and not Path(word).exists()

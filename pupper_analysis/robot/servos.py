@@ -153,7 +153,7 @@ def make_neutral_commands(model: mujoco.MjModel, qpos: Array, known: NDArray[np.
 
 
 def _find_other_servos(model: mujoco.MjModel, known: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the position servos that are not among the known actuators."""
+    """Return the ids of actuators that are position servos and not in ``known``."""
     servo = (
         (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED.value)
         & (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE.value)

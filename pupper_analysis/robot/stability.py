@@ -396,7 +396,11 @@ def judge_settled(
 
 
 def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
-    """Evaluate a state with and without the dry friction of joints and tendons."""
+    """Evaluate a state with and without the dry friction of joints and tendons.
+
+    The result is that with dry friction. Growing modes without dry friction are added if they grow
+    within ``HOLD_DURATION``, and the least damped mode is the smaller damping ratio of both.
+    """
     found = _mark_repeated(model, data, _evaluate_at_limits(model, data))
     rubbing = model.dof_frictionloss, model.tendon_frictionloss
     rubs = any(values.any() for values in rubbing)

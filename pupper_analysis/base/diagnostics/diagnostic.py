@@ -249,7 +249,7 @@ def merge_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ..
 
 
 def _shorten(value: Value) -> Value:
-    """Return a value of a diagnostic; other diagnostics in it become their short texts, if any."""
+    """Replace each diagnostic in a value by its short text, if it has one; keep other values."""
     if isinstance(value, tuple):
         return tuple(map(_shorten, value))
     return (value.short or value) if isinstance(value, Diagnostic) else value
@@ -267,7 +267,7 @@ def _change_names(value: Value, change: Callable[[str], str]) -> Value:
 
 
 def _to_value(value: Any) -> Any:
-    """Convert a value to a type that a diagnostic can store."""
+    """Convert a value to a type that a diagnostic can store; raise TypeError for other types."""
     if hasattr(value, "tolist"):  # NumPy array or scalar
         value = value.tolist()
     if value is None or isinstance(

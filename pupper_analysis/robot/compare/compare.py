@@ -218,7 +218,10 @@ def _find_ground_geoms(model: mujoco.MjModel) -> list[int]:
 
 
 def _find_feet(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -> list[str]:
-    """Return the joints whose limb is low enough to end in a foot (``_FOOT_HEIGHT_RTOL``)."""
+    """Return the joints whose limb is low enough to end in a foot (``_FOOT_HEIGHT_RTOL``).
+
+    The keys of ``limbs`` are joints, and ``data`` is the initial pose.
+    """
     model = data.model
     ends = {
         name: min(float(-placed.world.support(_DOWN_DIRECTION)[0]) for placed in (*urdf, *mjcf))  # type: ignore[index]
@@ -238,8 +241,9 @@ def _find_feet(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -
 def _locate_disabled_contact(mjcf: MjcfFile, body: str, urdf_shape: _PlacedShape) -> Place:
     """Return the location in the MJCF at which the contacts of a foot are disabled.
 
-    This is the flag that disables all contacts, otherwise the contact bits of the geom of the foot
-    that is nearest to the shape in the URDF; the body if it has no geom.
+    If a flag disables all contacts, the result is the location of the flag. Otherwise, the result
+    is the location of the contact bits of the foot's geom that is nearest to the shape in the URDF.
+    If the foot has no geom, the result is the location of the body.
 
     Args:
         mjcf: The MJCF.
@@ -320,7 +324,10 @@ def _compare_feet(
 def _find_lowest_shape(
     shapes: Sequence[_PlacedShape],
 ) -> tuple[float, Diagnostic | Term, _PlacedShape | None]:
-    """Return the lowest height [m] of shapes, a description of the lowest shape, and the shape."""
+    """Return the lowest height [m] of shapes, a description of the lowest shape, and the shape.
+
+    Without shapes, the result is NaN, the term "none", and None.
+    """
     if not shapes:
         return math.nan, Term("none"), None
     heights = [float(-shape.world.support(_DOWN_DIRECTION)[0]) for shape in shapes]  # type: ignore[index]
