@@ -65,9 +65,9 @@ keyframe count as joint angles instead of torques. Chosen, not tuned: position c
 the angles by the deflection that carries the weight."""
 
 _CTRL_DEGREE_RTOL = 1e-3
-"""Upper bound of ``|ctrl - angles| / |angles|``, with hinge angles in degrees, with which the ctrl of
-a keyframe count as joint angles in degrees. Chosen as a bound of rounding, since torques of tens of
-N m may be near such values by chance: five digits of an angle in radians differ by 1e-5."""
+"""Upper bound of ``|ctrl - angles| / |angles|``, with hinge angles in degrees, with which the ctrl
+of a keyframe count as joint angles in degrees. Chosen as a bound of rounding, since torques of tens
+of N m may be near such values by chance: five digits of an angle in radians differ by 1e-5."""
 
 _SETTLING_TIME = 2.0
 """Simulated time [s] after which a nudged model that stands must be at rest. Chosen, not tuned."""

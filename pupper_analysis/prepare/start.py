@@ -327,9 +327,9 @@ def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
 
 
 _REFINED_TOLERANCE, _MAX_REFINEMENTS = 1e-15, 4
-"""Tolerance [1] (SciPy's ``xtol``, ``ftol`` and ``gtol``), and largest number of evaluations, of the
-last least-squares problem of `_level_soles`. Gauss-Newton converges quadratically from errors of
-1e-8 m; chosen, not tuned."""
+"""Tolerance [1] (SciPy's ``xtol``, ``ftol`` and ``gtol``), and largest number of evaluations, of
+the last least-squares problem of `_level_soles`. Gauss-Newton converges quadratically from errors
+of 1e-8 m; chosen, not tuned."""
 
 
 def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Array | None:

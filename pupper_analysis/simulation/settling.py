@@ -54,8 +54,8 @@ MAX_STAND_ROTATION = 0.1
 stand. Chosen, not tuned."""
 
 _RESTING_RATIO = 0.25
-"""Upper bound of height deviation, height drift and foot displacement, each relative to its bound for
-a robot at rest, with which the settling simulation ends early. The growing modes then decide
+"""Upper bound of height deviation, height drift and foot displacement, each relative to its bound
+for a robot at rest, with which the settling simulation ends early. The growing modes then decide
 whether the robot stays at rest. Chosen, not tuned."""
 
 _LOST_RATIO = 2.0
