@@ -151,6 +151,9 @@ def _analyze_all(
         task: Task of the stand.
         everything: Print all tables.
         shown: Print results as text; otherwise nothing is printed.
+
+    Returns:
+        Analyses, and loaded robots with distinct names, both in the order of ``meant``.
     """
     from pupper_analysis.cli.next_step import complete_command
     from pupper_analysis.present.terminal import make_console, print_document, print_summary

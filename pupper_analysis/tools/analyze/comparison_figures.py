@@ -210,9 +210,10 @@ def _make_panels(
 
 
 def _group_joints(analysis: Analysis) -> dict[str, list[int]]:
-    """Return the joint indices of each row: corresponding joints of the legs, then other joints.
+    """Return {row title: joint indices} of the torque figure.
 
-    The legs are sorted by name, so that a leg has the same colour in all panels.
+    The first rows contain corresponding joints of all legs, the last rows one other joint each. The
+    legs are sorted by name, so that a leg has the same colour in all panels.
     """
     names = [joint.name for joint in analysis.joints]
     by_depth: defaultdict[int, list[int]] = defaultdict(list)
@@ -277,7 +278,7 @@ def _share_limits(panels: Sequence[tuple[Analysis, Axes]], axis: str) -> None:
 
 
 def _format_range(values: Array) -> str:
-    """Return a value, or the smallest and the largest value."""
+    """Format values as ``1`` if all are equal, else as ``1 to 3``; "unknown" without values."""
     if len(values) == 0:
         return "unknown"
     low, high = float(values.min()), float(values.max())
@@ -285,7 +286,7 @@ def _format_range(values: Array) -> str:
 
 
 def _mark_first_contact(axes: Axes, run: StandVerification, heights: Array) -> None:
-    """Mark the first contact with the ground that the failures of a run state."""
+    """Mark the first contact of a link with the ground, at its time [s], in a plot of heights."""
     contacts = list(_list_ground_contacts(run.failures))
     if not contacts:
         return
@@ -337,7 +338,7 @@ def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm, units: JointUni
             axes.add_patch(
                 Rectangle(corner, 1, 1, fill=False, hatch="////", edgecolor="white", lw=0)
             )
-        bright = falls or float(scale(shown)) > _BRIGHT_FROM
+        bright = falls or float(scale(shown)) > _MIN_BRIGHT_FRACTION
         axes.text(column, row, "falls" if falls else _format_deviation(value), ha="center",
                   va="center", size=drawing.FONT_SIZE - 1.5,
                   color="black" if bright else "white")  # fmt: skip
@@ -348,8 +349,9 @@ def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm, units: JointUni
     axes.set_ylabel(f"kp ({units.stiffness})", size=drawing.FONT_SIZE)
 
 
-_BRIGHT_FROM = 0.6
-"""Fraction of the colour scale above which viridis is bright enough for black letters."""
+_MIN_BRIGHT_FRACTION = 0.6
+"""Fraction of the colour scale (0 to 1) above which viridis is bright, so that the number in a cell
+of the heat map is written in black instead of white."""
 
 
 def _format_deviation(value: float) -> str:
@@ -358,7 +360,7 @@ def _format_deviation(value: float) -> str:
 
 
 def _mark_own_gains(axes: Axes, sweep: GainSweep, kp: float, kd: float) -> None:
-    """Outline the cell of the model's own gains, if the grid contains this pair."""
+    """Outline the cell of the model's own gains ``kp``, ``kd``, if the sweep contains this pair."""
     rows, columns = np.isclose(sweep.kp, kp), np.isclose(sweep.kd, kd)
     for row in np.flatnonzero(rows):
         for column in np.flatnonzero(columns):

@@ -128,7 +128,10 @@ single failure."""
 
 
 def _list_failures(analysis: Analysis) -> tuple[doc.Words, ...]:
-    """List the failures, causes first; all quantities of the cross-check are one failure."""
+    """List the failures, causes first.
+
+    All quantities in which URDF and MJCF differ are a single failure.
+    """
     order = sorted(analysis.failures, key=lambda failure: failure.code != TWO_ROBOTS_CODE)
     others = [failure for failure in order if failure.code != _CROSS_CHECK_CODE]
     check = analysis.check
@@ -149,7 +152,11 @@ def _list_failures(analysis: Analysis) -> tuple[doc.Words, ...]:
 
 
 def _select_next_step(analysis: Analysis) -> doc.NextStep:
-    """Return the command that shows the cause of a failure, or the largest payload."""
+    """Return the command to run next.
+
+    This is ``payload`` for a verified robot, ``crosscheck`` if URDF and MJCF differ, else
+    ``stand``.
+    """
     if analysis.verified:
         return doc.NextStep("payload")
     differs = not all(quantity.passed for quantity in analysis.check.quantities)
@@ -174,7 +181,7 @@ def _make_verdict_word(analysis: Analysis) -> doc.Text:
 
 
 def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
-    """State mass and peak torque, base height, and agreement of the files, a line each."""
+    """Yield three lines: mass and peak torque, base height, deviation of the MJCF from the URDF."""
     statics = analysis.statics
     share = statics.motor_utilisation
     limited = not np.isnan(share).all()
@@ -206,14 +213,14 @@ def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
 
 
 def _format_height(run: StandVerification) -> doc.Words:
-    """Format the base height of a simulation [mm]; a word if the simulation diverged."""
+    """Format the base height of a simulation in mm; the word "diverged" if it is not finite."""
     if not np.isfinite(run.base_height):
         return text("diverged")
     return doc.Name(f"{1e3 * run.base_height:.1f} mm")
 
 
 def _report_fall(without: StandVerification) -> Iterable[doc.Words]:
-    """State the failures of the simulation without feed-forward, if there are any."""
+    """Yield a warning that lists why the simulation without feed-forward failed, if it failed."""
     if not without.passed:
         failures = join_ground_touches(without.failures)
         why = join_words(map(doc.diagnostic_text, failures), "semicolon")

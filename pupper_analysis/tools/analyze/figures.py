@@ -164,7 +164,10 @@ def lay_out_tiles(poses: Sequence[tuple[Robot, Array]], width: int, columns: int
 
 
 def _bound_ground(lines: Skeleton, radius: float) -> Array:
-    """Return the corners of a level rectangle below the feet, shape (4, 3) [m]."""
+    """Return the corners of the drawn ground: a rectangle at z = 0, shape (4, 3) [m].
+
+    The rectangle contains all feet with a margin. ``radius`` is the radius of the largest foot [m].
+    """
     feet = np.array([leg[-1, :2] for leg in lines.legs.values()])
     margin = (1 + _GROUND_MARGIN) * radius
     (x_low, y_low), (x_high, y_high) = feet.min(axis=0) - margin, feet.max(axis=0) + margin
@@ -253,9 +256,11 @@ def _list_backends() -> tuple[str, ...]:
 
 @contextmanager
 def _quiet_attempt() -> Iterator[None]:
-    """Silence the drivers, and restore modules and variables so that another backend can be tried.
+    """Suppress warnings while an OpenGL backend is tried, and undo the effects of the attempt.
 
-    PyOpenGL binds to a single backend on import, by an environment variable that MuJoCo sets.
+    Environment variables are restored. After an exception, imported modules of OpenGL are removed,
+    so that another backend can be tried: PyOpenGL binds to a single backend on import, by an
+    environment variable that MuJoCo sets.
     """
     variables = {name: os.environ.get(name) for name in ("PYOPENGL_PLATFORM", "EGL_LOG_LEVEL")}
     modules = set(sys.modules)

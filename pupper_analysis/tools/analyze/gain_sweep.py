@@ -183,7 +183,7 @@ def _choose_values(given: Sequence[float] | None, own: Array | None) -> list[flo
 
 
 class _SweepTrial:
-    """Rollouts of a stand under the force."""
+    """Simulations of a stand with pairs of servo gains, under a vertical force on the base."""
 
     def __init__(self, robot: Robot, stand: Stand, integrator: str, duration: float) -> None:
         self.plain, self.stand, self.integrator = robot, stand, integrator
@@ -260,7 +260,10 @@ class _SweepTrial:
     def _stays_at_rest(
         self, drive: Servos, watcher: monitor.ContactSampler, start: Array, ctrl: Array
     ) -> bool:
-        """Return True if the undisturbed robot comes to rest on the feet, and this rest lasts."""
+        """Return True if the robot, without the force, comes to rest on the feet and stays at rest.
+
+        ``start`` is the initial MuJoCo state, ``ctrl`` the constant servo commands.
+        """
         steps = round(HOLD_DURATION / self.timestep)
         states = roll_out(drive.model, watcher.data, start, np.tile(ctrl, (1, steps, 1)))[0]
         if not self._is_standing(watcher, states):

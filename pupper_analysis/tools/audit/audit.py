@@ -153,8 +153,9 @@ def _run_rules(
 
 
 _CONSEQUENCES = {"hardly-any-mass": 3}
-"""{code: precedence} of messages of another precedence than their rule: a link that is light beside
-another link is a consequence if the mass of the other link is wrong."""
+"""{code of a message: precedence} of messages whose precedence is not that of their rule. Findings
+of equal severity are listed by ascending precedence. A link that is light beside another link comes
+later: the message is a consequence if the mass of the other link is wrong."""
 
 
 def _read_stated_model(file: UrdfFile | MjcfFile) -> RobotModel:
@@ -165,7 +166,7 @@ def _read_stated_model(file: UrdfFile | MjcfFile) -> RobotModel:
 def _make_finding(
     file: ModelFile, rule: Rule, found: CheckFinding, repairs: tuple[ValueRepair, ...]
 ) -> Finding:
-    """Add place, severity and texts of the rule to the result of a check."""
+    """Return the finding of a rule: the result of a check, with place, severity and texts."""
     place = found.place
     if place is None and found.name:
         place = file.place(found.kind, found.name.strip("()"), found.child)

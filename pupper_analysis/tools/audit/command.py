@@ -135,10 +135,11 @@ def _print_rules() -> None:
 
 
 def _fix_files(audits: Sequence[Audit], *, confirmed: bool) -> bool:
-    """Print the patch of all findings with a single repair; return True if the files are written.
+    """Print the patch of all findings with a single repair, and write the files if confirmed.
 
-    Without a terminal, and without ``--yes``, nothing is written. The patch is on standard output,
-    questions and remarks are on standard error.
+    ``confirmed`` is True with ``--yes``; otherwise the user is asked, and without a terminal
+    nothing is written. The patch is on standard output, questions and remarks are on standard
+    error. Return True if the files were written.
     """
     from pupper_analysis.present.document import text
     from pupper_analysis.tools.audit.fix import apply_repairs, make_patch, write_documents

@@ -40,7 +40,7 @@ def apply_repairs(audits: Iterable[Audit]) -> tuple[list[XmlDocument], int]:
 
 
 def _change_elements(document: XmlDocument, repair: ValueRepair) -> bool:
-    """Apply a repair to a file in memory, and return whether it was applied.
+    """Apply a repair to a file in memory; return True if it was applied.
 
     A repair is not applied if an element has other values than the repair expects, because another
     repair has changed the element, or if the element is not unique.
@@ -88,7 +88,7 @@ def _list_owners(document: XmlDocument, repair: ValueRepair) -> list[Element]:
 
 
 def _find_owner(document: XmlDocument, repair: ValueRepair) -> Element | None:
-    """Return the child of the root that a repair names; None if there is none, or several."""
+    """Return the child of the root with the tag and name of a repair; None unless it is unique."""
     found = [one for one in _list_owners(document, repair) if one.parent is document.root]
     return found[0] if len(found) == 1 else None
 

@@ -105,7 +105,7 @@ def _format_moved(value: float) -> str:
 
 
 def _repair_limits_in_degrees(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Convert limits of a URDF from degrees to radians."""
+    """Yield the repair of URDF joint limits in degrees: the limits in radians."""
     if isinstance(robot, UrdfModel) and found.message.code == "limits-look-like-degrees":
         joint = robot.joints[found.name]
         ends = {"lower": joint.lower, "upper": joint.upper}
@@ -115,7 +115,7 @@ def _repair_limits_in_degrees(robot: RobotModel, found: CheckFinding) -> Iterato
 
 
 def _repair_command_range(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Replace a command range in degrees by the range of the joint.
+    """Yield the repair of a servo's command range in degrees: the range of the joint.
 
     Nothing is proposed for a servo with a gear, or with a gain other than the stiffness: the unit
     of the command is then not the unit of the joint position.
@@ -199,9 +199,9 @@ def _repair_mirrored_mass(robot: RobotModel, found: CheckFinding) -> Iterator[Va
 
 
 _MOMENT_RTOL = 0.05
-"""Largest relative difference between the principal moments of a left and a right link, divided by
-the ratio of their masses, with which a tensor is scaled together with the mass. Chosen, not
-tuned."""
+"""Largest relative difference between the moments of inertia of a link, times the ratio of the
+masses, and the moments of the mirrored link, up to which a repair of the mass also scales the
+tensor. Chosen, not tuned."""
 
 
 def _repair_mirrored_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
@@ -442,7 +442,7 @@ def _compute_mirrored_tensor(robot: UrdfModel, link: Link, twin: Link) -> dict[s
 
 
 def _find_twin(robot: RobotModel, name: str) -> Link | None:
-    """Return the mirrored link of a link; None without one."""
+    """Return the other link of the left-right pair with a link; None if it is in no such pair."""
     for first, second in find_mirror_pairs(robot.links):
         if name in (first, second):
             return robot.links[second if name == first else first]
@@ -450,13 +450,13 @@ def _find_twin(robot: RobotModel, name: str) -> Link | None:
 
 
 def _rotate(tensor: Array, rotation: Array) -> Array:
-    """Rotate a tensor, shape (3, 3): R T R^T."""
+    """Return R T R^T for a tensor T and a rotation matrix R, shape (3, 3) each."""
     rotated: Array = rotation @ tensor @ rotation.T
     return rotated
 
 
 def _repair_exchanged_limits(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Exchange the lower and the upper limit of a URDF joint with lower > upper."""
+    """Yield the repair of a URDF joint with lower > upper: both limits exchanged."""
     limit = (
         _find_element(robot, "joint", found.name, "limit") if isinstance(robot, UrdfModel) else None
     )
@@ -470,7 +470,7 @@ def _repair_exchanged_limits(robot: RobotModel, found: CheckFinding) -> Iterator
 
 
 def _repair_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the mass of the link on the other side, for a link without mass.
+    """Yield the repair of a URDF link without mass: the mass of the link on the other side.
 
     If the link has no <inertial>, it gets the mirrored CoM and tensor, too.
     """
@@ -514,7 +514,7 @@ def _mirror_com(robot: RobotModel, link: Link, twin: Link) -> Array | None:
 
 
 def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the mirrored CoM of the link on the other side.
+    """Yield the repair of a URDF link's CoM: the mirror image of the CoM on the other side.
 
     If only the difference of both CoMs is reported, and at least `MIN_SIBLINGS` equal links of
     other limbs have the same distances of the CoM from the planes of their frames, only the link
@@ -527,7 +527,7 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
     wrong = [(link, twin)]
     if found.message.code == "mirror-com":
         kind = strip_sides(link.name)
-        wrong = _select_deviating(
+        wrong = _select_deviating_pairs(
             [(link, twin), (twin, link)],
             {
                 name: np.abs(other.inertial.com)
@@ -545,13 +545,18 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
             )
 
 
-def _select_deviating(
+def _select_deviating_pairs(
     pairs: list[tuple[Link, Link]], values: Mapping[str, Array]
 ) -> list[tuple[Link, Link]]:
-    """Return the pairs whose first link deviates from the links that are in neither pair.
+    """Return the pair whose first link deviates from the corresponding links of other limbs.
 
-    If these are fewer than `MIN_SIBLINGS`, or differ from each other by more than `SIBLING_ATOL`,
-    all pairs are returned. No pair is returned if not exactly one first link deviates.
+    If the other limbs are fewer than `MIN_SIBLINGS`, or their values differ by more than
+    `SIBLING_ATOL`, all pairs are returned: the wrong link is unknown. If none or several of the
+    first links deviate, the result is empty.
+
+    Args:
+        pairs: (link that may be wrong, link on the other side).
+        values: {link: magnitudes of its CoM coordinates [m]} of the pairs and of other limbs.
     """
     names = {link.name for link, _ in pairs}
     others = [value for name, value in values.items() if name not in names]
@@ -644,10 +649,10 @@ def _scale_tensor(robot: UrdfModel, name: str, factor: float) -> dict[str, str]:
 
 
 def _repair_mesh_path(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the paths of existing mesh files whose names are similar to that of a missing one.
+    """Yield the repairs of a missing mesh file of a URDF: existing files with similar names.
 
-    They differ in the last suffix or in capitals (`_list_similar_files`).
-    Nothing is proposed if another link uses the missing file, too.
+    `_list_similar_files` defines which names are similar. Nothing is proposed if the finding names
+    several files, or if another link uses the missing file, too.
     """
     if not isinstance(robot, UrdfModel) or found.message.code != "mesh-missing":
         return
@@ -677,10 +682,10 @@ def _repair_mesh_path(robot: RobotModel, found: CheckFinding) -> Iterator[ValueR
 
 
 def _list_similar_files(robot: UrdfModel, prefix: str, name: str) -> list[str]:
-    """Return the paths of existing files that may be meant by a missing file in a folder.
+    """Return the paths of existing files with names similar to a missing file, ``prefix + name``.
 
-    The first group of matches counts: the name without the last suffix, then the name with other
-    capitals, then the stem with another suffix.
+    The result is the first group that is not empty: the file without the last suffix of ``name``;
+    files whose names differ in capitals only; files with the same stem and another suffix.
     """
     stem = name.rpartition(".")[0]
     if stem and robot.file.resolve_mesh(prefix + stem) is not None:
@@ -704,7 +709,10 @@ def _list_similar_files(robot: UrdfModel, prefix: str, name: str) -> list[str]:
 
 
 def _repair_axis_of_zeros(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the axes that the equal joints of the other limbs have in their own frames."""
+    """Yield the repairs of a URDF axis of zeros: the axes of corresponding joints of other limbs.
+
+    Each axis is copied as expressed in the frame of its own joint; equal axes are proposed once.
+    """
     if not isinstance(robot, UrdfModel) or found.name not in robot.joints:
         return
     kind = strip_sides(found.name)
@@ -720,9 +728,9 @@ def _repair_axis_of_zeros(robot: RobotModel, found: CheckFinding) -> Iterator[Va
 
 
 def _repair_axis_sense(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the reversed axis of the joint whose axis points against those of the other joints.
+    """Yield the repair of a joint axis that is reversed in a left-right pair: the negated axis.
 
-    If it is uncertain which joint of a mirrored pair that is, both are candidates.
+    If the finding leaves open which joint of the pair is wrong, both joints are candidates.
     """
     if not isinstance(robot, UrdfModel) or found.message.code != "mirror-axis-reversed":
         return
@@ -781,10 +789,11 @@ def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[Valu
 
 
 def _repair_collision(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the collision shape of an equal limb for a link without, or with a displaced one.
+    """Yield the repairs of a missing or displaced collision shape of a URDF link.
 
-    The other link must have the same visual shapes, with the same origins, and a single collision
-    shape. For a displaced shape, the visual shape with the same mesh is an example, too.
+    The shape is copied from a corresponding link of another limb with the same visual shapes, with
+    the same origins, and a single collision shape. Without such a link, a displaced shape gets the
+    origin of the link's only visual shape, if both have the same mesh.
     """
     link = robot.file.tree.links.get(found.name) if isinstance(robot, UrdfModel) else None
     if not isinstance(robot, UrdfModel) or link is None:
@@ -812,7 +821,7 @@ def _repair_collision(robot: RobotModel, found: CheckFinding) -> Iterator[ValueR
 
 
 def _strip_space(texts: Iterable[bytes]) -> list[bytes]:
-    """Return texts of elements without white space."""
+    """Return the texts, each without white space."""
     return [re.sub(rb"\s+", b"", text) for text in texts]
 
 
@@ -829,9 +838,10 @@ def _add_shape(
     example: etree._Element,
     reason: Diagnostic,
 ) -> None:
-    """Add the repair that gives a link the collision shape of an example, unless it is there.
+    """Add to ``candidates`` the repair that copies a collision shape from ``example`` to a link.
 
-    An existing shape only gets the origin of the example.
+    If the link ``name`` has a collision shape, the repair only copies the origin. An equal repair
+    is not added twice.
     """
     origin, geometry = example.find("origin"), example.find("geometry")
     texts = {"xyz": "0 0 0", "rpy": "0 0 0"}

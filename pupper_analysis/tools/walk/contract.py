@@ -222,8 +222,9 @@ _KEY_OF_QUANTITY = {
     "upper limit": "upper",
     "latency": "latency",
 }
-"""{quantity that a source, such as a policy file, states: key of the contract}. ``rate`` is not
-listed: it is the reciprocal of the stated policy step."""
+"""{quantity that a source, such as a policy file, states: key in the TOML file of a policy
+contract}. A policy contract defines the observation and the action of a policy. The key ``rate``
+[Hz] is not listed: it is the reciprocal of the quantity ``policy step`` [s]."""
 
 
 def convert_source_statements(source: Source) -> dict[str, Any]:

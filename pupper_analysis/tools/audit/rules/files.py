@@ -156,7 +156,8 @@ _MESH_SUFFIXES = (
 """Suffixes of mesh files that MuJoCo, Gazebo, Bullet, Drake or RViz reads."""
 
 _PROLOGUE_BYTES = 4096
-"""Number of bytes before which the root element of a COLLADA file must begin. Chosen."""
+"""Number of bytes at the start of a ``.dae`` file that are searched for the word ``COLLADA``; a
+file without the word is reported as no mesh. Chosen."""
 
 
 def _list_missing_in_mjcf(file: MjcfFile) -> Iterator[_MissingMesh]:

@@ -40,7 +40,7 @@ from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.mirror import find_mirror_plane, list_joint_pairs
 
 _AXIS_MOTIONS = (Term("rolls (about x)"), Term("pitches (about y)"), Term("yaws (about z)"))
-"""Motions about the x, y and z axis."""
+"""Texts in messages for a rotation about the x, y and z axis of the base, respectively."""
 
 _AXIS_NAMES = (
     "haa|abad|abduction|adduction|hip_?roll|hx",
@@ -243,9 +243,10 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _equals_other_limb(joint: Joint, hinges: Sequence[Joint]) -> bool:
-    """Return True if the limits of a joint, in radians, are those of an equal joint elsewhere.
+    """Return True if limits, converted from degrees to radians, are those of another limb's joint.
 
-    The limits of the other joint may have the opposite sign. The relative tolerance is 1 %.
+    The joint of the other limb has the same name except for the side; its limits may have the
+    opposite sign. The relative tolerance is 1 %.
     """
     lower, upper = np.deg2rad((joint.lower, joint.upper))
     kind = strip_sides(joint.name)
@@ -363,8 +364,8 @@ def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 MIN_PARALLEL_COSINE, MAX_AXIS_SLOPE = 0.99, 0.3
-"""Smallest cosine between parallel axes, and largest z component of the axis of a hip pitch.
-Chosen."""
+"""Bounds with which `find_legs` accepts two joints as hip and knee: smallest absolute cosine
+between both axes, and largest absolute z component of the hip's axis in the base frame. Chosen."""
 
 MIN_REACHED_FRACTION = 0.75
 """Smallest fraction of the knee range in which the foot comes below the hip, for which the joint

@@ -221,8 +221,8 @@ error. Straight legs and unusual units explain smaller factors. Chosen, not tune
 
 
 MAX_MASS_FRACTION = 0.9
-"""Mass of a moving link, relative to the mass of the robot, above which the weight beyond the
-motors is the weight of this link. Chosen, not tuned."""
+"""Mass of a moving link, relative to the mass of the robot, above which `mass_beyond_motors`
+reports this link instead of the base as too heavy for the motors. Chosen, not tuned."""
 
 
 @rule

@@ -144,10 +144,10 @@ def _get_anchor(body: Link) -> Array:
 def _find_displaced_bodies(
     robot: RobotModel, mirror: MirrorPlane
 ) -> tuple[set[str], list[tuple[Link, Link]]]:
-    """Return the names of links at positions without symmetry, and the first pair of each chain.
+    """Return the names of links at positions that are no mirror images, and their first pairs.
 
-    The first pair is the pair without an ancestor that is displaced too. Links that neither move
-    nor have mass, and are no feet, are skipped.
+    A first pair is a left-right pair of such links without a displaced ancestor. Links that neither
+    move nor have mass, and are no feet, are skipped.
     """
     displaced: set[str] = set()
     first_pairs = []
@@ -303,9 +303,10 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 SIGN_RTOL, MIN_PRODUCT_FRACTION = 0.02, 0.01
-"""Largest difference of the magnitudes of two entries with opposite or equal signs, relative to the
-entry, and smallest product of inertia, relative to the largest entry, whose sign is compared.
-Chosen, not tuned."""
+"""Bounds of the check for a wrong sign of a product of inertia. `SIGN_RTOL`: largest difference
+between the magnitudes of two entries, relative to the entry, with which the entries count as equal
+up to sign. `MIN_PRODUCT_FRACTION`: product of inertia, relative to the largest entry, above which
+its sign is compared. Chosen, not tuned."""
 
 _PRODUCTS = np.array([name[1] != name[2] for name in INERTIA_ENTRIES])
 """Mask of the products among the entries of an inertia, in the order of `INERTIA_ENTRIES`."""
@@ -378,13 +379,13 @@ def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 MIN_EQUAL_SENSES = 2
-"""Smallest number of pairs of joints whose axes follow one convention, besides the exception.
-Chosen, not tuned: 66 published robots with pairs have no single exception; iCub has two in 34
-pairs."""
+"""Smallest number of left-right pairs of hinges with the same axis sense with which a single pair
+with another sense is reported. Chosen, not tuned: 66 published robots with pairs have no single
+exception; iCub has two in 34 pairs."""
 
 
 def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Yield the joint of the only left-right pair whose axes have another sense than in all others.
+    """Yield a finding if the axes of exactly one left-right pair have another sense than the rest.
 
     In published robots, the axes of all pairs are parallel, or they are all mirror images. The
     finding is about the joint whose axis points against those of the equal joints of other limbs,

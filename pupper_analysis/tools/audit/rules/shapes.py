@@ -39,7 +39,7 @@ sphere. Chosen, not tuned."""
 
 
 def _list_end_points(robot: RobotModel, body: Link) -> dict[Subject, Array]:
-    """Return {joint or foot: position} of the ends of a link, in the frame of the link [m]."""
+    """Return {next joint or foot: position [m]} of a link, expressed in the frame of the link."""
     to_frame = body.pose.inverse()
     points: dict[Subject, Array] = {}
     for part in robot.fixed_group(body.name):
@@ -63,7 +63,9 @@ def _is_foot(name: str) -> bool:
 
 
 def _measure_rod(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
-    """Return direction, shape (3,), and length [m] of a rod that begins at the joint.
+    """Return unit direction, shape (3,), and length [m] of a rod that begins at the joint.
+
+    ``anchor`` is the position of the joint [m], in the frame in which the shape is expressed.
 
     None if the shape is no capsule or cylinder longer than thick, or does not begin at the joint.
     """
@@ -177,7 +179,11 @@ which the position of the shape is checked: 15 degrees. Chosen, not tuned."""
 
 
 def _measure_long_axis(shape: Shape) -> tuple[Array, float, float]:
-    """Return the direction of the longest side, shape (3,), half length and half width [m]."""
+    """Return the direction of the long axis, shape (3,), the half length and the half width [m].
+
+    The long axis is the longest side of a box, or the axis of a cylinder or capsule. The half width
+    is that of the second longest side, or the radius.
+    """
     if shape.kind == "box":
         order = np.argsort(shape.size)
         direction: Array = shape.pose.rotation[:, order[2]]

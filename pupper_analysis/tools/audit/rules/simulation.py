@@ -155,10 +155,10 @@ tuned."""
 
 
 def _list_foot_spheres(robot: MjcfModel, model: mujoco.MjModel) -> list[int]:
-    """Return the spheres of feet; without names of feet, collision spheres at the ends of limbs.
+    """Return the ids of the spherical geoms of feet.
 
-    The end of a limb is a moving body without moving children whose only collision geom is a
-    sphere.
+    If `list_foot_geoms` finds no feet, these are the collision spheres at the ends of limbs. The
+    end of a limb is a moving body without moving children whose only collision geom is a sphere.
     """
     named, spheres = list_foot_geoms(robot), mujoco.mjtGeom.mjGEOM_SPHERE
     if named:
@@ -177,7 +177,7 @@ def _list_foot_spheres(robot: MjcfModel, model: mujoco.MjModel) -> list[int]:
 
 
 def _read_impedance(solimp: Sequence[float]) -> tuple[bool, float]:
-    """Return whether the impedance of a contact rises with the depth, and over which width [m]."""
+    """Return whether a contact's impedance rises with the penetration, and over which width [m]."""
     return bool(solimp[0] < solimp[1]), float(solimp[2])
 
 

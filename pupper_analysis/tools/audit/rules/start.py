@@ -400,7 +400,11 @@ def _choose_keyframe(model: mujoco.MjModel) -> int | None:
 
 
 def _command_servos(robot: MjcfModel, data: mujoco.MjData) -> bool:
-    """Command position servos to the pose; return True if they are at least half the joints."""
+    """Command the position servos to hold the joint positions in ``data.qpos``.
+
+    ``data.ctrl`` is changed in place. Return True if there are at least half as many position
+    servos as moving joints.
+    """
     assert robot.mj_model is not None
     holding = [drive for drive in list_drives(robot.mj_model) if drive.is_servo]
     for drive in holding:
