@@ -426,7 +426,10 @@ class Configuration(Pictured):
         return offset
 
     def mass_matrix(self) -> Array:
-        """Return the joint-space inertia matrix M (nv, nv), including armature (``pin.crba``)."""
+        """Return the joint-space inertia matrix M, shape (nv, nv) [kg, kg m, kg m^2].
+
+        Computed by ``pin.crba``, including armature.
+        """
         return self._structure.fill_symmetric(
             pin.crba(self._structure.update_armature(), self._data, self._q)
         )

@@ -64,7 +64,7 @@ class Step(NamedTuple):
 
     @property
     def top(self) -> Array:
-        """Centre of this step's top, shape (3,) [m], world frame; for a bar, of one of its ends."""
+        """Centre of the top face of this box, or of an end face of this bar, (3,) [m], in world."""
         top: Array = self.centre + self.half[2] * self.rotation[:, 2]
         return top
 

@@ -365,10 +365,10 @@ def command_ranges(robot: Robot) -> Array:
 
 
 def list_position_servos(robot: Robot) -> dict[str, tuple[float, float]]:
-    """Return the joints whose motor is a position servo in the robot's model.
+    """Return the gains of the position servos in the robot's MuJoCo model.
 
     Returns:
-        {joint: kp [N m/rad] and kd [N m s/rad]}.
+        {joint: (kp [N m/rad], kd [N m s/rad])} of the joints whose motor is a position servo.
     """
     actuators = robot.mj_convention.actuator_index
     driven = np.flatnonzero(actuators >= 0)

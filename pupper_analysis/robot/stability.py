@@ -510,7 +510,7 @@ class _Modes:
         self._grows = (self._growth > still) & ~self._drifts
 
     def summarise(self) -> Stability:
-        """Return the growing modes, and the decaying oscillation with the least damping ratio."""
+        """Create the `Stability` of the modes: growing modes, and the least damped oscillation."""
         model, data = self._model, self._data
         single = self._values.imag >= 0  # one of each conjugate pair
         growing = np.flatnonzero(self._grows & single)

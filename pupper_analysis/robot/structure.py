@@ -169,10 +169,13 @@ class Structure:
         return public.copy()
 
     def fill_symmetric(self, upper: Array) -> Array:
-        """Return a symmetric matrix (nv, nv) in the order of qvel.
+        """Complete a symmetric matrix from its upper triangle, and sort it into the order of qvel.
 
         Args:
             upper: Matrix (nv, nv) in the order of ``model``; only the upper triangle is read.
+
+        Returns:
+            Symmetric matrix, shape (nv, nv), rows and columns in the order of qvel.
         """
         symmetric: Array = upper.take(self._upper_triangle)
         return symmetric

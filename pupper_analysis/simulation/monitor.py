@@ -217,7 +217,7 @@ class ContactSample:
     bodies: set[str]
 
     def unloaded_feet(self, feet: Iterable[str]) -> list[str]:
-        """Return the feet, of those given, on which the ground exerts no force in this sample."""
+        """Return the elements of ``feet`` on which the ground exerts no force in this sample."""
         return [foot for foot in feet if foot not in self.forces or not self.forces[foot].any()]
 
 

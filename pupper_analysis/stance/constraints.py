@@ -267,7 +267,10 @@ class JointLimits(Constraint):
         return np.concatenate([(joints - goal.lower)[low], (goal.upper - joints)[high]])
 
     def jacobian(self, _: Goal, at: Configuration) -> Array:
-        """Return the Jacobian of the distances to finite joint limits by qvel, shape (n, nv)."""
+        """Return the Jacobian by qvel of the n distances to finite joint limits, shape (n, nv).
+
+        Rows: lower limits, then upper limits, as in `residual`.
+        """
         rows = np.eye(at.robot.nu, at.robot.nv, k=at.robot.nv - at.robot.nu)
         low, high = self._has_limits
         return np.concatenate([rows[low], -rows[high]])
@@ -290,11 +293,11 @@ class GroundClearance(Constraint):
     name = "ground-clearance"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the heights of the parts above the ground minus the required clearance, (n,) [m].
+        """Return the heights of n shapes above the ground minus the required clearance, (n,) [m].
 
-        Parts are the collision shapes of ``ClearanceShapes.parts``, in their order; none without
-        ground. Half of `CLEARANCE_TOLERANCE` is added, so that a search with small errors still
-        finds an accepted stand.
+        The shapes are the collision shapes in ``ClearanceShapes.parts``, in that order; n is 0
+        without ground. Half of `CLEARANCE_TOLERANCE` is added, so that a search with small errors
+        still finds an accepted stand.
         """
         heights = self._shapes.measure_part_heights(
             at, goal.task.ground, goal.rigid_targets, goal.depths
@@ -310,9 +313,9 @@ class GroundClearance(Constraint):
         return self._shapes.height_jacobian(at, goal.task.ground, goal.rigid_targets)
 
     def smallest_clearance(self, goal: Goal, at: Kinematics) -> Clearance | None:
-        """Return the height [m] above the ground and the link of the lowest part that is no foot.
+        """Return height above the ground [m] and link of the lowest shape that is not of a foot.
 
-        None without such parts or without ground.
+        None without such collision shapes, or without ground.
         """
         return self._shapes.find_lowest_part(at, goal.task.ground, goal.rigid_targets, goal.depths)
 

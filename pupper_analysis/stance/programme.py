@@ -287,6 +287,7 @@ class StanceProgram:
         equal = self._rows[1]
 
         def rates(x: Array, rows: slice) -> Array:
+            """Return rows of the constraint Jacobian at ``x``; record the progress, if required."""
             if progress is not None:
                 progress.update(x, self._max_violation(x))
             return self._jacobian(x)[rows]

@@ -439,7 +439,7 @@ class FilesCompared(Tabular):
 
     @property
     def main_problem(self) -> Diagnostic:
-        """Diagnostic of the problem to repair first; if there is none, of the agreement."""
+        """Diagnostic of the problem to repair first; without a problem, that the files agree."""
         causes, groups = self.causes, self.unexplained_differences
         if causes and causes[0].is_reported_first:
             return causes[0].diagnostic

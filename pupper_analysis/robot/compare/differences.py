@@ -159,7 +159,7 @@ class Stated:
         return str(self.diagnostic)
 
     def to_difference(self, effects: dict[str, Effect]) -> Difference:
-        """Convert these values of two files to a `Difference` with effects {quantity: effect}."""
+        """Return the `Difference` of the two stated values, with ``effects`` {quantity: effect}."""
         return Difference(
             self.kind, self.element, self.urdf, self.mjcf, self.unit, self.diagnostic, effects
         )
@@ -482,7 +482,11 @@ def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
 
 
 def guess_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
-    """Return a diagnostic if a value seems to be in degrees: a ratio of 57.3 or 1/57.3 to 1 %."""
+    """Return a diagnostic if one of two values seems to be in degrees, the other in radians.
+
+    Their ratio is then 57.3 or 1/57.3, within 1 %. None for another ratio, or if the first value is
+    zero or a value is not finite.
+    """
     if urdf == 0 or not math.isfinite(urdf) or not math.isfinite(mjcf):
         return None
     ratio = mjcf / urdf

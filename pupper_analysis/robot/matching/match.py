@@ -640,13 +640,15 @@ def drop_other_objects(
       body is kept if it or a descendant has the name of a link of the URDF;
     * if the base is free: static bodies without a plane in the body or a descendant.
 
-    Limbs directly on the world belong to the robot: MuJoCo merges a fixed base with the world. They
-    are identified by the joint names of the URDF. The mass of mocap bodies is set to zero.
+    Limbs directly on the world belong to the robot: MuJoCo merges a fixed base with the world. The
+    joint names of the URDF identify such limbs. The mass of mocap bodies is set to zero.
 
     Args:
         spec: Spec to modify.
         source: File, for messages.
-        urdf: Root element of the URDF; None if two versions of an MJCF are compared.
+        urdf: Root element of the URDF; None if two versions of an MJCF are compared. Without a
+            URDF, only the largest tree is kept, as no limbs or link names are known; with a free
+            base, also static bodies with a plane.
 
     Returns:
         Diagnostics of the deleted bodies.

@@ -570,7 +570,9 @@ def steady_state(
 def make_homotopy_path(
     robot: Robot, stand: Stand, kp: ArrayLike | None, feet: Feet, *, exact: bool = False
 ) -> HomotopyPath:
-    """Create the path of equilibria of a stand, at its start: with the full feed-forward.
+    """Create the path along which the feed-forward of a stand is removed, at the start of the path.
+
+    The start is the equilibrium of the stand with full feed-forward.
 
     Args:
         robot: Robot, with the contacts of the stand.
@@ -635,10 +637,10 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
         seconds: Creep time [s] from 0 to `MAX_CREEP_DURATION`; 0 if ``feet`` is ``"sliding"``.
 
     Raises:
-        ConfigurationError: If ``feet`` or ``seconds`` is invalid, the stand belongs to another
-            robot, a robot with a free base has no contact points, ``feet`` is ``"sliding"`` on a
-            slope or on planes of feet, or ``feet`` is ``"pinned"`` and a contact point has no
-            friction.
+        ConfigurationError: If ``feet`` or ``seconds`` is invalid; the stand's configuration has
+            another length than the robot's; a free base has no contact with a ground; a stand
+            with stance feet has a fixed base; ``feet`` is ``"sliding"`` on a slope or on separate
+            planes of feet; or ``feet`` is ``"pinned"`` and a contact point has no friction.
         UnknownNameError: If the stand has feet that the robot lacks.
     """
     stands = robot.is_base_fixed or robot.fixed_parts or (robot.floating and robot.contacts)
@@ -661,8 +663,8 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
 def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
     """Compute the equilibrium to which a stand sags when its feed-forward is removed.
 
-    The path of equilibria starts at the stand, whose servo commands are ahead of the joint
-    positions by the feed-forward torque / kp. The feed-forward is removed in steps. Then the
+    The path of equilibria starts at the stand, whose servo commands exceed the joint positions by
+    the feed-forward torque / kp. The feed-forward is removed in steps. Then the
     contact points creep under their tangential forces, as in MuJoCo.
 
     Args:

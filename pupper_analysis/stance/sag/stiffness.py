@@ -319,10 +319,10 @@ class _StiffnessSearch:
         return math.isinf(self.measure_duration(value))
 
     def measure_duration(self, value: float) -> float:
-        """Return the time [s] until creep ends the equilibrium with kp [N m/rad]; 0 without one.
+        """Return the time [s] until creep of the feet ends the equilibrium with kp [N m/rad].
 
-        Infinite if the robot stands. Until a first value is found with which the robot stands, the
-        result is only 0 or infinite.
+        0 if the robot does not stand even before the creep; infinite if the robot stands. Until a
+        first value is found with which the robot stands, the result is only 0 or infinite.
         """
         if self._path is None:
             return math.inf if self.follow(value) else 0.0

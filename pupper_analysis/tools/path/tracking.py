@@ -295,6 +295,10 @@ def study_path(
         motors: {joint: motor}, for the utilisation in the torque-speed region of the motors. The
             simulation limits torques by the effort limits of the robot only.
 
+    Returns:
+        Stand at the end, path, tracking and verdict. The verdict passes if the simulation tracks
+        the path (`PathTracking.passed`), and the final stand has no growing mode.
+
     Raises:
         StanceUnreachableError: If a sample is out of reach. The error states the time.
         StaticsInfeasibleError: If a sample cannot be held. The error states the time.
