@@ -181,7 +181,7 @@ def _class_notes(study: GainStudy) -> Iterable[doc.Words]:
 
 
 def _make_bound_table(study: GainStudy) -> doc.Table:
-    """Create the table of the bounds on common factors, with the simulated bounds."""
+    """Create the table of the bounds of kp and kd, as factors common to all joints."""
     bounds = (
         ("gains-least-kp", study.least_kp),
         ("gains-largest-kp", study.largest_kp),

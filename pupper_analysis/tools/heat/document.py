@@ -151,7 +151,7 @@ def _describe_losses(study: HeatStudy) -> Iterable[doc.Words]:
 
 
 def _make_table(study: HeatStudy) -> doc.Table:
-    """Create the table of the motors."""
+    """Create the table of torque, current, loss, temperature and time to the limit per motor."""
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(motor.joint),

@@ -299,7 +299,7 @@ class Scene:
             self._figures[name].show(False)
 
     def _get_figure(self, name: str) -> RobotFigure:
-        """Return a figure of the robot; created on first use."""
+        """Return the figure ``stand``, ``ghost`` or ``twin`` of the robot; created on first use."""
         assert self._robot is not None
         if name not in self._figures:
             options: dict[str, dict[str, Any]] = {

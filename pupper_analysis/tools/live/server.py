@@ -27,7 +27,8 @@ DEFAULT_HOST = "127.0.0.1"
 """Default address of the page server, which only this machine can reach."""
 
 _CAMERA_POSITION = (2.6, -2.3, 1.7)
-"""Initial position of the camera, in heights of the stand: front right."""
+"""Initial position of the camera in the world frame, divided by the size of the robot: in front, to
+the right and above. Chosen, not tuned."""
 
 _JOIN_TIMEOUT = 1.0
 """Time [s] that the threads of all sessions together have to finish when a page is closed. Chosen,

@@ -197,7 +197,7 @@ def _is_zero_significant(field: Field) -> bool:
 
 
 def _iterate_numbers(value: Any) -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a value, each with the foot or joint, or an empty name."""
+    """Yield (foot or joint, number) for all numbers of a value; "" if not per foot or joint."""
     for element, item in value.items() if isinstance(value, dict) else [("", value)]:
         for number in item if isinstance(item, tuple) else (item,):
             if not isinstance(number, _TEXT_TYPES):  # not the frame of a point
@@ -219,7 +219,7 @@ def convert_to_page_units(field: Field, value: Any) -> Any:
 
 
 def _map_numbers(value: Any, change: Callable[[float], float]) -> Any:
-    """Apply a function to all numbers of a value."""
+    """Return a value with the function ``change`` applied to all numbers; texts are kept."""
     if isinstance(value, dict):
         return {element: _map_numbers(item, change) for element, item in value.items()}
     if isinstance(value, tuple):

@@ -129,14 +129,15 @@ def compute_path_sample(
 
 
 def _find_fading_sets(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:
-    """Find the adjacent path segments whose loaded feet are a subset of those at a path sample.
+    """Find the adjacent path segments with fewer loaded feet than the segment of a path sample.
 
-    Near the stance that the two segments share, the load moves gradually to or from this subset.
+    Near the stance between both segments, the load moves gradually to or from the remaining feet.
 
     Returns:
-        For each such segment, previous or next: its loaded feet; nearness of the sample ``place``
-        to the shared stance, from 0 (other end of the sample's segment) to 1 (in the stance); CoM
-        margin [m] in the shared stance on the loaded feet of the adjacent segment.
+        For each such adjacent segment (previous, then next): the loaded feet, a subset of the feet
+        at the sample ``place``; nearness of the sample to the stance between both segments, from 0
+        (other end of the sample's segment) to 1 (at the stance); CoM margin [m] of this stance on
+        the subset alone.
     """
     segment, stance_feet = place.segment, place.stand.stance_feet
     return [

@@ -135,9 +135,9 @@ the smallest bound, except if the servos set this bound. The second tolerance is
 first mass that fails. Each bound is the lower end of the bracket. Chosen, not tuned."""
 
 _FIRST_DISTANCE_RATIO = 0.98
-"""Static limit minus the first simulated payload mass, divided by ``SIMULATION_RTOL`` * limit.
-Below 1 / (1 + ``SIMULATION_RTOL``), so that the interval from this mass to the limit is within the
-tolerance, and needs no bisection if the robot holds this mass."""
+"""Distance of the first simulated payload from the static limit: (limit - payload) / (limit *
+``SIMULATION_RTOL``) [1]. Below 1 / (1 + ``SIMULATION_RTOL``): if the robot holds this payload, the
+interval up to the limit is within the tolerance, and needs no bisection."""
 
 _FIRST_MASS_RATIO = 0.25
 """First evaluated mass above 0, relative to the robot's mass. Chosen, not tuned."""

@@ -406,16 +406,19 @@ def tipping_impulses(
 def _find_push_limits(
     bench: PushBench, estimate: Array, resolution: float
 ) -> tuple[Array, Array, tuple[Diagnostic, ...]]:
-    """Return the largest survived impulses [N s], shape (n,), by bisection with a check below.
+    """Find the largest survived impulse in each of n directions by bisection.
 
-    The check simulates smaller impulses too; where one fails, the limit is below it. The second
-    result is the limits before the check, shape (n,) [N s]; the third is the failure above each
-    limit. If the robot fails without a push, all limits are 0.
+    A check then simulates `CHECKED_LEVELS` smaller impulses per direction. If a smaller impulse
+    fails, the limit is below this impulse. If the robot fails without a push, all limits are 0.
 
     Args:
         bench: Simulations of the stand.
         estimate: Initial impulses, shape (n,) [N s]; infinite values are replaced by 1 N s.
         resolution: Resolution of the impulses [N s].
+
+    Returns:
+        Largest survived impulses, shape (n,) [N s]; limits of the bisection before the check, shape
+        (n,) [N s]; failure above each limit.
     """
     count = len(bench.axes)
     if bench.failures_without_push:

@@ -274,7 +274,7 @@ do not release (PlaCo: 0.4 MB for each robot read from a file). A start takes as
 designs."""
 
 WORKER_END_ERRORS = ("KilledWorker", "WorkerCrashedError")
-"""Names of the errors of Dask and Ray that a worker ended during a task; other workers continue."""
+"""Names of the errors of Dask and Ray if a worker ended during a task; other workers continue."""
 
 EXIT_WAIT_SECONDS = 5.0
 """Maximum time [s] to wait for the end of a process of a broken pool, to read the exit code.

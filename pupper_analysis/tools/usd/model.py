@@ -286,8 +286,8 @@ def _read_mimic(
 
 
 _SINGLE_PRECISION_RTOL: Final = 2.0**-24
-"""Relative rounding error of a number in single precision (half a unit in the last place of 1), for
-the rounding error of moments of inertia that USD stores so."""
+"""Largest relative rounding error of a number in single precision. Bounds the rounding error of the
+moments of inertia, which USD stores in single precision."""
 
 
 class MassOrigin(StrEnum):

@@ -150,7 +150,7 @@ def _list_warnings(walk: Walk) -> Iterable[doc.Words]:
 
 
 def _describe_largest_torque(walk: Walk) -> doc.Words:
-    """Describe the motor with the largest torque, relative to the limit if that is known."""
+    """Describe the motor with the largest rms torque, relative to the limit if known."""
     rms, peak = _max_over_runs(walk, "torque_rms"), _max_over_runs(walk, "torque_peak")
     limited = np.isfinite(walk.limits) & (walk.limits > 0)
     limits = np.where(limited, walk.limits, rms.max(initial=_MIN_TORQUE))
@@ -366,7 +366,7 @@ def make_key_table(contract: Contract) -> doc.Table:
 
 
 _NUM_DRAWN_MOTORS = 4
-"""Number of motors whose torques are drawn, in descending order of rms."""
+"""Number of motors whose torques are drawn: those with the largest rms. Chosen, not tuned."""
 
 
 def torque_plot(walk: Walk) -> doc.LinePlot:

@@ -39,8 +39,9 @@ MAX_DELAY = 10
 """Largest delay that is searched, in samples. Chosen: 0.2 s at 50 Hz."""
 
 MATCH_RTOL, MATCH_ATOL = 0.02, 1e-4
-"""Tolerances of a term: root mean square of the difference, relative to that of the signal about
-its mean, and absolute. Chosen: encoders and float32 logs are more exact, other causes are not."""
+"""Tolerances of a column of a term: rms difference <= `MATCH_RTOL` * (rms of the expected signal
+about its mean) + `MATCH_ATOL`, in the unit of the term. Chosen: encoders and float32 logs deviate
+less, a wrong sign, scale, order or delay deviates more."""
 
 _SIGNALS = {
     "positions": "q",
@@ -131,7 +132,7 @@ def read_trace(path: str | Path) -> Trace:
 
 
 def _read_npz(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Return the arrays of an npz file, and the names of the joints. Nothing is unpickled."""
+    """Return {array: values} of an npz file, and the joint names. Nothing is unpickled."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             stated = {name: file[name] for name in file.files}
@@ -143,7 +144,7 @@ def _read_npz(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
 
 
 def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Return the arrays of a CSV file, and the names of the joints."""
+    """Return {array: values} of a CSV file, and the names of the joints."""
     text = decode_input(path, data)
     header, _, body = text.partition("\n")
     names = [name.strip() for name in header.split(",")]
