@@ -200,9 +200,9 @@ def _make_result(
 
 
 def _compute_objective(search: StanceSearch, stand: Stand) -> float:
-    """Compute the reported value: peak motor utilisation on soft ground, or CoM margin [m].
+    """Compute the reported value of the objective: peak motor utilisation, or CoM margin [m].
 
-    Soft ground is MuJoCo's, so that the command ``stand`` reports the same utilisation.
+    The utilisation is that on MuJoCo's soft ground, as the command ``stand`` reports it.
     """
     if search.objective is Objective.UTILISATION:
         stand = solve_stand_as_simulated(search.robot, stand)

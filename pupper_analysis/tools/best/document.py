@@ -75,9 +75,9 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
 def _make_next_step(study: BestStudy) -> doc.NextStep:
     """Return the command that moves from the initial stance to the best one.
 
-    If the stance fails, the command that states the cause is returned instead. If the task of the
-    stance specifies absolute foot positions, a CoM that is not in the centre, or no height, the
-    command that computes the range of the initial stance is returned.
+    This command is ``path``. The result is ``stand`` instead if the best stance fails, and
+    ``workspace`` if its task specifies absolute foot positions, a CoM that is not in the centre, or
+    no height.
     """
     task = study.best.stand.task
     if not study.passed:
@@ -97,7 +97,7 @@ def _make_next_step(study: BestStudy) -> doc.NextStep:
 
 
 def _format_lengths(*lengths: float) -> str:
-    """Format lengths [m] as typed on the command line, in mm."""
+    """Format lengths [m] as an argument of a command, in mm: ``10.0mm,-5.0mm``."""
     return ",".join(f"{1e3 * length:z.1f}mm" for length in lengths)
 
 

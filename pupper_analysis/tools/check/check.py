@@ -230,7 +230,7 @@ def check_repository(
 
 
 def _count_pair_remarks(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
-    """Add the numbers of failures and known findings to the result of a pair."""
+    """Return the result of a pair of files with its numbers of failing and known findings."""
     pair_remarks = [
         remark
         for remark in remarks

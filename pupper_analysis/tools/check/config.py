@@ -129,7 +129,7 @@ def read_config(path: Path) -> GuardConfig:
 
 
 _WILDCARDS: Final = "*?["
-"""Characters that mark a path as a pattern."""
+"""Characters that mark the path of a model file as a pattern for several files."""
 
 
 class _ValueKind(NamedTuple):
@@ -222,7 +222,7 @@ def find_key_line(text: str, key: Key) -> int | None:
 
 
 def _contains_path(values: Any, key: Key) -> bool:
-    """Return whether nested tables and arrays contain a path."""
+    """Return True if nested tables and arrays have a value at the path ``key``."""
     for part in key:
         if isinstance(part, int):
             if not isinstance(values, list) or len(values) <= part:

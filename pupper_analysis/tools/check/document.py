@@ -67,7 +67,10 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
 
 
 def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
-    """Return the first failing finding with its place, or the numbers of pairs and files."""
+    """Return the first failing finding with its place; without failures, the checked numbers.
+
+    These are the numbers of pairs and of files.
+    """
     if check.failures:
         first = check.remarks[0]
         place = doc.Name(relative_to_root(first.place or first.file))

@@ -151,7 +151,7 @@ def read_contract(
 def _compare_sources(
     sources: Sequence[str | Path], names: Mapping[str, str], *, stand: bool, fail_on: str
 ) -> Contract:
-    """Read files and folders, and compare them; see `read_contract`."""
+    """Read the joint numbers in files and folders, and compare them; see `read_contract`."""
     requests, folders = split_arguments(sources)
     read, errors = read_sources(requests)
     models = [source for source in read if source.role is Role.MODEL]
@@ -236,7 +236,7 @@ def _find_model_files(
 
 
 def _summarise_source(placed_source: PlacedSource) -> SourceRead:
-    """Return name, role, joint order and observations of a source."""
+    """Return the summary of a source for the result: name, role, joint order, observations."""
     source, seen = (
         placed_source.source,
         tuple(term.name for term in placed_source.source.observations),

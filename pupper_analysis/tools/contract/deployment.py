@@ -24,7 +24,8 @@ from pupper_analysis.tools.contract.reading import (
 )
 
 _PRECEDENCE = (Role.DEPLOYMENT, Role.DRIVER, Role.POLICY, Role.TRAINER)
-"""Roles of sources; a number of an earlier role precedes the number of a later role."""
+"""Roles of sources (what a file configures), the preferred first: if several sources state a
+number, the number of the first role is used."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ def read_deployment(
 
 
 def _find_order(placed: Sequence[PlacedSource]) -> PlacedSource | None:
-    """Return the source whose joint order is that of the policy's arrays; None without.
+    """Return the source whose joint order is that of the policy's arrays; None without an order.
 
     The names in a policy file define the order of its arrays. Otherwise the first source with joint
     names in order counts, then with motor numbers, then with an assumed order.
@@ -142,10 +143,11 @@ def _find_order(placed: Sequence[PlacedSource]) -> PlacedSource | None:
 
 
 def _assume_order(placed: Sequence[PlacedSource], joints: RobotJoints) -> PlacedSource | None:
-    """Return a trainer with the joint order of its framework; None without a trainer.
+    """Return the first trainer, with the joint order of its framework as an assumption.
 
-    The order of Isaac Lab is by depth in the tree, that of mjlab and Isaac Gym is limb by limb. The
-    joints are those with a stiffness or, without any, those with an action scale.
+    None if no trainer states a stiffness or action scale of a joint. The order of Isaac Lab is by
+    depth in the tree, that of mjlab and Isaac Gym is limb by limb. The joints are those with a
+    stiffness or, without any, those with an action scale.
     """
     for source in placed:
         if source.source.role is not Role.TRAINER:

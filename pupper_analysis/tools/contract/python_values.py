@@ -111,22 +111,22 @@ class NotConstantError(Exception):
 
 
 class _ReturnSignal(Exception):  # noqa: N818
-    """Control flow: ``return``."""
+    """Signal of ``return``: ends the evaluation of a function, with its value."""
 
     def __init__(self, node: Node) -> None:
         self.node = node
 
 
 class _LeaveSignal(Exception):  # noqa: N818
-    """Control flow: ``break``."""
+    """Signal of ``break``: ends the evaluation of the innermost loop."""
 
 
 class _RaiseSignal(Exception):  # noqa: N818
-    """Control flow: ``raise``."""
+    """Signal of ``raise`` in the evaluated file, up to a ``try`` statement with handlers."""
 
 
 class _NextSignal(Exception):  # noqa: N818
-    """Control flow: ``continue``."""
+    """Signal of ``continue``: ends an iteration of the innermost loop."""
 
 
 _OPERATOR_FUNCTIONS: Final[Mapping[type, Callable[[Any, Any], Any]]] = {
@@ -220,7 +220,7 @@ _PROJECT_MARKERS: Final = ("setup.py", "pyproject.toml", ".git")
 
 
 _MAIN_TEST = ast.unparse(ast.parse('__name__ == "__main__"'))
-"""Condition of the block of a script that an import does not evaluate."""
+"""Condition ``__name__ == "__main__"`` as text: its block is not evaluated, as in an import."""
 
 
 class Evaluator:

@@ -136,7 +136,11 @@ _MAX_LISTED_MESHES = 2
 
 
 def _assign_by_pattern(texts: tuple[str, ...], joints: list[str]) -> dict[str, float]:
-    """Parse [JOINTS=]VALUE into a value per joint. The last matching pattern applies."""
+    """Parse texts ``[JOINTS=]VALUE`` to {joint: value}; the last text that matches a joint applies.
+
+    JOINTS is a name or a pattern with ``*``; without it the value applies to all joints. A pattern
+    that matches no joint raises a ConfigurationError.
+    """
     values = {}
     for text in texts:
         pattern, value = shared.parse_number_assignment(

@@ -670,9 +670,10 @@ def _compute_origin_shift(link: ComparedLink, offset: Array) -> Array:
 
 
 def _has_inverse_axes(pair: _TensorPair, tolerances: Tolerances) -> bool:
-    """Return True if the tensors are E D E^T and E^T D E, with one rotation E and diagonal D.
+    """Return True if the tensors of a pair have inverse principal axes.
 
-    The order and the signs of the principal axes are those of any right-handed frame.
+    With one rotation E and one diagonal matrix D, the tensors are then E D E^T and E^T D E. The
+    order and the signs of the principal axes are those of any right-handed frame.
     """
     moments, axes = np.linalg.eigh(pair.urdf.body.inertia)
     axes = axes * float(np.sign(np.linalg.det(axes)))
@@ -766,8 +767,9 @@ def find_lost_mimics(case: PatternCase) -> PatternFindings:
 
 
 _SINGLE_KINDS = ("inertia origin", "inertia turn")
-"""Kinds of causes that are reported even if they explain only one difference: the message of the
-cause names the repair, that of the difference contains only six numbers."""
+"""Kinds of causes that are reported even if they explain a single difference; other causes must
+explain at least two. The message of such a cause names the repair, while the message of the
+difference only contains six numbers."""
 
 
 _MAX_SUBSET_LINKS = 12

@@ -246,7 +246,7 @@ Evaluation = dict[str, Array]
 """{quantity: values}: shape (rows, k) for the model, or (configurations, rows, k) for states."""
 
 BODIES, JOINTS, DOFS, FEET = "bodies", "joints", "dofs", "feet"
-"""Owners of the rows of a quantity."""
+"""Kinds of objects that the rows of a quantity describe, in `QUANTITIES`."""
 
 QUANTITIES = {
     "body masses": (BODIES, "kg"),

@@ -213,9 +213,9 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
 
 
 def _describe_extent(comparison: Comparison) -> doc.Text:
-    """State the number of differences and the largest deviation that they cause.
+    """Return a text with the number of differences and the largest deviation that they cause.
 
-    For files without differences, state the largest deviation of the engines.
+    For files that agree, the text states the largest deviation of the evaluations instead.
     """
     count = len(comparison.differences)
     if not count and comparison.agree:

@@ -186,11 +186,11 @@ def _open_version_or_variant(
     other: str | Path | ModelObject | VariantSpec,
     packages: Mapping[str, Path] | None,
 ) -> Iterator[VersionedFile]:
-    """Yield a version; the model of a variant has the format of the other version.
+    """Yield a version of a model; the file of a variant gets the format of the other version.
 
     Args:
-        given: Version.
-        other: Other version of the comparison.
+        given: Version to open: file, robot in memory or variant.
+        other: Version with which it is compared. If both are variants, the format is MJCF.
         packages: {ROS package: folder}.
     """
     if not is_variant(given):
@@ -411,7 +411,7 @@ def _to_lists(value: Any) -> Any:
 
 
 def _describe_value(value: Any, other: Any) -> Diagnostic | Term | str:
-    """Return a text of one of two compared values; of a table, only entries that differ."""
+    """Describe ``value``, which differs from ``other``; of a table, only entries that differ."""
     value, other = _to_lists(value), _to_lists(other)
     if value is None:
         return Term("none")

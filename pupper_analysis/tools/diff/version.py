@@ -156,7 +156,7 @@ def _read_mjcf_version(file: MjcfFile) -> Version:
 
 
 def _disable_fusestatic(file: MjcfFile) -> MjcfFile:
-    """Return the file without fusing of static bodies."""
+    """Return the MJCF compiled with ``fusestatic`` off, so that static bodies remain bodies."""
     file.check_compiled()
     spec = file.spec.copy()
     spec.compiler.fusestatic = False
@@ -351,7 +351,7 @@ def find_path_in_revision(given: str, revision: str, inside: str) -> str:
     """Return the path of ``REVISION:PATH`` relative to the top of the repository.
 
     Args:
-        given: Text for the message.
+        given: Version or folder that errors name.
         revision: Revision.
         inside: Path relative to the top, or to the current folder if it begins with ``./`` or
             ``../``.
@@ -375,7 +375,7 @@ def write_revision(
     has a copy. Symbolic links, submodules, and files that a partial clone lacks are left out.
 
     Args:
-        given: Text for the message.
+        given: Version or folder that errors name.
         revision: Revision.
         root: Empty folder.
         endings: Suffixes, in lower case.
@@ -422,7 +422,7 @@ def _resolve_lfs_pointer(content: bytes, kept: Path) -> bytes:
 
 
 def _git_text(given: str, *arguments: str, folder: Path | None = None) -> str:
-    """Run git and return its output as text; undecodable bytes become surrogate escapes."""
+    """Run git as `_git_answer` does, and decode the output; invalid bytes become surrogates."""
     return _git_answer(given, *arguments, folder=folder).decode(errors="surrogateescape")
 
 
@@ -430,7 +430,7 @@ def _git_answer(given: str, *arguments: str, folder: Path | None = None) -> byte
     """Run git and return the output.
 
     Args:
-        given: Text for the message.
+        given: Version or folder that errors name.
         *arguments: Arguments of git.
         folder: Folder in the repository; by default the current folder.
 
@@ -445,7 +445,7 @@ def _git_answer(given: str, *arguments: str, folder: Path | None = None) -> byte
 
 
 def _git_command(given: str, *arguments: str) -> list[str]:
-    """Return a command line of git, with options against programs that a repository configures.
+    """Return a command line of git; its options disable programs that a repository configures.
 
     Raises:
         ModelError: If git is not installed.

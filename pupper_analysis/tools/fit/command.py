@@ -305,8 +305,8 @@ _MEASURING_OPTIONS = (
     "--added",
     "--added-at",
 )
-"""Options that the suggested next command does not take over from the present command: its mode
-(recording or fit) refuses them, or has its own values."""
+"""Options of the current command that a suggested next command (recording, fit of stands, or
+``walk``) does not repeat, because the next command refuses them or specifies other values."""
 
 
 def _select_next_step(
@@ -341,7 +341,7 @@ def _select_next_step(
 
 
 def _plan_stands(robot: Robot, count: int, output: Path | None, **options: Any) -> StandPlan:
-    """Choose stands to be measured, and write the plan if an output is given."""
+    """Choose ``count`` stands to be measured, and write the plan to ``output`` if given."""
     from pupper_analysis.tools.fit.stands.plan import plan_stands, write_plan
 
     with shared.show_progress("choosing stands among those that the servos hold"):
@@ -352,7 +352,11 @@ def _plan_stands(robot: Robot, count: int, output: Path | None, **options: Any) 
 
 
 def _record_plan(robot: Robot, plan: Path, output: Path | None, bridge: str | None) -> Recording:
-    """Record the stands of a plan with a robot."""
+    """Record the stands of the file ``plan`` with the robot to which ``bridge`` connects.
+
+    Raises:
+        ConfigurationError: If ``bridge`` or ``output`` is None, or the bridge cannot be opened.
+    """
     from pupper_analysis.tools.fit.record.bridge import open_bridge
     from pupper_analysis.tools.fit.record.recorder import record_stands
 
@@ -366,7 +370,11 @@ def _record_plan(robot: Robot, plan: Path, output: Path | None, bridge: str | No
 def _record_policy(
     robot: Robot, seconds: float, output: Path | None, bridge: str | None
 ) -> TraceRecording:
-    """Record a policy that runs on the robot."""
+    """Record observations and actions of a policy on the robot for a duration [s].
+
+    Raises:
+        ConfigurationError: For example, if ``bridge`` or ``output`` is None.
+    """
     from pupper_analysis.tools.fit.record.listen import record_policy
 
     if bridge is None or output is None:

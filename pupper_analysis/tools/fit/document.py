@@ -224,14 +224,14 @@ def _format_estimate(estimate: Estimate) -> dict[str, str]:
 
 
 def _describe_total_mass(mass: Estimate) -> doc.Words:
-    """Return the text of the total mass."""
+    """Return the text of the total mass [kg]: estimate, interval and stated value."""
     values = {**_format_estimate(mass), "stated": f"{mass.stated:.3f}"}
     is_determined = mass.determined is Determined.DATA
     return text("total-mass-determined" if is_determined else "total-mass-undetermined", **values)
 
 
 def _describe_com(com: Sequence[Estimate]) -> doc.Words:
-    """Return the text of the total CoM, in mm."""
+    """Return the text of the CoM of the whole robot [mm]; ``com`` are its components."""
     values = {estimate.component: f"{1e3 * estimate.mean:.1f}" for estimate in com}
     halves = {
         f"d{estimate.component}": f"{1e3 * (estimate.high - estimate.mean):.1f}" for estimate in com

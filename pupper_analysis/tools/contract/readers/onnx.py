@@ -31,9 +31,11 @@ FILE_SUFFIXES = (".onnx",)
 ProtobufMessage = dict[int, list["int | memoryview"]]
 """Message of Protocol Buffers: {field number: values, in order}."""
 
-# Fields are numbered as in onnx.proto (ONNX 1.16).
 _GRAPH_FIELD, _METADATA_FIELD = 7, 14
+"""Numbers of the fields ``graph`` and ``metadata_props`` in a ``ModelProto`` (onnx.proto, 1.16)."""
 _INPUTS_FIELD, _OUTPUTS_FIELD, _CONSTANTS_FIELD = 11, 12, 5
+"""Numbers of the fields ``input``, ``output`` and ``initializer`` in a ``GraphProto`` (onnx.proto,
+1.16)."""
 
 
 @dataclass(frozen=True, eq=False)

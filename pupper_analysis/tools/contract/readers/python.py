@@ -31,7 +31,7 @@ FILE_SUFFIXES = (".py",)
 """Suffixes of the files that this reader of training configurations reads."""
 
 _MJLAB, _ISAAC_LAB = "mjlab 1.6", "Isaac Lab 2.0"
-"""Frameworks, with the versions whose defaults were read."""
+"""Names of frameworks, with the versions from which the assumed default values were read."""
 
 
 def read(request: Request) -> Iterator[Source]:
@@ -115,7 +115,7 @@ def _read_constants(
 
 
 def _make_constant_table(evaluator: py.Evaluator, node: Node) -> Node:
-    """Return a class as a table {name: constant or nested table}; other values unchanged."""
+    """Return a class as a table {name in lower case: constant or table}; other nodes unchanged."""
     if not isinstance(node.value, py.ClassValue):
         return node
     table = dict[str, Node]()

@@ -43,12 +43,12 @@ _COMMAND_PARTS = ("x", "y", "turn")
 
 @dataclass(frozen=True)
 class _View:
-    """Tables of a document that belong to one source; keys are searched in this order.
+    """Tables of a document that state one source, such as a controller.
 
     Attributes:
         key: Keys of the source in the document, joined by ``/``; empty for the document.
-        tables: Tables with keys in lower case.
-        rules: Keys of quantities.
+        tables: Tables with keys in lower case, in the order in which a key is searched.
+        rules: Keys under which the quantities are searched.
     """
 
     key: str
@@ -87,7 +87,7 @@ class _View:
         return bool(self._find_joint_values())
 
     def _find_joint_values(self) -> dict[str, Node]:
-        """Return {quantity and group of joints: value} of the numbers of joints in the tables."""
+        """Return {quantity and joints: value} of the numbers per joint that the tables state."""
         return {
             f"{rule.quantity} {rule.joints}": node
             for rule in self.rules
@@ -107,7 +107,7 @@ class _View:
 
 
 def _lower_keys(node: Node) -> Node:
-    """Return a table with the keys of all nested tables in lower case."""
+    """Return a table with keys in lower case, except in tables without nested tables or lists."""
     if not isinstance(node.value, dict):
         return node
     # Keys that are names of joints keep their case: numbers have no nested tables.
@@ -173,11 +173,11 @@ def read_document(
 
 
 def _split_document(own: _View, depth: int) -> list[_View]:
-    """Group the nested tables of a table into sources.
+    """Group a table and its nested tables into sources, and return a view of each source.
 
     Tables form one source unless two of them state the same quantity of joints, as in a file with
-    several controllers. Tables for standing up and trainers' configurations are not merged. If only
-    some of such controllers run a policy, the others are for standing, too.
+    several controllers. Tables for standing up and trainers' configurations are separate sources.
+    If only some of several controllers run a policy, the other controllers are left out.
 
     Args:
         own: The table, with keys in lower case.
@@ -235,7 +235,7 @@ def read_table(
 def _read_view(
     request: Request, name: str, view: _View, role: Role, sizes: Sequence[Statement]
 ) -> Iterator[Source]:
-    """Yield the tables of a view as a source; see `read_table`."""
+    """Yield the source that the tables of ``view`` state, as `read_table` does for one table."""
     root = view.tables[0]
     joint_names, motors = view.find_first("joints"), view.find_first("motors")
     indices = _read_motor_numbers(motors)

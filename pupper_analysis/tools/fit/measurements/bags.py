@@ -42,10 +42,12 @@ _ROLE_TYPES = {
     "state": (_STATE_TYPE, _CONTROLLER_TYPE),
     "command": (_ARRAY_TYPE, _TRAJECTORY_TYPE, _CONTROLLER_TYPE),
 }
-"""{role of a topic: message types that a topic with this role may have}."""
+"""{role of a topic: message types that a topic with this role may have}. The role is ``state`` for
+measured and ``command`` for commanded joint positions."""
 
 _CONTROLLER_FIELDS = {"state": ("feedback", "actual"), "command": ("reference", "desired")}
-"""Fields of the state of a controller: the names since ROS 2 Humble, and the names before."""
+"""{role: names of the field with the joint positions in a controller's state message}: the name
+since ROS 2 Humble, then the name before. The role is ``state`` (measured) or ``command``."""
 
 MAX_BAG_BYTES: Final = 2_000_000_000
 """Upper bound of the size of a file of a bag [bytes]. Larger bags usually contain camera topics,
@@ -233,9 +235,14 @@ def _choose_topics(types: Mapping[str, str], requested: Mapping[str, str]) -> di
 
 
 def _read_series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) -> dict[Any, Array]:
-    """Return {(kind, joint): rows of recording time [s], header time [s], value}, shape (n, 3).
+    """Return {(kind, joint): recording time [s], header time [s] and value [rad, m], shape (n, 3)}.
 
-    The kind is ``position`` or ``command``; the value is in rad or m.
+    The kind is ``position`` (measured) or ``command``. The header time is NaN if missing.
+
+    Args:
+        reader: Open reader of the bag.
+        chosen: {role: topic}, see `_ROLE_TYPES`.
+        joints: Joint names of messages without names.
     """
     series: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
     used = chosen.values()
@@ -254,7 +261,7 @@ def _read_series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) 
             error = diagnose("joints-not-named", topic=connection.topic, type=connection.msgtype)
             raise MeasurementError("", error)
         for role in [role for role, topic in chosen.items() if topic == connection.topic]:
-            values = _read_positions(message, connection, role)
+            values = _get_message_positions(message, connection, role)
             if len(values) not in (0, len(names)):
                 error = diagnose("message-of-other-joints", topic=connection.topic)
                 raise MeasurementError("", error)
@@ -265,8 +272,18 @@ def _read_series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) 
     return {key: np.array(rows) for key, rows in series.items()}
 
 
-def _read_positions(message: Any, connection: Any, role: str) -> Sequence[float]:
-    """Return the joint positions of a message in a role [rad, m]; empty if it has none."""
+def _get_message_positions(message: Any, connection: Any, role: str) -> Sequence[float]:
+    """Return the joint positions of a ROS message [rad, m], in the joint order of the message.
+
+    Args:
+        message: Decoded message.
+        connection: Connection of the bag's reader, with topic and type of the message.
+        role: ``state`` for measured, ``command`` for commanded positions. The role only selects
+            the field of a controller's state; the result is empty if this field has no positions.
+
+    Raises:
+        MeasurementError: If a trajectory does not have exactly one point.
+    """
     if connection.msgtype == _STATE_TYPE:
         return message.position  # type: ignore[no-any-return]
     if connection.msgtype == _ARRAY_TYPE:

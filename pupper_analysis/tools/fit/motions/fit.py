@@ -410,9 +410,9 @@ _ROUGH_MIN_DECREASE = 10.0
 noise is still assumed to be white. Chosen, not tuned."""
 
 _MAX_DERIVATIVE_DISTANCE = 4.0
-"""Square of the distance of the parameters, in posterior standard deviations, up to which
-derivatives are reused, since derivatives need many simulations: 4 is two standard deviations.
-Chosen, not tuned."""
+"""Largest squared distance of the parameters from those of the last derivatives, in posterior
+variances, with which these derivatives are reused, since derivatives need many simulations: 4 is
+two standard deviations. Chosen, not tuned."""
 
 _FINE_STEP_FACTOR = 4
 """Factor on the number of simulation steps for predictions. The error of dry friction decreases

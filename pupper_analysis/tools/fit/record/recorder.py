@@ -246,7 +246,7 @@ def _record_missing_stands(
 
 
 class _RecordingSession:
-    """Robot that is moved from stand to stand."""
+    """Recording of stands: moves the robot from stand to stand, and reads its positions at rest."""
 
     def __init__(self, robot: Robot, bridge: Bridge, operator: Operator) -> None:
         self._robot, self._bridge, self._operator = robot, bridge, operator
@@ -416,10 +416,16 @@ class _RecordingSession:
             raise _RecordingEndedError(diagnose("recording-stopped"))
 
     def _read_positions(self, stand: PlannedStand) -> Array:
-        """Return joint positions, shape (nu,) [rad], at most `_MAX_POSITION_AGE` old.
+        """Return measured joint positions, shape (nu,) [rad], at most `_MAX_POSITION_AGE` old.
+
+        The positions are in actuator order. If the last positions are older, new positions are
+        awaited for at most the same time.
+
+        Args:
+            stand: Stand that an error names.
 
         Raises:
-            _RecordingEndedError: If none arrive in this time.
+            _RecordingEndedError: If no recent positions of all joints arrive in this time.
         """
         start = self._bridge.now()
         while True:

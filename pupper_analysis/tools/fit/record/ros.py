@@ -94,7 +94,7 @@ class RosBridge(WallClock):
             self.wait(_SPIN_INTERVAL)
 
     def _receive_state(self, message: Any) -> None:
-        """Store the positions of a message, with the time of reception."""
+        """Store the joint positions of a ``JointState`` message, with the time of reception."""
         for name, value in zip(message.name, message.position, strict=False):
             if name in self._reception_times:
                 self._positions[name], self._reception_times[name] = float(value), self.now()
@@ -220,12 +220,15 @@ class RosListener(WallClock):
             self._node.create_subscription(messages[kind], topics[key], receive, quality)
 
     def _append(self, signal: str, values: Any) -> None:
-        """Store the values of a message with the time of reception."""
+        """Append the values of a message to a signal of the trace, with the time of reception."""
         row = self.now(), np.array(values, dtype=np.float64)
         self._series.setdefault(signal, []).append(row)
 
     def _receive_array(self, signal: str, message: Any) -> None:
-        """Store observations, actions or commanded positions; positions in actuator order."""
+        """Append an array of observations, actions or targets (commanded joint positions).
+
+        Targets are stored in actuator order; those with another number of joints are ignored.
+        """
         values = np.array(message.data, dtype=np.float64)
         if signal == "targets":
             if len(values) != len(self._order):
@@ -234,7 +237,10 @@ class RosListener(WallClock):
         self._append(signal, values)
 
     def _receive_state(self, message: Any) -> None:
-        """Store positions and velocities, once all joints have been received."""
+        """Update joint positions [rad] and velocities [rad/s], and append them to their signals.
+
+        Nothing is appended before all joints have been received.
+        """
         for kind, state in self._state.items():
             for name, value in zip(message.name, getattr(message, kind), strict=False):
                 if name in state:
@@ -244,13 +250,13 @@ class RosListener(WallClock):
                 self._append("positions" if kind == "position" else "velocities", values)
 
     def _receive_imu(self, message: Any) -> None:
-        """Store orientation and angular velocity."""
+        """Append orientation (quaternion w, x, y, z) and angular velocity [rad/s] of the IMU."""
         turn, rate = message.orientation, message.angular_velocity
         self._append("quaternion", (turn.w, turn.x, turn.y, turn.z))
         self._append("angular_velocity", (rate.x, rate.y, rate.z))
 
     def _receive_velocity(self, message: Any) -> None:
-        """Store the commanded velocity."""
+        """Append the commanded velocity: x and y [m/s], and rotation about z [rad/s]."""
         self._append("commands", (message.linear.x, message.linear.y, message.angular.z))
 
     def listen(self, seconds: float) -> dict[str, list[tuple[float, Array]]]:
