@@ -20,7 +20,7 @@ _EXTENSION = "scipy.spatial._qhull"
 ``scipy.spatial`` is used if the module does not exist, or if its import fails."""
 
 _PACKAGE, _LAPACK = "scipy.linalg", "scipy.linalg.cython_lapack"
-"""Package that the extension module imports, and the only module of this package that it uses."""
+"""SciPy package that the extension module imports, and the only module of the package in use."""
 
 
 def _load_extension() -> Any:

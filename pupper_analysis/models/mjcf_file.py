@@ -405,7 +405,7 @@ class IncludeTree:
         raise make_element_error(path, element, missing)
 
     def _count_copies(self, node: XmlNode) -> int:
-        """Return the number of elements below and including a node, with replicates expanded."""
+        """Return the number of elements in a node's subtree, with replicas and attached models."""
         total = 1 + sum(self._count_copies(child) for child in node.children)
         if node.tag == "replicate":
             total *= max(_multiply_numbers(node.attributes.get("count", "1")), 1)
@@ -447,7 +447,10 @@ def _check_formats(path: Path, element: etree._Element) -> None:
 
 
 def _multiply_numbers(text: str) -> int:
-    """Return the product of the numbers in a text, each at least 1; at most 1e18."""
+    """Return the product of the absolute numbers in a text, as an integer of at most 1e18.
+
+    Numbers below 1 count as 1, and other words are ignored.
+    """
     # MuJoCo also accepts hexadecimal numbers.
     words = text.split()
     numbers = [abs(float(word)) for word in words if NUMBER_PATTERN.fullmatch(word)]

@@ -88,7 +88,7 @@ _FREE_FLYER: Final = "JointModelFreeFlyer"
 
 
 def _read_motion(model: pin.Model, index: int) -> Array:
-    """Return the motion vector (linear, angular) of a joint, shape (6,)."""
+    """Return the unit motion vector (linear, angular) of a joint in the joint frame, shape (6,)."""
     return np.array(model.joints[index].createData().S).reshape(6)
 
 
@@ -211,10 +211,10 @@ class _Writer:
 
 
 def _make_stl(solid: coal.CollisionGeometry, name: str, source: str) -> bytes:
-    """Return a mesh or an ellipsoid as STL.
+    """Return the bytes of an STL file [m] of a mesh, the hull of a convex shape, or an ellipsoid.
 
     Raises:
-        ModelError: If the shape is neither.
+        ModelError: If the shape is of another type.
     """
     import trimesh  # comes with yourdfpy, and is slow to import
 
@@ -234,7 +234,7 @@ def _make_stl(solid: coal.CollisionGeometry, name: str, source: str) -> bytes:
 
 
 def _add_inertial(link: etree._Element, inertia: pin.Inertia) -> None:
-    """Add the inertial of a link; a link without mass and inertia gets none."""
+    """Add ``<inertial>`` to a link, unless mass and inertia are zero."""
     matrix = np.array(inertia.inertia)
     if not inertia.mass and not matrix.any():
         return
@@ -254,5 +254,5 @@ def _write(number: float) -> str:
 
 
 def _write_limit(limit: float) -> str:
-    """Return the text of an effort or velocity limit; an infinite one becomes `UNSTATED`."""
+    """Return the text of an effort or velocity limit, which is bounded by `UNSTATED`."""
     return _write(limit) if limit < UNSTATED else f"{UNSTATED:g}"

@@ -475,6 +475,10 @@ class Closure:
 
         Greedy selection while the columns of the Jacobian stay independent: first the dependent
         joints of active joint couplings, then the other joints from the last to the first.
+
+        Args:
+            rows: Jacobian (m, nu) of the constraints.
+            used: Indices of the joints that the constraints affect.
         """
         undriven = [joint for joint in used if self._convention.actuator_index[joint] < 0]
         model = self._model

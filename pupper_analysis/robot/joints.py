@@ -229,9 +229,9 @@ def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
 
 
 _KEYFRAME_ROUNDING = 1e-3
-"""Distance of a keyframe's joint position beyond the limit [rad, m] below which it is attributed to
-rounding to a few digits, and replaced by the limit. A keyframe with a larger distance becomes the
-default posture only if the caller names it."""
+"""Distance of a keyframe's joint position beyond the joint limit [rad, m] that is attributed to
+rounding to a few digits. Below this distance, the limit replaces the position. A keyframe with a
+larger distance becomes the default posture only if the caller names the keyframe."""
 
 
 def joint_ranges(robot: Robot) -> Array:

@@ -844,12 +844,15 @@ def acts_at_rest(model: mujoco.MjModel) -> bool:
 
 
 _NEGATIVE_MOMENT_RTOL = 1e-6
-"""Largest negative moment of inertia that is attributed to rounding, relative to the largest moment
-of the body. Chosen, not tuned."""
+"""Largest magnitude of a negative moment of inertia that is attributed to rounding, relative to the
+largest moment of the body; a body with a larger magnitude is refused. Chosen, not tuned."""
 
 
 def _check_bodies(robot: Robot) -> None:
-    """Evaluate `Robot.check_bodies`, without the cache."""
+    """Raise a ModelError if a body of the URDF has a negative mass or moment of inertia.
+
+    `Robot.check_bodies` calls this function once per robot.
+    """
     model = robot.pin_model
     for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
         moments = np.linalg.eigvalsh(inertia.inertia)

@@ -541,7 +541,7 @@ def compare_files(
         sorted((*located, *contact_differences), key=lambda difference: difference.rank)
     )
     unmatched = matched.only_urdf or matched.only_mjcf
-    objections = (*_legs_without_base(matched), *_find_objections(explanation, tolerances))
+    objections = (*_report_missing_base_mass(matched), *_find_objections(explanation, tolerances))
     if mount is not None and strict_names:
         objections = (*objections, mount)
     result = FilesCompared(
@@ -598,10 +598,11 @@ def _bodies_with_geom_mass(mjcf: MjcfFile) -> set[str]:
     return {geom.parent.name for geom in spec.geoms if gives_mass(spec, geom)}
 
 
-def _legs_without_base(matched: Match) -> Iterator[Diagnostic]:
-    """Yield a diagnostic if the MJCF lacks the mass of a base that carries legs.
+def _report_missing_base_mass(matched: Match) -> Iterator[Diagnostic]:
+    """Yield a diagnostic if the MJCF lacks the mass of a base with legs.
 
-    Without legs, the base is that of an arm, which does not move, so that its mass has no effect.
+    A robot has legs if two or more joints have the name of a leg joint. Without legs, the base is
+    that of an arm and does not move, so that the mass of the base has no effect.
     """
     notes = [note for note in matched.notes if note.code == "mass-of-base-left-out"]
     legs = [name for name in matched.robot.joint_names if LEG_JOINT_NAME.search(name)]

@@ -292,9 +292,10 @@ def _do_joints_coincide(
 
 
 _MIN_JOINTS_OF_POSE, _MIN_SPREAD = 2, 1e-3
-"""Smallest number of joints on the base that determine the pose of its frame; and smallest extent
-[m] of their positions along an axis of the base, also required across the best line through the
-fitted points. Two joints with axes state ten numbers, a pose has six. Chosen, not tuned."""
+"""Smallest number of joints on the base from which `_find_pose_of_joints` determines the pose of
+the base frame: two joints with axes state ten numbers, a pose has six. And smallest range [m] of
+the joints' coordinates along an axis of the base; with a smaller range, or with points on one line,
+no pose is determined. Chosen, not tuned."""
 
 
 def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array, Array]:

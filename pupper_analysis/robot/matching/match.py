@@ -488,7 +488,12 @@ def _unify_joints(
 ) -> Mimics:
     """Make the joints that one file lacks immovable; rename the URDF's joints as in the MJCF.
 
-    Both models are modified in place.
+    Args:
+        root: Root element of the URDF, modified in place.
+        spec: Spec of the MJCF, modified in place.
+        pairs: {joint in the URDF: joint in the MJCF}.
+        only_urdf: Joints that the MJCF lacks, which become fixed joints.
+        only_mjcf: Joints that the URDF lacks, which are deleted.
 
     Returns:
         The URDF's mimic couplings, in the new names; they are removed from the URDF.
