@@ -246,10 +246,9 @@ class Closure:
                 default.
 
         Returns:
-            Configuration, shape (nq,), with the base pose of ``qpos``; None if the loops cannot be
-            closed. That is the case if the iteration does not converge, if it converges to another
-            assembly mode, or, without ``give``, if a redundant equation is violated by
-            ``MAX_OPENING`` or more.
+            Configuration, shape (nq,), with the base pose of ``qpos``. None if the iteration does
+            not converge, or converges to another assembly mode. Without ``give``, also None if a
+            redundant equation is violated by ``MAX_OPENING`` or more.
         """
         result = self._close_by_newton(qpos, moving, give)
         return result if result is not None and self.has_reference_assembly(result) else None

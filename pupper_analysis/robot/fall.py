@@ -336,11 +336,12 @@ def initial_height(
 ) -> InitialHeight:
     """Measure CoM height, clearance and ground height at reset; nothing is simulated.
 
-    The clearance is the vertical distance of the robot's lowest point from the ground. The robot is
-    moved downward in a copy of the state, by ``min(distance / normal_z)`` over the contacts with
-    fixed geoms that MuJoCo finds within ``_SEARCH_MARGIN``, and by that margin if it finds none. A
-    motion of that length penetrates no convex geom. The search ends at a distance of
-    ``_CONTACT_DISTANCE``.
+    The clearance is the vertical distance by which the robot can move downward to the ground. In a
+    copy of the state, the robot is moved downward in steps until a distance is below
+    ``_CONTACT_DISTANCE``. The length of a step is ``min(distance / normal_z)`` over the contacts
+    with fixed geoms that MuJoCo finds within ``_SEARCH_MARGIN``, or this margin without such a
+    contact. A step of that length penetrates no convex geom. The clearance is 0 if no ground is
+    found within ``MAX_CLEARANCE``.
 
     Args:
         model: MuJoCo model. The option ``o_margin`` and the flag ``override`` are changed during

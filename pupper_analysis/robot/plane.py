@@ -177,8 +177,9 @@ class Bar:
     def point_above(self, x: float, y: float) -> Point:
         """Return a point (x, y, z) [m] above this bar, near a horizontal position (x, y) [m].
 
-        It is the point of the bar's axis that is nearest to (x, y) in the horizontal plane,
-        displaced upward, perpendicular to the axis, by 1 m times the cosine of the inclination.
+        The start is the point of the bar's axis that is nearest to (x, y) in the horizontal plane.
+        The result is displaced from the start upward, perpendicular to the axis. The displacement
+        is 1 m times the cosine of the bar's inclination.
         """
         along = np.array(self.direction)
         level = along[:2] @ along[:2]

@@ -242,7 +242,7 @@ class Mode(Result):
         """Return True if this mode grows fast enough to matter within a duration [s].
 
         True for a sustained or growing oscillation of any rate, since the robot does not come to
-        rest; for another mode, if its doubling time is shorter than the duration.
+        rest. Another mode must have a doubling time below the duration.
         """
         if self.doubling_time is None:
             return self.is_sustained

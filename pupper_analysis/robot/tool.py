@@ -76,9 +76,11 @@ class Tool(Result):
         return position
 
     def locate_in_mjcf(self, robot: Robot) -> tuple[str, Array]:
-        """Return the MJCF body with which this point moves, and the point in its frame, (3,) [m].
+        """Return the MJCF body with which this point moves, and the point in the body frame.
 
-        The body is that of the last joint that moves the point, or the base.
+        Returns:
+            Name of the body that the last joint of ``chain`` moves, or of the base; position of the
+            point in the frame of this body, shape (3,) [m].
         """
         model, data = robot.mj_model, robot.compute_kinematics()
         body = model.body(robot.mj_base).id

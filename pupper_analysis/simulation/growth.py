@@ -146,10 +146,10 @@ def confirm_growth(
         ctrl: Command of the actuators, shape (model.nu,).
 
     Returns:
-        The stability with tested modes. In ``unstable``, one mode with the simulated doubling time
-        (None for a sustained oscillation) replaces the modes that were tested together; modes that
-        grow within ``HOLD_DURATION`` and were not tested are omitted. ``refuted_modes`` contains
-        tested modes that the simulation does not confirm.
+        The stability with tested modes. In ``unstable``, modes that were tested together and are
+        confirmed are replaced by one mode with the simulated doubling time (None for a sustained
+        oscillation). ``refuted_modes`` contains the tested modes that the simulation does not
+        confirm. Modes that grow within ``HOLD_DURATION`` and were not tested are omitted.
     """
     leaving = stability.modes_growing_within()
     if not leaving or not stability.at_rest:
@@ -214,7 +214,8 @@ def simulate_growth(
         modes: Modes along which the state is displaced.
         angle: Upper bound of the initial deviation of a position [rad, m].
         speed: Upper bound of the initial deviation of a velocity [rad/s, m/s].
-        until_left: Whether only growth that leaves the stand counts (module docstring, step 4).
+        until_left: Whether growth counts only if it continues until a joint is displaced by
+            `LEAVING_ANGLE`.
     """
     displacement = _make_displacement(model, modes, angle, speed)
     joints = scalar_joints(model)

@@ -114,9 +114,11 @@ def comes_to_rest(
 
     The settling simulation lasts at most as long as in ``verify_stand``, but ends once the robot is
     at rest. Then a nudge must decay, the robot must stand on its feet only, and no mode may grow
-    within ``HOLD_DURATION`` (12 s). Both simulations also end if they diverge, or if the robot
-    leaves the stand or shakes without decay for ``_SHAKING_SECONDS``; the first also if the robot
-    rests with a foot too far from its target (`_stays_displaced`). The result is then False.
+    within ``HOLD_DURATION`` (12 s).
+
+    The result is False as soon as a simulation diverges, or the robot leaves the stand or shakes
+    without decay for ``_SHAKING_SECONDS``. The result is also False as soon as the settling
+    simulation shows that a foot will remain too far from its target (`_stays_displaced`).
 
     Args:
         robot: The robot.

@@ -243,10 +243,15 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
     """Return True if a stand is so near a limit that a small nudge may cause a failure.
 
     A nudge with speed v moves a CoM at height h by about v sqrt(h/g), and changes torques and
-    forces by about one percent. A stand is near a limit if its CoM is near the edge of the support
-    polygon, a motor or the friction is almost used up, a foot has little load, or a joint is near
-    its limit. A joint that carries no foot may rest on its limit. False if the statics have no CoM
-    margin, or if the base is fixed or welded.
+    forces by about one percent. A stand is near a limit in any of these cases:
+
+    - the CoM margin is below `_MIN_MARGIN_RATIO` times the displacement of the CoM,
+    - a motor utilisation or friction utilisation is above `_MAX_UTILISATION`,
+    - a foot bears less than `_MIN_LOAD_RATIO` times the mean load (not with welds or grips),
+    - a joint is less than `_MIN_LIMIT_DISTANCE` from a limit; a joint that moves no foot may rest
+      on a limit.
+
+    False if the statics have no CoM margin, or if the base is fixed or welded.
 
     Args:
         robot: The robot, with the payload.

@@ -347,9 +347,9 @@ def feet_centre(
     """Compute the mean position of the contacts of the stance feet, shape (3,) [m], world frame.
 
     Hands and feet on steep planes are left out, unless nothing remains (`Goal.centre`). Welded and
-    gripping feet count as contacts. For a robot with a weld or grip and without feet (an arm), the
-    result is the point at z = 0 below the base in the home pose; if all feet are lifted, the
-    horizontal mean of all targets, at z = 0.
+    gripping feet count as contacts. If all feet are lifted, the result is the horizontal mean of
+    all targets, at z = 0. For a robot with a weld or grip and without feet other than hands (an
+    arm), the result is the point at z = 0 below the base in the home pose.
 
     Args:
         robot: Robot.

@@ -83,8 +83,8 @@ class ForcePolytope(Tabular):
     def largest_push(self, direction: ArrayLike) -> float:
         """Return the largest straight push [N] of the robot against its environment.
 
-        The push has no component across the direction: it is minus the external force, so the
-        result is ``largest_force`` against the direction.
+        The push is parallel to ``direction``, and minus the external force. The result is thus
+        ``largest_force(-direction)``.
 
         Args:
             direction: Direction (3,) of the push, in world axes; normalised here.

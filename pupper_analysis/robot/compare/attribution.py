@@ -204,10 +204,9 @@ def armature_differences(
 ) -> Iterator[Difference]:
     """Yield suspicious armatures of an MJCF, as differences with their effects.
 
-    Suspicious are an armature of the free joint, and an armature of a joint that differs from that
-    of the joint on the other side of the robot (mirror image). A URDF cannot specify armature. The
-    armature of a free joint usually comes from a default class, and adds inertia without weight to
-    the base.
+    A URDF cannot specify armature. An armature of the free joint is suspicious: it usually comes
+    from a default class, and adds inertia without weight to the base. Different armatures of a
+    joint and its mirror image on the other side of the robot are suspicious as well.
     """
     if values.base_armature:
         value = values.base_armature

@@ -101,9 +101,10 @@ class MujocoBehaviour:
 def offsets_in_world(
     model: mujoco.MjModel, data: mujoco.MjData, joints: Sequence[int], local: Array
 ) -> Array:
-    """Rotate vectors from the axes of the joints' bodies to world axes.
+    """Rotate vectors from the axes of the joints' bodies to world axes; the unit is kept.
 
-    The vector of a hinge is projected onto the joint axis.
+    `MujocoBehaviour` adds these vectors to MuJoCo's joint anchors. The vector of a hinge is
+    projected onto the joint axis.
 
     Args:
         model: MuJoCo model.
@@ -197,10 +198,11 @@ limits. Chosen, not tuned."""
 def random_states(robot: Robot, count: int, seed: int) -> States:
     """Return pseudo-random states and torques within the limits of a robot.
 
-    Joint positions are uniform within the URDF's limits (without limits +-pi rad or m), torques
-    within the effort limits (without limits +-1 N m or N), velocities normal with a standard
-    deviation of 1 (m/s, rad/s). A free base has any orientation, and a position within +-1 m.
-    Positions and torques are also bounded by ``_MAX_JOINT_POSITION`` and ``_MAX_EFFORT``.
+    Joint positions are uniform within the URDF's limits; +-pi [rad, m] replaces a missing limit.
+    Torques are uniform within the effort limits; +-1 [N m, N] replaces a missing limit. Both are
+    also bounded by ``_MAX_JOINT_POSITION`` and ``_MAX_EFFORT``. Velocities are normally distributed
+    with a standard deviation of 1 [m/s, rad/s]. A free base has any orientation, and a position
+    within +-1 m.
 
     Args:
         robot: The robot.

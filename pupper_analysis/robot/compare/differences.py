@@ -324,11 +324,11 @@ class RelativeError:
     two: Mapping[str, Array]
 
     def scale(self, name: str) -> float:
-        """Return the largest absolute value of a quantity, in its unit, or a lower bound if larger.
+        """Return the number by which deviations of a quantity are divided, in its unit.
 
-        The values are those of the first model; of the second, if one of the first is not finite.
-        The lower bound is 1e-300; for gravity and bias forces, which may be nearly zero, it is
-        1e-3 g times the scale of the mass matrix (g = 9.81 m/s^2).
+        This is the largest absolute value of the first model, or of the second model if a value of
+        the first is not finite. It is at least 1e-300; for gravity and bias forces, which may be
+        nearly zero, at least 1e-3 g times the scale of the mass matrix (g = 9.81 m/s^2).
 
         Args:
             name: Name of the quantity, for example ``mass matrix``.

@@ -780,8 +780,9 @@ class SagEquilibrium:
         """Return the violation of the assumed contact state of a point; positive if violated.
 
         For a point that is assumed in contact, the violation is the force [N] with which the ground
-        would pull the point; zero for a point of a sole, whose equation between depth and force
-        permits no pull. For another point it is the penetration [m] plus the contact margin, minus
+        would pull the point. For a point of a sole, the violation is then zero, because the
+        equation between depth and force permits no pull. For a point that is assumed without
+        contact, the violation is the penetration [m] plus the contact margin, minus
         `CONTACT_DEPTH_TOLERANCE` times `EquilibriumScales.length`.
         """
         if foot in self.anchors:

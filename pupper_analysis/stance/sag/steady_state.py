@@ -707,8 +707,11 @@ def find_sag_failure(
 ) -> Diagnostic | None:
     """Return the reason for which a robot does not stand without feed-forward; None if it stands.
 
-    Reasons are: no equilibrium is reached when feed-forward is removed from the stand; the failures
-    of `steady_state`; and, on a free base, half of the stand's base height or less.
+    The robot does not stand in any of these cases:
+
+    - the path of equilibria ends while feed-forward is removed (`NoEquilibriumError`),
+    - a free base sinks to half of the stand's base height or less,
+    - the result of `steady_state` has failures.
 
     Args:
         robot: Robot, with the contacts of the stand (``touching``).
@@ -725,6 +728,8 @@ def find_sag_failure(
 
 def describe_sag_failure(robot: Robot, stand: Stand, pose: SteadyState) -> Diagnostic | None:
     """Return the reason for which a robot does not stand in an equilibrium; None if it stands.
+
+    The reason is a free base at half of the stand's base height or less, or ``pose.failures``.
 
     Args:
         robot: Robot, with the contacts of the stand.
