@@ -70,7 +70,7 @@ bound is searched between 1/2 and 2 times the predicted bound. Chosen, not tuned
 
 _SHAKE_DURATION = 3.0
 """Duration [s] of the simulations with which an upper bound of stiffness or damping is searched.
-The unstable modes double within 0.1 s."""
+Long compared with the unstable modes, which double within 0.1 s."""
 
 GAIN_MARGIN = 2.0
 """Ratio between a recommended gain and a bound: the usual gain margin of 6 dB (Åström and Murray

@@ -252,7 +252,7 @@ class Session:
             self._work_pending.set()
 
     def _solve_current(self) -> None:
-        """Solve and show the state of the controls."""
+        """Solve the stance that the controls specify, and show the answer."""
         self._show_answer(self._model.solve_state(self._panels.controls.state))
 
     def _reset_results(self, answer: Answer | None, verdict: Verdict | None) -> None:

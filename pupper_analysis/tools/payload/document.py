@@ -127,7 +127,10 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
 
 
 def _describe_limit(limit: PayloadLimit) -> doc.Words | None:
-    """Return the text of the failure that limits the payload; None with unknown torque limits."""
+    """Return the text of the failure that limits the payload, or None.
+
+    None if torque limits are unknown, and the upper bound of the mass is above 0.
+    """
     if limit.unknown_limits and limit.upper_bound > 0:
         return None
     return text("payload-limited", failure=_describe_failure(limit.failure, limit.failing_parts))

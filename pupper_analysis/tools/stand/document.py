@@ -173,9 +173,11 @@ _NEXT_STEPS = {
 
 
 def _select_next_step(stance: Stance) -> NextStep:
-    """Return the command to run after a verdict: on its cause, or `payload` if the stance holds.
+    """Return the command to run next: on the cause of a failure, otherwise mostly `payload`.
 
-    Files that differ, or describe two robots, are compared. A robot of one file is audited instead.
+    `_NEXT_STEPS` contains the command of each verdict. If files differ, or describe two robots, the
+    command is `crosscheck`; for a robot of one file, `audit`. After a loss of height, or with too
+    soft servos, the command is `stand` with other options.
     """
     verdict = stance.verdict
     step = _NEXT_STEPS.get(verdict.code, NextStep("payload"))

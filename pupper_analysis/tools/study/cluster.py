@@ -20,7 +20,7 @@ LOCAL_PREFIX: Final = "local:"
 """Start of an address that requests workers on this machine: ``local:4``."""
 
 CONNECT_SECONDS: Final = 30.0
-"""Time to wait for the scheduler [s]. Chosen, not tuned."""
+"""Maximum time to wait for the scheduler of a cluster [s]. Chosen, not tuned."""
 
 
 @contextmanager

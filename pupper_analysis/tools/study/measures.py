@@ -49,7 +49,7 @@ T = TypeVar("T")
 """Type of the result of a function that `Design.compute_once` calls."""
 
 MetricValue = float | bool
-"""Value of a metric."""
+"""Value of a metric: a number, or True if a condition holds."""
 MetricFunction = Callable[[Robot, Stand], Any]
 """Function of the user: (robot, stand) to a value, or to a mapping of values."""
 

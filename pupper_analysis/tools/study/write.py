@@ -210,7 +210,7 @@ def _has_content(path: Path, content: bytes) -> bool:
 
 
 def _reload_files(robot: Robot, urdf: Path, mjcf: Path) -> tuple[Robot, list[str]]:
-    """Load the written files; return the robot and the options that specify the feet."""
+    """Load the written files; return the robot, and the required ``--foot`` options."""
     loaded = load_robot(urdf, mjcf)
     feet = robot.description.contact_points
     has_own_frames = any(link not in robot.description.made_frames for link, _ in feet.values())

@@ -42,9 +42,9 @@ from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, list_sing
 from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 
 _NEW_INERTIAL_COST = 100
-"""Number of changed attributes to which adding an <inertial> to a body is equivalent: of several
-possible changes, that with the fewest is made. Chosen larger than any change of existing attributes
-has."""
+"""Cost of adding an <inertial> to a body, in changed attributes. Of several possible changes, the
+change with the smallest cost is made. Chosen larger than the number of attributes of any change of
+existing elements."""
 
 _ORIENTATION_ATTRIBUTES = ("axisangle", "euler", "xyaxes", "zaxis")
 """Orientation attributes of an <inertial> that cannot be rewritten: a body whose <inertial> has one
@@ -264,7 +264,7 @@ class MjcfSide(Side):
         self.elements.write(element, "range", values, 1.0)
 
     def _plan_damping(self, key: Key) -> None:
-        """Plan the damping of a joint, less the damping of the actuators of the joint.
+        """Plan to set the damping of a joint to the target less that of the joint's actuators.
 
         Higher polynomial coefficients are kept.
         """

@@ -223,7 +223,7 @@ def _sync_files(
 
 
 def _compare_files(files: Files, tolerances: Tolerances) -> FilesCompared:
-    """Return the comparison of a URDF and an MJCF; differences exceed the tolerances."""
+    """Compare a URDF with an MJCF; return the differences that exceed the tolerances."""
     return compare_files(
         files.urdf,
         files.mjcf,

@@ -51,7 +51,7 @@ the distance from the nominal value to the bound of the range (of logarithms, if
 factor)."""
 
 Change = Callable[[Stage, mujoco.MjModel, float], None]
-"""Function that applies a value of a quantity to a copy of the model."""
+"""Function (stage, model, value) that sets a varied quantity in a copy of the MuJoCo model."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Quantity:
 
 
 def _find_base(stage: Stage, model: mujoco.MjModel) -> int:
-    """Return the body id of the base."""
+    """Return the body id of the robot's base in a MuJoCo model."""
     return int(model.body(stage.robot.mj_base).id)
 
 
@@ -87,7 +87,7 @@ def _scale_base_mass(stage: Stage, model: mujoco.MjModel, value: float) -> None:
 
 
 def _add_payload(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    """Add a point mass at the CoM of the base: a fraction of the robot's mass."""
+    """Add a point mass at the CoM of the base: ``value`` times the mass of the robot."""
     model.body_mass[_find_base(stage, model)] += value * stage.robot.total_mass
 
 
@@ -103,7 +103,7 @@ def _scale_friction(_: Stage, model: mujoco.MjModel, value: float) -> None:
 
 
 def _find_motors(stage: Stage) -> NDArray[np.int64]:
-    """Return the ids of the robot's actuators."""
+    """Return the MuJoCo ids of the robot's actuators, without joints that have no actuator."""
     motors = stage.robot.mj_convention.actuator_index
     return motors[motors >= 0]
 

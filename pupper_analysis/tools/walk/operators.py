@@ -155,7 +155,7 @@ def _make_softmax(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_layer_normalization(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation LayerNormalization (Ba et al., 2016); None if not of the last axis."""
+    """Return the operation LayerNormalization (Ba et al., 2016); None unless of the last axis."""
     if attributes.get("axis", -1) not in (-1, 1, 2):
         return None
     epsilon = attributes.get("epsilon", 1e-5)
@@ -269,7 +269,11 @@ def _make_reshape(_: dict[str, Any], __: int) -> Operation:
 
 
 def _make_transpose(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation Transpose: of the last two axes, or of two axes of one element."""
+    """Return the operation Transpose; None for an order of axes that is not supported.
+
+    Supported orders exchange the last two axes, change nothing, or exchange the axis of the runs
+    with an axis of one element, which changes nothing for a single observation.
+    """
     order = attributes.get("perm", [1, 0])
     if order == [0, 2, 1]:
         return lambda value: np.swapaxes(value, 1, 2)
