@@ -56,7 +56,7 @@ def find_root(
 
 
 def _load_routines() -> Any:
-    """Return the extension module with MINPACK; None if it cannot be loaded alone."""
+    """Return the extension module with MINPACK; None if it cannot be loaded without its package."""
     if _EXTENSION in sys.modules:
         return sys.modules[_EXTENSION]
     spec = PathFinder.find_spec(_EXTENSION, [f"{folder}/optimize" for folder in scipy.__path__])

@@ -34,8 +34,9 @@ NUMBER_FORMAT = ".4g"
 """Format of numbers in a cell; ``to_dict`` returns all digits."""
 
 ROUNDING_RTOL = 1e-12
-"""Numbers of a short array are shown as 0 up to this fraction of the largest absolute number, or of
-1 if that is larger: these are rounding of double precision."""
+"""Absolute value up to which a cell shows a number of a short array as 0, relative to the largest
+absolute number or, if that is below 1, to 1. Such numbers are rounding errors of double
+precision."""
 
 _NOTHING = "&ndash;"
 """HTML of an absent value."""

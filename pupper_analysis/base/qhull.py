@@ -24,7 +24,10 @@ _PACKAGE, _LAPACK = "scipy.linalg", "scipy.linalg.cython_lapack"
 
 
 def _load_extension() -> Any:
-    """Return the module with the convex hulls; ``scipy.spatial`` if it cannot be loaded alone."""
+    """Return the extension module with the convex hulls.
+
+    If this module cannot be loaded without its package, ``scipy.spatial`` is returned.
+    """
     loaded = sys.modules.get(_EXTENSION)
     if loaded is None and "scipy.spatial" not in sys.modules:
         loaded = _load_without_packages()

@@ -43,8 +43,9 @@ _BOUNDED_DYNAMICS = (
 
 
 MIN_EFFORT = 1e-9
-"""Smallest torque limit [N m, N] of a motor; a smaller limit counts as zero, because utilisations
-overflow with it. Chosen: the smallest geared motors have 1e-4 N m."""
+"""Smallest torque limit [N m, N] of a motor. A smaller limit in a file counts as zero; a smaller
+limit as argument is refused. The utilisation torque / limit could overflow. Chosen: the smallest
+geared motors have 1e-4 N m."""
 
 
 class EffortCode(StrEnum):

@@ -323,9 +323,10 @@ class _Compared:
 
 
 def _find_compared_value(name: str, values: Mapping[str, Any]) -> Any:
-    """Return the value that a message compares with the placeholder ``name``; None without one.
+    """Return the value with which a message compares the placeholder ``name``.
 
-    Both values are numbers, quantities or vectors of the same unit.
+    Both values are numbers, quantities or vectors of the same unit. None if ``name`` is in no pair
+    of `_COMPARED_NAMES` with such a value.
     """
     value = values[name]
     if not isinstance(value, float | Quantity | Vector):

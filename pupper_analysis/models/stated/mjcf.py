@@ -186,7 +186,7 @@ def _make_joint(
     spec_joint: mujoco.MjsJoint | None,
     empty_range: EffortStatement | None,
 ) -> Joint:
-    """Return the record of a joint, expressed in the base frame.
+    """Convert a joint of an MJCF; the result is expressed in the base frame.
 
     Args:
         file: The MJCF.

@@ -74,7 +74,7 @@ def _read_number(element: etree._Element | None, attribute: str, default: float)
 
 
 def _make_joint(joint: UrdfJoint, pose: Pose) -> Joint:
-    """Return the record of a joint; ``pose`` is that of the child link in the base frame."""
+    """Convert a joint of a URDF; ``pose`` is the pose of the child link in the base frame."""
     element = joint.element
     axis = element.find("axis")
     raw = parse_numbers(None if axis is None else axis.get("xyz"), "1 0 0")
@@ -118,7 +118,7 @@ def _make_link(
     pose: Pose,
     joints: tuple[Joint, ...],
 ) -> Link:
-    """Return the record of a link with pose, joints, inertia and shapes."""
+    """Convert a link of a URDF, with inertia and shapes; ``pose`` is in the base frame."""
     shapes = [
         _make_shape(file, shape, geometry, tag == "collision")
         for tag, shape, geometry in link.shapes
@@ -149,7 +149,7 @@ def half_digit(text: str) -> float:
 def _make_shape(
     file: UrdfFile, element: etree._Element, tag: etree._Element | None, collides: bool
 ) -> Shape:
-    """Return the record of a shape from its ``<collision>`` or ``<visual>`` (``element``).
+    """Convert a shape of a URDF from its ``<collision>`` or ``<visual>`` (``element``).
 
     ``tag`` is the child of ``<geometry>``; if it is None, the kind of the shape is ``none``.
     """
@@ -182,7 +182,7 @@ def _read_mesh(file: UrdfFile, tag: etree._Element) -> Mesh | None:
 
 
 def _read_volume(file: UrdfFile, tag: etree._Element) -> float | None:
-    """Return the volume [m^3] of a ``<mesh>``, with its scale; None if open or not readable."""
+    """Return the volume [m^3] of a ``<mesh>``, with its scale; None if open or unreadable."""
     solid = _read_solid(file, tag)
     return None if solid is None else float(solid.mass)
 

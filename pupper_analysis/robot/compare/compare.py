@@ -576,9 +576,9 @@ def compare_files(
 
 
 def _find_causes(*of: object) -> tuple[PatternCause, ...]:
-    """Return causes of differences; a cause explains several differences, or one of an inertia.
+    """Return mistakes that cause several differences each, or a single difference of an inertia.
 
-    The first installed tool with a module ``causes`` finds the causes. Without such a tool, the
+    The first installed tool with a module ``causes`` finds the mistakes. Without such a tool, the
     result is empty.
 
     Args:
