@@ -203,7 +203,11 @@ class RobotOptions:
     def _attach_options(
         self, robots: list[str | tuple[str, ...] | VariantSpec]
     ) -> list[str | VariantSpec | RobotFiles]:
-        """Return the selected robots; robots from files receive the options for files."""
+        """Return the selected robots; add the options for files to robots from files.
+
+        Raises:
+            ConfigurationError: If there are such options, and no robot is from files.
+        """
         if self._load_options and not any(
             isinstance(specification, tuple) for specification in robots
         ):

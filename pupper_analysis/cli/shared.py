@@ -921,7 +921,7 @@ def show_progress(what: str) -> AbstractContextManager[object]:
 
 @contextmanager
 def _display_progress(what: str) -> Iterator[None]:
-    """Display a message with spinner, completed parts and remaining time on standard error."""
+    """Display a message and the progress on standard error, until the context ends."""
     from rich.console import Console
     from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
     from rich.text import Text

@@ -199,7 +199,7 @@ def _compute_visual_bottom(
 def _raise_frame(
     spec: mujoco.MjSpec, base: mujoco.MjsBody, place: int, up: float, model: mujoco.MjModel
 ) -> None:
-    """Raise the frame of a free base; all elements of the body keep the same place in the world.
+    """Raise the frame of a free base; all elements of the body keep their positions in the world.
 
     Args:
         spec: Spec, with keyframes; modified in place.

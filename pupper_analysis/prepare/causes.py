@@ -42,8 +42,8 @@ _OBJECT_TYPE = mujoco.mjtObj
 
 
 _MAX_FINE_TIMESTEP = 2e-3
-"""Upper bound of the time step [s] in the test whether a long time step causes a difference:
-MuJoCo's default. Chosen, not tuned."""
+"""Upper bound of the time step [s] in the simulation that tests a long time step as the cause of a
+difference: MuJoCo's default. Chosen, not tuned."""
 
 _MIN_ITERATIONS, _MAX_TOLERANCE = 100, 1e-10
 """Lower bound of the iterations and upper bound of the tolerance of an accurate constraint solver.
@@ -314,8 +314,8 @@ def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 STIFFNESS_FACTOR = 4.0
-"""Factor on stiffness and damping of servos in the test whether their stiffness is too low. Chosen,
-not tuned."""
+"""Factor on stiffness and damping of servos in the simulation that tests soft servos as the cause
+of a failure. Chosen, not tuned."""
 
 
 def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:

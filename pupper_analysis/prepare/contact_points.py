@@ -322,10 +322,10 @@ def _sample_surface(
 def _find_tip_contact(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
 ) -> tuple[ContactPoint, ...]:
-    """Return the contact point of a foot that cannot lie flat, at the lowest point.
+    """Return the contact point at the lowest point of a foot without a sole; () without geoms.
 
-    A mesh that is not round at the lower end gets a small ball at the centre of the lowest
-    points.
+    The contact point of a mesh that is not round at the lower end is a ball of `BALL_RADIUS` at the
+    centre of the lowest points.
     """
     down = np.array([0.0, 0.0, -1.0])
     geom = min(geoms, key=lambda geom: compute_lowest_height(model, data, [geom]), default=None)
@@ -370,10 +370,10 @@ def compute_lowest_height(
 def _find_end_spheres(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], lean: float
 ) -> list[int]:
-    """Return the spheres at the lower end of a foot: other shapes there belong to the leg.
+    """Return the ids of the sphere geoms among ``geoms`` that are at the lower end of a foot.
 
-    The permitted height of a sphere above the lowest geom is larger by tan(``lean``) times the
-    horizontal distance of their centres; ``lean`` is an angle [rad].
+    The lowest point of a sphere may be `_FOOT_SPHERE_RISE` above that of the lowest geom, plus
+    tan(``lean``) times the horizontal distance of the two centres; ``lean`` is an angle [rad].
     """
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
     lowest = min(geoms, key=lambda geom: compute_lowest_height(model, data, [geom]))

@@ -243,9 +243,9 @@ def mark_passive_joints(robot: Robot, mjcf: MjcfFile) -> Robot:
 
 
 def _remove_zero_limits(robot: Robot) -> Robot:
-    """Return the robot with unknown in place of zero torque limits; unchanged if none is zero.
+    """Return the robot with torque limits of zero or below changed to "unknown".
 
-    Passive joints keep the limit.
+    Passive joints keep their limits. Without such limits, ``robot`` itself is returned.
     """
     passive = robot.description.passive_joints
     null = [
@@ -363,10 +363,10 @@ def _record_added_servos(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> 
 def _merge_gains(
     robot: Robot, own_gains: Mapping[str, tuple[float, float]], kp: Array, kd: Array
 ) -> tuple[Array, Array]:
-    """Return kp and kd (nu,): those of ``own_gains`` at joints with a servo in the MJCF.
+    """Return kp and kd, (nu,) each, of a robot with servos of the MJCF and added servos.
 
-    Other joints have the suggested gains ``kp`` [N m/rad] and ``kd`` [N m s/rad], and dependent
-    joints 0.
+    Dependent joints have gains of 0, and joints in ``own_gains`` the gains in this mapping. Other
+    joints have the suggested gains ``kp`` [N m/rad] and ``kd`` [N m s/rad].
     """
     gains = zip(robot.joint_names, kp.tolist(), kd.tolist(), strict=True)
     merged = np.array(

@@ -195,9 +195,9 @@ def _find_lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
 def _name_feet(
     model: mujoco.MjModel, feet: Sequence[tuple[int, tuple[ContactPoint, ...]]]
 ) -> list[str]:
-    """Name each foot by its only geom if this geom has a name, else by the body.
+    """Return a name for each foot: the name of its only geom, otherwise the name of the body.
 
-    If two feet would have the same name, all are named by the bodies.
+    If two feet would have the same name, all feet have the names of their bodies.
     """
     names = []
     for body, points in feet:

@@ -186,8 +186,8 @@ def _proposed_limit_fields(
 def _sibling_limit(robot: Robot, null: list[EffortLimit]) -> tuple[str, EffortStatement] | None:
     """Return the corresponding joint of a similar limb and the statement of its effort limit.
 
-    ``null`` are the limits that are zero or negative; the first of these counts for which the files
-    state a limit in a similar limb. None if there is none.
+    ``null`` are the limits that are zero or negative. The result belongs to the first of these
+    limits for which the files state a limit in a similar limb. None if there is none.
     """
     limits, siblings = {limit.joint: limit for limit in robot.efforts}, sibling_joints(robot)
     for limit in null:

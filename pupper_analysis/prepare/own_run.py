@@ -424,7 +424,7 @@ def _simulate_commands(
 
 
 def _missing_files(robot: Robot) -> tuple[str, ...]:
-    """Return the files for lack of which MuJoCo refuses the published MJCF."""
+    """Return the names of missing files, such as meshes, that the published MJCF requires."""
     file = None if robot.published is None else robot.published.file
     notes = () if file is None or file.of_urdf else file.notes
     missing = [note.values["files"] for note in notes if note.code == "files-missing"]
@@ -436,8 +436,8 @@ def _joint_deviations(
 ) -> list[JointOff]:
     """Return the displacement [rad, m] of each joint between two states, in actuator order.
 
-    ``ctrl`` are the controls of the model. The results also contain the difference between the
-    position that they command and the initial position.
+    ``ctrl`` are the controls of the model. Each result also contains the offset between commanded
+    and initial position.
     """
     addresses = joint_qpos_addresses(published, robot)
     displacement = end.qpos[addresses] - start.qpos[addresses]

@@ -670,7 +670,9 @@ def simulate_published(
 def _measure_command_law(
     model: mujoco.MjModel, data: mujoco.MjData, dof: int, actuators: list[int]
 ) -> tuple[int, float, float] | None:
-    """Measure lever and offset of the joint torque of the first actuator, at zero velocity.
+    """Measure the joint torque as a function of ctrl, for the first actuator at zero velocity.
+
+    The law is torque = offset + lever * ctrl.
 
     MuJoCo's clamping of ctrl is off during the measurement, since a ctrlrange may end at zero or
     exclude it.

@@ -561,7 +561,7 @@ def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: 
         robot: Prepared robot.
         moved: Displacement of each joint, shape (nu,) [rad, m].
         torque_error: Torque deviation of each driven joint, shape (n,) [N m].
-        collapses: Whether the displacement counts, and not the torque.
+        collapses: True to compare displacements instead of torque deviations.
     """
     names = np.array(robot.joint_names)
     if collapses or not torque_error.size:

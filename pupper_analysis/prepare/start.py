@@ -792,9 +792,9 @@ def round_start_configuration(robot: Robot, stand: Stand) -> Array:
 
 
 def _set_start_pose(robot: Robot, joints: Array, sunk: float) -> Robot:
-    """Return the robot with a start pose whose lowest foot is ``sunk`` [m] below the ground.
+    """Return the robot with a start pose whose lowest foot penetrates the ground by ``sunk`` [m].
 
-    ``joints`` are the joint positions, shape (nu,) [rad, m]; the base is level.
+    The start pose has the joint positions ``joints``, shape (nu,) [rad, m], and a level base.
     """
     qpos = robot.make_qpos(joints)
     places = Configuration(robot, qpos).foot_positions()

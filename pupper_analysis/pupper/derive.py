@@ -258,7 +258,7 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
 
 
 def _normalize(vector: object) -> Array:
-    """Return the unit vector of a vector."""
+    """Return a vector divided by its norm."""
     array = np.array(vector, dtype=float)
     unit: Array = array / np.linalg.norm(array)
     return unit

@@ -280,7 +280,11 @@ class ControlledStand:
         return float(np.min(-exponents.real / np.abs(exponents), initial=1.0))
 
     def _closed_loop(self, kp: Array, kd: Array) -> Array:
-        """Return the transition matrix of a control period, with the pending commands as states."""
+        """Return the transition matrix, (n, n), of a control period with PD gains kp and kd (nu,).
+
+        The states are the deviations x of `_linearise`, then the torques [N m] that were commanded
+        in previous periods and act later because of the delay, the latest first.
+        """
         nv, count = self.model.nv, len(self._driven)
         feedback = np.zeros((count, len(self._first)))
         rows = np.arange(count)

@@ -273,8 +273,8 @@ def simulate_growth(
 def _has_ended(maxima: Array, doubling: float) -> bool:
     """Return True if growth has ended: a factor below ``_ENDED_GROWTH`` in two doubling times.
 
-    The factor is the ratio of the largest deviation so far to that of two doubling times ago. False
-    if the growth began later.
+    The factor is the largest deviation so far, divided by the largest deviation up to two doubling
+    times ago. False if the growth began later.
 
     Args:
         maxima: Largest deviation in each window of time, shape (n,).
@@ -375,9 +375,10 @@ def _doubling_time(mode: Mode) -> float:
 
 
 def _window_duration(mode: Mode) -> float:
-    """Return the time over which the maximum of a mode's deviation is taken [s], unbounded.
+    """Return the time window [s] in which the maximum of a mode's deviation is taken.
 
-    `simulate_growth` bounds the time by ``_MAX_WINDOW``.
+    The window is a period or a quarter of the doubling time, whichever is longer. Then
+    `simulate_growth` bounds the window by ``_MAX_WINDOW``.
     """
     period = 1 / mode.frequency if mode.frequency else 0.0
     return max(period, _doubling_time(mode) / 4)

@@ -20,8 +20,9 @@ _MAX_SAMPLE_TIME = 0.05
 of an oscillation at 2 Hz, sampled ten times per period, is at most 5 % larger in between."""
 
 _INTERVAL_RTOL, _INTERVAL_ATOL = 0.1, 1e-6
-"""Largest error of the displacement that is predicted for a simulated interval: relative to the
-largest simulated displacement of a coordinate, and absolute [m, rad]. Chosen, not tuned."""
+"""Largest error of a predicted displacement with which `LinearStep.reproduces` accepts the linear
+model: relative to the largest simulated displacement of a coordinate, plus absolute [m, rad].
+Chosen, not tuned."""
 
 
 class LinearStep:

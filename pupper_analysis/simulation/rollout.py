@@ -32,7 +32,8 @@ _MIN_DROP, _MAX_DROP = 1e-6, 0.065536
 doubled in between. Chosen, not tuned."""
 
 _DROP_RESOLUTION = 1e-12
-"""Largest interval at which the bisection of ``place_on_ground`` ends [m]. Chosen, not tuned."""
+"""Width of the bracket [m] down to which ``place_on_ground`` bisects the distance by which the base
+is lowered. Chosen, not tuned."""
 
 
 FILTER_DYNAMICS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)

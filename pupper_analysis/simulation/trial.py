@@ -622,9 +622,9 @@ class _NudgedRun:
     def _bound_motion(
         self, states: Array, speed: float, remaining: float
     ) -> tuple[Array | None, Array]:
-        """Return bounds of the remaining motion (nv,) [m, rad] and of the speeds (nv,).
+        """Return upper bounds of remaining motion (nv,) [m, rad] and speeds (nv,) [m/s, rad/s].
 
-        The motion is None if it is too large for the end of the simulation.
+        The motion is None if it has no bound, or is too large to end the simulation early.
 
         Args:
             states: States of the last interval, shape (n, size).

@@ -516,7 +516,7 @@ def _compare_with_prediction(
     reference: monitor.StandReference,
     force_scale: float,
 ) -> StandVerification:
-    """Compare a simulation with the prediction, without a judgement (``passed`` is True).
+    """Return the deviations of a simulation from the prediction; ``passed`` is always True here.
 
     The error of a foot's force is relative to the predicted force, or to ``force_scale`` [N] if
     this scale is larger.
@@ -772,9 +772,10 @@ def _find_deviations(
     *,
     stays: bool,
 ) -> list[Diagnostic]:
-    """Report deviations from the prediction, with a cause if known.
+    """Report deviations of a simulation from the prediction, with a cause if known.
 
-    ``stays``: The simulation has no other failure, so that soft ground may be the cause.
+    ``stays`` is True if the simulation has no other failure; only then may soft ground be the
+    cause.
     """
     errors = np.abs(result.joint_torques - result.predicted_torques)
     worst = int(np.argmax(np.nan_to_num(errors)))

@@ -454,8 +454,8 @@ def _select_cheap_branches(costs: Sequence[Array]) -> list[list[int]]:
     """Return the numbers of the branches of each limb that are combined, in ascending order.
 
     Branches are removed while there are more than `_MAX_SORTED_COMBINATIONS` combinations: in each
-    step the branch whose cost exceeds the smallest cost of its limb by most. So no combination with
-    a smaller excess than that of a removed branch is lost.
+    step the branch whose cost exceeds the smallest cost of its limb by most (largest excess).
+    Combinations whose branches all have a smaller excess than the removed branches are kept.
 
     Args:
         costs: Costs of the branches of each limb.

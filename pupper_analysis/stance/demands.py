@@ -357,7 +357,10 @@ def describe_limit(
 def _describe_demand(
     robot: Robot, task: StandTask, demand: str, requested: StandTask
 ) -> Diagnostic:
-    """Describe the value of a relaxed requirement; of contacts, only the values that differ."""
+    """Return a text with the value of a requirement (``demand``) in a relaxed task.
+
+    Of contacts, only those that differ from the task ``requested`` are described.
+    """
     name = Term(demand)
     if demand == "ground":
         slope = Quantity(task.ground.slope, "rad")
@@ -380,7 +383,7 @@ def _describe_demand(
 
 
 def _describe_feet(task: StandTask, field: Field) -> Iterator[Diagnostic]:
-    """Describe the value of each foot in a field."""
+    """Yield a text for each foot with its value in a field of a task."""
     return (
         _describe_value(foot, field.quantity(value)) for foot, value in _list_values(task, field)
     )

@@ -281,7 +281,10 @@ class AxisAlignTask(PostureTask):
         return (self.frame,)
 
     def _required(self, body: WholeBody) -> Array:
-        """Return the unit vector (3,), in world axes, to which the axis of the frame must point."""
+        """Return the unit vector (3,), in world axes, along which the axis of the frame must point.
+
+        If the target point is the origin of the frame, the result is vertical.
+        """
         if self.point is None:
             return np.asarray(self.direction)
         line = np.asarray(self.point) - body.pose(self.frame)[1]

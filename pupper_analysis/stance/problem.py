@@ -668,9 +668,9 @@ def _compute_home_points(robot: Robot) -> dict[str, Array]:
 
 
 def _lay_sole(sole: Array, radii: Array, normal: Array) -> Array:
-    """Rotate and translate sphere centres (n, 3) [m] so that the sole rests on a plane.
+    """Return sphere centres (n, 3) [m], rotated and translated so that the sole is on a plane.
 
-    The plane passes through the origin and has the given normal.
+    The plane passes through the origin and has the unit normal ``normal``, shape (3,).
     """
     out = UP
     for _ in range(_NUM_FIT_ITERATIONS):

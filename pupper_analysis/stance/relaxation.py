@@ -304,9 +304,9 @@ class _Search:
         return stand if stand.solved else None
 
     def _make_goal(self, task: StandTask, *, checked: bool = False) -> Goal:
-        """Convert a task to a goal with the same deflections as the original goal ``self.goal``.
+        """Convert a task to a goal with the deflections of the original goal ``self.goal``.
 
-        These are the penetrations of the feet into soft ground, and the openings of closed loops.
+        Deflections are the penetrations of the feet into soft ground, and the openings of loops.
 
         Args:
             task: Task, with relaxed requirements.
@@ -317,7 +317,7 @@ class _Search:
 
 
 def _is_degenerate(robot: Robot, task: StandTask, demand: str) -> bool:
-    """Return True if a requirement (`_NONZERO_DEMANDS`) of a relaxed task is close to zero."""
+    """Return True if ``demand`` is in `_NONZERO_DEMANDS`, and has a value close to zero."""
     least = _NEGLIGIBLE_VALUE * robot.stand_height
     return demand in _NONZERO_DEMANDS and bool(
         (DemandVector(robot, task, [demand]).values < least).any()

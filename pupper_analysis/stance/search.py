@@ -193,7 +193,7 @@ class _Search:
 
     @cached_property
     def _is_base_in_ground(self) -> bool:
-        """Whether no stand of the goal exists, because the base would be in the ground."""
+        """True if no stand of the goal exists because the base would be in the ground."""
         return is_base_in_ground(self.shapes, self.goal)
 
     def try_initial_guesses(self, joints: Iterable[Array]) -> Stand | None:
@@ -268,7 +268,7 @@ class _Search:
 
     @cached_property
     def _is_underactuated(self) -> bool:
-        """Whether a sole is on a leg with fewer than six joints."""
+        """True if a sole is on a leg with fewer than six joints."""
         return has_underactuated_feet(self.robot)
 
     def _have_guesses_converged(self) -> bool:
@@ -370,7 +370,7 @@ class _Search:
         return self.closest or self._evaluate(self._nearest())
 
     def _evaluate(self, point: SolverResult, goal: Goal | None = None) -> Stand:
-        """Create the stand of an IK result; ``goal`` is by default that of this search."""
+        """Create the stand of an IK result for ``goal``, by default the goal of this search."""
         return evaluate_stand(self.shapes, goal or self.goal, point.qpos, self.iterations)
 
 

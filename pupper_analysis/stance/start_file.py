@@ -118,7 +118,8 @@ def _to_number(cell: str) -> float | str:
 def _find_positions(content: Any) -> tuple[_Positions, str]:
     """Return the positions in the content of a file, and the fingerprint of their robot.
 
-    The fingerprint is empty if the file states none, or if the positions have names.
+    The positions are None if the content has none. The fingerprint is empty if the file states
+    none, or if the positions have names.
     """
     if _is_numbers(content):
         return content, ""
@@ -138,7 +139,7 @@ def _find_positions(content: Any) -> tuple[_Positions, str]:
 
 
 def _walk_tables(content: Any) -> Iterator[Mapping[str, Any]]:
-    """Yield the mappings in the content of a JSON file, those of a higher level first."""
+    """Yield the mappings in the content of a JSON file, higher levels first."""
     level = [content]
     while level:
         tables = [one for one in level if isinstance(one, Mapping)]

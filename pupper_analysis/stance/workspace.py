@@ -306,8 +306,8 @@ def _solve_at(
 ) -> Stand | None:
     """Solve the stand at a value [m or rad] of a base coordinate.
 
-    The search starts at the stand ``near`` only, or from all initial guesses if it is None. None if
-    no stand is found, or the CoM margin is too small.
+    The search starts at the stand ``near`` only, or from all initial guesses if ``near`` is None.
+    The result is None if no stand is found, or if the CoM margin at an x or y is too small.
     """
     try:
         goal = make_goal(robot, _make_task(robot, start, direction, value), {})

@@ -344,8 +344,8 @@ def _to_unit_vector(foot: str, normal: ArrayLike) -> Array:
 def _friction_of(robot: Robot, foot: str, friction: float | Mapping[str, float] | None) -> float:
     """Return the friction coefficient of a contact point with the ground.
 
-    ``friction`` is a common coefficient or {contact point: coefficient}; None means that of
-    MuJoCo's model.
+    ``friction`` is a common coefficient or {contact point: coefficient}; if it is None, the
+    coefficient of MuJoCo's model is returned.
 
     Raises:
         ConfigurationError: If the coefficient is missing or not in [0, `MAX_FRICTION`], or MuJoCo's

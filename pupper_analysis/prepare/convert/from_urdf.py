@@ -372,7 +372,10 @@ class UrdfBodies:
         return None
 
     def _find_material(self, shape: etree._Element) -> str | None:
-        """Record the colour of a shape's material; return its name, None without a colour."""
+        """Record the colour of a shape's material; return the material's name in the MJCF.
+
+        None if the shape has no colour.
+        """
         material = shape.find("material")
         if material is None:
             return None
@@ -608,9 +611,9 @@ def _remove_massless_root(tree: UrdfTree) -> bool:
 
 
 def _has_limbs(tree: UrdfTree, *, is_floating: bool) -> bool:
-    """Return True if the base floats, or may be made free.
+    """Return True if the base of a URDF floats, or may be made free.
 
-    A base may be made free if it is not the world, and carries at least `MIN_FREE_BASE_LIMBS`
+    A base may be made free if the base is not the world, and has at least `MIN_FREE_BASE_LIMBS`
     moving joints.
     """
     base = tree.base.name

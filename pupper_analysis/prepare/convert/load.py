@@ -194,7 +194,10 @@ def _pair_files(
     folders: Mapping[str, Path],
     defer_visuals: bool,
 ) -> ModelPair:
-    """Read the files of keyword arguments, and make the missing model; see `read_pair`."""
+    """Read the files of keyword arguments; convert one if the URDF or MJCF is missing.
+
+    The arguments are those of `read_pair`.
+    """
     for path, kind, read in ((urdf, UrdfFile, read_urdf), (mjcf, MjcfFile, read_mjcf)):
         if path is not None:
             files.append(read_file(path))

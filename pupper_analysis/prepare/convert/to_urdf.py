@@ -189,7 +189,7 @@ class UrdfLinks:
             self.unlimited += 1
 
     def _add_link(self, body: int, name: str, inside: pin.SE3) -> None:
-        """Add the link of a body, with the pose of the body's frame in the link's frame."""
+        """Add the link of a body; ``inside`` is the pose of the body frame in the link frame."""
         model = self.model
         self.links[body] = name, inside
         link = self.tree.new_link(name)

@@ -184,7 +184,7 @@ def build_report(
 
 
 def _make_title(documents: Sequence[Document]) -> Words:
-    """Return the title of a report: ``Document.kind``, if equal for all, and all titles."""
+    """Return the title of a report: the common ``Document.kind`` or "report", and all titles."""
     if not documents:
         return text("report")
     kinds = {get_english(document.kind) for document in documents}

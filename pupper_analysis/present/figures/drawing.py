@@ -71,21 +71,21 @@ _CLASS_COLOURS = {
     "grid": GRID_COLOUR,
     "empty": "0.93",
 }
-"""{class of the page's style sheet: colour}."""
+"""{class of the HTML report's style sheet: colour of a mark in Matplotlib}."""
 
 _CLASS_DASHES = {"s1": (0, (8, 3)), "s2": (0, (2, 3)), "s3": (0, (12, 3, 2, 3)), "s4": (0, (5, 2)),
            "s5": (0, (1, 2)), "limit": (0, (3, 2))}  # fmt: skip
-"""{class of the page's style sheet: line style of Matplotlib}."""
+"""{class of the HTML report's style sheet: line style of a mark in Matplotlib}."""
 _CLASS_WIDTHS = {"limit": 1.6, "other": 2.0}
-"""{class of the page's style sheet: line width [pt]}, if not the default."""
+"""{class of the HTML report's style sheet: line width of a mark [pt]}, if not the default."""
 _TEXT_ALIGNMENTS = {"start": "left", "middle": "center", "end": "right"}
 """{text anchor of SVG: horizontal alignment of Matplotlib}."""
 
 _LETTER_HEIGHT = 12.0
-"""Font size of the page's plots [CSS pixels]."""
+"""Font size of the plots in HTML reports [CSS pixels]."""
 
 _NUM_COLUMNS = 2
-"""Panels in a row: with three, the labels are illegible."""
+"""Number of panels in a row of a figure. Chosen: with three, the labels are illegible."""
 
 
 def write_plots(
@@ -165,7 +165,7 @@ def make_plots_figure(
 
 
 def _draw_marks(drawing: Drawing, axes: Axes, size: float) -> None:
-    """Draw the marks of a page's plot into axes whose unit is the CSS pixel.
+    """Draw the SVG elements of a report's plot into axes whose unit is the CSS pixel.
 
     ``size`` is the font size of words [pt].
     """

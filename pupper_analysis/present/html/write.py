@@ -170,7 +170,7 @@ def _serialise_robot(
 
 
 def _pack_motion(robot: Robot, data: mujoco.MjData, motion: Motion) -> dict[str, Any]:
-    """Convert a motion to body poses, at up to `MAX_FRAMES` of the finite configurations."""
+    """Convert a motion to JSON data: body poses at up to `MAX_FRAMES` finite configurations."""
     finite = np.isfinite(motion.qpos).all(axis=1)
     most = np.linspace(0, finite.sum() - 1, min(int(finite.sum()), MAX_FRAMES)).round()
     chosen = np.flatnonzero(finite)[np.unique(most.astype(int))]

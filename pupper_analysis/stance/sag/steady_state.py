@@ -374,7 +374,7 @@ class HomotopyPath:
     def _solve_at(self, share: float) -> Solution | None:
         """Solve the equilibrium with a fraction ``share`` (0 to 1) of the feed-forward removed.
 
-        The contacts that touch the ground are those of ``system``. None if no solution is found.
+        The contacts in ``system`` touch the ground. None if no solution is found.
         """
         self._set_command(share)
         return self.system.solve(self.solution)
@@ -407,9 +407,9 @@ class HomotopyPath:
         return True
 
     def _switch_contact(self, foot: str, found: Solution) -> None:
-        """Release the foot if it is in contact in the solution ``found``, else put it in contact.
+        """Release a foot that is in contact in the solution ``found``, or put it in contact.
 
-        Raises NoEquilibriumError after too many switches.
+        Raises NoEquilibriumError after `_MAX_EVENTS` switches (more for many contact points).
         """
         self._events += 1
         if self._events > max(_MAX_EVENTS, 4 * len(self.system.robot.contact_points)):

@@ -244,8 +244,8 @@ def _bisect_stiffness(
 ) -> tuple[float, float]:
     """Reduce a bracket of the least kp [N m/rad] to a relative width; return the new bracket.
 
-    The result is that of a plain bisection. Simulated creep takes ten times as long as statics.
-    Therefore statics bound kp first, and predictions replace midpoints (`_predict_stiffness`).
+    The result equals that of a plain bisection. Simulated creep takes ten times as long as statics,
+    so statics bound kp first, and predictions (`_predict_stiffness`) replace midpoints.
 
     Args:
         search: Test of stiffnesses.
