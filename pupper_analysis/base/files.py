@@ -289,7 +289,7 @@ def results_on_standard_output() -> Iterator[None]:
 
 
 def _nearest_existing(folder: Path) -> Path:
-    """Return the innermost existing folder of a path."""
+    """Return the absolute path if it exists, else the innermost existing parent."""
     for parent in (folder.absolute(), *folder.absolute().parents):
         with suppress(FileNotFoundError, NotADirectoryError):
             parent.stat()
@@ -307,9 +307,9 @@ def resolve_target(path: Path) -> tuple[Path, os.stat_result | None]:
 
 
 def _standard_stream(status: os.stat_result) -> int | None:
-    """Return the descriptor, 1 or 2, of the standard output or error that is a file; else None.
+    """Return 1 (standard output) or 2 (standard error) if the stream is the file of a status.
 
-    ``status`` is the status of the file.
+    None if neither stream is this file.
     """
     for number in (1, 2):
         with suppress(OSError):

@@ -87,7 +87,8 @@ Chosen, not tuned."""
 
 _MIN_UPWARD_NORMAL = 0.1
 """Lower bound of the vertical component of a contact's unit normal, for the contact to count as
-ground in the search below a robot. A wall has less. Chosen, not tuned."""
+ground in the search below a robot. The normal of a wall has a smaller component. Chosen, not tuned.
+"""
 
 
 _RESET_WARNINGS = slice(
