@@ -299,7 +299,10 @@ def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
 
 
 def _list_link_masses(robot: Robot) -> dict[str, float]:
-    """Return {base or joint: mass [kg] of the base or the moved body, including fixed links}."""
+    """Return the masses of the base and of the body that each joint moves, as {name: mass [kg]}.
+
+    The name is that of the base or of the joint. Links fixed to a body belong to the body.
+    """
     model = robot.pin_model
     root = 1 if robot.floating else 0
     masses = {robot.base: float(model.inertias[root].mass)}

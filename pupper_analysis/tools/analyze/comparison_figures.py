@@ -47,8 +47,8 @@ MIN_SHOWN_LOSS = 0.1
 are rounding errors in a picture."""
 
 _LOSS_WINDOW = 1.0
-"""Length [s] of the interval at the end of a simulation over which base heights are averaged; the
-legend states this mean, less the height of the task. Chosen, not tuned."""
+"""Length [s] of the interval at the end of a simulation over which the difference between base
+height and height of the stand is averaged, for the number in the legend. Chosen, not tuned."""
 
 
 def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:

@@ -50,7 +50,7 @@ _RANKING_ITERATIONS = 8
 not tuned."""
 
 _FINALIST_COUNT = 6
-"""Number of first descents that are continued, those with the best results. Measured: with 1, four
+"""Number of first descents that are continued: those with the best results. Measured: with 1, four
 of 24 random robots were 1.4 to 7.6 % worse than the best of thirty additional random descents; with
 4, one stand of v3-long-leg was 3e-4 worse. A continued descent is restarted while the restart
 gains, because a descent can stall at a kink."""

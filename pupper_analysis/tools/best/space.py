@@ -399,7 +399,7 @@ class StanceSpace:
         return result
 
     def _compute_limit_distances(self, stand: Stand) -> Array:
-        """Return the distances [rad, m] from the lower, then the upper limits, shape (2 nu,)."""
+        """Return each joint's distance [rad, m] from its lower, then upper limit, shape (2 nu,)."""
         joints = stand.joint_positions(self.robot)
         return np.concatenate([joints - self.robot.lower_limits, self.robot.upper_limits - joints])
 

@@ -179,7 +179,7 @@ def _tabulate_poses(contract: Contract) -> doc.Table:
 
 
 def _tabulate_sources(contract: Contract) -> doc.Table:
-    """Create the table of sources: role, number of facts, and how the joint order is known."""
+    """Create the table of sources: role, number of values, and how the joint order is known."""
     columns = (
         _make_column("contract-source"),
         _make_column("contract-role"),
@@ -204,7 +204,7 @@ def _tabulate_facts(
 ) -> doc.Table:
     """Make the table of a quantity, or of all settings, with a column per source.
 
-    ``facts`` are the values in the table, in ``unit``; other facts of the contract are left out.
+    ``facts`` are the stated numbers that the table contains, in ``unit``.
     """
     facts_by_cell = {(fact.joint or fact.quantity, fact.source): fact for fact in facts}
     names = [
@@ -247,7 +247,7 @@ def _tabulate_facts(
 
 
 def _list_places(facts: Sequence[Fact], source: str) -> str:
-    """Return the file and the lines of a source's numbers, such as ``deploy.yaml:3-5, 9``."""
+    """Return the file and lines in which a source states numbers: ``deploy.yaml:3-5, 9``."""
     places = dict.fromkeys(fact.place for fact in facts if fact.source == source)
     parts = [Path(place).name.rpartition(":") for place in places]
     lines = sorted({int(line) for _, _, line in parts if line.isdecimal()})
@@ -264,7 +264,8 @@ def _list_places(facts: Sequence[Fact], source: str) -> str:
 
 
 _ORIGIN_MARKS = {"default": "d", "derived": "c", "assumed": "a"}
-"""{origin of a number: letter behind the number}; a stated number has none."""
+"""{origin of a number: letter behind the number in a table}: a default value of a framework, a
+value derived from other numbers, or an assumed value. A stated number has no letter."""
 
 
 def _explain_origins(facts: Sequence[Fact]) -> Iterable[doc.Words]:

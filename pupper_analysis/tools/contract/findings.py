@@ -430,7 +430,10 @@ different values with opposite signs, one disagreement is reported for both."""
 
 
 def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:
-    """Find whether the second source has the numbers of the first source at other joints.
+    """Match joints if the second source states the numbers of the first source for other joints.
+
+    Args:
+        differing: {joint: facts of both sources with different numbers}.
 
     Returns:
         {joint: other joint, whose number in the first source is that of the joint in the second}.
@@ -546,7 +549,10 @@ def _make_disagreement(
 def _compare_sides(
     quantity: str, kind: QuantityKind, placed: Sequence[PlacedSource], model: RobotJoints
 ) -> Iterator[Disagreement]:
-    """Yield contradictions between the left and the right joint within a source."""
+    """Yield a disagreement for each left-right pair of joints with numbers that are not symmetric.
+
+    Both numbers are stated in the same source.
+    """
     for source, pair in product(placed, find_mirror_pairs(model.order)):
         facts = [source.facts.get((quantity, joint_name)) for joint_name in pair]
         first, second = (None if fact is None or fact.value is None else fact for fact in facts)

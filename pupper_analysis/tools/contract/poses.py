@@ -96,7 +96,10 @@ def stand_poses(
 def _get_stated_values(
     placed_source: PlacedSource, quantity: str, robot: Robot
 ) -> list[float] | None:
-    """Return a source's gains or limits, shape (nu,); None unless all are stated and positive."""
+    """Return a source's values of a quantity in actuator order; None unless all are positive.
+
+    The quantity is, for example, ``kp`` [N m/rad]. None, too, if a joint has no value.
+    """
     facts = [placed_source.facts.get((quantity, joint)) for joint in robot.joint_names]
     values = [None if fact is None else fact.value for fact in facts]
     positive = [value for value in values if value is not None and value > 0]

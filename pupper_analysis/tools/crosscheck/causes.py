@@ -482,10 +482,11 @@ def _find_common_factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
 
 
 def _guess_unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagnostic | None:
-    """Return the wrong unit or decimal point that explains a factor; None if there is none.
+    """Return a message about the wrong unit or decimal point that explains a factor, or None.
 
-    ``units`` is {factor: (unit that was meant, right unit)}, for a mistake in the MJCF; the inverse
-    factor is a mistake in the URDF.
+    ``factor`` is the number in the MJCF divided by the number in the URDF. ``units`` is {factor:
+    (unit used, unit required)} for a mistake in the MJCF; the inverse factor is a mistake in the
+    URDF.
     """
     for size, (meant, right) in units.items():
         for file, times in (("MJCF", size), ("URDF", 1 / size)):

@@ -75,8 +75,8 @@ class Element:
 
 
 _NUM_FRICTION_COEFFICIENTS: Final = {1: 0, 3: 1, 4: 2, 6: 3}
-"""{condim: number of effective friction coefficients}. The larger condim of two geoms is used; a
-default ground has 3."""
+"""{condim of a contact: number of friction coefficients that have an effect}. MuJoCo uses the
+larger condim of both geoms; a default ground has 3. Further coefficients are not compared."""
 
 
 def list_elements(file: MjcfFile) -> dict[Key, Element]:
@@ -202,9 +202,9 @@ def list_collisions(model: UrdfModel) -> dict[Key, Element]:
 
 
 def _make_attribute_finder(file: MjcfFile, tag: str, otherwise: Place) -> Callable[[str], Place]:
-    """Return a function of an attribute that finds the first element of ``tag`` that states it.
+    """Return a function that returns the place (file and line) of an attribute.
 
-    The function returns the place of the element; ``otherwise`` if no element has the attribute.
+    The place is that of the first element ``tag`` with the attribute, or else ``otherwise``.
     """
 
     def place(word: str) -> Place:
@@ -215,7 +215,7 @@ def _make_attribute_finder(file: MjcfFile, tag: str, otherwise: Place) -> Callab
 
 
 def _make_constant_finder(place: Place) -> Callable[[str], Place]:
-    """Return a function that returns the same place for every attribute."""
+    """Return a function of an attribute that returns ``place`` for every attribute."""
     return lambda _: place
 
 

@@ -71,7 +71,11 @@ def describe_fit(
         title,
         doc.Name(fit.name),
         (
-            *(_estimate_table(name, rows, detail=detail) for name, rows, detail in tables if rows),
+            *(
+                _make_estimate_table(name, rows, detail=detail)
+                for name, rows, detail in tables
+                if rows
+            ),
             *extra_blocks,
         ),
         passed=fit.explained,
@@ -104,7 +108,7 @@ def _describe_largest_change(estimates: Sequence[Estimate]) -> Iterator[doc.Word
         )
 
 
-def _estimate_table(
+def _make_estimate_table(
     title: doc.Words, estimates: Sequence[Estimate], *, detail: bool = False, planned: bool = False
 ) -> doc.Table:
     """Create the table of estimates with intervals, or of the intervals that a plan predicts."""
@@ -215,7 +219,9 @@ def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
         ),
         *([text("kp-over-mass", **_format_estimate(ratio))] if (ratio := fit.kp_over_mass) else []),
     )
-    return describe_fit(fit, text("fit-of-stands"), answer, details, [_stand_residual_plot(fit)])
+    return describe_fit(
+        fit, text("fit-of-stands"), answer, details, [_make_stand_residual_plot(fit)]
+    )
 
 
 def _format_estimate(estimate: Estimate) -> dict[str, str]:
@@ -254,7 +260,7 @@ def _describe_kp_factor(fit: StandFit) -> Iterator[doc.Words]:
             yield text("kp-factor-weighed", **values, weight=f"{fit.weight:.4g}")
 
 
-def _stand_residual_plot(fit: StandFit) -> doc.BarPlot:
+def _make_stand_residual_plot(fit: StandFit) -> doc.BarPlot:
     """Create a bar plot of the RMS residual of each stand, largest first."""
     worst = sorted(fit.residuals.items(), key=lambda item: -item[1])
     return doc.BarPlot(
@@ -269,13 +275,13 @@ def _stand_residual_plot(fit: StandFit) -> doc.BarPlot:
 def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
     """Create the report of a measurement plan: stands, and predicted interval per parameter."""
     num_determined = sum(estimate.determined is Determined.DATA for estimate in plan.expected)
-    expected = _estimate_table(
+    expected = _make_estimate_table(
         text("what-stands-will-tell"), plan.expected, detail=True, planned=True
     )
     return doc.Document(
         text("plan-of-stands"),
         doc.Name(plan.name),
-        (_stand_table(plan), expected),
+        (_make_stand_table(plan), expected),
         findings=(
             text(
                 "planned-stands",
@@ -301,7 +307,7 @@ def _describe_known_mass(plan: StandPlan) -> Iterator[doc.Words]:
         yield text("put-it-there", mass=mass, link=doc.Name(place.link), x=x, y=y, z=z, stands=on)
 
 
-def _stand_table(plan: StandPlan) -> doc.Table:
+def _make_stand_table(plan: StandPlan) -> doc.Table:
     """Create the table of planned stands."""
     scales = {
         joint: READ_IN["m" if joint in plan.slides else "rad"] for joint in plan.stands[0].command

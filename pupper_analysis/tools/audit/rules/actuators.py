@@ -139,9 +139,10 @@ def drive_of_another_kind(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MAX_COMMAND_RANGE_ERROR, MIN_DEGREES = 0.1, 12.0
-"""Largest difference between a command range in degrees and the joint's range, relative to the
-width of the joint's range, and bound that the magnitude of an end of such a command range exceeds
-[rad]: no hinge of a robot turns twice. Chosen, not tuned."""
+"""Bounds with which `command_range_in_degrees` reports a command range. The first is the largest
+difference from the joint's range after conversion from degrees, relative to the width of the
+joint's range. The second is the smallest magnitude of an end, read in radians: no hinge of a robot
+turns twice. Chosen, not tuned."""
 
 
 @rule

@@ -274,8 +274,8 @@ def range_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 _MIN_HINGES, _HALF_TURN = 4, 3.1
-"""Smallest number of hinges with equal ranges that is reported, and smallest limit that counts as
-half a turn [rad]. Chosen; people write 3.1 and 3.14."""
+"""Bounds with which `range_placeholder` reports the common range of all hinges: smallest number of
+hinges, and smallest upper limit [rad], half a turn. Chosen; people write 3.1 and 3.14."""
 
 
 @rule

@@ -457,7 +457,7 @@ def _round_quantity(value: float, unit: str) -> Quantity:
 def _list_contacts(
     robot: MjcfModel, start: StartPose
 ) -> Iterator[tuple[tuple[int, int], tuple[int, int], float]]:
-    """Yield bodies, geoms and depth [m] of each contact in a configuration."""
+    """Yield (ids of both bodies, ids of both geoms, penetration [m]) of each MuJoCo contact."""
     model = robot.mj_model
     assert model is not None
     data = mujoco.MjData(model)

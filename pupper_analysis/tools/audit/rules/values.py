@@ -143,8 +143,8 @@ _OPTION_RANGES: dict[str, tuple[float, float, Severity, str]] = {
     "density": (0, 2e4, Severity.ERROR, "kg/m^3"),
     "viscosity": (0, 1e3, Severity.ERROR, "Pa s"),
 }
-"""{option of an MJCF: (minimum, maximum, severity, unit)}. Values outside are useless for robots.
-Chosen, not tuned."""
+"""{option of an MJCF: (minimum, maximum, severity of the finding, unit)}. Values outside are
+useless for robots, and are reported. Chosen, not tuned."""
 
 
 @rule

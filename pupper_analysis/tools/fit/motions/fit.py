@@ -42,11 +42,12 @@ HOLD_OUT_FRACTION = 0.2
 
 
 _MAX_NOISE_RATIO = 2.0
-"""Upper bound of the median over the joints of RMS error over encoder noise. Above, the model does
-not explain the motion. Chosen, not tuned."""
+"""Upper bound of the ratio of RMS position error to encoder noise, as the median over the joints.
+Above, the fit fails: the model does not explain the motion. Chosen, not tuned."""
 
 _MAX_JOINT_NOISE_RATIO = 10.0
-"""Upper bound of a single joint's RMS error over encoder noise. Measured: clock jitter of a tenth
+"""Upper bound of the ratio of RMS position error to encoder noise of a single joint. Above, the fit
+fails. Measured: clock jitter of a tenth
 of the sampling interval gives 3; a joint that touches something, or has another joint's column,
 gives hundreds."""
 

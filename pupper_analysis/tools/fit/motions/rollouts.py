@@ -355,7 +355,7 @@ def _average_commands(time: Array, command: Array, edges: Array) -> Array:
 
 
 def _apply_lag(command: Array, lag: float) -> Array:
-    """Return mean commands, shape (k, nu), after a first-order lag, given in time steps.
+    """Return mean commands per time step, shape (k, nu) [rad], after a first-order lag [steps].
 
     A negative lag has the opposite effect, so that central differences are possible about 0.
     """

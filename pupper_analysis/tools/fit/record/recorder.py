@@ -418,8 +418,8 @@ class _RecordingSession:
     def _read_positions(self, stand: PlannedStand) -> Array:
         """Return measured joint positions, shape (nu,) [rad], at most `_MAX_POSITION_AGE` old.
 
-        The positions are in actuator order. If the last positions are older, new positions are
-        awaited for at most the same time.
+        The positions are in actuator order. If the last positions are older, the function waits for
+        new positions.
 
         Args:
             stand: Stand that an error names.

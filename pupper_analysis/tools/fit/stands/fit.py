@@ -227,7 +227,7 @@ def check_scale(
 def _compute_surprise(
     posterior: Posterior, combinations: Array, expected_ratio: float = 1.0
 ) -> tuple[float, int, Array]:
-    """Test whether the change of some parameter combinations is too large for the prior.
+    """Compute a chi2 test of whether parameter combinations changed more than the prior allows.
 
     If the prior is right, the change d of the estimates has the covariance S = prior covariance
     minus posterior covariance, and d^T S^-1 d follows a chi2 distribution. Several weak deviations

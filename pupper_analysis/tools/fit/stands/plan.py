@@ -506,7 +506,7 @@ class RandomStands:
         return diagnose("too-few-are-held", found=self._num_found, wanted=requested)
 
     def _draw_task(self) -> StandTask:
-        """Draw a random stand task."""
+        """Draw a random stand task: height, roll, pitch, foot positions and perhaps a lifted foot."""
         rng, height, feet = self._rng, self._robot.stand_height, list(self._robot.feet)
         swing = {}
         if len(feet) > 3 and rng.random() < _LIFTED_PROBABILITY:
@@ -533,8 +533,9 @@ class RandomStands:
     def _solve_task(self, task: StandTask) -> tuple[Stand, SteadyState] | None:
         """Return the stand of a task and its steady state with feed-forward, or None.
 
-        None, with the reason counted, if the stand is out of reach, if the servos do not hold the
-        robot on the same feet, or if a motor exceeds `_MAX_UTILISATION` of its limit.
+        The result is None, and the reason is counted, if the stand is out of reach, if the servos
+        do not hold the robot on the same feet, or if a motor exceeds `_MAX_UTILISATION` of its
+        limit.
         """
         robot, smaller_margin = self._robot, _COM_MARGIN_RATIO * self._robot.stand_height
         try:
@@ -575,8 +576,9 @@ def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
 def _compute_clearance(robot: Robot) -> float | None:
     """Return the clearance [m] between links that planned stands must keep.
 
-    It is `_CLEARANCE_FRACTION` of that in the default stand, and at most `_MIN_CLEARANCE`. None if
-    the default stand cannot be solved, for example since links touch, or has no link pairs.
+    The result is `_CLEARANCE_FRACTION` of the clearance in the default stand, and at most
+    `_MIN_CLEARANCE`. None if the default stand cannot be solved, for example since links overlap,
+    or has no link pairs.
     """
     try:
         clearance = solve_stand(robot, StandTask(self_clearance=0.0), explain=False).self_clearance

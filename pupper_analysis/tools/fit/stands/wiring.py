@@ -78,7 +78,7 @@ def generate_wirings(robot: Robot) -> Iterator[Wiring]:
 def _exchange_entries(
     order: tuple[int, ...], first: list[int], second: list[int]
 ) -> tuple[int, ...]:
-    """Return an order in which the entries of two lists are exchanged pairwise."""
+    """Return ``order`` with its entries at the indices ``first`` and ``second`` exchanged."""
     exchanged = list(order)
     for first_entry, second_entry in zip(first, second, strict=True):
         exchanged[first_entry], exchanged[second_entry] = (
