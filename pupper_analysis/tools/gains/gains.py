@@ -383,7 +383,7 @@ def study_gains(
 
 
 def _check_request(error: float | None, encoder_bits: int | None) -> None:
-    """Raise a ConfigurationError if the position error or the encoder is out of range."""
+    """Raise a ConfigurationError if position error or encoder resolution is out of range."""
     if error is not None and not 0 < error < math.inf:
         raise ConfigurationError("error", diagnose("error-not-valid", given=error))
     if encoder_bits is not None and not MIN_ENCODER_BITS <= encoder_bits <= MAX_ENCODER_BITS:
@@ -639,5 +639,5 @@ class _Gains:
 
 
 def _scale(gain: float, factor: float | None) -> float | None:
-    """Return a gain times a factor; None without a factor."""
+    """Return a gain times a factor; None if the factor is None."""
     return None if factor is None else gain * factor

@@ -174,7 +174,7 @@ class Store:
         return frame.sort_values("design").reset_index(drop=True)
 
     def _read_tables(self, columns: list[str] | None) -> Iterator[Any]:
-        """Yield the Parquet tables; all columns if ``columns`` is None."""
+        """Yield the tables of the Parquet files of results; all columns if ``columns`` is None."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 

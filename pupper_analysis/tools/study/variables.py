@@ -27,7 +27,7 @@ sequence. At 0 and 1 the normal quantile is infinite. Chosen, not tuned."""
 
 
 def _evaluate_normal(mean: float, deviation: float, probabilities: Array) -> Array:
-    """Return quantiles (n,) of a normal distribution."""
+    """Return the quantiles of a normal distribution at n probabilities, shape (n,)."""
     from scipy.special import ndtri
 
     quantiles: Array = mean + deviation * ndtri(

@@ -125,7 +125,7 @@ class EditableMjcf:
         return bodies
 
     def _read_file(self, path: Path) -> Element:
-        """Read a file and replace each include by the included content."""
+        """Return the root element of a file, with each <include> replaced by its content."""
         if path not in self.documents:
             self.documents[path] = read_document(path)
         document = self.documents[path]
@@ -140,7 +140,7 @@ class EditableMjcf:
         return document.root
 
     def _read_include(self, element: Element, path: Path) -> Element | None:
-        """Read an included file; None for a missing file."""
+        """Return the root element of an included file; None if the file is missing."""
         name = element.get("file") or ""
         for folder in (self._main_path.parent, path.parent):
             path_found = existing_file(folder / name)

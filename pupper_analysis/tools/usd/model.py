@@ -620,7 +620,7 @@ class _JointForest:
         )
 
     def _grow_tree(self, root: str) -> None:
-        """Add all bodies that are reachable from a root, breadth first."""
+        """Add the tree of all bodies that are reachable from a root, breadth first."""
         tree = [root]
         for body in tree:
             for edge in self._adjacent_edges[body]:

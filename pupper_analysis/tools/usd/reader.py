@@ -134,7 +134,7 @@ def make_urdf_tree(model: UsdModel) -> UrdfTree:
 
 
 def _get_joint_frame(link: Link) -> Pose:
-    """Return the frame of a link in a URDF: at the origin of the joint that moves the link."""
+    """Return the frame of a link in a URDF: its origin is that of the joint that moves the link."""
     joints = [joint for joint in link.joints if joint.moves]
     return Pose(joints[0].position, link.pose.rotation) if joints else link.pose
 

@@ -494,7 +494,7 @@ def _name_quantity(name: str) -> doc.Text:
 
 
 def _make_interval_table(result: TrackedIntervals) -> doc.Table:
-    """Create the table of tracked intervals."""
+    """Create the table of the intervals of varied quantities in which the policy tracks."""
     rows = tuple(
         (
             _name_quantity(interval.quantity),

@@ -92,7 +92,7 @@ def _add_payload(stage: Stage, model: mujoco.MjModel, value: float) -> None:
 
 
 def _shift_base_com(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    """Shift the CoM of the base body forward [m]."""
+    """Shift the CoM of the base body forward by ``value`` [m], in ``model``."""
     model.body_ipos[_find_base(stage, model), 0] += value
 
 

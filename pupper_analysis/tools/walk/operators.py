@@ -128,7 +128,7 @@ def softplus(value: Array) -> Array:
 
 
 def _erf(value: Array) -> Array:
-    """Return the error function."""
+    """Return the error function of each element of an array."""
     from scipy.special import erf
 
     result: Array = erf(value)
@@ -255,7 +255,11 @@ def _make_gather(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _make_reshape(_: dict[str, Any], __: int) -> Operation:
-    """Return the operation Reshape: (1, c, n) becomes (runs, c, n), any other shape a row."""
+    """Return the operation Reshape, for arrays whose first axis is that of the runs.
+
+    A stated shape (1, c, n) becomes (runs, c, n); any other shape becomes (runs, 1, elements).
+    Arrays with less than three axes are unchanged.
+    """
 
     def apply(value: Array, sizes: Array | None = None) -> Array:
         shape = [] if sizes is None else np.ravel(sizes).astype(int).tolist()
@@ -307,7 +311,7 @@ def _make_convolution(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _expand(value: Array, sizes: Array) -> Array:
-    """Return a value that is repeated to a shape (ONNX operator Expand)."""
+    """Return an array that is broadcast to the shape ``sizes`` (ONNX operator Expand)."""
     shape: Sequence[int] = np.ravel(sizes).astype(int).tolist()
     return np.broadcast_to(value, np.broadcast_shapes(np.shape(value), tuple(shape)))
 

@@ -228,7 +228,7 @@ joints with the opposite sign."""
 
 
 def _list_interpretations(robot: Robot, contract: Contract) -> Iterator[tuple[Change, Contract]]:
-    """Yield each interpretation: change from the stated contract, and changed contract."""
+    """Yield (change from the stated contract, changed contract) for each interpretation."""
     stated_joints = contract.joints
     limbs = group_limbs(robot, stated_joints)
     yield ("stated", "", ()), contract

@@ -473,7 +473,10 @@ def raise_upright(upright: StandReference, lift: float) -> StandReference:
 
 
 def _make_start_state(stage: Stage, case: Case) -> Array:
-    """Return the initial state of a case (mjSTATE_FULLPHYSICS)."""
+    """Return the initial MuJoCo state of a case (mjSTATE_FULLPHYSICS).
+
+    The seed of the case determines random deviations from the default pose; none for seed 0.
+    """
     data, robot = mujoco.MjData(case.model), stage.robot
     qpos, qvel = stage.default.copy(), np.zeros(robot.nv)
     qpos[2] += case.lift
@@ -486,7 +489,7 @@ def _make_start_state(stage: Stage, case: Case) -> Array:
 
 
 def _compute_controls(stage: Stage, actions: Array) -> Array:
-    """Convert actions of the policy, shape (runs, n), to controls, shape (runs, model.nu)."""
+    """Convert actions of the policy, (runs, n), to MuJoCo controls, shape (runs, model.nu)."""
     contract = stage.policy.contract
     clipped = np.clip(actions, -contract.action_clip, contract.action_clip)
     offset = contract.default if contract.offset is None else contract.offset
