@@ -115,10 +115,10 @@ def find_posture(
 
 
 def _close_loops(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
-    """Close loops and couplings near joint positions (nu,), without moving the joints ``placed``.
+    """Return joint positions (nu,) near ``qpos`` (nu,) with closed loops and couplings.
 
-    If this is impossible, the joints ``placed`` (their indices) move, too, by up to
-    `_MAX_CLOSING_DISPLACEMENT`.
+    The joints with the indices ``placed`` do not move, or move by `_MAX_CLOSING_DISPLACEMENT` at
+    most if the loops cannot be closed otherwise.
 
     Raises:
         ConfigurationError: If the loops cannot be closed.

@@ -382,11 +382,11 @@ class Balance:
     def _minimize_peak(
         self, particular: Array, free: Array, cost: Array, target: Array, friction: Array
     ) -> Array | None:
-        """Minimise the peak ``max |cost @ z - target|``, then the sum of squares with this peak.
+        """Return z with the smallest peak ``max |cost @ z - target|``, and then least squares.
 
         z are null-space coordinates: the contact forces, ``particular + free @ z``, must be inside
-        the friction cones. The second program may exceed the peak by `_PEAK_SLACK` (relative). None
-        if infeasible.
+        the friction cones. The second program, which minimises the sum of squares, may exceed the
+        peak by `_PEAK_SLACK` (relative). None if infeasible.
         """
         size = len(target)
         scale = float(np.abs(cost @ np.linalg.lstsq(cost, target)[0] - target).max(initial=0.0))

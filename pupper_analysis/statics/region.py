@@ -127,7 +127,10 @@ def support_region(
 
 
 def _limit_torques(config: Configuration, carrying: Contacts) -> tuple[Array, Array]:
-    """Return A and b of the torque limits A f <= b on contact forces f, in units of the weight.
+    """Return A (m, size) and b (m,) of the torque limits A f <= b, for contact forces f.
+
+    f are contact forces divided by the robot's weight. The limits are those of independent joints,
+    and each row is divided by the limit if this is positive.
 
     Raises:
         ConfigurationError: If no file states the effort limit of a joint.

@@ -179,7 +179,7 @@ def _compute_region(
     stated: tuple[bytes, ...],
     grips: bytes,
 ) -> tuple[Corner, ...]:
-    """Call ``find_extreme_positions`` with arrays as bytes, so that results can be cached."""
+    """Return ``find_extreme_positions`` of arrays that are passed as bytes, for the cache."""
     positions, unit_normals = (np.frombuffer(data).reshape(-1, 3) for data in (points, normals))
     grip_rows, stated_arrays = np.frombuffer(grips).reshape(-1, 4), None
     if stated:
