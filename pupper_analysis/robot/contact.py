@@ -117,7 +117,7 @@ def contact_offset(radius: ArrayLike, normal: Array, depth: ArrayLike) -> Array:
 def ground_geom(model: mujoco.MjModel) -> int | None:
     """Return the id of the ground plane; None if no plane is fixed to the world.
 
-    Planes that can touch something come first: a wall whose contacts are disabled is no ground.
+    The first plane that can touch something is preferred to planes whose contacts are disabled.
     """
     fixed = model.body_weldid[model.geom_bodyid] == 0
     planes = np.flatnonzero(fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value))

@@ -177,7 +177,8 @@ def simulate_keyframe(
     signs are needed because a robot may end in a pose from which it falls to one side only.
 
     The second and third run end halfway if they are then equal to the first run, within
-    `_MAX_RUN_DISTANCE`: such a run does not collapse, as the first run.
+    `_MAX_RUN_DISTANCE`, and the model has no activations: since the first run did not collapse,
+    they would not collapse either.
 
     Args:
         model: MuJoCo model.

@@ -232,7 +232,9 @@ class Ground:
         return float(rise * along) + (0.0 if foot is None else self.heights.get(foot, 0.0))
 
     def centre(self, foot: str, place: Point | Array, radius: float) -> Array:
-        """Return the centre (3,) [m] of the sphere of a foot that touches the ground.
+        """Return the centre (3,) [m] of a foot's sphere that touches the sloped ground or a step.
+
+        Separate planes of feet are not considered.
 
         Args:
             foot: Foot, which may be on a step.

@@ -552,7 +552,7 @@ def find_light_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, 
     """Return the ids of bodies that carry less than ``LIGHT_FOOT_LOAD`` of the load on the ground.
 
     The load of a body is the sum of its normal forces [N] in contacts with the world; the total is
-    the sum over all bodies.
+    the sum over all bodies. Bodies without such a contact are not included.
 
     Args:
         model: MuJoCo model.
