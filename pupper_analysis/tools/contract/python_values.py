@@ -501,7 +501,11 @@ class Evaluator:
                 raise NotConstantError
 
     def _get_owner_fields(self, node: ast.expr, scope: Scope) -> dict[str, Node]:
-        """Return the fields that an assignment to an attribute changes."""
+        """Return the fields {name: value} of an object or class, for an assignment to an attribute.
+
+        A new, empty table for other values. If the owner is itself an unknown attribute, it becomes
+        an object with the returned fields.
+        """
         owner = self.evaluate(node, scope).value
         result = owner if isinstance(owner, InstanceValue | ClassValue) else InstanceValue("")
         if isinstance(node, ast.Attribute) and isinstance(owner, UnknownValue):

@@ -478,7 +478,10 @@ def put_defaults(root: etree._Element) -> None:
 def _find_common_values(
     elements: Sequence[etree._Element], attributes: Sequence[str]
 ) -> dict[str, str]:
-    """Find the value that more than half of the elements have, for attributes that all have."""
+    """Return {attribute: value} of the values that more than half of the elements have.
+
+    Attributes that an element lacks are left out.
+    """
     common = {}
     for name in attributes:
         values = Counter(element.get(name) for element in elements)

@@ -522,7 +522,10 @@ def _lump_fixed_bodies(
 
 
 def _find_imu_sensors(model: mujoco.MjModel, site: str | None) -> tuple[int, int] | None:
-    """Return the addresses of gyro and accelerometer at a site in sensordata; None if not found."""
+    """Return the addresses in ``sensordata`` of the gyro and the accelerometer at a site.
+
+    None if the site lacks one of them.
+    """
     addresses = []
     for kind in (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER):
         found = [

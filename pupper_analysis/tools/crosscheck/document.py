@@ -365,7 +365,7 @@ def _make_value_cell(value: object, other: object) -> doc.Cell:
 
 
 def _describe_explained(comparison: Comparison) -> Iterable[doc.Words]:
-    """Yield the share of the deviation that the differences explain, if there are any."""
+    """Yield the percentage of the deviation that the differences explain; nothing without any."""
     if not comparison.differences:
         return
     explained = text(

@@ -134,9 +134,9 @@ def _describe_effects(change: ModelChange) -> doc.Text:
 
 
 def _format_percent(old: float, new: float) -> str:
-    """Format a relative change in percent, or a large one as a factor.
+    """Format the change of a value in percent, or as the factor new / old above `MIN_FACTOR`.
 
-    Empty if nothing has changed, or the old value is 0.
+    Empty if both values are equal, or the old value is 0.
     """
     if not old or old == new:
         return ""

@@ -89,7 +89,10 @@ def describe_fit(
 
 
 def _describe_largest_change(estimates: Sequence[Estimate]) -> Iterator[doc.Words]:
-    """Yield the text of the estimate with the largest abs(mean - stated) / posterior std."""
+    """Yield the text of the parameter that changed most, in posterior standard deviations.
+
+    The change is abs(mean - stated) / std.
+    """
     changes = [
         (abs(estimate.mean - estimate.stated) / estimate.std, estimate)
         for estimate in estimates
@@ -158,7 +161,7 @@ def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
 
 
 def _describe_errors(fit: MotionFit) -> Iterator[doc.Words]:
-    """Yield the texts of the prediction error and of the repeatability of the measurements.
+    """Yield the texts of RMS prediction error and repeatability of the measurements, in degrees.
 
     The error is that of held-out samples, or of the fitted samples if none were held out.
     """
@@ -247,7 +250,10 @@ def _describe_com(com: Sequence[Estimate]) -> doc.Words:
 
 
 def _describe_kp_factor(fit: StandFit) -> Iterator[doc.Words]:
-    """Yield the texts of the mean factor on kp, and of the measurement that would determine it."""
+    """Yield the text of the mean factor on kp, if the fit has one.
+
+    A second text may name the measurement that would determine kp, if the robot was not weighed.
+    """
     if (factor := fit.kp_factor) is not None:
         values = _format_estimate(factor)
         if any(estimate.kind == "added" for estimate in fit.estimates):

@@ -89,7 +89,11 @@ def _round_parameters(vector: Array, posterior: Posterior) -> Array:
 def _collect_numbers(
     robot: Robot, posterior: Posterior, vector: Array
 ) -> tuple[dict[Key, float | Array], list[Diagnostic]]:
-    """Return the fitted values to write to the files, and notes on those that no file can state."""
+    """Return {(kind, link or joint): fitted value} to write to the files, and notes.
+
+    Values within `_UNCHANGED_STDS` standard deviations of the stated value are left out. A note
+    names each value that no file can state.
+    """
     numbers: dict[Key, float | Array] = {}
     notes: list[Diagnostic] = []
     servos, added_servos = (

@@ -139,7 +139,7 @@ def range_empty(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _find_inverted_ranges(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Yield ranges of an MJCF with lower > upper and ``limited="auto"``."""
+    """Yield a finding for each range of an MJCF with lower > upper and ``limited="auto"``."""
     spec, auto = robot.file.spec, mujoco.mjtLimited.mjLIMITED_AUTO
     kinds = (
         ("joint", spec.joints, (("range", "limited"), ("actfrcrange", "actfrclimited"))),
@@ -183,7 +183,8 @@ def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
 def _find_ranges_with_equal_ends(file: MjcfFile) -> Iterator[CheckFinding]:
     """Yield ranges with equal ends and ``limited="auto"`` of named joints, tendons and servos.
 
-    Control ranges of motors are torque limits, and are findings of `effort_or_velocity_zero`.
+    Each range is a finding. Control ranges of motors are left out: they are torque limits, and are
+    findings of `effort_or_velocity_zero`.
     """
     servos = [act for act in file.spec.actuators if act.biastype != mujoco.mjtBias.mjBIAS_NONE]
     for tag, elements, name, switch in (

@@ -433,7 +433,7 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     for body, inertial in moving:
         moment = float(inertial.inertia[0, 0])
         ball = np.allclose(inertial.inertia, moment * np.eye(3), rtol=1e-9, atol=1e-9 * moment)
-        if ball and _is_round(moment) and not robot.is_negligible(body):
+        if ball and _is_power_of_ten(moment) and not robot.is_negligible(body):
             balls.setdefault(moment, []).append(body.name)
     for moment, names in balls.items():
         if len(names) >= _MIN_REPEATED_LINKS:
@@ -447,7 +447,7 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
         and len(masses) == 1
         and not robot.is_negligible(moving[0][0])
     )
-    if is_shared and _is_round(mass := masses.pop()):
+    if is_shared and _is_power_of_ten(mass := masses.pop()):
         message = diagnose("one-mass-of-all", mass=Quantity(mass, "kg"), count=len(moving))
         yield CheckFinding(robot.link_tag, moving[0][0].name, message, robot.inertial_path("mass"))
 
@@ -526,7 +526,7 @@ times the identity: a single link may have the value by chance. A mass that is a
 reported only if all moving links have it, and there are more of them than this number."""
 
 
-def _is_round(value: float) -> bool:
+def _is_power_of_ten(value: float) -> bool:
     """Return True if a number is a power of ten."""
     return value > 0 and bool(abs(np.log10(value) - round(np.log10(value))) < ROUND_LOG_ATOL)
 
@@ -537,6 +537,6 @@ counts as a power of ten: more than binary rounding."""
 
 
 def _compute_box_moment(points: Array, mass: float) -> float:
-    """Compute the largest moment of a solid box [kg m^2] around points, shape (n, 3) [m]."""
+    """Compute the largest principal moment [kg m^2] of a solid box around points, (n, 3) [m]."""
     _, middle, greatest = np.sort(np.ptp(points, axis=0))
     return mass * float(middle**2 + greatest**2) / 12

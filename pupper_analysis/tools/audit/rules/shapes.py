@@ -536,7 +536,7 @@ def _compute_extent(points: Array) -> float:
 
 
 def _compute_hull_volume(points: Array) -> float:
-    """Compute the volume of the convex hull [m^3]; 0 for points in a plane."""
+    """Compute the volume of the convex hull of points, shape (n, 3) [m], in m^3; 0 for a plane."""
     try:
         return float(ConvexHull(points).volume)
     except (QhullError, ValueError):

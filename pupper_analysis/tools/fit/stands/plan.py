@@ -506,7 +506,7 @@ class RandomStands:
         return diagnose("too-few-are-held", found=self._num_found, wanted=requested)
 
     def _draw_task(self) -> StandTask:
-        """Draw a random stand task: height, roll, pitch, foot positions and perhaps a lifted foot."""
+        """Draw a stand task with random height, roll, pitch, foot positions and swing foot."""
         rng, height, feet = self._rng, self._robot.stand_height, list(self._robot.feet)
         swing = {}
         if len(feet) > 3 and rng.random() < _LIFTED_PROBABILITY:
