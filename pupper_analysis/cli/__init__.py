@@ -153,7 +153,7 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
 
 
 def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -> int:
-    """Run a command, print an error of the command, and return the exit status."""
+    """Run a command, print the error if it fails, and return the exit status (`EXIT_...`)."""
     try:
         with ensure_run() as run:  # includes parsing, because options read files
             run.command = (GENERATOR_NAME, *arguments)

@@ -57,6 +57,7 @@ package_option = click.option(
     help="Folder of package://NAME/. Repeatable. By default ROS_PACKAGE_PATH and the folders "
     "above the URDF are searched.",
 )
+"""Option ``--package``: folders of ROS packages. The command receives ``packages``."""
 
 
 class OutputPath(click.Path):
@@ -581,15 +582,18 @@ json_option = output_option(
     holds=kinds.RESULTS_KIND,
     help="Write all results as JSON to this file, or to standard output (-).",
 )
+"""Option ``--json``: JSON file of all results. The command receives ``json_path``."""
 report_option = output_option(
     "--report",
     "report_path",
     holds=kinds.PAGE_KIND,
     help="Write an HTML report with tables, plots and a 3-D view to this file.",
 )
+"""Option ``--report``: HTML report. The command receives ``report_path``."""
 figure_option = output_option(
     "--figure", holds=kinds.PICTURE_KIND, help="Draw the result to this PNG file."
 )
+"""Option ``--figure``: PNG file of the result. The command receives ``figure``."""
 format_option = click.option(
     "--format",
     "style",
@@ -599,6 +603,7 @@ format_option = click.option(
     help="Output format: text, Markdown, GitHub annotations, JUnit XML, or SARIF for code "
     "scanning.",
 )
+"""Option ``--format`` with formats for CI services. The command receives ``style``."""
 text_format_option = click.option(
     "--format",
     "style",
@@ -607,9 +612,11 @@ text_format_option = click.option(
     show_default=True,
     help="Output format: text for a terminal, or Markdown, e.g. for a pull request.",
 )
+"""Option ``--format`` with text and Markdown only. The command receives ``style``."""
 verbose_option = click.option(
     "-v", "--verbose", "everything", is_flag=True, help="Print all tables and notes."
 )
+"""Option ``--verbose``: all tables and notes. The command receives ``everything``."""
 all_option = click.option(
     "-v",
     "--verbose",
@@ -618,6 +625,7 @@ all_option = click.option(
     is_flag=True,
     help="Print all findings and all tables.",
 )
+"""Option ``--verbose``, also as ``--all``. The command receives ``everything``."""
 
 
 class ModelFile(click.Path):
@@ -776,9 +784,10 @@ def parse_assignment(option: str, text: str) -> tuple[str, str]:
 
 
 def _find_assignment_form(option: str) -> str:
-    """Return the form of an option's value from its help: ``FOOT=LENGTH, e.g. FR=30mm``.
+    """Return the form of an option's value, with the example in its help.
 
-    ``NAME=VALUE`` if the running command has no such option.
+    For example ``FOOT=LENGTH, e.g. FR=30mm``; ``NAME=VALUE`` if the running command has no such
+    option.
 
     Args:
         option: Name of the option, with or without ``--``.
@@ -1172,6 +1181,7 @@ map_option = click.option(
     metavar="URDF=MJCF",
     help="A joint's or frame's name in the URDF and in the MJCF; e.g. lf_haa=FL_hip. Repeatable.",
 )
+"""Option ``--map``: pairs of names in URDF and MJCF. The command receives ``pairs``."""
 
 
 frame_option = click.option(
@@ -1182,6 +1192,7 @@ frame_option = click.option(
     help="Compare only this frame; e.g. FL_foot. Repeatable. By default all frames that both "
     "files have are compared.",
 )
+"""Option ``--frame``: names of compared frames. The command receives ``feet``."""
 
 
 fine_tolerance_option = click.option(
@@ -1191,6 +1202,7 @@ fine_tolerance_option = click.option(
     metavar="KIND=VALUE",
     help="Largest difference to ignore, as for crosscheck; e.g. mass=1e-3. Repeatable.",
 )
+"""Option ``--tolerance``: ignored differences. The command receives ``changes``."""
 
 
 def change_tolerances(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances:

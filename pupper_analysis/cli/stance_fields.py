@@ -242,6 +242,7 @@ stance_option = click.option(
         "Typed options have precedence."
     ),
 )
+"""Option ``--stance``: TOML file with defaults of the stance options."""
 
 
 def read_stance_file(path: Path) -> dict[str, Any]:
@@ -274,7 +275,7 @@ def read_stance_file(path: Path) -> dict[str, Any]:
 
 
 def _format_as_typed(path: Path, key: str, value: Any) -> Any:
-    """Return a value in command-line syntax: points with commas, values per foot or joint as list.
+    """Return a value of a stance file as it is typed: points with commas, {foot: value} as a list.
 
     Raises:
         ConfigurationError: If the value has no such form.

@@ -160,7 +160,11 @@ def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
 
 
 def _find_lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
-    """Return the feet in a pose: the limbs that end at about the height of the lowest limb."""
+    """Return the feet in a pose: the limbs that end at about the height of the lowest limb.
+
+    Raises:
+        ModelError: If no limb ends below the base.
+    """
     model, data = robot.mj_model, robot.compute_kinematics(robot.make_qpos(joints))
     ends = {body: list_ground_geoms(model, body) for body in limb_ends(model)}
     heights = {

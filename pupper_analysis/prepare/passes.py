@@ -737,6 +737,7 @@ def _run_passes(passes: Iterable[Pass], draft: Draft) -> Draft:
 
 
 Feet = Sequence[str] | Mapping[str, str | tuple[str, str]]
+"""Feet of a robot: frames, {foot: frame}, or {foot: (link in the URDF, element in the MJCF)}."""
 
 
 def make_robot(

@@ -457,7 +457,10 @@ def _lay_out_table(out: Console, table: Table, chosen: Sequence[int]) -> list[Te
 
 
 def _measure_column(table: Table, index: int, *, wraps: bool) -> _PrintedColumn:
-    """Format a column, and compute the actual and the smallest width."""
+    """Format a column of a table, and compute its widths [characters] with and without wrapping.
+
+    Sentences are wrapped only if ``wraps`` is True.
+    """
     column, cells = table.columns[index], [row[index] for row in table.rows]
     texts = [
         _escape_line(cell.text if isinstance(cell, Number) else get_english(cell)) for cell in cells

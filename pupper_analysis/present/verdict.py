@@ -615,7 +615,7 @@ def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
 
 
 def _describe_gains(servos: ServosUsed) -> dict[str, Any]:
-    """Return the lowest gains of servos with units, and the highest gains if different."""
+    """Return the values of a message about servo gains: lowest, highest if different, and units."""
     (kp, kp_most), (kd, kd_most) = servos.kp, servos.kd
     return {
         "kp": kp,

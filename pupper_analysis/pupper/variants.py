@@ -74,7 +74,7 @@ BASE_MODELS: Mapping[str, BaseModel] = MappingProxyType(
 
 
 def _check_name(name: object) -> None:
-    """Refuse a name that is no valid file name, or contains a folder."""
+    """Raise VariantError if a name is no file name, contains a folder, or is too long."""
     if not isinstance(name, str):
         raise VariantError("name", name, diagnose("name-is-no-text"))
     if name.startswith(".") or set(name) & set("/\\:") or not name.isprintable():

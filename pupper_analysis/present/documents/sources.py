@@ -88,9 +88,10 @@ def quote_line(place: str | None, *paths: str) -> str:
 
 
 def _join_element_lines(rows: list[str]) -> str:
-    """Return the last line, preceded by the lines of the same tag.
+    """Return the last of the lines ``rows`` of an XML file, from the start of its tag on.
 
-    At most `MAX_QUOTED_LINES` lines and `MAX_QUOTED_CHARACTERS` characters are returned.
+    If the tag starts more than `MAX_QUOTED_LINES` lines earlier, the last line alone is returned.
+    After `MAX_QUOTED_CHARACTERS` characters, the text is cut.
     """
     begin = len(rows) - 1
     while begin > max(0, len(rows) - MAX_QUOTED_LINES) and not rows[begin].lstrip().startswith("<"):

@@ -150,7 +150,7 @@ def _serialise_motion(scene: MotionScene) -> dict[str, Any]:
 def _serialise_robot(
     robot: Robot, qpos: Array, motions: Iterable[Motion], axes: Iterable[JointAxis]
 ) -> dict[str, Any]:
-    """Convert a robot's bodies, shapes, joints and motions, and the extent at ``qpos``."""
+    """Convert a robot to JSON data: bodies, shapes, joints, motions, and extent at ``qpos`` [m]."""
     model, data = robot.mj_model, robot.compute_kinematics(qpos)
     low, high = compute_extent(model, data)
     geoms, meshes = serialise_geoms(model)
@@ -370,6 +370,8 @@ HTML_LANGUAGES = {"en": "en", "zh": "zh-Hans"}
 """{language: language tag in HTML}."""
 
 Reportable = Result | Table
+"""A result of this package, or a table, that a report can show."""
+
 ReportInput = Reportable | Mapping[str, Reportable] | Iterable[Reportable]
 """Results that `write_report` accepts."""
 
