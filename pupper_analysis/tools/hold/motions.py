@@ -190,9 +190,9 @@ class JointMotions:
         return posture
 
     def _add_couplings(self, closure: Closure) -> None:
-        """Set the motions of the free joints of a robot with kinematic loops or couplings.
+        """Set the motions of the independent (free) joints of a robot with loops or couplings.
 
-        The dependent joints follow the free joints in ratios of the closure's Jacobian at the
+        The dependent joints follow the free joints in the ratios of the closure's Jacobian at the
         origin. Motions that open a loop when followed in these ratios are nonlinear.
         """
         count, following = len(self.origin), closure.dependent_joints

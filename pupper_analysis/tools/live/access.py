@@ -29,8 +29,8 @@ TOKEN_COOKIE = "pupper_analysis_token"
 """Name of the cookie in which a browser stores the access token of the page."""
 
 _LOOPBACK_NAMES = frozenset(("localhost", "127.0.0.1", "::1"))
-"""Host names of a server that only this machine can reach. Without an access token, requests to
-other names than these and the server's own are refused."""
+"""Host names of a server that only this machine can reach. Without an access token, a
+request is refused unless its host is one of these names, or the host of the server."""
 
 
 def is_loopback(host: str) -> bool:

@@ -198,7 +198,7 @@ def _number_column(name: str, unit: str = "") -> doc.Column:
 
 
 def _make_metric_table(outcome: StudyOutcome) -> doc.Table:
-    """Create the table of all metrics."""
+    """Create the table of the smallest, median and largest value of each metric."""
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(_format_shown_label(summary.metric)),

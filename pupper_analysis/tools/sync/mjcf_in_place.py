@@ -125,7 +125,7 @@ class EditableMjcf:
         return bodies
 
     def _read_file(self, path: Path) -> Element:
-        """Return the root element of a file, with each <include> replaced by its content."""
+        """Return the root element of a file; an <include> of an existing file is replaced."""
         if path not in self.documents:
             self.documents[path] = read_document(path)
         document = self.documents[path]

@@ -378,9 +378,9 @@ def _plan_position_servo(
 
 
 def _keep_trailing_parameters(element: Element, attribute: str, values: list[float]) -> list[float]:
-    """Return ``values``, and the further numbers of the attribute in the file.
+    """Return ``values``, followed by the trailing numbers of the attribute in the file.
 
-    If the file states more numbers than there are ``values``, those behind them are kept.
+    Trailing numbers are the numbers after the first ``len(values)`` numbers that the file states.
     """
     old_values = [float(word) for word in (element.get(attribute) or "").split()]
     return [*values, *old_values[len(values) :]]

@@ -157,10 +157,10 @@ QUANTITIES: Mapping[str, Quantity] = {
     "push-forward": Quantity("m/s", 0.0, (-3.0, 3.0), None),
     "push-left": Quantity("m/s", 0.0, (-3.0, 3.0), None),
 }
-"""Varied quantities. ``mass`` and ``com`` (forward) refer to the base body; ``friction`` is
-that of all contacts; ``legs`` scales lengths beyond the first joint of each limb at constant mass.
-``payload`` is a fraction of the robot's mass, at the CoM of the base. A push lasts one action; its
-value is impulse / mass of the robot."""
+"""Varied quantities. ``mass`` and ``com`` (forward) refer to the base body. ``friction`` is the
+sliding friction of all contacts. ``legs`` scales lengths beyond the first joint of each limb with a
+foot, at constant mass. ``payload`` is a fraction of the robot's mass, at the CoM of the base. A
+push lasts one action; its value is impulse / mass of the robot."""
 
 _PUSH_DIRECTIONS = {"push-forward": (1.0, 0.0), "push-left": (0.0, 1.0)}
 """Direction of each push in the world frame."""

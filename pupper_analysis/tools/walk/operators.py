@@ -198,7 +198,7 @@ def _make_reduction(function: Callable[..., Any]) -> Make:
 
 
 def _find_axis(value: Array, axis: int) -> int:
-    """Return the axis of an array for an axis of the ONNX tensor.
+    """Return the axis of an array, whose first axis is that of the runs, for an ONNX axis.
 
     Raises:
         ValueError: If the axis is that of the runs.

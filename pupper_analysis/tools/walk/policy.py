@@ -375,8 +375,8 @@ def build_onnx_network(path: Path, file: OnnxFile) -> Network:
 
 
 _ACTION_NAMES = ("actions", "action", "mu", "mean", "mean_actions", "continuous_actions")
-"""Names of the action among several outputs of a network without states: of rl_games, skrl and
-others. The other outputs, such as the deviation and the value, are not used."""
+"""Names of the output that is the action, if a network without states has several outputs
+(rl_games, skrl and others). Other outputs, such as standard deviation and value, are not used."""
 
 
 def _build_onnx_network(path: Path, file: OnnxFile, weight_files: _WeightFiles) -> Network:
