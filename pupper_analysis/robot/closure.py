@@ -254,7 +254,10 @@ class Closure:
         return result if result is not None and self.has_reference_assembly(result) else None
 
     def has_reference_assembly(self, qpos: Array) -> bool:
-        """Return True if all loops have the assembly mode of the reference configuration.
+        """Return True if all loops at ``qpos`` (nq,) have the assembly mode of the reference.
+
+        The reference is qpos0 or a keyframe with closed loops; without such a configuration, qpos0
+        after closing the loops, if possible.
 
         The assembly mode counts as different (for example, crossed rods of a four-bar linkage) if
         det(A^T A_ref) is negative for a loop. A is the Jacobian of the loop equations by the

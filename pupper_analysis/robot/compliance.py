@@ -121,7 +121,10 @@ class GroundLaw:
         return self.stiffness * d**2 * (depth + self.margin) / ((1 - d) * self.normal)
 
     def normal_stiffness(self, depth: float) -> float:
-        """Return the normal stiffness [N/m] at a penetration [m], by finite differences."""
+        """Return the normal stiffness [N/m] at a penetration ``depth`` [m].
+
+        Computed by finite differences of ``force``.
+        """
         start = -self.margin
         low, high = max(depth - 1e-8, start), max(depth, start) + 1e-8
         return (self.force(high) - self.force(low)) / (high - low)
@@ -197,7 +200,7 @@ class GroundLaw:
         return force, self.stiffness * (slope_term + d**2 / (1 - d)) / self.normal
 
     def viscosity(self, depth: float) -> float:
-        """Return the viscosity c [N s/m] of the contact at a penetration [m].
+        """Return the viscosity c [N s/m] of the contact at a penetration ``depth`` [m].
 
         c is the tangential force divided by the creep velocity, the slow slip that MuJoCo's
         regularised friction permits inside the friction cone.

@@ -36,7 +36,7 @@ from pupper_analysis.models.transmission import is_at_one_joint
 
 
 def normalise_quaternion(qpos: Array) -> None:
-    """Normalise the quaternion of a free base, in place.
+    """Normalise the quaternion qpos[3:7] of a free base, in place.
 
     Raises:
         ConfigurationError: If the quaternion is zero (norm below 1e-9).

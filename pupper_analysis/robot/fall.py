@@ -301,7 +301,7 @@ def measure_motion(
         start: State at reset.
         end: State at the end of the simulation.
         base: Body index of the base.
-        seconds: Simulated time (s).
+        seconds: Simulated time [s].
         initial: CoM height, clearance and ground height at reset, from `initial_height`.
     """
     first, last = (_copy_with_kinematics(model, data) for data in (start, end))
@@ -350,7 +350,7 @@ def initial_height(
             the call.
         start: State at reset; not changed.
         base: Body index of the base.
-        ground: Ground height (m) of the result if no ground is found below the robot.
+        ground: Ground height [m] of the result if no ground is found below the robot.
     """
     trial = _copy_with_kinematics(model, start)
     com, clearance = float(trial.subtree_com[base][2]), 0.0

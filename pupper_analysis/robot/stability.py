@@ -73,7 +73,7 @@ def step_derivative(
         model: MuJoCo model. During the call, the tolerance of the solver is tightened, and sleeping
             is disabled.
         data: State; not changed.
-        difference: Step of the centred differences (m, rad, and their rates).
+        difference: Step of the central finite differences [m, rad; m/s, rad/s].
     """
     size = 2 * model.nv + model.na
     matrix, tolerance = np.zeros((size, size)), float(model.opt.tolerance)
@@ -239,7 +239,7 @@ class Mode(Result):
         return swings and self.frequency * HOLD_DURATION > 1
 
     def grows_within(self, duration: float) -> bool:
-        """Return True if this mode grows fast enough to matter within a duration [s].
+        """Return True if this mode grows fast enough to matter within ``duration`` [s].
 
         True for a sustained or growing oscillation of any rate, since the robot does not come to
         rest. Another mode must have a doubling time below the duration.

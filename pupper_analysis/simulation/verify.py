@@ -645,7 +645,7 @@ def friction_and_deadband(robot: Robot, kp: Array) -> tuple[Array, Array]:
     """Return dry friction [N m, N] and servo deadband [rad, m] of each joint, shape (nu,) each.
 
     The deadband is friction / kp: the position deviation at which dry friction balances the servo;
-    0 for a joint with kp = 0.
+    0 for a joint with kp = 0. ``kp`` has the shape (nu,) [N m/rad, N/m].
     """
     friction = robot.mj_model.dof_frictionloss[robot.mj_convention.qvel_index[-robot.nu :]]
     return friction, np.divide(friction, kp, out=np.zeros(robot.nu), where=kp > 0)

@@ -42,6 +42,8 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
 def margin_of_position(place: Corner, points: tuple[Corner, ...]) -> float:
     """Return the distance [m] of a position from the support polygon's edge; negative outside.
 
+    Minus infinity if a coordinate of the position is not finite.
+
     Args:
         place: Horizontal position (x, y) [m], for example of the CoM.
         points: Horizontal positions (x, y) of the contact points [m].

@@ -293,7 +293,11 @@ def _candidate_steps(
 
 
 def in_axes(values: MultibodyTree, name: str, rotation: Array) -> MultibodyTree:
-    """Return a tree in which the body that a joint moves has rotated axes: x' = rotation x."""
+    """Return a tree in which the body that the joint ``name`` moves has rotated axes.
+
+    The new coordinates of a point are x' = rotation x, with the ``rotation`` matrix (3, 3). The
+    robot itself does not move.
+    """
     joint, joints = values.joints[name], dict(values.joints)
     joints[name] = replace(joint, rotation=joint.rotation @ rotation.T, axis=rotation @ joint.axis)
     changed = replace(values, joints=joints)

@@ -164,7 +164,7 @@ def _find_zero_offset(
 
 
 def with_zero(values: MultibodyTree, name: str, offset: float) -> MultibodyTree:
-    """Return a tree with a shifted zero of a joint: the new coordinate is q - offset [rad, m]."""
+    """Return a tree in which the joint ``name`` has another zero: q' = q - ``offset`` [rad, m]."""
     joint = values.joints[name]
     position, rotation = joint.position, joint.rotation
     if joint.slides:
