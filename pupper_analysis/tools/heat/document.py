@@ -21,7 +21,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat
 
 _MAX_CURVES = 4
-"""Largest number of motors in the plot of temperatures, the hottest first. Chosen, not tuned."""
+"""Largest number of motors in the plot of temperatures: the hottest motors. Chosen, not tuned."""
 
 
 @build_document.register(HeatStudy)

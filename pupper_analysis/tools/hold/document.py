@@ -412,7 +412,10 @@ def _list_findings(hold: Hold) -> Iterable[doc.Words]:
 
 
 def _list_warnings(hold: Hold) -> Iterator[doc.Words]:
-    """List the warnings: weak motors, unknown limits, soft servos, a payload that fails."""
+    """Yield the warnings: weak motors; unknown limits, otherwise soft servos and a failing payload.
+
+    The failing payload is that of the simulation `Hold.payload_trial`.
+    """
     if weak := _find_overloaded_motors(hold):
         yield text("motors-weak-somewhere", joints=", ".join(weak)).with_mark("warn")
     if hold.payload.unknown:

@@ -394,8 +394,9 @@ def _get_stiffness_unit(stance: Stance) -> str:
 def _list_findings(stance: Stance) -> Iterable[doc.Words]:
     """Yield the texts of the findings of a stance.
 
-    The findings are the minimum kp, the equilibrium without feed-forward, and the force [N] with
-    which each hand presses.
+    The findings are the minimum kp, or the reason for its absence; the equilibrium or the sag [mm]
+    without feed-forward, or the reason for its absence; and the force [N] with which each hand
+    presses.
     """
     if stance.minimum_stiffness is not None:
         yield text(
