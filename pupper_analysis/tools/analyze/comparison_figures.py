@@ -267,7 +267,7 @@ _LETTER_WIDTH = 0.72
 
 
 def _share_limits(panels: Sequence[tuple[Analysis, Axes]], axis: str) -> None:
-    """Give the robots with the same joints the same limits along an axis, ``x`` or ``y``."""
+    """Set an axis, ``x`` or ``y``, to the same range in the panels of robots with equal joints."""
     groups: defaultdict[tuple[str, ...], list[Axes]] = defaultdict(list)
     for analysis, axes in panels:
         groups[tuple(joint.name for joint in analysis.joints)].append(axes)

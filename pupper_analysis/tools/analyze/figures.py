@@ -187,7 +187,7 @@ _DISABLING_VALUES = ("disable", "disabled", "off", "false", "0")
 
 
 def _compile_model(tile: Tile) -> mujoco.MjModel:
-    """Compile a robot's MJCF with the ground and the lights of the picture instead of its own."""
+    """Compile a robot's MJCF with ground and lights of the picture instead of those of the MJCF."""
     robot = tile.robot
     spec = robot.description.mjcf.copy()
     for geom in spec.geoms:
@@ -283,7 +283,7 @@ def _quiet_attempt() -> Iterator[None]:
 
 
 def _render_with(backend: str, tiles: Sequence[Tile]) -> list[Pixels]:
-    """Render pictures of robots with a single backend of MuJoCo, such as ``egl``."""
+    """Render the picture of each robot with an OpenGL backend of MuJoCo, such as ``egl``."""
     size = tiles[0].width, max(tile.height for tile in tiles)
     window: Any = import_module(f"mujoco.{backend}").GLContext(*size)
     try:

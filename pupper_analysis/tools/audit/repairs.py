@@ -626,9 +626,10 @@ def _repair_dense_mass(robot: RobotModel, found: CheckFinding) -> Iterator[Value
 
 
 def _fits_shapes(robot: RobotModel, link: Link) -> bool:
-    """Return True if the largest moment of a link is at most 2 m R^2, with R its reach [m].
+    """Return True if the largest principal moment of a link is at most 2 m R^2.
 
-    The tensor then probably has the unit of the mass.
+    R is the largest distance [m] of the link's shapes, joints and frames from the CoM. The tensor
+    then probably fits the stated mass m.
     """
     assert link.inertial is not None
     points, _ = list_known_points(robot.fixed_group(link.name), link)
@@ -749,7 +750,7 @@ def _repair_axis_sense(robot: RobotModel, found: CheckFinding) -> Iterator[Value
 
 
 def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield the origin of a joint that is no mirror image of its partner.
+    """Yield the repair of a joint origin: the mirror image of the partner joint's origin.
 
     With two further equal joints of other limbs, only the joint whose origin differs in magnitude
     from theirs is repaired. Otherwise both joints are candidates.

@@ -490,7 +490,7 @@ class StanceSearch:
 
 
 def _draw_latin_hypercube(size: int) -> Array:
-    """Draw Latin hypercube samples in [0, 1), shape (n, size), always the same samples.
+    """Draw Latin hypercube samples in [0, 1), shape (`_SAMPLE_COUNT`, size), from a fixed seed.
 
     McKay, Beckman and Conover, "A comparison of three methods for selecting values of input
     variables", 1979. SciPy's samplers are as good, but take half a second to import.

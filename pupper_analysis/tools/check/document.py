@@ -123,7 +123,7 @@ def _describe_known_group(group: list[Remark]) -> Text:
 
 
 def _describe_remark(first: Remark) -> doc.Words:
-    """Return the message of a remark, or the cause of the differences to which it belongs."""
+    """Return the message of a remark, or the cause of the difference that the remark reports."""
     message = doc.diagnostic_text(first.diagnostic if first.cause is None else first.cause)
     if not _is_audit_rule(first):
         return message

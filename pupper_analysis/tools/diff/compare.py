@@ -339,7 +339,7 @@ class _Comparison:
         )
 
     def _compare_extra_values(self) -> Iterator[Difference]:
-        """Yield changes of motors, springs, tendons, mimic joints and other extra values."""
+        """Yield changes of values outside the trees: motors, springs, tendons, mimic joints ..."""
         old_values = self.one.extra_values
         new_values = {
             (kind, self.old_name.get(element, element)): _rename_targets(value, self.old_name)

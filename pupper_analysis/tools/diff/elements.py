@@ -129,7 +129,10 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
 
 
 def _list_tree_elements(file: MjcfFile) -> dict[Key, Element]:
-    """List joints, actuators, tendons, equalities with values that a `MultibodyTree` lacks."""
+    """Return {(tag, name): element} of joints, actuators, tendons and equalities of an MJCF.
+
+    The elements have the values that a `MultibodyTree` lacks.
+    """
     model, found = file.model, dict[Key, Element]()
     counts = {
         "joint": model.njnt,

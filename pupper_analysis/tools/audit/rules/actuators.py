@@ -71,7 +71,7 @@ def list_drives(model: mujoco.MjModel) -> Iterator[ActuatorDrive]:
 
 
 def _list_robot_drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, ActuatorDrive]]:
-    """Yield the compiled model with each of its actuators that `list_drives` yields.
+    """Yield (compiled model, actuator) for each actuator on a joint, as found by `list_drives`.
 
     Nothing if the model does not compile.
     """

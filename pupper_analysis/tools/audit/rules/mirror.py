@@ -606,7 +606,10 @@ def _list_contacts(
 
 
 def _list_colliding_links(robot: RobotModel, link: Link) -> list[Link]:
-    """Return a link and the links fixed to it, reduced to those with collision shapes."""
+    """Return a link and the links fixed to it, each with its collision shapes only.
+
+    Links without collision shapes are left out.
+    """
     parts = [
         replace(part, shapes=tuple(shape for shape in part.shapes if shape.collides))
         for part in robot.fixed_group(link.name)

@@ -206,8 +206,17 @@ def _check_unpacked_size(size: int, maximum: int) -> None:
 def _choose_topics(types: Mapping[str, str], requested: Mapping[str, str]) -> dict[str, str]:
     """Return {role: topic}: the requested topic, or the only topic with a type of the role.
 
-    The role is ``state`` or ``command``; ``command`` is left out without a topic. For ``state``, a
-    ``JointState`` topic is preferred to the state of a controller, which may be late.
+    The role is ``state`` (measured positions) or ``command``; ``command`` is left out without a
+    topic. For ``state``, a ``JointState`` topic is preferred to the state of a controller, which
+    may be late.
+
+    Args:
+        types: {topic of the bag: message type}.
+        requested: {role: topic} as typed by the user.
+
+    Raises:
+        ConfigurationError: If a requested role or topic is not valid.
+        MeasurementError: If several topics fit a role, or no topic fits ``state``.
     """
     topics: dict[str, str] = {}
     listing = tuple(f"{name} ({kind})" for name, kind in sorted(types.items()))
@@ -240,7 +249,7 @@ def _read_series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) 
     The kind is ``position`` (measured) or ``command``. The header time is NaN if missing.
 
     Args:
-        reader: Open reader of the bag.
+        reader: Reader of the bag, already open.
         chosen: {role: topic}, see `_ROLE_TYPES`.
         joints: Joint names of messages without names.
     """

@@ -225,7 +225,9 @@ def read_log(
 
 
 def _check_files(bag: Path) -> None:
-    """Check that a bag has regular files only, since readers would wait for others.
+    """Check that all files of a bag are regular and not too large.
+
+    A reader would wait forever for the end of a pipe, for example.
 
     Raises:
         MeasurementError: If a file is not regular, or too large.

@@ -207,8 +207,8 @@ class MeasuredStands:
 
 
 _LIMIT_MARGIN = 0.3
-"""Distance beyond a joint limit [rad, m] up to which a measured position is accepted: 17 deg is
-more than an unnoticed encoder offset. Chosen, not tuned."""
+"""Distance beyond a joint limit [rad, m] up to which a measured position is accepted: 0.3 rad is
+17 deg, more than an unnoticed encoder offset. Chosen, not tuned."""
 
 _MIN_CONTACT_POINTS = 3
 """Smallest number of carrying contact points of a measured stand. Fewer do not determine the tilt
@@ -216,7 +216,7 @@ of the base."""
 
 
 def _average_finite(values: Array) -> Array:
-    """Return the mean of the finite values in each column; NaN if there are none."""
+    """Return the mean of the finite values of each column; NaN for a column without any."""
     counted = np.isfinite(values)
     total = np.where(counted, values, 0.0).sum(axis=0)
     count = counted.sum(axis=0)
