@@ -390,7 +390,11 @@ def _find_end_spheres(
 
 
 def _find_sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
-    """Return the outward normal (3,) of a foot's sole and True; ``down`` and False without one."""
+    """Return (outward normal (3,) of a foot's sole, True); (``down``, False) without a sole.
+
+    The foot is the hull of spheres with centres ``points``, shape (n, 3) [m], and ``radii`` (n,)
+    [m]. The unit vector ``down`` points to the ground.
+    """
     surface = points + radii[:, None] * down
     end = float((surface @ down).max())
     candidates = list(_yield_level_normals(surface, down))

@@ -36,14 +36,14 @@ from pupper_analysis.robot.robot import Robot
 
 _MAX_LEG_HEIGHT_FRACTION = 0.15
 """Upper bound of the height of a limb's lowest point above the lowest limb, relative to the height
-of the base, with which the limb counts as a leg. Chosen, not tuned: hands and heads are higher;
-feet in a start pose rarely differ by more than a few percent."""
+of the base above the lowest limb, with which the limb counts as a leg. Chosen, not tuned: hands and
+heads are higher; feet in a start pose rarely differ by more than a few percent."""
 
 _MAX_LEG_RISE_FRACTION = 0.05
-"""Upper bound of the height of a limb's lowest point above that of the lowest limb, up to which the
-limb counts as a leg, relative to the largest distance of a limb's last body from the base. The
-larger of this height and that by `_MAX_LEG_HEIGHT_FRACTION` is the bound, since spread legs, such
-as a spider's, end near the height of the base. Chosen, not tuned."""
+"""Factor b of the bound max(a h, b r) [m]: a limb counts as a leg if its lowest point is less than
+this bound above the lowest limb. a is `_MAX_LEG_HEIGHT_FRACTION`, h the height of the base above
+the lowest limb, r the largest distance of a limb's last body from the base. The term b r is for
+spread legs, such as a spider's, which end near the height of the base. Chosen, not tuned."""
 
 _MAX_SPHERE_DISTANCE = 0.02
 """Upper bound of the distance [m] between a foot frame that the user names and the centre of a

@@ -679,9 +679,10 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
 def _list_objections(
     robot: Robot, name: str, joints: Mapping[str, float]
 ) -> tuple[Diagnostic, ...]:
-    """Return the reason for which ``is_standing_pose`` rejects a keyframe, for a message.
+    """Return a message with the reason for which ``is_standing_pose`` rejects keyframe ``name``.
 
-    The reason is that joints are beyond their limits, or else that the feet are uneven.
+    The reason is that ``joints``, {joint: position [rad, m]}, are beyond their limits, or else that
+    the feet are uneven.
     """
     subject = ("keyframe", name)
     values = np.array([joints.get(joint, 0.0) for joint in robot.joint_names])

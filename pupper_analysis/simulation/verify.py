@@ -590,8 +590,8 @@ def _compare_with_prediction(
 def _describe_height_loss(result: StandVerification, com_height: float) -> list[Diagnostic]:
     """Report that the base of a simulated robot with feed-forward settles too far below the stand.
 
-    Empty if the robot collapses, or if the base settles less than `MAX_SINKING_RATIO` times
-    ``com_height`` lower.
+    The result is empty if the robot collapses, or if the height loss is `MAX_SINKING_RATIO` times
+    ``com_height`` at most.
 
     Args:
         result: Simulation with feed-forward, compared with the prediction.

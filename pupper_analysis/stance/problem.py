@@ -635,7 +635,7 @@ def _requested_position(robot: Robot, task: StandTask, foot: str, place: Array) 
 
 
 def _add_planes(robot: Robot, task: StandTask) -> StandTask:
-    """Add the planes of the task's contacts to the ground of the task."""
+    """Return the task with the planes of its contacts added to its ground."""
     planes = {}
     for foot, place in foot_positions_of_task(robot, task).items():
         plane = task.contacts[foot].plane if foot in task.contacts else None

@@ -60,11 +60,11 @@ _NEGLIGIBLE_VALUE = 1e-3
 below which it counts as zero, and the relaxed task is rejected. Chosen, not tuned."""
 
 _REDUCTION_SHARES = (0.03, 0.01)
-"""Fractions by which the relaxation (change of the numbers) of an unreachable task is reduced, to
-search a stand. If there is one, the nonlinear program starts again from it, since it may have ended
-in a local minimum; if there is none, the next fraction is tried. Chosen below the improvements
-measured on a slope of Pupper v3: the program left two local minima in turn, and the relaxation
-decreased by 6 % and by 1 %."""
+"""Fractions by which `_relax_one` reduces the relaxation (change of the numbers) of a task, to test
+for a local minimum of the nonlinear program. If the task with less relaxation has a stand, the
+program starts again from this stand; otherwise the next fraction is tried. Chosen below the
+improvements measured on a slope of Pupper v3: the program left two local minima in turn, and the
+relaxation decreased by 6 % and by 1 %."""
 
 _MIN_RELAXATION = 1e-6
 """Relaxation [stand heights, rad] up to which a requirement counts as unchanged and is not

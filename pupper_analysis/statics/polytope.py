@@ -28,9 +28,9 @@ MIN_LEVER_ARM = 1e-9
 motor does not bear the force (rounding)."""
 
 _PARALLEL_TOLERANCE = 1e-9
-"""Lower bound that separates parallel normals from independent normals: of the triple product of
-the unit normals of three faces, for the faces to meet in one vertex; and of the third singular
-value of all unit normals, for the polytope to be bounded. Rounding is 1e-16; chosen, not tuned."""
+"""Smallest triple product [1] of the unit normals of three faces with which the faces meet in one
+vertex, and smallest third singular value of all unit normals with which the polytope is bounded.
+Below, the normals count as linearly dependent. Rounding is 1e-16; chosen, not tuned."""
 
 _VERTEX_RTOL = 1e-9
 """Distance up to which a vertex may be outside of a face, relative to the largest coordinate of the

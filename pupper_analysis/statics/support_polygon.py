@@ -297,7 +297,10 @@ def polygon_sides(contacts: Array, count: int = 0, *, from_first: bool = False) 
 def _start_at_first_corner(
     sides: tuple[tuple[float, ...], ...], corners: Sequence[Corner]
 ) -> tuple[tuple[float, ...], ...]:
-    """Rotate the order of the sides of a hull, so that it begins at the first of its corners."""
+    """Rotate the cyclic order of the sides of a hull: the earliest of ``corners`` starts.
+
+    Each side begins with its corner (x, y), which is an element of ``corners``.
+    """
     starts = [corners.index((x, y)) for x, y, *_ in sides]
     first = starts.index(min(starts))
     return sides[first:] + sides[:first]

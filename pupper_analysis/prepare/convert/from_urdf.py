@@ -324,7 +324,7 @@ class UrdfBodies:
         shape: etree._Element,
         geometry: etree._Element,
     ) -> None:
-        """Add a shape of a link as geom."""
+        """Add a shape of a link to a body as geom; ``kind`` is ``"visual"`` or ``"collision"``."""
         attributes = self._convert_geometry(geometry, kind)
         if attributes is None:
             return
@@ -408,9 +408,9 @@ def _read_origin(parent: etree._Element) -> tuple[str | None, str | None]:
 
 
 def _add_inertial(body: etree._Element, inertial: etree._Element) -> None:
-    """Add an <inertial>; a rotated tensor is expressed in the axes of the body.
+    """Add an <inertial> of the URDF to a body, with the tensor in the axes of the body.
 
-    An MJCF requires products of inertia in the axes of the body.
+    An MJCF requires products of inertia in these axes. An inertial of zeros is left out.
     """
     mass, inertia = str(inertial.find("mass").get("value")), inertial.find("inertia")
     texts = [str(inertia.get(name)) for name in INERTIA_ENTRIES]

@@ -336,7 +336,7 @@ class DeferredMeshes:
         return _describe_left_visuals(removed)
 
     def _convert(self, name: str) -> tuple[str, bytes, bool]:
-        """Return file name and content of a mesh as OBJ, and True for a mesh without volume.
+        """Return file name and OBJ content of a mesh, and True if the mesh has no volume.
 
         Raises:
             UnreadableError: If the file is broken, or MuJoCo refuses the mesh.

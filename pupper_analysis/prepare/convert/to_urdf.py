@@ -393,7 +393,10 @@ class UrdfShapes:
                         self._add_material(shape, geom)
 
     def _convert_geom(self, geom: int) -> list[ShapeGeometry]:
-        """Return the shapes of a geom in a URDF, with the poses in the frame of the body."""
+        """Return the URDF shapes of a geom, with poses in the body frame; a capsule has three.
+
+        Empty, with a note, if a URDF has no such shape.
+        """
         shape = read_shape(self.model, geom)
         placed, size = shape.pose.placement, np.array(shape.size)
         match shape.kind:
