@@ -191,6 +191,7 @@ def _make_switch(*changes: tuple[str, Any, Any]) -> Callable[[mujoco.MjModel], N
     """
 
     def switch_off(model: mujoco.MjModel) -> None:
+        """Set the elements in ``changes`` in a model, in place."""
         for fields, index, value in changes:
             for field in fields.split():
                 if index is None:

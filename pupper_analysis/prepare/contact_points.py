@@ -380,6 +380,7 @@ def _find_end_spheres(
     bottom = compute_lowest_height(model, data, [lowest])
 
     def rise(geom: int) -> float:
+        """Return how far [m] a sphere's lowest point may be above that of the lowest geom."""
         away = (data.geom_xpos[geom] - data.geom_xpos[lowest])[:2]
         return _FOOT_SPHERE_RISE + math.tan(lean) * float(np.linalg.norm(away))
 

@@ -132,6 +132,7 @@ def add_position_servos(
     limits = {limit.joint: limit for limit in robot.efforts}
 
     def built(parts: int, kp: Array, kd: Array) -> Robot:
+        """Return the robot with servos; the time step is divided by ``parts``."""
         timestep = float(robot.description.mjcf.option.timestep) / parts
         given = robot.description.with_additions(*make_missing_servos(robot, kp, kd, timestep))
         copy_visual_option(given.mjcf, original.spec)

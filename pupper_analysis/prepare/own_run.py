@@ -398,6 +398,7 @@ def _simulate_commands(
     start.ctrl[:], start.act[:] = hold.ctrl, hold.act
 
     def advance(state: mujoco.MjData, seconds: float) -> None:
+        """Simulate the published model for ``seconds`` [s], in place; no effect after a reset."""
         if not was_reset_by_mujoco(state):  # a reset ends the simulation
             simulate_published(published, state, hold, seconds, record_forces=False)
 

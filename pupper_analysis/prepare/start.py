@@ -355,6 +355,7 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
     radii = np.array(list(robot.contact_radius.values()))
 
     def errors(joints: Array) -> Array:
+        """Return height errors of the contact points, and horizontal offset of the CoM [m]."""
         config = Configuration(robot, robot.make_qpos(joints))
         places = config.foot_positions()
         touching = np.array([places[point] for point in robot.contact_radius])
@@ -486,6 +487,7 @@ def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> l
     ]
 
     def stand_at(height: float, guess: Stand | None = None) -> Stand | None:
+        """Return the stand at a base height [m], clear of the ground; None without."""
         joints = None if guess is None else guess.joint_positions(robot).tolist()
         task = StandTask(height=height, ik_seed=joints, joint_margin=margin)
         stand = _solve_near_pose(robot, task, pose)

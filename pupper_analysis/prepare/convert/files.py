@@ -49,6 +49,7 @@ class RobotFiles:
         folders = {name: Path(folder) for name, folder in packages.items()}
 
         def absolute(model: str) -> str:
+            """Return the absolute path of a model file."""
             return str(find_file(model, folders).absolute())
 
         named = {name: absolute(options[name]) for name in _FILE_OPTIONS if name in options}

@@ -158,6 +158,7 @@ def read_pair(
         raise ConfigurationError("xacro_args", problem)
 
     def read(path: str | Path) -> UrdfFile | MjcfFile:
+        """Read a URDF or MJCF from a path."""
         return read_model(path, folders, xacro_args if _is_xacro(path, folders) else None)
 
     with read_objects(objects, folders) as in_memory:

@@ -311,6 +311,7 @@ def _draw_stand(
     """Draw skeleton, centre of mass and support polygon in a projection of shape (2, 3)."""
 
     def line(points: Array, *marks: str, **how: Any) -> None:
+        """Draw a polyline through ``points``, shape (n, 3) [m], in the projection."""
         axes.plot(*(projection @ np.atleast_2d(points).T), *marks, **how)
 
     for box in lines.boxes:

@@ -125,6 +125,7 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
     wide, tall = PLOT_WIDTH - LEFT_MARGIN - RIGHT_MARGIN, PLOT_HEIGHT - TOP_MARGIN - BOTTOM_MARGIN
 
     def place(values: Array) -> Array:
+        """Convert data, shape (n, 2), to positions in the SVG, shape (n, 2) [CSS pixels]."""
         across = LEFT_MARGIN + wide * (values[:, 0] - left) / (right - left)
         up = TOP_MARGIN + tall * (high - values[:, 1]) / (high - low)
         return np.column_stack([across, up])
@@ -165,6 +166,7 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
     low = 0.0 if one_sided else -reach
 
     def at(value: float) -> float:
+        """Return the horizontal position [CSS pixels] of a value."""
         return names + wide * (value - low) / (reach - low)
 
     marks: list[Mark] = []

@@ -521,6 +521,7 @@ def _make_environment() -> jinja2.Environment:
     import markupsafe
 
     def shown(value: object) -> object:
+        """Return a value with escaped control characters, if it is a string without markup."""
         plain = isinstance(value, str) and not isinstance(value, markupsafe.Markup)
         return "\n".join(map(escape_control, str(value).split("\n"))) if plain else value
 

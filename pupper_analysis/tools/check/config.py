@@ -328,6 +328,11 @@ class _ConfigReader:
         return [path.relative_to(self.folder).as_posix() for path in paths]
 
     def make_pair(self, entry: dict[str, Any]) -> GuardedPair:
+        """Convert an entry [[pair]] of the configuration to a `GuardedPair`.
+
+        Raises:
+            ModelError: If the entry has no name or no model, or a file or folder is missing.
+        """
         if "name" not in entry:
             raise self.make_error(("pair", self._entry), diagnose("pair-without-name"))
         if not {"urdf", "mjcf"} & entry.keys():
@@ -379,6 +384,11 @@ class _ConfigReader:
         return path
 
     def resolve_package(self, name: str, folder: str) -> Path:
+        """Return the folder of the ROS package ``name``, relative to the configuration.
+
+        Raises:
+            ModelError: If there is no such folder.
+        """
         if not (self.folder / folder).is_dir():
             raise self.make_value_error(
                 self.locate_key("packages", name), folder, _TABLE_VALUES["packages"].valid

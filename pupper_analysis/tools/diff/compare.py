@@ -567,6 +567,7 @@ def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyT
     """
 
     def new(name: str) -> str:
+        """Return the new name of a joint or body; the same name if not renamed."""
         return names.get(name, name)
 
     return replace(

@@ -211,6 +211,7 @@ def _make_attribute_finder(file: MjcfFile, tag: str, otherwise: Place) -> Callab
     """
 
     def place(word: str) -> Place:
+        """Return the place of the first element that has the attribute ``word``."""
         stated = (where for words, where in file.elements(tag) if word in words)
         return next(stated, otherwise)
 
@@ -395,6 +396,7 @@ def _match_similar_shapes(
     """
 
     def is_of_one_shape(first: Element, second: Element) -> bool:
+        """Return True if both shapes have the same kind, and surfaces within `SURFACE_ATOL`."""
         assert first.shape is not None
         assert second.shape is not None
         return (
@@ -403,10 +405,12 @@ def _match_similar_shapes(
         )
 
     def is_alike(first: Element, second: Element) -> bool:
+        """Return True if numbers, collision and shape of both elements agree."""
         same = all(_numbers_agree(*values) for values in _pair_numbers(first, second).values())
         return same and first.touches == second.touches and is_of_one_shape(first, second)
 
     def touches_alike(first: Element, second: Element) -> bool:
+        """Return True if both elements can collide, or both cannot."""
         return first.touches == second.touches
 
     matches: dict[Key, Key] = {}

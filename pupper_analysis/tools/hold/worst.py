@@ -187,6 +187,7 @@ class TorqueSearch:
         low, high = motions.find_range(qpos, motion)
 
         def evaluate(length: float) -> float:
+            """Return the signed torque [N m, N] at ``length`` [rad, m] along the motion."""
             moved = motions.move_along(qpos, motion, length)
             return (
                 -_UNDEFINED_TORQUE if moved is None else self._evaluate_torque(joint, sign, moved)

@@ -337,6 +337,7 @@ class Session:
             robot = answer.robot
 
             def show_refusal() -> None:
+                """Show the error of the unreachable stance, and the nearest reachable stance."""
                 self._refusal, self._pending = error, False
                 self._show_status()
                 nearest = None if error is None else error.nearest
@@ -351,6 +352,7 @@ class Session:
             )
 
             def show_sag() -> None:
+                """Show the predicted sag and the predicted verdict."""
                 self._sag, self._verdict = sag, verdict
                 self._show_status()
 

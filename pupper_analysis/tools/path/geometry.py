@@ -183,6 +183,7 @@ def interpolate_task(
     first, last = segment.start.task, segment.end.task
 
     def between(start: _T, end: _T) -> _T:
+        """Interpolate linearly between two values."""
         return start + share * (end - start)
 
     ground, normals = first.ground, ground_normals(robot, first.ground)

@@ -82,6 +82,7 @@ def compute_path_sample(
     config, stand = Configuration(robot, place.qpos, qvel), place.stand
 
     def balance(feet: Sequence[str], *, held: bool = False) -> InverseDynamics:
+        """Return the inverse dynamics with the contacts ``feet``."""
         return inverse_dynamics(config, qacc, feet, normals=stand.normals, held=held)
 
     whole = balance(stand.stance_feet)
@@ -97,6 +98,7 @@ def compute_path_sample(
     feet, zero_force = robot.contact_points, np.zeros(3)
 
     def mean(tables: Sequence[Mapping[str, Array]]) -> Array:
+        """Return the weighted mean of vectors per contact point, shape (n, 3)."""
         weighted = list(zip([share for share, _ in parts], tables, strict=True))
         rows = [[share * table.get(foot, zero_force) for foot in feet] for share, table in weighted]
         mixed: Array = np.sum(rows, axis=0)

@@ -202,6 +202,7 @@ class UrdfSide(Side):
             return
 
         def changed(link: str, part: pin.Inertia) -> Changes:
+            """Return the changes that write an inertia in the body frame to a link."""
             in_link_frame = self._compute_link_pose(link).actInv(part)
             return make_inertial_changes(self._links[link].element, in_link_frame)
 

@@ -359,9 +359,11 @@ def _make_interval(
     """
 
     def collect(side: int, criterion: str, end: int) -> Array:
+        """Return the values of a bracket per seed; ``end`` is 0 (satisfied) or 1 (violated)."""
         return np.array([brackets[name, side, seed, criterion][end] for seed in seeds])
 
     def find_failures(side: int) -> tuple[str, ...]:
+        """Return the failure of each seed at the violated value; empty without a failure."""
         values = {seed: brackets[name, side, seed, "tracks"][1] for seed in seeds}
         return tuple(
             "" if math.isnan(value) else outcomes[name, value, seed].failure

@@ -307,6 +307,7 @@ def list_numeric_keys(path: Path) -> tuple[str, ...]:
     lists, numbers = list[str](), list[str]()
 
     def visit(node: Node, prefix: str, depth: int) -> None:
+        """Append the keys of a node and its nested tables to ``lists`` and ``numbers``."""
         for key, child in node.table.items():
             name = f"{prefix}{key}"
             if isinstance(child.value, dict) and depth < _MAX_TABLE_DEPTH:

@@ -168,6 +168,7 @@ def limit_decompressor(decompressor: Callable[[], Any]) -> Callable[[bytes], byt
     """Return a function that unpacks a chunk frame by frame, up to ``MAX_CHUNK_BYTES``."""
 
     def unpack(data: bytes) -> bytes:
+        """Unpack a chunk of frames; raise an error if it is too large or incomplete."""
         parts, size = [], 0
         while data:
             frame = decompressor()

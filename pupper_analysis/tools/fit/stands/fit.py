@@ -514,9 +514,11 @@ def fit_stands(
     ordered = stands.order_joints(robot)
 
     def fit(ordered: MeasuredStands) -> StandFit:
+        """Fit the parameters to the stands."""
         return _StandProblem.from_stands(robot, ordered, prior_list, weight, kp, encoder).solve()
 
     def evidence(ordered: MeasuredStands) -> float:
+        """Return the log evidence of the stands."""
         return _StandProblem.from_stands(
             robot, ordered, prior_list, weight, kp, encoder
         ).compute_log_evidence()
@@ -830,6 +832,7 @@ def _estimate_from_stands(
     logarithms = LogCoordinates(table)
 
     def linearise(y: Array, noise_coordinates: Array) -> LinearisedResiduals:
+        """Return the linearised residuals at the log coordinates ``y`` of the parameters."""
         x = logarithms.to_parameters(y)
         noise_point = x if y is noise_coordinates else logarithms.to_parameters(noise_coordinates)
         return logarithms.transform_linearised(
@@ -1030,6 +1033,7 @@ def _make_scale_residual(
     constant_mass = robot.total_mass - float(mass_gradient @ table.stated)
 
     def residuals(x: Array) -> LinearisedResiduals:
+        """Return the residual of the robot's mass at parameters ``x``; empty without a weight."""
         if weight is None:
             return LinearisedResiduals.empty(len(table))
         std = SCALE_RTOL * weight
@@ -1264,6 +1268,7 @@ def estimate_noise(
     stands, other_residuals = equations.evaluate_rows(mean), scale_residual(mean)
 
     def make_noise(log_levels: Array) -> StandNoise:
+        """Return the noise with moment, flatness and friction multiplied by exp(log_levels)."""
         moment, flatness, friction = np.exp(log_levels)
         return replace(
             expected,
@@ -1273,6 +1278,7 @@ def estimate_noise(
         )
 
     def compute_cost(log_levels: Array) -> float:
+        """Return the negative log evidence plus the log prior's penalty of noise levels (3,)."""
         noise, linearised = make_noise(log_levels), other_residuals
         for stand in stands:
             stand.set_noise(noise)

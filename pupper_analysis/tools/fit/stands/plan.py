@@ -305,6 +305,7 @@ def choose_stands(
     rare_indices = set(np.flatnonzero(is_rare).tolist())
 
     def list_available(chosen_indices: Sequence[int]) -> list[int]:
+        """Return the indices that may be chosen next; rare ones only up to ``max_rare``."""
         candidates = [index for index in range(len(informations)) if index not in chosen_indices]
         full = len(rare_indices & set(chosen_indices)) >= max_rare
         return [
@@ -513,6 +514,7 @@ class RandomStands:
             swing = {feet[rng.integers(len(feet))]: self._swing_height}
 
         def draw_pair(limit: float) -> tuple[float, float]:
+            """Draw two numbers, each uniform within the scaled range +-``limit``."""
             first, second = self._range_scale * rng.uniform(-limit, limit, 2)
             return float(first), float(second)
 

@@ -111,6 +111,7 @@ def find_wiring(
     """
 
     def evaluate(candidate: MeasuredStands) -> float:
+        """Return the log evidence; minus infinity if it cannot be computed."""
         try:
             return evidence(candidate)
         except (PupperAnalysisError, np.linalg.LinAlgError):  # unreachable or not balanced
