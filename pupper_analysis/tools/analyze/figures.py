@@ -57,8 +57,8 @@ _TILE_MARGIN = 0.09
 LABEL_HEIGHT = 0.125
 """Height of the text below a robot, relative to the tile width. Chosen, not tuned."""
 _GROUND_MARGIN = 0.5
-"""Distance from the feet to the edge of the drawn ground, in radii of the largest foot, beyond the
-foot's own surface. Chosen, not tuned."""
+"""Distance from the surface of the outermost feet to the edge of the drawn ground, in radii of the
+largest foot. Chosen, not tuned."""
 GROUND_COLOUR = "#DDE2E9"
 """Colour of the drawn ground."""
 _MAX_BAR_LENGTH = 0.3
@@ -181,7 +181,8 @@ _OVERSAMPLING_FACTOR = 2
 """Rendered pixels per pixel of the picture, in each direction, against jagged edges. Chosen, not
 tuned."""
 _HIDDEN_GROUP = 5
-"""Geom group of planes of the file, so that the picture omits them: MuJoCo renders 0 to 2 only."""
+"""Geom group to which the planes of the MJCF are moved, so that the picture omits them: the
+renderer shows groups 0 to 2 only."""
 _DISABLING_VALUES = ("disable", "disabled", "off", "false", "0")
 """Values of MUJOCO_GL that disable OpenGL."""
 

@@ -46,19 +46,20 @@ _LIMIT_QUANTITIES = ("lower limit", "upper limit")
 """Quantities that are compared with the absolute tolerance of position limits of `crosscheck`."""
 
 _MIN_COMPUTED_DECIMALS = 5
-"""Number of decimals from which a number counts as computed, so that another source may state a
-rounded value. Chosen, not tuned."""
+"""Smallest number of decimals with which a number counts as computed. If another source states the
+rounded number, this is no disagreement. Chosen, not tuned."""
 
 _MAX_ROUNDING_FRACTION = 0.1
 """Largest change of a number by rounding, relative to the number, with which a rounded number in
 another source counts as the same. Example: 0.07 for 0.0745. Chosen, not tuned."""
 
 _UNIT_FACTORS = {"deg": 180 / math.pi, "rpm": 30 / math.pi, "mm": 1000.0}
-"""{unit: factor from the SI unit to this unit}."""
+"""{unit that a source may use by mistake: number in this unit / number in the SI unit}."""
 
 _UNIT_RTOL = 5e-3
-"""Relative deviation of the ratio of two numbers from a ratio of units, up to which a wrong unit is
-reported. Degrees are written with three digits. Chosen, not tuned."""
+"""Largest relative difference between the ratio of two sources' numbers and a factor of
+`_UNIT_FACTORS` with which a wrong unit is reported as the probable mistake. Degrees are written
+with three digits. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

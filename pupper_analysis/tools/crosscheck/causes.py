@@ -981,8 +981,9 @@ def _explains_difference(
 
 
 def _compute_moment_scale(first: TreeBody, second: TreeBody) -> Array:
-    """Compute scales of the moments of a body, shape (10,): mass 1, first moments L, inertia L^2.
+    """Compute scales with which the moments of two bodies are compared, shape (10,).
 
+    The scale is 1 for the mass, L for the first moments, and L^2 for the inertia.
     L [m] is the larger of sqrt(trace(I) / m) and the distance of the CoM from the origin, and at
     least 1e-6 m. trace(I), m and the distance are each the larger value of both bodies.
     """
@@ -1068,8 +1069,9 @@ def group_by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
 
 
 _MIN_FOREIGN_MASS_CHANGE = 0.1
-"""Relative change of a mass from which, with a different CoM and inertia, the inertial is taken for
-that of another body. Chosen, not tuned."""
+"""Relative difference between the masses of a body in both files from which
+`find_foreign_inertials` reports the inertial of another body, if CoM and inertia differ as well.
+Chosen, not tuned."""
 
 
 def find_foreign_inertials(case: PatternCase) -> PatternFindings:

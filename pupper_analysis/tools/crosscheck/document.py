@@ -149,7 +149,10 @@ def _describe_guesses(comparison: Comparison) -> Diagnostic:
 def _make_annotation(
     kind: str, title: str, finding: Diagnostic, place: str | None, other: str | None = None
 ) -> Annotation:
-    """Create an annotation; the second place is appended to the message."""
+    """Create an annotation for a CI service at ``place``, ``file:line``.
+
+    The place in the other file, ``other``, is appended to the message.
+    """
     message = str(finding) if other is None else f"{finding} [{other}]"
     rule = f"crosscheck/{kind}"
     about = describe_kind(kind)

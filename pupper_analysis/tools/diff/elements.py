@@ -833,9 +833,9 @@ def _find_static_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
 def _find_ground_height(model: mujoco.MjModel) -> float:
     """Return the height at which a ground is added [m].
 
-    The height is 0, as in scenes, since published start poses may have feet some centimetres in the
-    ground. If the depth of the lowest geom below 0 exceeds a quarter of the CoM height above this
-    geom, the ground is added at the lowest geom instead.
+    The height is 0, as in the scene files of published models, since published start poses may have
+    feet some centimetres in the ground. If the depth of the lowest geom below 0 exceeds a quarter
+    of the CoM height above this geom, the ground is added at the lowest geom instead.
     """
     data = make_start_data(model)
     middle, half = model.geom_aabb[:, :3], model.geom_aabb[:, 3:]

@@ -446,8 +446,9 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 MIN_GAP_FRACTION = 0.1
-"""Gap between the bounding boxes of visual and collision shapes, relative to the extent of the
-visual shapes, from which the gap is reported. Chosen, not tuned."""
+"""Gap between the bounding boxes of a link's visual and collision shapes, relative to the extent of
+the visual shapes, above which the gap is reported, if it also exceeds `POSITION_TOLERANCE`. Chosen,
+not tuned."""
 
 
 def _compute_reach_of_children(robot: RobotModel, body: Link) -> float:

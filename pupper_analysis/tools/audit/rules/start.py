@@ -313,7 +313,7 @@ _WORLD_POSE = (np.eye(3), np.zeros(3))
 
 
 def _list_hinges_above(model: mujoco.MjModel, body: int) -> list[int]:
-    """Return the hinges between a body and the base, from the base on."""
+    """Return the ids of the hinges on the path from the world to a body, including the body's."""
     hinges: list[int] = []
     while body:
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
@@ -394,7 +394,7 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 def _choose_keyframe(model: mujoco.MjModel) -> int | None:
-    """Return the number of the keyframe ``home``, or of the first; None without keyframes."""
+    """Return the index of the keyframe ``home``, or else 0; None without keyframes."""
     names = [model.key(key).name for key in range(model.nkey)]
     return names.index("home") if "home" in names else next(iter(range(model.nkey)), None)
 
