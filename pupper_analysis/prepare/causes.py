@@ -397,7 +397,7 @@ def _name_shape(model: mujoco.MjModel, geom: int) -> str:
 
 
 def _name_pairs(model: mujoco.MjModel, pairs: NDArray[np.intp]) -> tuple[str, ...]:
-    """Return "A and B" for contact pairs."""
+    """Return "A and B", with the names of both geoms, for each of the contact ``pairs`` (ids)."""
     both = np.column_stack([model.pair_geom1, model.pair_geom2])[pairs]
     return tuple(
         " and ".join(_name_elements(model, _OBJECT_TYPE.mjOBJ_GEOM, ends)) for ends in both

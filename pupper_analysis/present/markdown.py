@@ -108,7 +108,7 @@ def _get_title(block: object) -> Words:
 
 
 def _fold_text(title: str, text: str) -> str:
-    """Return Markdown in a folded section."""
+    """Return a folded section with a title and a Markdown text."""
     return f"<details><summary>{title}</summary>\n\n{text}\n\n</details>"
 
 
@@ -162,7 +162,7 @@ def _make_finding_parts(block: FileFinding) -> list[str]:
 
 
 def _format_place(place: FilePlace) -> str:
-    """Format a place in a file with the quoted line."""
+    """Return the path of a place in a file, and the quoted line as code, as Markdown."""
     quoted = _format_code(get_english(place.line).replace("\n", " "))
     return f"{_escape_text(place.path) or _escape_words(place.place)}: {quoted}"
 
@@ -193,7 +193,7 @@ def _escape_words(words: Words) -> str:
 
 
 def _escape_text(text: str) -> str:
-    """Escape markup, mentions, references and links."""
+    """Escape markup, mentions, references and links in a text for Markdown."""
     return _MARKUP_PATTERN.sub(
         _escape_match, _REFERENCE_PATTERN.sub(_WORD_JOINER, escape_control(text))
     )

@@ -365,7 +365,7 @@ def _print_line(out: Console, line: Text, *, indent: int = 0, wrap: bool = True)
 
 
 def _to_plain_text(words: Words) -> str:
-    """Return the escaped English text of words."""
+    """Return the English text of words, with control characters escaped, without style."""
     return _escape_line(get_english(words))
 
 

@@ -362,7 +362,7 @@ def _stretch_inertial(body: mujoco.MjsBody, matrix: Array, factor: float) -> Non
 
 
 def _scale_torso(body: mujoco.MjsBody, factor: float) -> None:
-    """Multiply mass and inertia of a body by a factor."""
+    """Multiply mass and inertia of a body by a factor, in place."""
     if body.explicitinertial:
         body.mass = factor * body.mass
         body.fullinertia = factor * np.array(body.fullinertia)

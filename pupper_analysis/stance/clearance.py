@@ -248,7 +248,7 @@ class ClearanceShapes:
         return nearest[:most]
 
     def _shape_poses(self, at: Kinematics) -> list[coal.Transform3s]:
-        """Return the pose of each shape in the world."""
+        """Return the pose of each shape in the world frame [m], at given link poses."""
         links = [(at.links[shape.link], shape.form.pose) for shape in self.shapes]
         return [
             coal.Transform3s(turn @ pose.rotation, turn @ pose.position + place)

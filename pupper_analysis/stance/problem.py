@@ -78,7 +78,7 @@ def can_move_com(robot: Robot) -> bool:
 
 
 def _compute_com_mobility(robot: Robot) -> bool:
-    """Evaluate `can_move_com`, without the cache."""
+    """Return True if the joints can move the CoM horizontally (`can_move_com`, uncached)."""
     if not robot.contact_points:
         return True
     if len(robot.feet) < len(robot.contact_points):

@@ -310,7 +310,7 @@ class UrdfBodies:
         return True
 
     def _check_axis(self, joint: etree._Element) -> None:
-        """Refuse a joint axis of length zero."""
+        """Raise ModelError if the axis of a joint has length zero."""
         axis = joint.find("axis")
         if axis is not None and is_zero(axis.get("xyz") or _ZERO_VECTOR):
             problem = diagnose("axis-without-direction", subject=("joint", str(joint.get("name"))))

@@ -300,7 +300,7 @@ def _find_carrier(bodies: LinkBodies, body: str, *, bare: bool = False) -> tuple
 
 
 def _make_inertia_error(urdf: UrdfFile, name: str, inertia: pin.Inertia) -> ModelError:
-    """Return the error for an invalid inertia."""
+    """Return the error for the invalid inertia of the link ``name``."""
     mass, moments = Quantity(inertia.mass, "kg"), _compute_moments(inertia)
     problem = diagnose("inertia-refused", subject=("link", name), mass=mass, moments=moments)
     return make_file_error(urdf.place("link", name, "inertial/inertia"), problem)

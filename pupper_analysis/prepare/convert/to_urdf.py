@@ -229,15 +229,15 @@ class UrdfLinks:
         return self.tree.new_joint(name, kind, parent, child, placed, NUM_DIGITS)
 
     def _make_link_name(self, body: int) -> str:
-        """Return a unique link name for a body."""
+        """Return a unique link name for a body: the body's name, or ``body_ID`` without a name."""
         return self._make_free_name(str(self.model.body(body).name) or f"body_{body}")
 
     def _make_free_name(self, wanted: str) -> str:
-        """Return a unique link name."""
+        """Return ``wanted`` as link name, with a suffix if a link of this name exists."""
         return make_unique_name(wanted, self._names)
 
     def _make_joint_name(self, wanted: str) -> str:
-        """Return a unique joint name."""
+        """Return ``wanted`` as joint name, with a suffix if a joint of this name exists."""
         return make_unique_name(wanted, self._joint_names)
 
 

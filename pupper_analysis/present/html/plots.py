@@ -108,7 +108,7 @@ def round_ticks(low: float, high: float, count: int = 5) -> list[float]:
 
 @draw_svg.register
 def _draw_line_plot(plot: LinePlot) -> Drawing:
-    """Convert a line plot to SVG marks."""
+    """Convert a line plot to SVG elements (`Mark`), lengths in CSS pixels."""
     x, y, series = plot.x, plot.y, plot.series
     lines, marked = [], []
     for one in series:
@@ -155,7 +155,7 @@ rounding and the bar plot stays one-sided."""
 
 @draw_svg.register
 def _draw_bar_plot(plot: BarPlot) -> Drawing:
-    """Convert a bar plot to SVG marks."""
+    """Convert a bar plot to SVG elements (`Mark`), lengths in CSS pixels."""
     axis, bars = plot.axis, plot.bars
     shown = [_shorten_name(bar.name) for bar in bars]
     names, values, step = 24.0 + LETTER_WIDTH * max(map(_count_letters, shown)), 84.0, 22.0
