@@ -156,11 +156,15 @@ def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
 def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
     """Fit a sphere to the lowest points of a foot.
 
-    A sphere is fitted to the points within each of 10, 20, 30 and 45 mm above the tip. Least
-    squares are linear: the equation |p - c| = r is linear in c and r^2 - |c|^2. A fit is accepted
-    if its radius exceeds half of the height of the points, and if the cap around the lowest point
-    of the sphere (half angle `_CAP_ANGLE`) contains at least 6 of the points, all of them within
-    `_MAX_SPHERE_DEVIATION` of the radius from its surface.
+    Spheres are fitted to the points below each of four heights above the tip: 10, 20, 30 and 45 mm.
+    Least squares are linear: the equation |p - c| = r is linear in c and r^2 - |c|^2. A sphere is
+    accepted under these conditions:
+
+    - The radius exceeds half of the height.
+    - The cap around the lowest point of the sphere (half angle `_CAP_ANGLE`) contains at least 6 of
+      the points.
+    - The distance of these points from the surface is below `_MAX_SPHERE_DEVIATION` times the
+      radius.
 
     Args:
         points: Points, shape (n, 3) [m].
@@ -168,7 +172,7 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
         down: Unit vector towards the ground, shape (3,), in the frame of the points.
 
     Returns:
-        Centre, shape (3,) [m], of the accepted sphere with the most points, in the frame of the
+        Centre, shape (3,) [m], of the accepted sphere with the largest height, in the frame of the
         points; and radius [m]: distance along ``down`` from the centre to the tip. The tip and 0
         if no sphere is accepted.
     """

@@ -143,12 +143,12 @@ def print_document(
     next_command: str = "",
     hidden_notes: int = 0,
 ) -> None:
-    """Print a document: verdict, key figures, blocks and notes.
+    """Print a document: verdict, key figures, blocks (tables, findings and others) and notes.
 
     Args:
         out: Console.
         document: Document.
-        everything: Also print details, all notes and the blocks that the short view omits.
+        everything: Also print details, all notes, and the blocks that are omitted by default.
         next_command: Command line to run next, printed below the key figures; empty for none.
         hidden_notes: Number of notes on the robot that the caller does not print.
     """
