@@ -95,7 +95,7 @@ def print_next_step(step: NextStep | None) -> None:
 
 
 def _list_values(value: object) -> list[str]:
-    """Return the typed values of a parameter as words; none for an untyped parameter."""
+    """Return the typed values of a parameter as words; [] for other values, such as flags."""
     if isinstance(value, list | tuple):
         return [str(one) for one in value]
     return [value] if isinstance(value, str) else []

@@ -417,7 +417,7 @@ def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_option_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield the contact override, and disabled actuator groups, as candidate causes."""
+    """Yield MuJoCo's flag ``override`` of contacts, and disabled actuator groups, as candidates."""
     flags, override = model.opt.enableflags, mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
     for acts, code, element, field, value in (
         (flags & override, "override", "flag override", "enableflags", flags & ~override),

@@ -111,8 +111,8 @@ def _find_tendon_drives(
 
     Returns:
         Model of the file; indices of these joints; ids of the actuators; levers of the actuators at
-        all joints, shape (nu, number of actuators). None without such joints, or with closed loops
-        or couplings.
+        all joints, shape (nu, number of actuators). None without such joints or
+        a published file, or with closed loops or couplings.
     """
     file = None if robot.published is None else robot.published.file
     driven = {

@@ -511,7 +511,7 @@ def _set_tendon_commands(
     targets: Array,
     torques: Array,
 ) -> set[int]:
-    """Set the controls of position servos at tendons that drive joints without actuator.
+    """Set the controls of position servos at tendons that drive joints without actuator, in place.
 
     Args:
         published: Published model.

@@ -92,7 +92,10 @@ def _compute_com_mobility(robot: Robot) -> bool:
 
 
 def _count_com_directions(robot: Robot, joints: Array) -> int:
-    """Count the horizontal directions in which the CoM can move at joint positions (nu,)."""
+    """Return the number (0 to 2) of independent horizontal directions in which the CoM can move.
+
+    Feet, base height and base orientation are fixed, at the joint positions ``joints`` (nu,).
+    """
     config = Configuration(robot, robot.make_qpos(joints))
     held = np.eye(4, robot.nv, k=2)  # base height and orientation
     feet = np.vstack(list(config.foot_jacobians().values()))
