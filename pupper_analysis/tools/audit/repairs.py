@@ -100,7 +100,7 @@ def _format_value(value: float) -> str:
 
 
 def _format_moved(value: float) -> str:
-    """Format a number whose decimal point was moved, with all digits of a stated number."""
+    """Format a number whose decimal point was moved, with at most twelve digits."""
     return f"{value:.12g}"
 
 
@@ -506,7 +506,10 @@ def _format_vector(vector: Array) -> str:
 
 
 def _mirror_com(robot: RobotModel, link: Link, twin: Link) -> Array | None:
-    """Return the mirror image of the CoM of ``twin`` in the frame of ``link``, shape (3,) [m]."""
+    """Return the mirror image of the CoM of ``twin`` in the frame of ``link``, shape (3,) [m].
+
+    None if the robot has no mirror plane, or ``twin`` has no inertial.
+    """
     mirror = find_mirror_plane(robot)
     if mirror is None or twin.inertial is None:
         return None
@@ -827,7 +830,7 @@ def _strip_space(texts: Iterable[bytes]) -> list[bytes]:
 
 
 def _same_mesh(first: etree._Element, second: etree._Element) -> bool:
-    """Return True if two <mesh> elements have the same stem of the file, and the same scale."""
+    """Return True if two <mesh> elements have equal scales, and file names with the same stem."""
     stems = {Path(mesh.get("filename", "")).stem for mesh in (first, second)}
     return len(stems) == 1 and first.get("scale", "1 1 1") == second.get("scale", "1 1 1")
 

@@ -385,7 +385,10 @@ class StanceSearch:
             self._minimise_with_independent_feet(self.best.coordinates, _DESCENT_ITERATIONS)
 
     def _minimise_with_independent_feet(self, coordinates: Array, iterations: int) -> None:
-        """Minimise the level (scaled objective) over all coordinates, and update ``best``."""
+        """Minimise the level (scaled objective) over all coordinates, and update ``best``.
+
+        The descent starts at ``coordinates`` and has at most ``iterations`` SLSQP iterations.
+        """
         subspace = Subspace(self.space, coordinates, np.eye(len(coordinates)))
         self._minimise_level(subspace, subspace.start, iterations)
 

@@ -584,8 +584,8 @@ def _compare_sides(
 def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
     """Yield differences between the joint orders of sources that feed a policy.
 
-    Models, assumed orders (which prove nothing), and two sources that both map joints to motors
-    (which may use any order) are not compared.
+    The joint order is that of the arrays of the policy. Not compared are models, assumed orders,
+    and two sources that both map joints to motors, since such sources may use any order.
     """
     feeding = [
         placed_source

@@ -339,7 +339,7 @@ class _Comparison:
         )
 
     def _compare_extra_values(self) -> Iterator[Difference]:
-        """Yield changes of values outside the trees: motors, springs, tendons, mimic joints ..."""
+        """Yield changes of values outside the trees, such as motors, springs and mimic joints."""
         old_values = self.one.extra_values
         new_values = {
             (kind, self.old_name.get(element, element)): _rename_targets(value, self.old_name)
@@ -490,9 +490,10 @@ class RandomStates:
         return MujocoTree(self.values)
 
     def _load_tree(self, values: MultibodyTree) -> tuple[mujoco.MjModel, list[int], list[int]]:
-        """Return the MuJoCo model of a tree, with indices into its coordinates.
+        """Return the MuJoCo model of a tree, and indices into its qpos and its qvel.
 
-        The indices map the columns of this object's ``qpos`` and ``qvel`` to the model's.
+        Index k states the entry of the model's qpos (qvel) for column k of this object's ``qpos``
+        (``qvel``).
         """
         tree = (
             self._mujoco_tree if self._mujoco_tree.has_structure_of(values) else MujocoTree(values)

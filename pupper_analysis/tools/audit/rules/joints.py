@@ -487,7 +487,10 @@ def _find_shank_end(robot: RobotModel, shank: Link) -> Array | None:
 
 
 def _is_leg(robot: RobotModel, link: Link) -> bool:
-    """Return True if a link, a descendant, or a frame or joint there has a leg-like name."""
+    """Return True if a link or descendant, or one of their frames or joints, is named like a leg.
+
+    `_LEG_PATTERN` defines such names.
+    """
     parts = (link, *robot.descendants(link.name))
     names = [part.name for part in parts]
     names += [frame.name for part in parts for frame in part.frames]

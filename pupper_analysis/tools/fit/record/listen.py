@@ -116,7 +116,7 @@ def record_policy(robot: Robot, bridge: str, seconds: float, output: str | Path)
 
 
 def _open_listener(name: str, robot: Robot) -> Listener:
-    """Open the listener of a name, ``NAME`` or ``NAME:ARGUMENTS``.
+    """Return an open connection that receives messages; ``name`` is ``NAME`` or ``NAME:ARGUMENTS``.
 
     Raises:
         ConfigurationError: If there is no listener of this name, or it cannot be opened.

@@ -192,7 +192,7 @@ def _lock_output(path: Path) -> Iterator[None]:
 def _record_missing_stands(
     robot: Robot, plan: str | Path, path: Path, bridge: Bridge, operator: Operator
 ) -> Recording:
-    """Record the stands of a plan that the file does not contain."""
+    """Record the stands of the file ``plan`` that the output file ``path`` does not contain yet."""
     planned = read_stands(plan).order_joints(robot)
     check_writable(path, RECORD_KIND)
     margins = list(_check_plan(robot, planned))  # before anything moves
@@ -389,13 +389,13 @@ class _RecordingSession:
             self._check_tracking(stand, start, first_position)
 
     def _check_tracking(self, stand: PlannedStand, start: Array, first_position: Array) -> None:
-        """Check that all servos follow, and that no key is pressed.
+        """Check that all servos follow their commands, and that the operator does not stop.
 
         ``start`` are the commands, ``first_position`` the positions at the start of the ramp, shape
         (nu,) [rad].
 
         Raises:
-            _RecordingEndedError: If a servo does not follow, or a key is pressed.
+            _RecordingEndedError: If a servo does not follow, or the operator stops the recording.
         """
         assert self._command is not None
         position = self._read_positions(stand)
