@@ -75,7 +75,12 @@ def complete_command(step: NextStep | None) -> str:
         robot = robot[: len(taken)]
     elif len(robot) > 1 and arguments >= {"urdf", "mjcf"}:  # a variant and a file: two robots
         robot = [word for word in robot if not is_variant(word)] or robot[:1]
-    excluded = (*step.words, *step.omitted)
+    # A value for a pattern, such as ``--kp 'knee_*=5'``, adds to the typed values.
+    following = (*step.words[1:], "")
+    replacing = [
+        word for word, value in zip(step.words, following, strict=False) if "=" not in value
+    ]
+    excluded = (*replacing, *step.omitted)
     options = _list_common_options(order, values, target, excluded)
     split = next(
         (place for place, word in enumerate(step.words) if word.startswith("-")), len(step.words)

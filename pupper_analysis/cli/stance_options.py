@@ -37,7 +37,6 @@ from pupper_analysis.cli.stance_fields import (
     stance_option,
 )
 from pupper_analysis.prepare.convert.files import RobotFiles
-from pupper_analysis.robot.joints import check_motor_joints
 from pupper_analysis.stance.fields import ROBOT_FIELDS
 
 if TYPE_CHECKING:
@@ -427,6 +426,7 @@ def parse_motors(texts: tuple[str, ...], robot: Robot, option: str = "motor") ->
         ModelError: If the motor's file is not valid.
     """
     from pupper_analysis.models.motors.reading import find_motor
+    from pupper_analysis.robot.joints import check_motor_joints
 
     assigned: dict[str, Motor] = {}
     for text in texts:

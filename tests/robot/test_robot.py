@@ -219,11 +219,16 @@ def test_sizes_and_mass_count_the_base_if_it_is_free(tiny: pa.Robot, tiny_files:
 
 @pytest.mark.slow
 def test_base_without_free_joint_in_the_mjcf_is_fixed(tmp_path: Path) -> None:
-    """By hand: three joint positions remain, and the note names the option that keeps the base."""
-    robot = load_files(write(tmp_path, mjcf=replace_text(TINY_MJCF, "<freejoint/>", "")))
+    """By hand: three joint positions remain, and the note names the option that keeps the base.
+
+    On a foot that the user names, the base stays free.
+    """
+    files = write(tmp_path, mjcf=replace_text(TINY_MJCF, "<freejoint/>", ""))
+    robot = pa.load_robot(*files)
     assert not robot.floating
     assert robot.nq == 3
     assert any("its base stays fixed" in str(note) for note in robot.notes)
+    assert load_files(files).floating
 
 
 def test_bodies_of_both_engines_agree_if_joint_orders_differ(tiny: pa.Robot) -> None:

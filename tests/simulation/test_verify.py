@@ -568,9 +568,9 @@ def test_growing_modes_are_not_simulated_until_failure_if_the_nudge_decides(
     simulated: list[float] = []
     simulate, measure = growth.simulate_growth, verify.measure_response
 
-    def count_simulations(*arguments: Any) -> growth.GrowthTrial:
+    def count_simulations(*arguments: Any, **named: Any) -> growth.GrowthTrial:
         simulated.append(1.0)
-        return simulate(*arguments)
+        return simulate(*arguments, **named)
 
     monkeypatch.setattr(growth, "simulate_growth", count_simulations)
     complete = pa.verify_stand(robot, stand, kp=1.2)
@@ -580,7 +580,7 @@ def test_growing_modes_are_not_simulated_until_failure_if_the_nudge_decides(
     monkeypatch.setattr(
         verify,
         "measure_response",
-        lambda *arguments: replace(measure(*arguments), decayed=False, left=0.1),
+        lambda *arguments, **named: replace(measure(*arguments, **named), decayed=False, left=0.1),
     )
     brief = pa.verify_stand(robot, stand, kp=1.2, until_failure=True)
     assert len(simulated) == 2

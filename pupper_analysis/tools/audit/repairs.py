@@ -330,6 +330,8 @@ def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     if not known or len(known) < len(solids) or any(each is None for each in points):
         return
     solid = functools.reduce(operator.add, known)
+    if not solid.mass:  # a sphere of radius 0
+        return
     density = link.mass / float(solid.mass)
     if not MIN_DENSITY <= density <= MAX_DENSITY:
         return

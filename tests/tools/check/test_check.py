@@ -606,3 +606,9 @@ def test_number_does_not_agree_with_a_value_of_another_kind(other: object) -> No
     assert not values_agree({"urdf": 4.4}, {"urdf": other})
     assert not values_agree({"urdf": other}, {"urdf": 4.4})
     assert values_agree({"urdf": 4.4}, {"urdf": 4.4 * (1 + 1e-15)})
+
+
+def test_robot_in_memory_is_refused_in_place_of_a_configuration() -> None:
+    text = (ROOT / "mjcf" / "pupper_v3.xml").read_text()
+    with pytest.raises(pa.ConfigurationError, match="config: this robot is in memory"):
+        pa.guard.check_repository(text)

@@ -525,17 +525,6 @@ def test_objects_of_two_formats_are_refused_in_one_line() -> None:
     assert "\n" not in str(error.value)
 
 
-def test_text_is_refused_by_functions_that_write_files_in_place() -> None:
-    text = mjcf_text(ROBOT)
-    with pytest.raises(pa.ConfigurationError, match="mjcf: this robot is in memory"):
-        pa.sync_models(ROOT / "urdf" / "pupper_v3.urdf", text)
-    with pytest.raises(pa.ConfigurationError, match="config: this robot is in memory"):
-        pa.guard.check_repository(text)
-    with pytest.raises(pa.ConfigurationError, match="urdf: ") as error:
-        pa.sync_models(load("v3").pin_model, ROOT / "mjcf" / "pupper_v3.xml")  # type: ignore[arg-type]
-    assert "\n" not in str(error.value)
-
-
 def test_equal_versions_have_no_change(tmp_path: Path) -> None:
     write_both(tmp_path, urdf_text(ROBOT), urdf_text(ROBOT), "urdf")
     result = run(tmp_path, "old.urdf", "new.urdf")

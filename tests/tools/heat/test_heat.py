@@ -247,5 +247,5 @@ def test_rotary_motor_at_a_slide_is_refused(tmp_path: Path) -> None:
         study_heat(robot, pa.StandTask(), dict.fromkeys(robot.joint_names, motor))
     with pytest.raises(pa.ConfigurationError, match=r"FL_knee.* are slides"):
         parse_continuous_torques(("dephy-actpack",), robot)
-    hips = parse_continuous_torques(("*_pitch=dephy-actpack",), robot)
-    assert sorted(hips) == ["FL_pitch", "FR_pitch", "RL_pitch", "RR_pitch"]
+    hips, motors = parse_continuous_torques(("*_pitch=dephy-actpack",), robot)
+    assert sorted(hips) == sorted(motors) == ["FL_pitch", "FR_pitch", "RL_pitch", "RR_pitch"]

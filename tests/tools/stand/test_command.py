@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -257,17 +258,30 @@ def test_the_second_line_states_the_gains_with_their_bounds(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kp", "status", "verdict"), [("2.3", 0, "HOLDS with gravity compensation"), ("1", 1, "FAILS")]
-)
 def test_servos_below_the_least_stiffness_get_one_that_stands(
-    capfd: pytest.CaptureFixture[str], kp: str, status: int, verdict: str
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     """Reference: the command with the stated kp stands without gravity compensation."""
-    ended, out, _ = run_command(capfd, "stand", "v3", "--kp", kp)
-    assert (ended, out.startswith(f"{verdict} v3: ")) == (status, True)
-    stated = f"kp {kp} too soft without compensation: stands with "
+    ended, out, _ = run_command(capfd, "stand", "v3", "--kp", "2.3")
+    assert (ended, out.startswith("HOLDS with gravity compensation v3: ")) == (0, True)
+    stated = "kp 2.3 too soft without compensation: stands with "
     assert stated in out.splitlines()[1]
     number = out.partition(stated)[2].partition(";")[0]
     ended, out, _ = run_command(capfd, "stand", "v3", "--kp", number)
     assert (ended, out.startswith("HOLDS v3: ")) == (0, True)
+
+
+@pytest.mark.slow
+def test_next_command_of_soft_servos_keeps_the_typed_gains(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """The gains of some joints are doubled, the others keep the typed kp; the command stands."""
+    ended, out, _ = run_command(capfd, "stand", "v3", "--kp", "1")
+    assert (ended, out.startswith("FAILS v3: ")) == (1, True)
+    assert "leg_*_1 too soft (kp 1): stands with 2 times these gains" in out.splitlines()[1]
+    words = shlex.split(out.splitlines()[2].partition("next: ")[2])
+    assert words[1:] == [
+        *("stand", "v3", "--kp", "1", "--kp", "leg_*_1=2", "--kd", "leg_*_1=0.2"),
+    ]
+    ended, out, _ = run_command(capfd, *words[1:])
+    assert (ended, "HOLDS" in out.splitlines()[0]) == (0, True)

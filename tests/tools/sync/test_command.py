@@ -7,8 +7,11 @@ from pathlib import Path
 
 import pytest
 
+import pupper_analysis as pa
 from tests.support.commands import Answer, answer
+from tests.support.repository import ROOT
 from tests.support.robots import change_part, quadruped, write_parts
+from tests.support.variants import load
 
 ROBOT = quadruped()
 DIFFERENT = change_part(change_part(ROBOT, "base", mass=7.5), "thigh1", effort=25.0, armature=0.5)
@@ -114,3 +117,12 @@ def test_difference_within_the_tolerance_is_written_with_a_smaller_tolerance(
     assert run(tmp_path, *fine).returncode == 1
     assert run(tmp_path, *fine, "--take", "urdf").returncode == 0
     assert 'mass="6"' in files.mjcf.read_text()
+
+
+def test_robot_in_memory_is_refused_because_files_are_written_in_place() -> None:
+    text = (ROOT / "mjcf" / "pupper_v3.xml").read_text()
+    with pytest.raises(pa.ConfigurationError, match="mjcf: this robot is in memory"):
+        pa.sync_models(ROOT / "urdf" / "pupper_v3.urdf", text)
+    with pytest.raises(pa.ConfigurationError, match="urdf: ") as error:
+        pa.sync_models(load("v3").pin_model, ROOT / "mjcf" / "pupper_v3.xml")  # type: ignore[arg-type]
+    assert "\n" not in str(error.value)
