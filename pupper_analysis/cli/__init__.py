@@ -190,7 +190,8 @@ def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -
 
 
 _RESOURCE_ERRORS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOSPC, errno.EDQUOT)
-"""Error numbers of missing system resources."""
+"""Error numbers (``errno``) of missing system resources, such as disk space. These errors have the
+exit status `EXIT_BAD_INPUT`; other unexpected errors are reported as bugs."""
 
 
 def _describe_lack(error: Exception) -> str:
