@@ -97,7 +97,8 @@ class Branch:
 def find_limbs(robot: Robot) -> tuple[Limb, ...]:
     """Return the limbs of a robot: contact points with the indices of the joints that move them.
 
-    Joints that move no contact point, for example of a head, are in no limb.
+    Contact points that share a joint belong to one limb. Joints that move no contact point, for
+    example of a head, are in no limb.
     """
     model = robot.pin_model
     groups: list[tuple[set[str], set[int]]] = []

@@ -697,7 +697,7 @@ def _fit_upward_normal(points: Array) -> Array:
 
 
 def ground_normals(robot: Robot, ground: Ground) -> dict[str, Array]:
-    """Return {contact point: outward unit normal of the ground below it, (3,), world frame}."""
+    """Return {contact point: unit normal out of its ground or plane, (3,), in the world frame}."""
     if not ground.planes:
         return dict.fromkeys(robot.contact_points, ground.normal())
     out = {point: ground.normal(foot) for foot, points in robot.feet.items() for point in points}

@@ -644,8 +644,8 @@ class SagEquilibrium:
             places: Slips along the two tangents and penetration, shape (n, 3) [m], from `slips`.
 
         Returns:
-            Index, friction coefficient and augmented tangential force, shape (2,) [N], of each such
-            contact.
+            Index, friction coefficient (0 if the ground pulls), and augmented tangential force,
+            shape (2,) [N], of each such contact.
         """
         if self.feet == "sliding":
             return []
@@ -765,13 +765,14 @@ class SagEquilibrium:
         return self._welds.jacobian(self.contacts_at(qpos).config)
 
     def find_violations(self, solution: Solution) -> dict[str, float]:
-        """Return the contact points that contradict a solution, with the violation.
+        """Return the contact points whose assumed contact state contradicts a solution.
 
-        A touching contact must not pull; another contact point must not penetrate the ground.
-        Welded and gripping feet are not tested.
+        The ground must not pull a touching contact; another contact point must not penetrate the
+        ground. Welded and gripping feet are not tested.
 
         Returns:
-            {contact point: pulling force [N] or penetration [m]}.
+            {contact point: pulling force [N], or penetration beyond the tolerance [m]}, as from
+            `violation_of`.
         """
         feet = self.robot.bearing_points
         return {foot: amount for foot in feet if (amount := self.violation_of(foot, solution)) > 0}
