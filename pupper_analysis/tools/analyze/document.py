@@ -411,7 +411,7 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
 
 
 def _format_interval(values: Array) -> str:
-    """Format the range of values; a single number if equal."""
+    """Format the smallest and the largest of some values; one number if both are equal."""
     low, high = float(values.min()), float(values.max())
     return f"{low:g}" if low == high else f"{low:g} … {high:g}"
 

@@ -274,7 +274,10 @@ def _is_failure(remark: Remark, config: GuardConfig) -> bool:
 
 
 def _check_pair_files(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark]]:
-    """Audit and compare the files of a pair, and run the hooks of other tools."""
+    """Audit and compare the files of a pair, and run the checks of other tools (module ``guard``).
+
+    Return the result of the pair, and remarks on all findings.
+    """
     files = [file for file in (pair.urdf, pair.mjcf) if file is not None]
     remarks: list[Remark] = []
     notes: tuple[Diagnostic, ...] = ()

@@ -545,5 +545,5 @@ def _flatten_value(value: Any) -> list[Any]:
 
 
 def _is_finite(value: Any) -> bool:
-    """Return True for a finite number that is not a truth value."""
+    """Return True for a finite int or float; False for a bool."""
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

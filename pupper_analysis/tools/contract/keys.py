@@ -28,13 +28,16 @@ JOINT_ORDER: Final = "joint order"
 """Quantity of a key whose value is the list of joint names in the order of the source's lists."""
 
 _FORMS: Final = ("table", "trainer", "actuator")
-"""Values of ``of``: formats in which a key is searched."""
+"""Valid values of ``of`` in an entry of ``keys.toml``: format of the files in which a key is
+searched."""
 
 _SHAPES: Final = ("", "number", "list", "table")
-"""Values of ``shape``; empty for any shape."""
+"""Valid values of ``shape`` in an entry of ``keys.toml``: required shape of the value of a key;
+empty for any shape."""
 
 _MATCHES: Final = ("name", "part")
-"""Values of ``match``: how the keys of a table {joint: number} select joints."""
+"""Valid values of ``match`` in an entry of ``keys.toml``: the keys of a table {joint: number} are
+names or patterns of joints (``name``), or parts of names (``part``)."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +166,7 @@ def _read_user_rules(path: Path, _time: int) -> tuple[KeyRule, ...]:
 
 
 def _make_rules(entry: Any, path: Path) -> Iterator[KeyRule]:
-    """Yield a rule for each name of an entry.
+    """Yield a rule for each name in an entry of ``keys.toml`` or of a user's file.
 
     Raises:
         ModelError: If the entry is not valid.
@@ -215,7 +218,7 @@ def _is_text_list(value: Any) -> bool:
 
 
 def _make_entry_error(path: Path, problem: str, known: Sequence[str] = ()) -> ModelError:
-    """Return the error about an entry of the table of keys, with the valid values."""
+    """Return the error about an entry of the keys (built-in or the user's), with the valid values."""
     return make_file_error(
         Place(path), diagnose("contract-key-entry", problem=problem, known=tuple(known))
     )

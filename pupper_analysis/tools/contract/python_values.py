@@ -340,15 +340,15 @@ class Evaluator:
         )
 
     def _run_raise(self, *_: object) -> None:
-        """Leave all loops up to the ``try`` statement with handlers, or the function or module."""
+        """Raise the signal that ends a ``try`` statement with handlers, the function or the module."""
         raise _RaiseSignal
 
     def _run_break(self, *_: object) -> None:
-        """Leave the innermost loop."""
+        """Raise the signal that ends the innermost loop."""
         raise _LeaveSignal
 
     def _run_continue(self, *_: object) -> None:
-        """Continue with the next iteration of a loop."""
+        """Raise the signal that ends the current iteration of the innermost loop."""
         raise _NextSignal
 
     def _run_if(self, statement: ast.If, scope: Scope) -> None:
@@ -726,7 +726,7 @@ class Evaluator:
         return FunctionValue("lambda", expression, scope)
 
     def _evaluate_listcomp(self, expression: ast.ListComp, scope: Scope) -> list[Node]:
-        """Return the list of a comprehension."""
+        """Return the list of a comprehension such as ``[x for x in values]``."""
         return [
             self.evaluate(expression.elt, inner)
             for inner in self._iterate_loops(expression.generators, scope)
@@ -937,5 +937,5 @@ def _list_search_folders(path: Path) -> Iterator[Path]:
 
 
 def _is_number(value: Any) -> bool:
-    """Return True for a number that is not a truth value."""
+    """Return True for an int or float; False for a bool."""
     return isinstance(value, int | float) and not isinstance(value, bool)

@@ -90,7 +90,7 @@ def _find_impossible_sizes(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 def _list_shapes(robot: UrdfModel) -> Iterator[tuple[str, etree._Element, etree._Element]]:
-    """Yield (link, <geometry>, shape element) of each shape."""
+    """Yield (link, <geometry>, shape element such as <box>) of each shape of a URDF."""
     for name, link in robot.file.tree.links.items():
         for _, shape, _ in link.shapes:
             geometry = shape.find("geometry")

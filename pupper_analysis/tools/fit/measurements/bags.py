@@ -185,7 +185,7 @@ def limit_decompressor(decompressor: Callable[[], Any]) -> Callable[[bytes], byt
 
 
 class _LimitedFile:
-    """Unpacked file that is read up to ``MAX_BAG_BYTES``."""
+    """Unpacked file; reading more than `MAX_BAG_BYTES` bytes raises a MeasurementError."""
 
     def __init__(self, file: Any) -> None:
         self._file, self._size = file, 0
@@ -199,7 +199,7 @@ class _LimitedFile:
 
 
 def _check_unpacked_size(size: int, maximum: int) -> None:
-    """Raise MeasurementError if a size [bytes] exceeds the maximum."""
+    """Raise a MeasurementError if a size [bytes] exceeds ``maximum`` [bytes]."""
     if size > maximum:
         raise MeasurementError("", diagnose("bag-too-large", most=maximum / 1e6))
 
