@@ -71,10 +71,13 @@ def support_region(
 
     The joint positions and the weight are those of the configuration. Only the CoM is varied, as by
     a displacement of mass inside the base, which does not change the loads of the joints. A CoM
-    position belongs to the region if contact forces f at the points p exist, in the friction cones,
-    with sum f = m g e_z and sum p x f = m g com x e_z; and, if ``torque_limits`` is True, with
-    joint torques l - J^T f within the effort limits (l: static load of gravity, J: Jacobian of the
-    contact points).
+    position belongs to the region if forces f in the friction cones of the contact points p exist
+    with
+
+        sum f = m g e_z,    sum p x f = m g com x e_z.
+
+    If ``torque_limits`` is True, the joint torques l - J^T f must also be within the effort limits,
+    with the static load l of gravity and the Jacobian J of the contact points.
 
     On level ground, without torque limits and prescribed forces, the region is the convex hull of
     the contact points. Otherwise the result is the convex hull of the region's extreme points in 48

@@ -753,8 +753,8 @@ class SagEquilibrium:
     def weld_rows(self, qpos: Array) -> Array:
         """Return the Jacobian of welded bodies and gripped points, shape (6 w + 3 g, nv).
 
-        The product with qvel is the linear and angular velocity of w welded bodies, then the linear
-        velocity of g points of bars that grippers hold, in the world frame. If only the base is
+        The first 6 w rows give the linear and angular velocity of the w welded bodies, the others
+        the linear velocity of the g gripped points, all in the world frame. If only the base is
         welded, the rows select the six components of the base in qvel.
 
         Args:
