@@ -218,7 +218,7 @@ def _is_text_list(value: Any) -> bool:
 
 
 def _make_entry_error(path: Path, problem: str, known: Sequence[str] = ()) -> ModelError:
-    """Return the error about an entry of the keys (built-in or the user's), with the valid values."""
+    """Return the error about an entry that defines a key, with the valid values."""
     return make_file_error(
         Place(path), diagnose("contract-key-entry", problem=problem, known=tuple(known))
     )

@@ -340,7 +340,10 @@ class Evaluator:
         )
 
     def _run_raise(self, *_: object) -> None:
-        """Raise the signal that ends a ``try`` statement with handlers, the function or the module."""
+        """Raise the signal that ends the body of the next ``try`` statement with handlers.
+
+        Without such a statement, the signal ends the function or module.
+        """
         raise _RaiseSignal
 
     def _run_break(self, *_: object) -> None:
