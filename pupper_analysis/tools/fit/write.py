@@ -41,8 +41,8 @@ from pupper_analysis.tools.sync.numbers import (
 )
 
 _UNCHANGED_STDS = 1e-3
-"""Change of a parameter, in standard deviations, up to which the stated value is written. Chosen,
-not tuned."""
+"""Difference between estimate and stated value of a parameter, in standard deviations, up to which
+the stated value is written instead of the estimate. Chosen, not tuned."""
 
 _EXTRA_DIGITS = 2
 """Decimal digits written beyond the first digit of a standard deviation. Chosen, not tuned:

@@ -369,8 +369,8 @@ MIN_PARALLEL_COSINE, MAX_AXIS_SLOPE = 0.99, 0.3
 between both axes, and largest absolute z component of the hip's axis in the base frame. Chosen."""
 
 MIN_REACHED_FRACTION = 0.75
-"""Smallest fraction of the knee range in which the foot comes below the hip, for which the joint
-limits are not reported. Chosen, not tuned."""
+"""Fraction of the knee range in which a hip angle puts the foot below the hip, below which the
+joint limits are reported. Chosen, not tuned."""
 
 NUM_KNEE_ANGLES = 61
 """Number of knee angles, evenly spaced over the range, at which the reach of a leg is evaluated.

@@ -216,8 +216,9 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 IMPOSSIBLE_TORQUE_RATIO = 10.0
-"""Torque of the weight, relative to the sum of all efforts, above which no stance can be held: an
-error. Straight legs and unusual units explain smaller factors. Chosen, not tuned."""
+"""Torque of the weight, relative to the sum of all efforts, above which `mass_beyond_motors` has
+the severity ERROR instead of WARNING: no stance can be held. Straight legs and unusual units
+explain smaller factors. Chosen, not tuned."""
 
 
 MAX_MASS_FRACTION = 0.9

@@ -37,8 +37,9 @@ MuJoCo: with this value the whitened residuals of robots with exact parameters h
 variance."""
 
 _RANK_RTOL = 1e-6
-"""Singular value of the contact Jacobian by the joints, relative to the largest, below which it
-counts as 0: these joint motions do not move the feet. Chosen, not tuned."""
+"""Singular value of the contact points' Jacobian by the joints, relative to the largest singular
+value, below which the value counts as 0: its joint motions do not move the feet. Chosen, not
+tuned."""
 
 _VELOCITY_ATOL = 1e-9
 """Smallest divisor [rad/m, rad/rad] when joint and foot rotations per unit motion of the base are

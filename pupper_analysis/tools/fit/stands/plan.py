@@ -405,7 +405,8 @@ _SHRINK_FACTOR, _GROW_FACTOR = 0.85, 1.2
 balance at about 50 % accepted stands, for robots with large and small workspaces."""
 
 _MAX_UTILISATION = 0.6
-"""Upper bound of motor torque over torque limit, since stands last minutes. Chosen, not tuned."""
+"""Upper bound of motor torque over torque limit in a planned stand; random stands above are
+refused, since a stand lasts minutes. Chosen, not tuned."""
 
 _MIN_HEIGHT_RATIO, _MAX_HEIGHT_RATIO = 0.75, 1.1
 """Bounds of the base height, as fractions of the base height in the default stand. Chosen, not
