@@ -370,7 +370,7 @@ between both axes, and largest absolute z component of the hip's axis in the bas
 
 MIN_REACHED_FRACTION = 0.75
 """Fraction of the knee range in which a hip angle puts the foot below the hip, below which the
-joint limits are reported. Chosen, not tuned."""
+joint limits can be a finding. Chosen, not tuned."""
 
 NUM_KNEE_ANGLES = 61
 """Number of knee angles, evenly spaced over the range, at which the reach of a leg is evaluated.
