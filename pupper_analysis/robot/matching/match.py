@@ -312,7 +312,8 @@ def match_models(
         complete: Whether the URDF's shapes, and parts that only one file contains, are kept in the
             robot.
         tolerances: Tolerances of the comparison.
-        strict: Whether missing damping and friction in the URDF are 0; otherwise the MJCF's values.
+        strict: True: damping or friction that the URDF does not state is 0. False: the value of the
+            MJCF is used.
 
     Raises:
         ModelError: If too few joints match, two names are mapped to one, a file cannot be analysed,
