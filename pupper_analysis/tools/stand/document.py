@@ -298,6 +298,7 @@ def _describe_servos(stance: Stance) -> Iterable[doc.Words]:
         kd_unit=units.damping,
         least="" if least is None else f"{_round_bound(least * kp):g}",
         most=f"{_round_bound(most * kd):g}" if most is not None and bounded else "",
+        over="over" if most is not None and bounded and most < 1 else "",
         step=f"{1e3 * servos.timestep:.3g}",
         implicit=servos.integrator if implicit else "",
     )
