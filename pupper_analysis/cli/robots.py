@@ -81,7 +81,8 @@ DETECTION_OPTIONS = (
         help="Argument of a xacro file; e.g. arm=true. Repeatable.",
     ),
 )
-"""Options for properties that are detected in a robot's files by default."""
+"""Options for loading the files of a robot: properties that are otherwise detected, the file to use
+if both disagree, and arguments of a xacro file."""
 
 FILE_OPTIONS = (
     shared.file_option("--urdf", help="URDF of your own robot, if not given as ROBOT."),

@@ -517,13 +517,14 @@ def states_no_limits(joint: UrdfJoint) -> bool:
 def unlimited_joints(root: etree._Element) -> list[UrdfJoint]:
     """Return the revolute joints of a URDF whose ``<limit>`` specifies no range.
 
-    `states_no_limits` defines this: limits are missing, or all zero together with the effort.
+    `states_no_limits` defines this: ``lower`` and ``upper`` are missing in the element, or are zero
+    together with the effort. A joint without the element is not included.
     """
     return [joint for joint in UrdfTree(root).joints.values() if states_no_limits(joint)]
 
 
 def to_engine_xml(root: etree._Element) -> str:
-    """Return the XML of a URDF in which revolute joints without limits are continuous."""
+    """Return the XML of a URDF in which the joints of `unlimited_joints` are continuous."""
     if unlimited_joints(root):
         root = deepcopy(root)
         for joint in unlimited_joints(root):

@@ -723,9 +723,10 @@ def find_difference_causes(
 ) -> tuple[Cause, ...]:
     """Find elements of a published MJCF that cause the deviation from the predicted stand.
 
-    Candidate elements are disabled in a copy of the model. An element is a cause if the simulation
-    then agrees with the prediction. Empty for a file with a servo whose stiffness is zero or
-    negative.
+    Groups of candidate elements are disabled in a copy of the model. If the simulation then agrees
+    with the prediction, or at least its torques do, the causes are the elements of the group that
+    break this agreement when they alone are enabled again. Empty for a file with a servo whose
+    stiffness is zero or negative.
 
     Args:
         published: Published model.

@@ -147,10 +147,11 @@ def evaluate_final_stability(
 def find_final_spectrum(
     drive: Servos, start: Array, end: Array, ctrl: Array, *, has_fallen: bool = False
 ) -> tuple[Stability, mujoco.MjData]:
-    """Compute the growing modes at the final state of a simulation, or at the initial state.
+    """Compute the growing modes at the final state of a simulation, or at or after the initial one.
 
-    The initial state is evaluated if the simulation has failed (``has_fallen``), since the modes
-    that upset the robot grow there, or if the final state is not at rest.
+    If the simulation has failed (``has_fallen``), the initial state is evaluated, since the modes
+    that upset the robot grow there. If the final state is not at rest, the simulation is repeated
+    from the initial state for `SETTLING_TIME`, and the state of `judge_settled` is evaluated.
 
     Args:
         drive: MuJoCo model with servos.

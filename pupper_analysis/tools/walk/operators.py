@@ -7,7 +7,7 @@ the observation have a leading axis of runs: an ONNX tensor of shape (1, n) is a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -88,9 +88,20 @@ def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
     return apply
 
 
+def _is_plain_recurrence(attributes: Mapping[str, Any]) -> bool:
+    """Return False if a GRU or LSTM is not forward, or changes activations, clip, gates or layout.
+
+    Args:
+        attributes: Attributes of the ONNX node.
+    """
+    forward = attributes.get("direction", "forward") == "forward"
+    changes = ("activations", "clip", "input_forget", "layout")
+    return forward and not any(attributes.get(name) for name in changes)
+
+
 def _make_gru(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the ONNX operation GRU; None if not forward, or with an activations attribute."""
-    if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
+    """Return the ONNX operation GRU; None if `_is_plain_recurrence` is False."""
+    if not _is_plain_recurrence(attributes):
         return None
     reset_after = bool(attributes.get("linear_before_reset", 0))
 
@@ -103,11 +114,8 @@ def _make_gru(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_lstm(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation LSTM of an ONNX node, or None if its attributes are not supported.
-
-    Other directions than forward, and stated activation functions, are not supported.
-    """
-    if attributes.get("direction", "forward") != "forward" or attributes.get("activations"):
+    """Return the ONNX operation LSTM; None if `_is_plain_recurrence` is False."""
+    if not _is_plain_recurrence(attributes):
         return None
 
     def reorder_gates(weights: Array) -> Array:
@@ -181,7 +189,10 @@ def _make_batch_normalization(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _make_reduction(function: Callable[..., Any]) -> Make:
-    """Return a function that makes a reduction of the last axis, which remains with one element."""
+    """Return a maker of a reduction of one axis, by default the last; the axis keeps one element.
+
+    The maker returns None if several axes, or another axis than -1, 1 or 2, are stated.
+    """
 
     def make(attributes: dict[str, Any], _: int) -> Operation | None:
         stated = attributes.get("axes", [-1])

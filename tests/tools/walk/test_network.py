@@ -17,6 +17,7 @@ from pupper_analysis.base.errors import MissingPackageError, ModelError
 from pupper_analysis.tools.contract.readers import read_onnx
 from pupper_analysis.tools.walk import policy
 from pupper_analysis.tools.walk.network import ACTIVATIONS, Network, gru
+from pupper_analysis.tools.walk.operators import OPERATION_MAKERS
 from pupper_analysis.tools.walk.policy import Policy
 from tests.tools.walk import made
 
@@ -504,3 +505,16 @@ def test_onnx_that_cannot_be_read_or_is_too_large_is_refused(tmp_path: Path) -> 
     assert "Einsum" in refusal(multiply("Einsum", made.tensor("W", spoilt)))
     spoilt[1, 1] = np.inf
     assert "W: 1 of its weights" in refusal(multiply("MatMul", made.tensor("W", spoilt)))
+
+
+@pytest.mark.parametrize(
+    "attributes",
+    [{"clip": 3.0}, {"layout": 1}, {"activations": ["Relu"]}, {"direction": "reverse"}],
+)
+@pytest.mark.parametrize("kind", ["GRU", "LSTM"])
+def test_recurrence_with_an_attribute_that_is_not_evaluated_is_refused(
+    kind: str, attributes: dict[str, Any]
+) -> None:
+    """ONNX defines the attributes; without the attribute the operation is made."""
+    assert OPERATION_MAKERS[kind](attributes, 14) is None
+    assert OPERATION_MAKERS[kind]({}, 14) is not None

@@ -165,10 +165,11 @@ def _find_inverted_ranges(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find joints without position limits (URDF type ``continuous``) with stated limits.
+    """Find moving joints of URDF type ``continuous`` whose stated limits have no effect.
 
-    In an MJCF, ranges of joints, tendons and servos with equal ends are findings too (WARNING),
-    because MuJoCo ignores such ranges.
+    In an MJCF that MuJoCo accepts, stated ranges with equal ends of named joints, tendons and
+    actuators with a bias are findings too (WARNING), unless the file states ``limited``, because
+    MuJoCo ignores such ranges.
     """
     for joint in robot.joints.values():
         lower, upper = (joint.stated.get(f"{end} limit", math.nan) for end in ("lower", "upper"))
