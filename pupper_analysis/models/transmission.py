@@ -124,7 +124,7 @@ def _list_ancestors(model: mujoco.MjModel, body: int) -> set[int]:
     return found
 
 
-def measure_tendon_levers(
+def measure_actuator_levers(
     model: mujoco.MjModel, qpos: Array, actuators: Sequence[int]
 ) -> tuple[Array, Array]:
     """Compute the lengths and levers of actuators, for example at tendons, at a configuration.

@@ -20,7 +20,7 @@ from pupper_analysis.models.efforts import (
     EffortStatement,
     read_tendon_forces,
 )
-from pupper_analysis.models.transmission import Drive, list_tendon_joints, measure_tendon_levers
+from pupper_analysis.models.transmission import Drive, list_tendon_joints, measure_actuator_levers
 from pupper_analysis.robot.alike import sibling_joints
 from pupper_analysis.robot.joints import force_unit, free_joints
 from pupper_analysis.robot.robot import Robot
@@ -132,7 +132,7 @@ def _find_tendon_drives(
     known = np.array(joints) >= 0
     in_file = np.array(joints)[known]
     qpos[model.jnt_qposadr[in_file]] = positions[known]
-    _, at_dofs = measure_tendon_levers(model, qpos, actuators)
+    _, at_dofs = measure_actuator_levers(model, qpos, actuators)
     levers[known] = at_dofs[:, model.jnt_dofadr[in_file]].T
     return model, rows, actuators, levers
 

@@ -38,7 +38,7 @@ from pupper_analysis.models.transmission import (
     is_at_one_joint,
     list_joint_actuators,
     list_tendon_servos,
-    measure_tendon_levers,
+    measure_actuator_levers,
     read_actuator_law,
 )
 from pupper_analysis.robot.fall import count_resets, was_reset_by_mujoco
@@ -536,7 +536,7 @@ def _set_tendon_commands(
         return set()
     commanded = qpos.copy()
     commanded[model.jnt_qposadr[joints]] = targets
-    lengths, levers = measure_tendon_levers(model, commanded, servos)
+    lengths, levers = measure_actuator_levers(model, commanded, servos)
     matrix = levers[:, model.jnt_dofadr[joints]].T
     rows = list(servos_by_joint)
     forces = np.linalg.lstsq(matrix[rows], torques[rows], rcond=None)[0]

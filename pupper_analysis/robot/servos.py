@@ -23,6 +23,7 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.models.mjcf import TIMESTEP_RANGE
+from pupper_analysis.models.transmission import measure_actuator_levers
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.robot.joints import get_common_units
 from pupper_analysis.robot.robot import Robot
@@ -137,17 +138,9 @@ def make_neutral_commands(model: mujoco.MjModel, qpos: Array, known: NDArray[np.
     """
     others, ctrl = _find_other_servos(model, known), np.zeros(model.nu)
     if others.size:
-        data = mujoco.MjData(model)
-        data.qpos[:] = qpos
-        for step in (
-            mujoco.mj_kinematics,
-            mujoco.mj_comPos,
-            mujoco.mj_tendon,
-            mujoco.mj_transmission,
-        ):
-            step(model, data)
+        lengths, _ = measure_actuator_levers(model, qpos, others.tolist())
         bias = model.actuator_biasprm[others]
-        force = bias[:, 0] + bias[:, 1] * data.actuator_length[others]
+        force = bias[:, 0] + bias[:, 1] * lengths
         ctrl[model.actuator_ctrladr[others]] = -force / model.actuator_gainprm[others, 0]
     return ctrl
 

@@ -13,7 +13,7 @@ import pupper_analysis as pa
 from pupper_analysis.models.transmission import (
     Drive,
     list_tendon_joints,
-    measure_tendon_levers,
+    measure_actuator_levers,
 )
 from pupper_analysis.prepare.limits import list_overloaded_joints
 from pupper_analysis.prepare.own_run import get_published_model
@@ -281,10 +281,10 @@ def test_joints_of_a_tendon_are_those_on_which_its_length_depends() -> None:
         0: {joints["two"], joints["three"]}, 1: {joints["three"]}, 2: {joints["one"]}, 3: set(),
     }  # fmt: skip
     qpos, step = np.array([0.3, -0.4, 0.7]), 1e-6
-    _, levers = measure_tendon_levers(model, qpos, range(4))
+    _, levers = measure_actuator_levers(model, qpos, range(4))
     for joint in range(3):
         ends = [
-            measure_tendon_levers(model, qpos + side * step * np.eye(3)[joint], range(4))[0]
+            measure_actuator_levers(model, qpos + side * step * np.eye(3)[joint], range(4))[0]
             for side in (-1, 1)
         ]
         assert levers[:, joint] == pytest.approx((ends[1] - ends[0]) / (2 * step), abs=1e-8)

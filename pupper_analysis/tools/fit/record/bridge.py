@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import Protocol
+from typing import Any, Protocol
 
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
@@ -92,18 +92,31 @@ def open_bridge(name: str, robot: Robot) -> tuple[Bridge, Operator]:
     Raises:
         ConfigurationError: If there is no bridge of this name, or it cannot be opened.
     """
-    key, _, arguments = name.partition(":")
-    entry_bridges = {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
-    if key in _BUILTIN_BRIDGES:
-        module, function = _BUILTIN_BRIDGES[key].split(":")
-        pair = getattr(import_module(module), function)(robot, arguments)
-    elif key in entry_bridges:
-        pair = entry_bridges[key].load()(robot, arguments)
-    else:
-        known = (*_BUILTIN_BRIDGES, *entry_bridges)
-        raise ConfigurationError("--bridge", diagnose("no-bridge", name=key, known=known))
-    bridge, operator = pair
+    bridge, operator = open_connection(name, robot, _BUILTIN_BRIDGES, ENTRY_POINT_GROUP)
     return bridge, operator
+
+
+def open_connection(name: str, robot: Robot, builtin: Mapping[str, str], group: str) -> Any:
+    """Call the function that opens a connection to a robot, and return its result.
+
+    Args:
+        name: ``NAME`` or ``NAME:ARGUMENTS``.
+        robot: Robot, with the values of the files.
+        builtin: {name: ``module:function``} of this package.
+        group: Group of the entry points of other packages.
+
+    Raises:
+        ConfigurationError: If there is no connection of this name, or it cannot be opened.
+    """
+    key, _, arguments = name.partition(":")
+    points = {point.name: point for point in entry_points(group=group)}
+    if key in builtin:
+        module, function = builtin[key].split(":")
+        return getattr(import_module(module), function)(robot, arguments)
+    if key in points:
+        return points[key].load()(robot, arguments)
+    known = (*builtin, *points)
+    raise ConfigurationError("--bridge", diagnose("no-bridge", name=key, known=known))
 
 
 _BUILTIN_BRIDGES = {

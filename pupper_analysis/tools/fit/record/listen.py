@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -22,6 +20,7 @@ from pupper_analysis.base.files import check_writable, write_atomically
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.kinds import TRACE_KIND
+from pupper_analysis.tools.fit.record.bridge import open_connection
 
 Series = Mapping[str, Sequence[tuple[float, Array]]]
 """{signal: (time of reception [s], values)}; the signals are arrays of a trace."""
@@ -121,18 +120,8 @@ def _open_listener(name: str, robot: Robot) -> Listener:
     Raises:
         ConfigurationError: If there is no listener of this name, or it cannot be opened.
     """
-    key, _, arguments = name.partition(":")
-    points = {point.name: point for point in entry_points(group=LISTENERS_GROUP)}
-    if key in _BUILTIN_LISTENERS:
-        module, function = _BUILTIN_LISTENERS[key].split(":")
-        listener = getattr(import_module(module), function)(robot, arguments)
-    elif key in points:
-        listener = points[key].load()(robot, arguments)
-    else:
-        known = (*_BUILTIN_LISTENERS, *points)
-        raise ConfigurationError("--bridge", diagnose("no-bridge", name=key, known=known))
-    found: Listener = listener
-    return found
+    listener: Listener = open_connection(name, robot, _BUILTIN_LISTENERS, LISTENERS_GROUP)
+    return listener
 
 
 def assemble_trace(series: Series, source: str) -> tuple[dict[str, Array], int]:
