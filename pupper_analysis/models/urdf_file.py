@@ -1,8 +1,9 @@
 """Reading of URDF files: validation with line numbers, mesh paths, joints without limits.
 
 Input is a path or an XML tree; output is a `UrdfFile` whose XML Pinocchio can read. Missing efforts
-and velocities of limits are completed, and unused xacro declarations are removed. Other errors
-raise a `ModelError` with file and, if known, line; a mimic of an unknown joint is only noted.
+and velocities of limits are completed; unused xacro declarations and a second ``<origin>`` of an
+element are removed. Other errors raise a `ModelError` with file and, if known, line; a mimic of an
+unknown joint is only noted.
 """
 
 from __future__ import annotations
@@ -172,8 +173,8 @@ def urdf_from(
 ) -> UrdfFile:
     """Return the URDF file of a root element, after validation.
 
-    The root element is modified: unused xacro declarations are removed, missing efforts and
-    velocities are completed, and white space in numbers is normalised.
+    The root element is modified: unused xacro declarations and repeated origins are removed,
+    missing efforts and velocities are completed, and white space in numbers is normalised.
 
     Raises:
         ModelError: If the URDF is not valid. The message is a single line with location and reason.
@@ -191,6 +192,7 @@ def urdf_from(
     notes = remove_declarations(path, root, found.resolve_mesh)
     completed = complete_limits(root)
     notes += [] if completed is None else [completed]
+    notes += remove_repeated_origins(root)
     rewritten = bool(notes) or text[:1].isspace()  # engines read no XML behind a blank line
     materials = distinct_children(path, root, "material")
     links = distinct_children(path, root, "link")
@@ -493,6 +495,41 @@ def complete_limits(root: etree._Element) -> Diagnostic | None:
             names += [name] if missing else []
             limit.attrib.update(missing)
     return diagnose("effort-or-velocity-unstated", names=names) if names else None
+
+
+def remove_repeated_origins(root: etree._Element) -> list[Diagnostic]:
+    """Remove each ``<origin>`` after the first of a joint, shape or inertial, in place.
+
+    urdfdom, the reader of ROS and Pinocchio, evaluates the first ``<origin>``; MuJoCo refuses the
+    file.
+
+    Returns:
+        Warning for each element with more than one ``<origin>``.
+    """
+    notes = []
+    for element in (*root.iterfind("link"), *root.iterfind("joint")):
+        for part in (element, *element.iterfind("*")):
+            first, *rest = part.findall("origin") or [None]
+            for origin in rest:
+                part.remove(origin)
+            if rest:
+                notes.append(
+                    diagnose(
+                        "origin-more-than-once",
+                        subject=(str(element.tag), str(element.get("name"))),
+                        tag=str(part.tag),
+                        line=line_of(rest[0]),
+                        read=_describe_origin(first),
+                        ignored=[_describe_origin(origin) for origin in rest],
+                    )
+                )
+    return notes
+
+
+def _describe_origin(origin: etree._Element) -> str:
+    """Return the attributes of an ``<origin>`` as written."""
+    words = [f"{name}={quote_short(origin.get(name))}" for name in origin.attrib]
+    return " ".join(words) or "without attributes"
 
 
 def states_no_limits(joint: UrdfJoint) -> bool:

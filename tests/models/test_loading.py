@@ -21,7 +21,14 @@ from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from tests.support import corpus
-from tests.support.corpus import LIMIT, format_joint, format_link, format_mjcf, format_urdf
+from tests.support.corpus import (
+    INERTIAL,
+    LIMIT,
+    format_joint,
+    format_link,
+    format_mjcf,
+    format_urdf,
+)
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 EXPLICIT = '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>'
@@ -106,6 +113,33 @@ def test_mimic_of_a_missing_joint_is_a_note(tmp_path: Path) -> None:
     path.write_text(format_urdf(format_link("a"), format_link("b"), joint))
     (note,) = read_urdf(path).notes
     assert (note.code, note.values["leader"]) == ("mimic-of-no-joint", "x")
+
+
+def test_second_origin_is_ignored_with_a_warning_as_pinocchio_ignores_it(tmp_path: Path) -> None:
+    """The reference is Pinocchio (urdfdom) on the file as written; MuJoCo refuses that file."""
+    origins = '<origin xyz="{0} 0 0" rpy="0 0 {0}"/><origin xyz="0 0 5"/>'
+    shape = f"<collision>{origins.format(2)}<geometry><sphere radius='1'/></geometry></collision>"
+    inertial = INERTIAL.replace("<mass", f"{origins.format(3)}<mass", 1)
+    child = format_link("b", inertial + shape)
+    joint = format_joint("j", "a", "b", origins.format(1) + LIMIT)
+    path = tmp_path / "r.urdf"
+    path.write_text(format_urdf(format_link("a"), child, joint))
+    file = read_urdf(path)
+    assert [note.code for note in file.notes] == ["origin-more-than-once"] * 3
+    assert [note.values["tag"] for note in file.notes] == ["inertial", "collision", "joint"]
+    assert "<origin xyz='0 0 5'" not in file.text.replace('"', "'")
+    models = []
+    for text in (path.read_text(), file.text):
+        model = pin.buildModelFromXML(text)
+        shapes = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
+        models.append((model, shapes))
+    for model, shapes in models:
+        assert model.jointPlacements[1] == pin.SE3(pin.rpy.rpyToMatrix(0, 0, 1), np.eye(3)[0])
+        assert model.inertias[1].lever.tolist() == [3, 0, 0]
+        assert shapes.geometryObjects[0].placement.translation.tolist() == [2, 0, 0]
+    with pytest.raises(ValueError, match="repeated element: 'origin'"):
+        mujoco.MjModel.from_xml_path(str(path))
+    assert mujoco.MjModel.from_xml_string(file.text).nbody >= 2
 
 
 def test_meshes_of_a_package_are_found_through_symbolic_links(tmp_path: Path) -> None:
