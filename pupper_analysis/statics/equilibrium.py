@@ -174,7 +174,8 @@ class Equilibrium(Tabular):
         joint_torques: Motor torques or forces, shape (nu,) (N m or N).
         torque_units: Unit of each element of ``joint_torques``: N m for a hinge, N for a slide.
         motor_utilisation: |torque| / effort limit, shape (nu,): NaN if no file states the limit,
-            infinite for a loaded motor with a limit of zero, 0 for dependent joints of loops.
+            infinite for a loaded motor with a limit of zero. For dependent joints of loops: 0, or
+            NaN if the limits of all motors are unknown.
         contact_forces: {contact point: (3,)} force of the ground on the contact point, in world
             axes (N).
         contact_points: {contact point: (3,)} point of application, in the world (m).
@@ -581,6 +582,24 @@ def peak_utilisation(shares: Array) -> float:
     return float(known.max()) if known.size else math.nan
 
 
+def find_hardest_motor(statics: Equilibrium) -> int:
+    """Return the index of the motor with the largest load.
+
+    A loaded motor with a limit of zero comes first, then the motor with the largest known
+    utilisation. If a motor with an unknown limit exerts a larger torque than this motor, the
+    motor with the largest torque among those with unknown limits is returned.
+    """
+    shares, torques = statics.motor_utilisation, np.abs(statics.joint_torques)
+    is_powerless, is_unknown = np.isinf(shares), np.isnan(shares)
+    if is_powerless.any():
+        return int(np.argmax(np.where(is_powerless, torques, -1.0)))
+    hardest = int(np.argmax(np.where(is_unknown, -1.0, shares)))
+    unknown_torques = np.where(is_unknown, torques, -1.0)
+    if unknown_torques.max() > torques[hardest] or is_unknown[hardest]:
+        return int(np.argmax(unknown_torques))
+    return hardest
+
+
 _NO_WELDS = FrozenDict[str, Array]()
 """Weld wrenches of a robot without welds."""
 
@@ -623,10 +642,10 @@ def _make_result(
         forces = forces[: carrying.normals.size]
     forces = forces.reshape(-1, 3)
     utilisation = compute_utilisation(robot, torques)
-    if robot.closure is not None:
-        utilisation[robot.closure.dependent_joints] = (
-            0.0  # dependent joints have no motor of their own
-        )
+    if robot.closure is not None:  # dependent joints have no motor of their own
+        dependent = np.isin(np.arange(robot.nu), robot.closure.dependent_joints)
+        is_any_known = not np.isnan(utilisation[~dependent]).all()
+        utilisation[dependent] = 0.0 if is_any_known else math.nan
     tiny = BALANCE_TOLERANCE * math.hypot(*load[:3].tolist())
     positions = carrying.points(config)
     com = config.center_of_mass()

@@ -19,9 +19,14 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.statics.cone_program import Balance
 from pupper_analysis.statics.contacts import make_contacts
-from pupper_analysis.statics.equilibrium import balance_load, friction_utilisation_of
+from pupper_analysis.statics.equilibrium import (
+    balance_load,
+    find_hardest_motor,
+    friction_utilisation_of,
+)
 from pupper_analysis.statics.support_polygon import com_margin
 from tests.support import random_legged
+from tests.support.bound import belts
 from tests.support.engines import addresses, evaluate_mujoco, with_efforts
 from tests.support.states import numbers
 from tests.support.variants import NAMES, load, stand_of
@@ -933,3 +938,36 @@ def test_minimum_torque_is_below_that_of_minimum_tangential_forces(variant: str)
         assert np.linalg.norm(least) < 0.999 * np.linalg.norm(tangential)
     else:
         assert np.linalg.norm(least) == pytest.approx(np.linalg.norm(tangential), rel=1e-9)
+
+
+def test_a_larger_torque_with_an_unknown_limit_is_the_hardest_load() -> None:
+    """Reference: the definition; i2rt's YAM was answered with a finger at 0.00 N = 0 %."""
+    statics = pa.gravity_compensation(at_stand("v3"))
+    torques = np.zeros_like(statics.joint_torques)
+    torques[:4] = 0.5, -8.6, 2.0, 3.0
+
+    def hardest(*shares: float) -> int:
+        utilisation = np.zeros_like(torques)
+        utilisation[:4] = shares
+        changed = replace(statics, joint_torques=torques, motor_utilisation=utilisation)
+        return find_hardest_motor(changed)
+
+    nan, inf = math.nan, math.inf
+    assert hardest(0.5, nan, 0.1, nan) == 1
+    assert hardest(0.5, 0.4, 0.1, nan) == 3  # 3 N m with an unknown limit, 0.5 N m at 50 %
+    assert hardest(0.1, 0.9, 0.1, nan) == 1
+    assert hardest(nan, nan, nan, nan) == 1
+    assert hardest(inf, nan, inf, 0.9) == 2
+
+
+def test_dependent_joints_have_no_utilisation_if_no_limit_is_known(tmp_path: Path) -> None:
+    """Reference: a robot whose belts drive its knees; the knees have no motor of their own."""
+    robot = pa.load_robot(*belts(tmp_path))
+    assert robot.closure is not None
+    config = pa.Configuration(robot, pa.solve_stand(robot).qpos)
+    dependent = robot.closure.dependent_joints
+    known = pa.gravity_compensation(config).motor_utilisation
+    assert known[dependent] == pytest.approx(0.0, abs=0.0)
+    unlimited = with_efforts(robot, np.full(robot.nu, np.inf))
+    unknown = pa.gravity_compensation(pa.Configuration(unlimited, config.qpos))
+    assert np.isnan(unknown.motor_utilisation).all()

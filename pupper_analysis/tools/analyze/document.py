@@ -60,7 +60,7 @@ from pupper_analysis.present.verdict import (
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import TWO_ROBOTS_CODE, Ending
 from pupper_analysis.simulation.verify import StandVerification
-from pupper_analysis.statics.equilibrium import peak_utilisation
+from pupper_analysis.statics.equilibrium import find_hardest_motor, peak_utilisation
 from pupper_analysis.tools.analyze.analysis import Analysis
 from pupper_analysis.tools.analyze.gain_sweep import GainSweep
 
@@ -183,18 +183,17 @@ def _make_verdict_word(analysis: Analysis) -> doc.Text:
 def _make_key_figures(analysis: Analysis) -> Iterable[doc.Words]:
     """Yield three lines: mass and peak torque, base height, deviation of the MJCF from the URDF."""
     statics = analysis.statics
-    share = statics.motor_utilisation
-    limited = not np.isnan(share).all()
-    most = int(np.nanargmax(share if limited else np.abs(statics.joint_torques)))
+    most = find_hardest_motor(statics)
+    share = float(statics.motor_utilisation[most])
     yield text(
         "mass-kg-peak-torque-torque",
         mass=f"{analysis.total_mass:.3f}",
         ground=ground_word(analysis.stand.depths.values()),
         torque=f"{abs(statics.joint_torques[most]):.3f}",
         unit=statics.torque_units[most],
-        share=f"{100 * share[most]:.1f}" if np.isfinite(share[most]) else "",
-        zero="0" if np.isinf(share[most]) else "",
-        unknown="" if limited else "unknown",
+        share=f"{100 * share:.1f}" if math.isfinite(share) else "",
+        zero="0" if math.isinf(share) else "",
+        unknown="unknown" if math.isnan(share) else "",
         joint=doc.Name(statics.joint_names[most]),
     )
     yield text(

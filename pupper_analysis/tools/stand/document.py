@@ -40,6 +40,7 @@ from pupper_analysis.simulation.servo_bounds import ServoBounds
 from pupper_analysis.simulation.verdict import TWO_ROBOTS_CODE, Ending, VerdictCode
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState
+from pupper_analysis.statics.equilibrium import find_hardest_motor
 from pupper_analysis.tools.stand.stance import Preparation, Stance
 
 
@@ -244,25 +245,17 @@ def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
 
 
 def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
-    """State the motor with the largest utilisation, and the torque.
-
-    If loaded motors have a limit of zero, the most loaded of these motors is stated. Without any
-    known utilisation, the motor with the largest torque is stated.
-    """
+    """State the motor with the largest load, its torque, and its utilisation, if known."""
     statics = stance.statics
-    limited = np.isfinite(statics.motor_utilisation)
-    powerless = np.isinf(statics.motor_utilisation)
-    torques = np.abs(statics.joint_torques)
-    known = bool(limited.any()) and not powerless.any()
-    ranking = np.where(powerless, torques, -1.0) if powerless.any() else torques
-    peak = int(np.argmax(np.where(limited, statics.motor_utilisation, -1.0) if known else ranking))
+    peak = find_hardest_motor(statics)
+    share = float(statics.motor_utilisation[peak])
     yield text(
         "load-of-motors",
-        torque=f"{torques[peak]:.2f}",
+        torque=f"{abs(float(statics.joint_torques[peak])):.2f}",
         unit=statics.torque_units[peak],
-        share=f"{100 * float(statics.motor_utilisation[peak]):.0f}" if known else "",
-        zero="0" if powerless.any() else "",
-        unknown="" if known or powerless.any() else "unknown",
+        share=f"{100 * share:.0f}" if math.isfinite(share) else "",
+        zero="0" if math.isinf(share) else "",
+        unknown="unknown" if math.isnan(share) else "",
         joint=doc.Name(statics.joint_names[peak]),
     )
 
