@@ -370,7 +370,9 @@ def _record_plan(robot: Robot, plan: Path, output: Path | None, bridge: str | No
 def _record_policy(
     robot: Robot, seconds: float, output: Path | None, bridge: str | None
 ) -> TraceRecording:
-    """Record observations and actions of a policy on the robot for a duration [s].
+    """Record observations and actions of a policy on the robot for ``seconds`` [s].
+
+    The trace is written to ``output``.
 
     Raises:
         ConfigurationError: For example, if ``bridge`` or ``output`` is None.

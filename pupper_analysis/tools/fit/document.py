@@ -114,7 +114,11 @@ def _describe_largest_change(estimates: Sequence[Estimate]) -> Iterator[doc.Word
 def _make_estimate_table(
     title: doc.Words, estimates: Sequence[Estimate], *, detail: bool = False, planned: bool = False
 ) -> doc.Table:
-    """Create the table of estimates with intervals, or of the intervals that a plan predicts."""
+    """Create the table of estimates with intervals, a row per parameter.
+
+    If ``planned``, the table contains the stated values and the intervals that a plan predicts. If
+    ``detail``, the short terminal view omits the table.
+    """
     units = {
         estimate.unit: READ_IN.get(estimate.unit, (1.0, estimate.unit)) for estimate in estimates
     }
@@ -314,7 +318,11 @@ def _describe_known_mass(plan: StandPlan) -> Iterator[doc.Words]:
 
 
 def _make_stand_table(plan: StandPlan) -> doc.Table:
-    """Create the table of planned stands."""
+    """Create the table of planned stands, a row per stand.
+
+    Columns: name, feet in the air, heading [degrees], known mass [kg], utilisation [%], and the
+    commanded joint positions [degrees or mm].
+    """
     scales = {
         joint: READ_IN["m" if joint in plan.slides else "rad"] for joint in plan.stands[0].command
     }

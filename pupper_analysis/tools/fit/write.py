@@ -69,10 +69,10 @@ class FitFiles:
 
 
 def _round_parameters(vector: Array, posterior: Posterior) -> Array:
-    """Return the fitted parameters, rounded according to their standard deviations.
+    """Return the parameters ``vector``, shape (n,), rounded according to their standard deviations.
 
-    A parameter within `_UNCHANGED_STDS` standard deviations of the value in the model files gets
-    that value.
+    `_EXTRA_DIGITS` digits beyond the first digit of the standard deviation remain. A parameter
+    within `_UNCHANGED_STDS` standard deviations of the value in the model files gets that value.
     """
     return np.array(
         [
@@ -91,8 +91,9 @@ def _collect_numbers(
 ) -> tuple[dict[Key, float | Array], list[Diagnostic]]:
     """Return {(kind, link or joint): fitted value} to write to the files, and notes.
 
-    Values within `_UNCHANGED_STDS` standard deviations of the stated value are left out. A note
-    names each value that no file can state.
+    The fitted values ``vector``, shape (n,), are those of the parameters of ``posterior``. Values
+    within `_UNCHANGED_STDS` standard deviations of the stated value are left out. A note names each
+    value that no file can state.
     """
     numbers: dict[Key, float | Array] = {}
     notes: list[Diagnostic] = []
@@ -223,7 +224,7 @@ com_z: to be added (m).
 
 
 def _format_csv(header: Iterable[str], rows: Iterable[Iterable[object]], about: str = "") -> bytes:
-    """Return a CSV file, with comment lines before the header."""
+    """Return the content of a CSV file, with the comment lines ``about`` before the header."""
     return (about + csv_text([header, *rows])).encode()
 
 
@@ -234,7 +235,11 @@ def _format_json(
     messages: tuple[Diagnostic, ...],
     fit: object,
 ) -> bytes:
-    """Return the content of ``fit.json``."""
+    """Return the content of ``fit.json``.
+
+    It contains the paths and hashes of the written models, each parameter with its interval and its
+    written value (from ``vector``), the covariance, the edits, the notes ``messages``, and ``fit``.
+    """
     rows = [
         {name: getattr(parameter, name) for name in PARAMETER_FIELDS}
         | {"mean": mean, "std": std, "low": low, "high": high, "written": value}
@@ -325,7 +330,10 @@ def write_fit(
 
 
 def _read_own_hashes(folder: Path) -> dict[str, str]:
-    """Return {relative path: hash} of the models that a fit has written to a folder."""
+    """Return {relative path: hash} of the models that an earlier fit has written to a folder.
+
+    The hashes are in its ``fit.json``; without a readable file the result is empty.
+    """
     try:
         document = orjson.loads(read_input(folder / "fit.json", MAX_TEXT_BYTES, rewritten=True))
         return {str(place): str(digest) for place, digest in document["files"].items()}

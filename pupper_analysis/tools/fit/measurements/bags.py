@@ -165,7 +165,11 @@ def limit_unpacking() -> Iterator[None]:
 
 
 def limit_decompressor(decompressor: Callable[[], Any]) -> Callable[[bytes], bytes]:
-    """Return a function that unpacks a chunk frame by frame, up to ``MAX_CHUNK_BYTES``."""
+    """Return a function that unpacks a chunk frame by frame, up to ``MAX_CHUNK_BYTES``.
+
+    ``decompressor`` creates the object that unpacks a frame. The returned function raises a
+    MeasurementError if the unpacked chunk is larger, and a ValueError if a frame is incomplete.
+    """
 
     def unpack(data: bytes) -> bytes:
         """Unpack a chunk of frames; raise an error if it is too large or incomplete."""
@@ -253,6 +257,10 @@ def _read_series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) 
         reader: Reader of the bag, already open.
         chosen: {role: topic}, see `_ROLE_TYPES`.
         joints: Joint names of messages without names.
+
+    Raises:
+        MeasurementError: If the messages are larger than `MAX_MESSAGE_BYTES` together, or a message
+            has no joint names or another number of positions than names.
     """
     series: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
     used = chosen.values()
@@ -312,7 +320,12 @@ def _resample_to_common_clock(
     """Return sample times of the most frequently measured joint, and all values at these times.
 
     Times start at 0, shape (n,) [s]. Values are {kind: {joint: shape (n,) [rad, m]}}: positions
-    are interpolated, commands hold until the next message; NaN if missing.
+    are interpolated, commands hold until the next message; NaN if missing. ``series`` is the result
+    of `_read_series`.
+
+    Raises:
+        MeasurementError: If there are no positions, or time stamps go back by more than
+            `_MAX_STEP_BACK`.
     """
     time_column = 1 if all(np.isfinite(rows[:, 1]).all() for rows in series.values()) else 0
     samples: dict[Any, tuple[Array, Array]] = {}

@@ -115,7 +115,13 @@ def read_columns(path: str | Path, known: Sequence[Column]) -> Columns:
 
 
 def _parse_csv(source: str, text: str, known: Sequence[Column]) -> Columns:
-    """Parse the text of a CSV file; ``source`` is the path of the file for error messages."""
+    """Parse the text of a CSV file with the columns ``known``.
+
+    ``source`` is the path of the file, for error messages.
+
+    Raises:
+        MeasurementError: As `read_columns`.
+    """
     first = text.lstrip("\r\n").partition("\n")[0]
     separator = max(_CELL_SEPARATORS, key=first.count)
     try:

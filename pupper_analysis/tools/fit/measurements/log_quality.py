@@ -204,10 +204,10 @@ def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator
 def find_degrees(
     robot: Robot, joints: Iterable[int], position: Array, command: Array
 ) -> Iterator[Diagnostic]:
-    """Yield a diagnostic for each column whose values are too large for radians.
+    """Find position and command columns that probably contain degrees; yield a diagnostic of each.
 
-    The median magnitude of such a column is more than twice the larger absolute joint limit (2 pi
-    for a joint without a limit), as with angles in degrees.
+    The median magnitude of such a column is more than twice the larger absolute limit of the joint,
+    or more than 4 pi for a joint without a limit.
 
     Args:
         robot: Robot.

@@ -291,6 +291,9 @@ def _read_loads(table: Columns) -> Iterator[tuple[str, Array]]:
 
     ``loads`` has a row for each of m stands, shape (m, 4): mass [kg], and position in the link
     frame [m]; zeros in a stand without mass.
+
+    Raises:
+        MeasurementError: If a mass is negative, or a position lacks a coordinate or its mass.
     """
     axes = ("added_x", "added_y", "added_z")
     for kind in axes:

@@ -329,7 +329,7 @@ def _align_commands(pattern: Array, series: Array) -> tuple[float, float]:
 
 
 def _get_middle_half(rows: Array) -> Array:
-    """Return the middle half of rows (samples of a log).
+    """Return the middle half of ``rows``, shape (n, ...), the samples of a log.
 
     Another log of the same motion contains it even if shifted in time by a quarter of the length.
     """
@@ -646,7 +646,10 @@ class SeriesNoise:
 
 
 def compute_rms(series: Iterable[Array]) -> float:
-    """Return the root mean square of all finite values, in their unit; NaN if there are none."""
+    """Return the root mean square of all finite values in several arrays, in their unit.
+
+    NaN if there are no finite values.
+    """
     values = np.concatenate([array.ravel() for array in series])
     finite_values = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite_values**2))) if finite_values.size else math.nan

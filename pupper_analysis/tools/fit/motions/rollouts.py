@@ -117,7 +117,11 @@ def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[Run]:
 
 
 def _fill_commands(command: Array) -> Array:
-    """Replace a missing command by the previous one, or at the start by the first command."""
+    """Return commands, shape (n, nu) [rad, m], in which missing commands (NaN) are replaced.
+
+    The previous command of the joint replaces a missing one, at the start its first command. A
+    joint without commands keeps NaN.
+    """
     filled = command.copy()
     for column in filled.T:
         finite_rows = np.flatnonzero(np.isfinite(column))
@@ -130,10 +134,11 @@ def _fill_commands(command: Array) -> Array:
 
 
 def _fit_initial_state(time: Array, position: Array) -> Array:
-    """Fit a parabola in time [s] to positions (n, nu) [rad], and return the initial state.
+    """Fit a parabola in time, shape (n,) [s], to the ``position`` of each joint, (n, nu) [rad].
 
     Returns:
-        Positions [rad] and velocities [rad/s], shape (2, nu); NaN with three or fewer samples.
+        Positions [rad] and velocities [rad/s] at time 0, shape (2, nu); NaN for a joint with three
+        or fewer samples.
     """
     initial_state = np.full((2, position.shape[1]), np.nan)
     for joint, column in enumerate(position.T):
@@ -271,7 +276,8 @@ class Simulator:
     def _get_joint_values(self, vector: Array, kind: str, stated: Array) -> Array:
         """Return the values of a parameter kind for all joints, shape (nu,), in its unit.
 
-        ``stated`` are the values of joints whose parameter is not estimated, shape (nu,).
+        They are taken from the parameter ``vector``, shape (n,), and from ``stated``, shape (nu,),
+        for joints whose parameter is not estimated.
         """
         return self.table.get_values(vector, kind, self.robot.joint_names, stated)
 
@@ -342,10 +348,12 @@ class Simulator:
 
 
 def _average_commands(time: Array, command: Array, edges: Array) -> Array:
-    """Return the means, shape (k - 1, nu) [rad], of piecewise constant commands between k times.
+    """Return the mean command in each interval between k times, shape (k - 1, nu) [rad].
 
-    ``time``, shape (n,) [s], are the sample times of the commands, ``edges``, shape (k,) [s], the
-    boundaries of the intervals.
+    Args:
+        time: Times from which the commands hold, shape (n,) [s].
+        command: Commands, shape (n, nu) [rad]; each holds until the next one.
+        edges: Boundaries of the intervals, shape (k,) [s].
     """
     boundaries = np.concatenate([[time[0] - 1.0], time, [time[-1] + 1.0]])
     steps = np.diff(boundaries)[:, None] * np.vstack([command[:1], command])
@@ -355,9 +363,12 @@ def _average_commands(time: Array, command: Array, edges: Array) -> Array:
 
 
 def _apply_lag(command: Array, lag: float) -> Array:
-    """Return mean commands per time step, shape (k, nu) [rad], after a first-order lag [steps].
+    """Return commands after a first-order lag, as mean values per time step, shape (k, nu) [rad].
 
-    A negative lag has the opposite effect, so that central differences are possible about 0.
+    Args:
+        command: Mean commands per time step, shape (k, nu) [rad].
+        lag: Time constant [time steps]. A negative lag has the opposite effect, so that central
+            differences are possible about 0.
     """
     decay = math.exp(-1 / abs(lag)) if lag else 0.0
     deviations = command - command[0]
@@ -505,7 +516,10 @@ def _find_root_body(model: mujoco.MjModel, body: int) -> int:
 def _compute_link_frames(
     robot: Robot, model: mujoco.MjModel, bodies: NDArray[np.int64]
 ) -> Iterator[pin.SE3]:
-    """Yield the pose of each joint's MuJoCo body in the frame of the Pinocchio joint [m]."""
+    """Yield the pose [m] of the MuJoCo body of each joint in the frame of its Pinocchio joint.
+
+    ``bodies`` are the ids of the bodies, shape (nu,), in actuator order.
+    """
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, robot.home)
     mujoco.mj_kinematics(model, data)

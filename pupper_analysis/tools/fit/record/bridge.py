@@ -124,7 +124,7 @@ _BUILTIN_BRIDGES = {
     "ros2": "pupper_analysis.tools.fit.record.ros:open_ros",
     "typed": "pupper_analysis.tools.fit.record.terminal:open_typed",
 }
-"""{name: module and function of each bridge of this package}."""
+"""{name of a bridge of this package: ``module:function`` that opens the bridge}."""
 
 
 @dataclass

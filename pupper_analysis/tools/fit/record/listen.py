@@ -36,7 +36,7 @@ LISTENERS_GROUP = "pupper_analysis.listeners"
 robot and of the text after the colon in ``NAME:ARGUMENTS``; it returns a `Listener`."""
 
 _BUILTIN_LISTENERS = {"ros2": "pupper_analysis.tools.fit.record.ros:open_ros_listener"}
-"""{name: module and function of each listener of this package}."""
+"""{name of a listener of this package: ``module:function`` that opens the listener}."""
 
 
 class Listener(Protocol):

@@ -192,7 +192,10 @@ def _lock_output(path: Path) -> Iterator[None]:
 def _record_missing_stands(
     robot: Robot, plan: str | Path, path: Path, bridge: Bridge, operator: Operator
 ) -> Recording:
-    """Record the stands of the file ``plan`` that the output file ``path`` does not contain yet."""
+    """Record the stands of the file ``plan`` that the output file ``path`` does not contain yet.
+
+    The bridge is closed afterwards. Errors are those of `record_stands`.
+    """
     planned = read_stands(plan).order_joints(robot)
     check_writable(path, RECORD_KIND)
     margins = list(_check_plan(robot, planned))  # before anything moves
@@ -246,7 +249,13 @@ def _record_missing_stands(
 
 
 class _RecordingSession:
-    """Recording of stands: moves the robot from stand to stand, and reads its positions at rest."""
+    """Recording of stands: moves the robot from stand to stand, and reads its positions at rest.
+
+    Args:
+        robot: Robot, with the values of the files.
+        bridge: Connection to the robot.
+        operator: Person who sets the robot up.
+    """
 
     def __init__(self, robot: Robot, bridge: Bridge, operator: Operator) -> None:
         self._robot, self._bridge, self._operator = robot, bridge, operator
@@ -257,7 +266,11 @@ class _RecordingSession:
         self._half_differences: list[Array] = []
 
     def compute_friction_angles(self, num_stands: int) -> FrozenDict[str, float]:
-        """Return {joint: median half difference [rad] of both readings} of the first stands."""
+        """Return {joint: median of |half the difference of both readings| [rad]}.
+
+        The median is over the first ``num_stands`` recorded stands; empty if no stand was read
+        twice.
+        """
         differences = self._half_differences[:num_stands]
         if not differences:
             return FrozenDict()
@@ -395,7 +408,8 @@ class _RecordingSession:
         (nu,) [rad].
 
         Raises:
-            _RecordingEndedError: If a servo does not follow, or the operator stops the recording.
+            _RecordingEndedError: If a servo does not follow, positions are lost, or the operator
+                stops the recording.
         """
         assert self._command is not None
         position = self._read_positions(stand)
@@ -439,8 +453,13 @@ class _RecordingSession:
     def _average_at_rest(self, stand: PlannedStand) -> Array:
         """Return the mean joint positions, shape (nu,) [rad], once the robot is at rest.
 
+        The mean is over the last `_REST_WINDOW`, within which each position changes by less than
+        `_REST_RANGE`.
+
         Raises:
             _StandSkippedError: If the robot is not at rest within `_REST_TIMEOUT`.
+            _RecordingEndedError: If a servo does not follow, positions are lost, or the operator
+                stops the recording.
         """
         assert self._command is not None
         count = round(_REST_WINDOW / _COMMAND_INTERVAL)

@@ -260,7 +260,12 @@ class RosListener(WallClock):
         self._append("commands", (message.linear.x, message.linear.y, message.angular.z))
 
     def listen(self, seconds: float) -> dict[str, list[tuple[float, Array]]]:
-        """Return the messages of a duration [s]; the ROS node is destroyed afterwards."""
+        """Return the messages of ``seconds`` [s], then destroy the ROS node.
+
+        Returns:
+            {signal: [(time of reception [s], values), ...]}, with the signals and units of
+            `Listener.listen`.
+        """
         end = self.now() + seconds
         try:
             while (remaining := end - self.now()) > 0:

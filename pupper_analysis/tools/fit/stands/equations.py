@@ -511,7 +511,10 @@ class StandRows:
 
 
 def _compute_sign_band(deadband: float) -> float:
-    """Return the servo error [rad] over which the sign of friction changes smoothly."""
+    """Return the servo error [rad] over which the sign of friction changes smoothly.
+
+    ``deadband`` is the servo error [rad] at which the servo torque equals the dry friction.
+    """
     return math.hypot(_MIN_SIGN_BAND, _SIGN_BAND_RATIO * deadband)
 
 
@@ -854,7 +857,13 @@ class StandEquations:
         )
 
     def _make_values(self, x: Array) -> StandValues:
-        """Return robot and ground values for parameters (n,), without added masses of a stand."""
+        """Return the values of robot and surroundings for parameters ``x``, shape (n,).
+
+        Known masses that are attached in single stands are not included.
+
+        Raises:
+            LinAlgError: If the slope of the ground is a wall.
+        """
         robot, table = self.robot, self.table
         model, bodies = robot.pin_model.copy(), []
         for link, number, stated in self._bodies:

@@ -105,10 +105,11 @@ class StandFit(Fit):
 def _list_joint_residuals(
     robot: Robot, stands: MeasuredStands, equations: StandEquations, known: Posterior
 ) -> tuple[JointResidual, ...]:
-    """Return the error of each measured joint position [rad, m], most significant first.
+    """Return the error of each joint position in each stand [rad, m], most significant first.
 
     The error is the measured position minus the position that agrees best with all other
-    measurements; significance is the ratio to the standard deviation.
+    measurements; significance is the ratio to the standard deviation. ``known`` is the distribution
+    of the parameters.
     """
     deviation, std = equations.find_contradictions(known)
     units = {joint: joint_unit(robot, joint) for joint in stands.joints}
@@ -988,7 +989,7 @@ def _drop_uninformative_commands(
 
     Omitted are commands of joints that may rest on a stop (near a limit, within the uncertainty of
     the encoder offsets), and of motors at the torque limit, where the servo error may have any
-    size.
+    size. ``kp`` [N m/rad], ``offsets`` [rad] and ``offset_std`` [rad] have the shape (nu,).
     """
     commanded, position = np.isfinite(stands.command), stands.position - offsets
     servo_error, margin = (

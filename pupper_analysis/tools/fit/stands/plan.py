@@ -238,7 +238,13 @@ person must watch the feet in such stands. Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """Candidate: planned stand, joint positions, shape (nu,) [rad], and base height [m]."""
+    """Random stand that a plan may contain.
+
+    Attributes:
+        planned: Stand as it would be planned, without a name.
+        position: Predicted joint positions on the servos, shape (nu,) [rad].
+        height: Base height [m] before the static deflection.
+    """
 
     planned: PlannedStand
     position: Array
@@ -344,7 +350,7 @@ candidate. Two or three rounds are sufficient."""
 
 
 def _log_determinant(information: Array) -> float:
-    """Return the natural logarithm of the absolute determinant of a matrix."""
+    """Return the natural logarithm of the absolute determinant of a matrix, shape (n, n)."""
     return float(np.linalg.slogdet(information)[1])
 
 
@@ -565,9 +571,10 @@ class RandomStands:
 
 
 def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
-    """Return the lowering [m] of the base in the default stand without feed-forward.
+    """Return the height [m] that the base loses in the default stand without feed-forward.
 
-    ``kp`` is the servo stiffness [N m/rad]. 0 if the stand cannot be solved or is not held.
+    ``kp`` is the servo stiffness [N m/rad]; the model's if None. 0 if the stand cannot be solved or
+    has no equilibrium on its servos.
     """
     try:
         stand = solve_stand(robot, explain=False)
