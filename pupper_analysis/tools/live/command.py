@@ -229,7 +229,10 @@ def _open_walk(
     browser: bool,
     **server_options: Unpack[ServeOptions],
 ) -> None:
-    """Serve the page of a walking policy until Ctrl-C."""
+    """Serve the page of a walking policy until Ctrl-C.
+
+    ``command_text`` is the initial velocity command, such as ``0.5,0,0`` (`parse_walking_command`).
+    """
     from pupper_analysis.tools.live.render import import_viser
     from pupper_analysis.tools.live.walking import WalkPage
     from pupper_analysis.tools.walk.gait import parse_walking_command

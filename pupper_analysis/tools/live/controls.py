@@ -193,7 +193,10 @@ class Controls:
         return state.with_values(place="offset") if field.name == "offset" else state
 
     def _apply_lift(self, state: State) -> State:
-        """Return the state with the selected foot lifted or not."""
+        """Return the state with the selected foot lifted to the slider's height, or on the ground.
+
+        The checkbox "lifted" of the page decides.
+        """
         swing = {
             foot: height for foot, height in state.swing.items() if foot != self._selected_foot
         }
@@ -322,7 +325,7 @@ def _find_folder(field: Field) -> str:
 
 
 def _clamp_to_range(span: Range, value: float) -> float:
-    """Return a slider value rounded to two decimals and clipped to a range."""
+    """Return a slider value rounded to two decimals, then clipped to the range ``span``."""
     return min(max(round(value, 2), span.low), span.high)
 
 
@@ -494,8 +497,10 @@ class Range:
 def make_slider_ranges(robot: Robot) -> dict[str, Range]:
     """Return {name of a slider: range}, in mm, degrees, kg, N m/rad and N m s/rad.
 
-    Ranges of lengths are proportional to the height of the nominal stand, ranges of masses to the
-    mass of the robot. Sliders of joints are not included.
+    The ends of the range of a length are multiples of the height of the nominal stand, of a mass
+    multiples of the robot's mass, of a gain multiples of the median gain; their magnitudes are
+    rounded up (`round_up_slider_end`). Ranges of angles do not depend on the robot. Initial values
+    are not rounded. Sliders of joints are not included.
     """
     ranges = {}
     for name, control in CONTROL_BY_NAME.items():
@@ -511,7 +516,11 @@ def make_slider_ranges(robot: Robot) -> dict[str, Range]:
 
 
 def _make_length_range(field: Field, slider: Slider, robot: Robot) -> Range:
-    """Return the slider range of a length [mm] or mass [kg], scaled with the robot."""
+    """Return the slider range of a length [mm] or mass [kg], scaled with the robot.
+
+    ``slider`` states the ends relative to the robot's stand height or mass; their magnitudes are
+    rounded up. If 0 is not allowed, the lower end is one step.
+    """
     scale = robot.total_mass if field.kind == "mass" else 1e3 * robot.stand_height
     low, high = (math.copysign(round_up_slider_end(abs(bound) * scale), bound) if bound else 0.0
                  for bound in (slider.low, slider.high))  # fmt: skip
@@ -523,9 +532,10 @@ def _make_length_range(field: Field, slider: Slider, robot: Robot) -> Range:
 
 
 def _make_gain_range(field: Field, slider: Slider, robot: Robot) -> Range:
-    """Return the slider range of a servo gain, from the median of the model's gains.
+    """Return the slider range of a servo gain, from 0 (stiffness: one step) to 8 times the median.
 
-    A stiffness of 0 is excluded.
+    The median of the model's gains is also the initial value; without servos, the start value of
+    ``slider``, or 1. The upper end is rounded up.
     """
     servos = list_position_servos(robot)
     values = [gains[("kp", "kd").index(field.name)] for gains in servos.values()]

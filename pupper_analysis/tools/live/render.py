@@ -259,7 +259,7 @@ PANEL_STYLE = """<style>
 """Style sheet of the panels."""
 
 _BOX_CLASSES = {"good": "good", "bad": "bad", "warn": "wait"}
-"""CSS class of a box for each emphasis."""
+"""{emphasis of a text (`Document.mark`): CSS class of the box around the text}."""
 
 
 def render_panel(document: Document, translator: Translator) -> str:
@@ -284,12 +284,12 @@ def join_parts(*parts: str) -> str:
 
 
 def render_waiting(words: Words, translator: Translator) -> str:
-    """Render a message about work in progress as HTML."""
+    """Render a message about work in progress as an HTML panel, a box with the emphasis "warn"."""
     return join_parts(_render_box("warn", translator.translate(words)))
 
 
 def render_hint(words: Words, translator: Translator) -> str:
-    """Render a hint as HTML that is shown in place of a result."""
+    """Render a hint, which is shown in place of a result, as an HTML panel without a box."""
     return join_parts(f"<div>{_escape_text(translator.translate(words))}</div>")
 
 

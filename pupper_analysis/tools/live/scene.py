@@ -43,7 +43,8 @@ UTILISATION_COLOURS: tuple[tuple[float, Colour], ...] = (
     (0.75, (240, 138, 52)),
     (1.0, (208, 28, 40)),
 )
-"""Colour of motor utilisation (torque / limit); linear between the entries."""
+"""(motor utilisation, colour) in ascending order; colours of utilisations (torque / limit) between
+the entries are interpolated linearly."""
 
 OVERLOAD_COLOUR: Colour = (138, 0, 110)
 """Colour of a utilisation above 1."""
@@ -53,7 +54,10 @@ NO_LIMIT_COLOUR: Colour = (150, 150, 150)
 
 
 def choose_utilisation_colour(utilisation: float | None) -> Colour:
-    """Return the colour (RGB, 0 to 255) of a utilisation; grey if None or not finite."""
+    """Return the colour (RGB, 0 to 255) of a motor utilisation (torque / limit).
+
+    `NO_LIMIT_COLOUR` if the utilisation is None or not finite, `OVERLOAD_COLOUR` above 1.
+    """
     if utilisation is None or not math.isfinite(utilisation):
         return NO_LIMIT_COLOUR
     for (low, low_colour), (high, high_colour) in pairwise(UTILISATION_COLOURS):
@@ -105,7 +109,10 @@ def _join_meshes(meshes: list[Mesh]) -> Mesh:
 
 
 def triangulate_shape(shape: Shape) -> Mesh:
-    """Return the triangles [m] of a primitive shape, centred at the origin, axis along z."""
+    """Return the triangles [m] of a primitive shape, centred at the origin, axis along z.
+
+    A shape that is no box, cylinder or capsule is drawn as a sphere or ellipsoid.
+    """
     from trimesh import creation  # comes with viser
 
     size, solid = shape.size, None
@@ -158,8 +165,8 @@ Chosen, not tuned."""
 
 
 _DISC_RADIUS, _DISC_REFERENCE_HEIGHT = 0.025, 0.13
-"""Radius of a joint's disc [m], for a robot of the reference height [m]: larger than v3's motors
-(23 mm)."""
+"""Radius of the disc that is drawn at a joint [m], for a robot whose stand has the reference height
+[m]; the radius is proportional to height^0.6. Chosen larger than v3's motors (23 mm)."""
 
 
 class RobotFigure:
@@ -350,7 +357,7 @@ class Scene:
             node.visible = False
 
     def _draw_ground(self, ground: Ground) -> None:
-        """Draw the ground plane."""
+        """Draw the ground plane, with its slope, as a grid."""
         size = 0.5 if self._size < 0.25 else 2.0
         grid = self._get_node(
             "ground",
@@ -495,7 +502,10 @@ def make_force_arrows(robot: Robot, contacts: Sequence[Contact]) -> Array:
 
 
 def format_joint_label(name: str, torque: float, share: float | None, unit: str) -> str:
-    """Return the label of a joint: name, torque with unit, utilisation (1 is shown as 100 %)."""
+    """Return the label of a joint: name, signed torque with ``unit``, and utilisation.
+
+    The utilisation ``share`` (1 is shown as 100 %) is left out if it is None.
+    """
     suffix = "" if share is None else f", {100 * share:.0f} %"
     return f"{escape_control(name)}: {torque:+.3f} {unit}{suffix}"
 

@@ -310,7 +310,7 @@ class Session:
                 self._run_safely(partial(self._run_job, job, answer))
 
     def _run_job(self, job: Callable[[Answer], None], answer: Answer) -> None:
-        """Run a simulation; an error is shown as the result."""
+        """Run a simulation; an error of this package is shown as the result on the page."""
         try:
             job(answer)
         except PupperAnalysisError as error:
@@ -379,7 +379,11 @@ class Session:
         motion: Any,
         verdict: Verdict | None = None,
     ) -> None:
-        """Show the result of a simulation and play the motion."""
+        """Show the result of a simulation and play the motion, if ``answer`` is still shown.
+
+        ``time`` are times, shape (n,) [s]; ``motion`` are configurations, shape (n, nq). The
+        predicted verdict is replaced by ``verdict`` unless it is None.
+        """
 
         def show() -> None:
             self._verdict = verdict or self._verdict

@@ -40,7 +40,7 @@ _AVERAGING_TIME, _TABLE_PERIOD, _FRAME_PERIOD = 1.0, 0.25, 0.04
 Chosen, not tuned."""
 
 _COMMAND_AXES = ("forward", "left", "turning")
-"""Names of the three components of a walking command: two speeds and the turning rate."""
+"""Names of the components of a velocity command: forward and left [m/s], turning left [rad/s]."""
 
 PUSH_DIRECTIONS = {"forward": (1.0, 0.0), "backward": (-1.0, 0.0), "left": (0.0, 1.0),
               "right": (0.0, -1.0)}  # fmt: skip
@@ -178,7 +178,11 @@ class WalkSession:
             self._closed.wait(max(0.0, due - time.monotonic()))
 
     def _draw_robot(self, state: Array) -> None:
-        """Draw the robot at the origin, above moving ground."""
+        """Draw the robot above the origin, and move the grid of the ground below instead.
+
+        ``state`` is MuJoCo's full physics state, shape (size,); nothing is drawn if its
+        configuration is not finite.
+        """
         qpos = state[1 + self._stage.robot.mj_convention.qpos_index].copy()
         if not np.isfinite(qpos).all():
             return

@@ -99,9 +99,10 @@ def simulate_drop(robot: Robot) -> Drop:
 
 
 def _check_landing(robot: Robot, data: mujoco.MjData) -> StandCheck:
-    """Compare the final state of a simulation with the home pose.
+    """Compare the final state of a simulated drop with the home pose on the ground.
 
-    The home pose is shifted vertically, so that the lowest foot touches the ground.
+    The home pose is shifted vertically, so that the lowest foot touches the ground. The result
+    contains tilt, height and the bodies other than feet on the ground.
     """
     qpos = robot.home.copy()
     if robot.floating and robot.contact_points:
@@ -191,7 +192,7 @@ def _describe_home(robot: Robot, data: mujoco.MjData) -> str:
 
 
 def _format_sensor_count(count: int) -> str:
-    """Return the text about the number of sensors in the file."""
+    """Return the text "N sensors, read below", or that the file has no sensors if N is 0."""
     if not count:
         return "the file has no sensors"
     return f"{count} sensor{'' if count == 1 else 's'}, read below"
