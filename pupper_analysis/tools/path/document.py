@@ -79,7 +79,7 @@ def _list_motors(path: StancePath) -> list[doc.Words]:
 
 
 def _plan_table(path: StancePath) -> doc.Table:
-    """Create the table of the planned path: duration, utilisations, margins."""
+    """Create the table of the planned path: duration [s], peak utilisations [%], margins [mm]."""
     peak = text(
         "greatest-torque-of-motors",
         joint=doc.Name(path.peak_joint),
@@ -102,12 +102,19 @@ def _plan_table(path: StancePath) -> doc.Table:
 
 
 def _make_utilisation_row(name: doc.Text, share: float) -> list[tuple[doc.Text, str, float, str]]:
-    """Return a row (name, unit, value, format) for a utilisation; empty for NaN (unknown limit)."""
+    """Return one row (name, unit "%", value, number format) for the utilisation ``share`` [1].
+
+    No row is returned for NaN (unknown limit).
+    """
     return [] if math.isnan(share) else [(name, "%", 100 * share, ".1f")]
 
 
 def _tracking_table(tracking: PathTracking) -> doc.Table:
-    """Create the table of the simulated path: errors of torques, joints and base, foot slip."""
+    """Create the table of the simulated path, with the largest value of each error.
+
+    Errors: torques [%], joint positions [degrees or mm], base height [mm], base orientation
+    [degrees], foot slip [mm].
+    """
     joint_error = convert_to_display(tracking.joint_error, tracking.joint_error_unit)
     return _quantity_table(
         text("how-it-is-followed"),

@@ -145,10 +145,10 @@ def inverse_dynamics(
 
 
 def _mean_ground_point(config: Configuration, normals: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Return the mean position where feet touch the ground, (3,) [m], and the mean normal, (3,).
+    """Return the mean contact position, (3,) [m], and the mean normal as a unit vector, (3,).
 
-    ``normals`` contains the unit normal of the ground at each contact point, in the world frame.
-    Without contact points: the origin and up.
+    Both are expressed in the world frame. ``normals`` contains the unit normal of the ground at
+    each contact point. Without contact points: the origin and the unit vector upwards.
     """
     robot = config.robot
     points = [
@@ -194,14 +194,14 @@ def joint_resistance(robot: Robot, qvel: Array, qacc: Array) -> Array:
 
     Damping is the linear ``damping`` of joints. Dry friction is MuJoCo's ``frictionloss``
     constraint: (qacc + b qvel) / R, limited to +-frictionloss, with R = (1 - d) / d A, d the
-    impedance of ``solimpfriction`` and b the damping of ``solreffriction``. Except for speeds of
-    millimetres per second, this is Coulomb friction. (MuJoCo documentation, "Computation: Friction
-    loss"; engine_core_constraint.c.)
+    impedance of ``solimpfriction``, A the inverse inertia ``dof_invweight0``, and b the damping of
+    ``solreffriction``. Except for speeds of millimetres per second, this is Coulomb friction.
+    (MuJoCo documentation, "Computation: Friction loss"; engine_core_constraint.c.)
 
     Args:
         robot: Robot.
-        qvel: Shape (nv,); generalised velocity.
-        qacc: Shape (nv,); generalised acceleration.
+        qvel: Shape (nv,); generalised velocity [m/s, rad/s].
+        qacc: Shape (nv,); generalised acceleration [m/s^2, rad/s^2].
 
     Returns:
         Shape (nv,) [N, N m]; zero for degrees of freedom without damping and dry friction.
@@ -238,11 +238,12 @@ def rolling_levers(
 
     Args:
         config: State of the robot, with ``qvel``.
-        qacc: Shape (nv,); generalised acceleration.
-        normals: Unit normal, shape (3,), of each loaded foot.
+        qacc: Shape (nv,); generalised acceleration [m/s^2, rad/s^2].
+        normals: {loaded foot: unit normal of the ground in the world frame, shape (3,)}.
 
     Returns:
-        For each foot with such a contact, moment / normal force, shape (3,) [m], in world axes.
+        {foot: moment / normal force in the world frame, shape (3,) [m]}, for each loaded foot
+        whose contact has ``condim`` 4 or 6 and a sliding friction above 0.
     """
     robot, found = config.robot, {}
     mean_load = robot.weight / max(1, len(normals))

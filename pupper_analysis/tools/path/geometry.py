@@ -38,8 +38,8 @@ _T = TypeVar("_T", float, NDArray[np.float64])
 """Type of a value that is interpolated: a number or an array."""
 
 _PATH_CONSTRAINTS = ("base-height", "base-place", "com-place", "support-margin", "footholds")
-"""Constraints with target values that ``interpolate_task`` computes from the path segment. The
-target values of all other constraints are interpolated between the two stances."""
+"""Names of the stance constraints whose targets `interpolate_task` computes from the solved stances
+of a segment. Targets of other constraints are interpolated linearly between the two stand tasks."""
 
 UNLOADED_HEIGHT = 1e-12
 """Height [m] that a stand task states for a foot that touches the ground without load: a positive
@@ -67,8 +67,10 @@ class Key:
     def margin(self, feet: Sequence[str]) -> float:
         """Compute the horizontal distance [m] from the CoM to the edge of a support polygon.
 
+        The distance is positive inside the polygon.
+
         Args:
-            feet: Feet of the polygon. The distance is positive inside the polygon.
+            feet: Contact points that span the polygon.
         """
         return com_margin(self.com, {foot: self.feet[foot] for foot in feet})
 
@@ -174,16 +176,16 @@ def interpolate_task(
         stance_feet: Contact points that carry load.
         share: Path parameter s of the segment, from 0 to 1.
         ik_seed: Shape (nu,) [rad, m]; initial guess of the joint positions.
-        away: Displacement of each contact point by rolling, shape (3,) [m].
+        away: {contact point: displacement by rolling in the world frame, shape (3,) [m]}.
 
     Raises:
         StaticsInfeasibleError: If the margin of the CoM in the support polygon is smaller than the
-            tasks require.
+            margin interpolated between both tasks, or than 1e-6 m.
     """
     first, last = segment.start.task, segment.end.task
 
     def between(start: _T, end: _T) -> _T:
-        """Interpolate linearly between two values."""
+        """Interpolate linearly between two values, at the path parameter ``share``."""
         return start + share * (end - start)
 
     ground, normals = first.ground, ground_normals(robot, first.ground)
@@ -315,7 +317,10 @@ class Geometry:
     seconds: float
 
     def describe_sample(self, index: int) -> Diagnostic:
-        """Return a text with the time and the segment of a sample, for error messages."""
+        """Return the message part with the time [s] and the two stances of a sample, for errors.
+
+        ``index`` is the index of the sample in ``places``.
+        """
         return _describe_sample(index, self.per_segment, self.seconds / len(self.segments))
 
 
@@ -327,6 +332,9 @@ def minimum_jerk(progress: float) -> tuple[float, float, float]:
 
     Args:
         progress: Fraction x of the duration, from 0 to 1.
+
+    Returns:
+        s, ds/dx and d2s/dx2 [1].
     """
     x = progress
     return (
@@ -395,9 +403,12 @@ def path_geometry(
 
 
 def _describe_sample(index: int, per_segment: int, duration: float) -> Diagnostic:
-    """Return a text with the time and segment of a sample of a path.
+    """Return the message part with the time [s] and the two stances of a sample, for errors.
 
-    A segment has ``per_segment`` samples and takes ``duration`` [s].
+    Args:
+        index: Index of the sample in the path, from 0.
+        per_segment: Number of samples per segment.
+        duration: Duration of a segment [s].
     """
     number = max(0, (index - 1) // per_segment)
     moment = duration * index / per_segment
@@ -435,12 +446,14 @@ class _RollingFeet:
     ) -> Stand:
         """Solve the stand of a sample by iteration between leg angles and rolling of the feet.
 
+        The displacements of the feet are stored for the next sample.
+
         Args:
             segment: Segment of the path.
             stance_feet: Contact points that carry load.
             share: Path parameter s of the segment, from 0 to 1.
             ik_seed: Initial guess of the joint positions, shape (nu,) [rad, m].
-            rolling: Whether feet roll; otherwise the stand is solved once.
+            rolling: Whether feet roll; otherwise the stand is solved once, and nothing is stored.
 
         Raises:
             NoEquilibriumError: If the rolling displacement does not converge.
@@ -528,6 +541,6 @@ def _differentiate(
 
 
 def clearance(place: PathPlace, foot: str) -> float:
-    """Return the height [m] of a foot above the ground at a place of a path; 0 if it touches."""
+    """Return the planned height [m] of a foot above the ground at a path sample; 0 in contact."""
     height = place.stand.task.swing.get(foot, 0.0)
     return 0.0 if height <= UNLOADED_HEIGHT else height

@@ -8,7 +8,11 @@ from pupper_analysis.base.kinds import NUM_HEAD_BYTES, Kind
 
 
 def _is_path_table(file: BinaryIO) -> bool:
-    """Return True if the header of a CSV file has a time column, then only q and tau columns."""
+    """Return True if the first line of a CSV file is the header of a path table.
+
+    The header has the column "time (s)", then only joint positions ("q ...") and motor torques
+    ("tau ...").
+    """
     head, _, _ = file.read(NUM_HEAD_BYTES).partition(b"\n")
     columns = head.decode(errors="replace").split(",")
     return columns[0] == "time (s)" and all(

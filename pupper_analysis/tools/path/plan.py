@@ -72,8 +72,7 @@ def compute_path_sample(
         acceleration: d2s/dt2 of the path parameter [1/s^2].
 
     Returns:
-        For each array attribute of `StancePath` except ``time`` and ``qpos``, the value at this
-        sample.
+        {array attribute of `StancePath`: value at this sample}, except ``time`` and ``qpos``.
 
     Raises:
         StaticsInfeasibleError: If no contact forces exist.
@@ -82,7 +81,10 @@ def compute_path_sample(
     config, stand = Configuration(robot, place.qpos, qvel), place.stand
 
     def balance(feet: Sequence[str], *, held: bool = False) -> InverseDynamics:
-        """Return the inverse dynamics with the contacts ``feet``."""
+        """Return the inverse dynamics of the sample if only the contact points ``feet`` carry load.
+
+        If ``held``, friction cones and unilateral limits are omitted.
+        """
         return inverse_dynamics(config, qacc, feet, normals=stand.normals, held=held)
 
     whole = balance(stand.stance_feet)
@@ -98,7 +100,7 @@ def compute_path_sample(
     feet, zero_force = robot.contact_points, np.zeros(3)
 
     def mean(tables: Sequence[Mapping[str, Array]]) -> Array:
-        """Return the weighted mean of vectors per contact point, shape (n, 3)."""
+        """Return the mean vector of each contact point, weighted by ``parts``, shape (feet, 3)."""
         weighted = list(zip([share for share, _ in parts], tables, strict=True))
         rows = [[share * table.get(foot, zero_force) for foot in feet] for share, table in weighted]
         mixed: Array = np.sum(rows, axis=0)
@@ -229,7 +231,7 @@ class StancePath(Tabular):
     motors: dict[str, str] = field(default_factory=dict)
 
     def _columns(self) -> dict[str, Array]:
-        """Return {column: values} of a table of angles, torques and margins, a row per sample."""
+        """Return {column: values, shape (n,)}: time, joint positions, motor torques and margins."""
         angles = dict(zip(self.joint_names, self.joint_positions().T, strict=True))
         torques = dict(zip(self.joint_names, self.torques.T, strict=True))
         return {
@@ -392,7 +394,12 @@ shorter paths overflow. Chosen, not tuned."""
 
 
 def _count_samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
-    """Validate duration and rate, and return the number of samples per segment."""
+    """Return the number of samples per segment, from the duration [s] and the minimum rate [Hz].
+
+    Raises:
+        ConfigurationError: If there are fewer than two stances, a number is not finite and
+            positive, the path is shorter than `MIN_DURATION`, or has too many samples.
+    """
     if len(stances) < 2:
         raise ConfigurationError("stances", diagnose("path-of-one-stance"))
     for name, value in (("seconds", seconds), ("rate", rate)):

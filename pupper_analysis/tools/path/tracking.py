@@ -502,7 +502,9 @@ def track_path(
 def _compare_torques(plan: PathCommands, states: Array) -> tuple[list[Diagnostic], float]:
     """Return a diagnostic per saturated motor, and the largest torque error [1].
 
-    The error is relative to the largest torque of the path.
+    The error is |simulated torque - planned torque of the extended legs| / largest planned torque
+    of the path on rigid ground, over all joints and time steps. ``states`` are the full physics
+    states of MuJoCo at the end of each step, shape (n, size).
 
     Torques are evaluated by the servo law. With an implicit integrator, damping acts on the
     velocity at the end of the step; ``qfrc_actuator`` of MuJoCo contains the velocity at the start
@@ -532,7 +534,7 @@ def _compare_torques(plan: PathCommands, states: Array) -> tuple[list[Diagnostic
 
 
 def _as_finite(utilisation: float) -> float | None:
-    """Return a utilisation; None if it is infinite (limit of 0 or less) or not a number."""
+    """Return a utilisation [1]; None if it is infinite (a limit of 0) or not a number."""
     return utilisation if math.isfinite(utilisation) else None
 
 
@@ -543,12 +545,13 @@ def _check_states(
 
     Args:
         plan: Path and commands.
-        states: Full physics states of MuJoCo at the end of each step.
+        states: Full physics states of MuJoCo at the end of each step, shape (n, size).
         evaluations: Indices of the states that are checked.
 
     Returns:
-        Failures with the time of their first occurrence; largest orientation error [rad]; largest
-        slip of each foot along the ground [m].
+        Failures with the time of their first occurrence; largest orientation error of the base
+        [rad]; {contact point: largest distance [m], along the ground, from its planned position
+        while loaded}.
     """
     path, robot = plan.path, plan.robot
     watcher = monitor.ContactSampler(robot, plan.drive.model)
