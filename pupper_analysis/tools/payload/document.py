@@ -92,7 +92,10 @@ def _select_next_step(limit: PayloadLimit) -> NextStep:
 
 
 def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
-    """Return the verdict, with the kind of torque limits: peak, continuous or both."""
+    """Return the verdict word: UNKNOWN, FAILS, or CARRIES with the kind of torque limits.
+
+    The limits are peak torques, continuous torques, or peak torques of some motors only.
+    """
     if math.isnan(limit.mass) or not limit.passed:
         key = "UNKNOWN" if math.isnan(limit.mass) else "FAILS"
         return qualify_verdict_word(key, limit.verdict.converted)

@@ -416,9 +416,9 @@ def payload_limit(
 
 
 def _find_unknown_limits(robot: Robot, place: Tool) -> tuple[str, ...]:
-    """Return the joints without a stated torque limit that carry a foot or the payload.
+    """Return the motor joints without a stated torque limit that may carry load.
 
-    Coupled joints count as joints that carry a foot.
+    These move a foot, a hand or the payload, or belong to a closed loop or coupling.
     """
     unloaded_joints = set(free_joints(robot)) - set(place.chain)
     unknown_joints = (
@@ -433,6 +433,9 @@ FailureCause = tuple[Failure, tuple[str, ...]] | None
 
 def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool]) -> Bound:
     """Return the mass bound of the servos, raised if the command `stand` passes with more mass.
+
+    Masses that grow by `_MASS_GROWTH` are tested. The bound is infinite if none fails up to the
+    smaller bound of stance and motors.
 
     With the mass of the given bound, a deviation doubles in ``HOLD_DURATION`` directly after the
     start. `stand` measures the doubling time after 5 s, in which feet creep. Close to the bound
@@ -531,7 +534,7 @@ def _bisect_mass(
     tolerance: float,
     relative_tolerance: float = 0.0,
 ) -> Bound:
-    """Find the largest mass without a failure by bisection, and the failure with more mass.
+    """Find the largest mass [kg] without a failure by bisection, and the failure with more mass.
 
     Args:
         find_cause: Function that returns the failure with a mass [kg], None without a failure.
