@@ -348,7 +348,7 @@ class PushBench:
         return None
 
     def _find_end_failures(self, states: Array) -> list[Diagnostic]:
-        """Return the failures at the end of a simulation: a fall, or a base in motion.
+        """Return the failures at the end of a simulation: a fall, a base in motion, both or none.
 
         Args:
             states: Last states, at least those of ``_REST_DURATION``, shape (n, size).
@@ -369,9 +369,10 @@ class PushBench:
         return round(_REST_DURATION / self.timestep)
 
     def _measure_final_speed(self, states: Array) -> float:
-        """Return the largest speed of the base in ``_REST_DURATION`` [m/s].
+        """Return the largest speed [m/s] of the base in the last ``_REST_DURATION`` of the states.
 
-        The speed is the sum of the linear speed and the angular speed times the CoM height.
+        The speed is the linear speed plus the angular speed times the CoM height. ``states`` are
+        full physics states of MuJoCo, shape (n, size).
         """
         last = states[-self._num_rest_states :, 1 + self.drive.model.nq :]
         rates = last[:, self.robot.mj_convention.qvel_index[:6]]
@@ -467,7 +468,7 @@ class PushBench:
 
 
 def _only_moves(failures: list[Diagnostic]) -> bool:
-    """Return True if the only failure at the end of a simulation is a base in motion."""
+    """Return True if the failures consist of a single one: the base moves at the end."""
     return [failure.code for failure in failures] == ["not-at-rest"]
 
 

@@ -70,10 +70,10 @@ def _select_next_step(pushed: PushedStance) -> NextStep:
 
 
 def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
-    """Yield the text of the weakest direction, its impulse and its failure.
+    """Yield a text of the weakest direction [degrees] and its impulse [N s], then its failure.
 
-    Of a robot that falls without a push, only the mass is stated. If torque limits are unknown, the
-    largest torque of a motor without limit is stated in place of the failure.
+    A single text is yielded in two cases: for a robot that falls without a push, the mass [kg]; if
+    torque limits are unknown, direction, impulse and the largest torque of a motor without limit.
     """
     recovery = pushed.recovery
     if recovery.failures_without_push:
@@ -106,7 +106,11 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
 
 
 def _make_push_table(pushed: PushedStance) -> doc.Table:
-    """Create the table of the largest pushes, a direction per row."""
+    """Create the table of the largest pushes, a direction per row.
+
+    Columns: direction [degrees], impulse [N s], velocity step [m/s], estimated tipping impulse of a
+    rigid robot [N s], failure of a larger push.
+    """
     recovery = pushed.recovery
     rows: list[tuple[doc.Cell, ...]] = [
         (
@@ -145,8 +149,8 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
     """Create the plot of the largest pushes over the direction, a line per robot.
 
     Args:
-        pushed: {robot: largest pushes}.
-        rigid: Robot whose tipping estimate is drawn as well, if finite in all directions.
+        pushed: {name of the robot: largest pushes}.
+        rigid: Name of the robot whose tipping estimate is drawn as well, if all values are finite.
     """
     series = [
         _make_closed_series(
@@ -176,7 +180,10 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
 def _make_closed_series(
     name: doc.Words, directions: Array, values: Array, **options: Any
 ) -> doc.Series:
-    """Create a plot line over directions [rad], closed by the first value at 360 degrees."""
+    """Create a plot line of values over directions [rad]; the first value is repeated at 360 deg.
+
+    Both arrays have the shape (n,); ``options`` are passed to `Series`.
+    """
     degrees = np.append(np.degrees(directions), 360.0)
     return doc.Series(name, degrees, np.append(values, values[0]), points=True, **options)
 

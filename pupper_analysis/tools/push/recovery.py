@@ -111,8 +111,11 @@ def study_pushes(
         StanceUnreachableError: If the stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the stance: a robot slides or tips.
         NotSettlingError: If the penetration depths of the feet do not converge.
-        ConfigurationError: If the task, or another argument, is invalid for a robot.
-        ModelError: If a robot has no position servos, and kp and kd are not both given.
+        ConfigurationError: If the task, or another argument, is invalid for a robot, the base is
+            fixed, or the stand contains a weld or grip.
+        UnknownNameError: If the task contains an unknown foot, joint or contact.
+        ModelError: If a robot has no position servos, and kp and kd are not both given; or the mass
+            or inertia of a body is invalid.
     """
     stands = [solve_stand(robot, task) for robot in robots]
     results = {}
@@ -167,9 +170,10 @@ def study_pushes(
 
 
 def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
-    """Return the joints that bear load during a push, but have no torque limit in the files.
+    """Return the motor joints that may bear load during a push, and whose torque limit is unknown.
 
-    These are joints between the base and a foot, and joints of closed loops or couplings.
+    These joints move a foot or hand, or belong to a closed loop or coupling. A torque limit is
+    unknown if no file states it.
     """
     unloaded_joints = free_joints(robot)
     unknown_joints = (
