@@ -132,7 +132,10 @@ _EXPLAIN_PARAMETERS = {
 def _explain_preparation(
     request: RobotAndTask, words: tuple[str, ...], json_path: Path | None
 ) -> None:
-    """Print the steps that prepare a robot from files, with their changes; ``--explain``."""
+    """Print the steps that prepare a robot from its files, with their changes (``--explain``).
+
+    If ``json_path`` is not None, the steps are also written there as JSON. The command then exits.
+    """
     from pupper_analysis.models.mjcf import silence_mujoco
     from pupper_analysis.prepare.convert.load import read_pair
     from pupper_analysis.prepare.passes import LoadRequest, parse_feet

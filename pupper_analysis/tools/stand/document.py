@@ -89,7 +89,10 @@ def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Do
 def _make_pass_table(
     title: doc.Words, passes: Iterable[PassRun], *, detail: bool = False
 ) -> doc.Table:
-    """Create the table of preparation steps (passes), with a row per note of each step."""
+    """Create the table of preparation passes: name, purpose, and a row per change of each pass.
+
+    If ``detail``, the short terminal view omits the table.
+    """
     rows: list[tuple[doc.Cell, ...]] = []
     for run in passes:
         done = tuple(map(doc.diagnostic_text, run.done)) or (text("nothing-to-do"),)
@@ -176,9 +179,9 @@ _NEXT_STEPS = {
 def _select_next_step(stance: Stance) -> NextStep:
     """Return the command to run next: on the cause of a failure, otherwise mostly `payload`.
 
-    `_NEXT_STEPS` contains the command of each verdict. If files differ, or describe two robots, the
-    command is `crosscheck`; for a robot of one file, `audit`. After a loss of height, or with too
-    soft servos, the command is `stand` with other options.
+    For most verdicts it is the entry of `_NEXT_STEPS`. If the files differ, or describe two robots,
+    it is `crosscheck`; for a robot of one file, `audit`. After a loss of height, or if servos are
+    too soft, it is `stand` with other options.
     """
     verdict = stance.verdict
     step = _NEXT_STEPS.get(verdict.code, NextStep("payload"))
@@ -237,7 +240,10 @@ def _stiffen_soft_servos(stance: Stance) -> NextStep | None:
 
 
 def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
-    """Warn that URDF and MJCF differ, if the predicted forces do not balance in MuJoCo."""
+    """Yield a warning that URDF and MJCF differ if the predicted forces do not balance in MuJoCo.
+
+    The criterion is a residual above `MAX_UNREPORTED_RESIDUAL`; otherwise nothing is yielded.
+    """
     if run.mujoco_residual > MAX_UNREPORTED_RESIDUAL:
         yield text("the-two-models-disagree", residual=f"{run.mujoco_residual:.2g}").with_mark(
             "warn"
@@ -245,7 +251,10 @@ def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
 
 
 def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
-    """State the motor with the largest load, its torque, and its utilisation, if known."""
+    """Yield one text: the most loaded motor, its torque or force, and its utilisation [%].
+
+    `find_hardest_motor` defines the most loaded motor.
+    """
     statics = stance.statics
     peak = find_hardest_motor(statics)
     share = float(statics.motor_utilisation[peak])
@@ -261,7 +270,7 @@ def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
 
 
 def _describe_height(stance: Stance) -> Iterable[doc.Words]:
-    """State the base height [mm] of the stance, if known, or that the base is bolted."""
+    """Yield the base height [mm] of the stance, or that the base is bolted; nothing if unknown."""
     height = stance.stand.task.height
     if _is_base_bolted(stance):
         yield text("base-is-bolted")
@@ -274,7 +283,11 @@ def _describe_height(stance: Stance) -> Iterable[doc.Words]:
 
 
 def _describe_servos(stance: Stance) -> Iterable[doc.Words]:
-    """State the gains of the servos with their bounds, as factors if the gains of joints differ."""
+    """Yield the servo gains with a lower bound of kp and an upper bound of kd.
+
+    If the gains of the joints differ, the bounds are factors on all gains. Nothing is yielded if
+    the bounds are unknown (`Stance.servos` is None or has no joint classes).
+    """
     servos = stance.servos
     if servos is None or not servos.classes:
         return
@@ -308,13 +321,17 @@ def _round_bound(bound: float | None) -> float | None: ...
 def _round_bound(bound: float | None) -> float | None:
     """Round a bound on a servo gain, or on a factor of gains, to two significant digits.
 
-    The bounds are estimates, not more accurate than two digits. None if ``bound`` is None.
+    None if ``bound`` is None.
     """
     return None if bound is None else float(f"{bound:.2g}")
 
 
 def _describe_soft_servos(stance: Stance) -> Iterable[doc.Words]:
-    """State the servos that alone make the stand fail, and the least stiffness of all servos."""
+    """Yield the servos that alone make the stand fail, and the smallest sufficient stiffness.
+
+    The first text is yielded if `Stance.soft_servos` is known; the second if the stance fails
+    without feed-forward, and a bound says that kp must be larger.
+    """
     servos, soft = stance.servos, stance.soft_servos
     if soft is not None:
         yield text(
@@ -340,7 +357,10 @@ def _describe_soft_servos(stance: Stance) -> Iterable[doc.Words]:
 
 
 def _make_servo_table(servos: ServoBounds) -> doc.Table:
-    """Create the table of the gains of joint classes, with their bounds."""
+    """Create the table of servo gains, with the lower bound of kp and the upper bound of kd.
+
+    A row is a class of joints with equal gains.
+    """
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(bounds.name),
@@ -381,7 +401,7 @@ def _is_base_bolted(stance: Stance) -> bool:
 
 
 def _get_stiffness_unit(stance: Stance) -> str:
-    """Return the unit of a stiffness that is equal at all joints."""
+    """Return the unit of a stiffness that is equal at all joints; N m/rad if all are hinges."""
     return find_common_units(stance.statics.torque_units).stiffness
 
 
@@ -389,8 +409,8 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
     """Yield the texts of the findings of a stance.
 
     The findings are the minimum kp, or the reason for its absence; the equilibrium or the sag [mm]
-    without feed-forward, or the reason for its absence; and the force [N] with which each hand
-    presses.
+    without feed-forward, or the reason for its absence; and the largest force [N] with which each
+    hand can press.
     """
     if stance.minimum_stiffness is not None:
         yield text(
@@ -411,10 +431,10 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
 
 
 def _is_settled_state_detail(stance: Stance, settled: SteadyState) -> bool:
-    """Return True if the predicted equilibrium is listed as a detail, not as a warning.
+    """Return True if the report lists the equilibrium without feed-forward only as a detail.
 
-    The equilibrium is a detail if it has no failures and enough margin to the release of a foot,
-    or if the verdict already states the failure.
+    This is so if the equilibrium ``settled`` has no failures and a release margin of at least
+    `RELEASE_MARGIN`, or if the verdict already states that the robot fails without feed-forward.
     """
     lasting = not settled.failures and settled.release_margin >= RELEASE_MARGIN
     return lasting or _is_failure_without_feedforward_stated(stance)
@@ -426,7 +446,7 @@ def _is_failure_without_feedforward_stated(stance: Stance) -> bool:
 
 
 def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
-    """State the height and the failures of the equilibrium without feed-forward."""
+    """Return the text of the equilibrium without feed-forward: height and sag [mm], failures."""
     description = text(
         "settles-at",
         # Height above the ground as in the task; on a slope, not the world's z.
@@ -449,7 +469,8 @@ def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
 def _list_details(stance: Stance) -> Iterable[doc.Words]:
     """Yield the details of the report: the equilibrium without feed-forward, and the ground.
 
-    The equilibrium is left out if listed among the findings.
+    The equilibrium is left out if `_list_findings` yields it. If no equilibrium was found and the
+    verdict states a failure without feed-forward, the reason is yielded instead.
     """
     settled = stance.settled
     if settled is not None and _is_settled_state_detail(stance, settled):

@@ -106,7 +106,10 @@ class Stance(Tabular):
     soft_servos: SoftServos | None = None
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return {column: values} of the table of this stance with a row per joint, SI units."""
+        """Return {column: values, shape (nu,)} of the table of joints, in SI units.
+
+        ``simulated_torque`` is the torque in the simulation with feed-forward.
+        """
         return {
             "joint": self.statics.joint_names,
             "position": self.joint_positions,
