@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def _list_metrics(context: click.Context, _: click.Parameter, requested: bool) -> None:
-    """Print all metrics and exit, if requested."""
+    """Print all metrics with their units and exit, if ``--list-metrics`` was requested."""
     if not requested or context.resilient_parsing:
         return
     from pupper_analysis.tools.study.document import metrics_document
@@ -170,7 +170,11 @@ def command(
 def _write_designs(
     study: Study, numbers: tuple[int, ...], folder: Path, style: str, everything: bool
 ) -> bool:
-    """Write designs as files; return True if their metrics agree with the study."""
+    """Write designs as files below ``folder``, and print a report of each.
+
+    ``numbers`` are rows of the study's table, from 1. Returns True if the metrics of all written
+    files agree with the study.
+    """
     from pupper_analysis.tools.study.document import written_document
     from pupper_analysis.tools.study.write import write_design
 
@@ -185,7 +189,7 @@ def _write_designs(
 
 
 def _show_document(document: Document, style: str, everything: bool) -> None:
-    """Print a document."""
+    """Print a document in the output format ``style``; with all details if ``everything``."""
     from pupper_analysis.present.document import Report
 
     shared.show_report(Report(document.title, (document,)), style, everything=everything)
@@ -198,7 +202,7 @@ def _run_study(
     workers: int | None,
     show: Callable[[Progress], None],
 ) -> None:
-    """Evaluate the study; after an interruption, print how to resume."""
+    """Evaluate the study; after an interruption or error, print how to resume, and raise again."""
     try:
         study.execute(folder, executor=executor, workers=workers, progress=show)
     except BaseException:

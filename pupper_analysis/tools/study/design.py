@@ -129,7 +129,7 @@ def _encode_value(value: Value) -> Any:
 
 
 def _decode_value(encoded: Any) -> Value:
-    """Return the value of a diagnostic's field from JSON data; the inverse of `_encode_value`."""
+    """Convert JSON data of `_encode_value` back to the value of a diagnostic."""
     if isinstance(encoded, list):
         return tuple(map(_decode_value, encoded))
     if not isinstance(encoded, dict):
@@ -188,7 +188,7 @@ class Variants(ScalableVariant):
     whole: bool = False
 
     def robot(self, scales: Mapping[str, float]) -> Robot:
-        """Build the robot of the variant with the given scale factors.
+        """Build the robot of the variant with scale factors, {name: factor}, such as ``leg_scale``.
 
         Raises:
             VariantError: If a scale is not a finite positive number, or the scaled variant is not
@@ -213,6 +213,11 @@ RobotSource = FileSource | Variants
 
 def make_robot_source(robot: Any) -> RobotSource:
     """Create the source of robots from the argument ``robot`` of `Study`.
+
+    Args:
+        robot: Name of a variant, or names of robot files joined by ``+``; a `VariantSpec`; a
+            mapping with ``base`` (such a name) and scale factors or file options; or a mapping of
+            files and options (`load_file_source`).
 
     Raises:
         ConfigurationError: If the argument has none of the supported forms, or an unknown key, or
@@ -244,7 +249,10 @@ def make_robot_source(robot: Any) -> RobotSource:
 
 
 def hash_description(description: Description) -> str:
-    """Return the SHA-256 hash of a robot description, independent of the file folders."""
+    """Return the SHA-256 hash of a robot description as hexadecimal text.
+
+    The hash does not depend on the folders of the files.
+    """
     parts = {
         "urdf": description.urdf,
         "mjcf": spec_to_data(description.mjcf),
@@ -473,7 +481,7 @@ def check_variable_name(name: str, source: RobotSource) -> None:
 
 
 def check_variable_range(name: str, low: float, high: float) -> None:
-    """Check the smallest and largest value of a variable against the bounds of the variable.
+    """Check the smallest and largest value of a variable (``low``, ``high``) against its bounds.
 
     Not checked here, but when a design is built: infinite values of a distribution, and offsets
     (`ADDITIVE_KINDS`), whose bounds depend on the robot.
@@ -517,7 +525,10 @@ STAND_FAILURES = (
 
 
 def classify_failure(error: BaseException) -> str:
-    """Return the kind of failure of an error, a text for the column ``failure`` of the table."""
+    """Return the kind of failure of an error, a text for the column ``failure`` of the table.
+
+    For example "unreachable", "not settling" or "invalid"; "error" for all unlisted errors.
+    """
     kinds = {
         StanceUnreachableError: "unreachable",
         NoEquilibriumError: "no equilibrium",
@@ -540,7 +551,7 @@ def measure_design(
 
     After a failure the other metrics are still evaluated; the row records the first failure. A
     metric may define a value for robots that do not stand (``fallen``), which it gets if the error
-    is in `STAND_FAILURES`.
+    is in `STAND_FAILURES`. ``numbers`` are {variable: value in the unit of the variable}.
     """
     row: Row = dict.fromkeys(FAILURE_COLUMNS)
     try:
@@ -602,10 +613,10 @@ def _make_columns(name: str, measured: Any) -> Row:
 
 
 def _to_float(name: str, value: Any) -> float:
-    """Return a measured value as a number, 1 for True and 0 for False.
+    """Return the value that the metric ``name`` measured as a float: 1 for True, 0 for False.
 
     Raises:
-        ConfigurationError: If the value is no number; ``name`` is the metric, for the message.
+        ConfigurationError: If the value cannot be converted.
     """
     try:
         return float(value)
@@ -615,7 +626,7 @@ def _to_float(name: str, value: Any) -> float:
 
 
 def describe_error(error: BaseException) -> Diagnostic:
-    """Return the diagnostic of an error; errors of other packages get one with type and message."""
+    """Return the diagnostic of an error; for an error of another package, its type and message."""
     if isinstance(error, PupperAnalysisError):
         return error.diagnostic
     return diagnose("other-error", error=type(error).__name__, message=str(error))

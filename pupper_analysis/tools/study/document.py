@@ -89,8 +89,8 @@ def _describe_best(outcome: StudyOutcome) -> Iterator[doc.Words]:
     """Yield the number of designs that meet the requirements, and the best design.
 
     The best design is named only if there is one objective. If no design meets all requirements,
-    the number of designs that meet each requirement is yielded instead. Nothing is yielded without
-    requirements, unless there is one objective.
+    the number of designs that meet each requirement is yielded instead. Without requirements,
+    nothing is yielded unless there is one objective and a Pareto front.
     """
     single = len(outcome.objectives) == 1
     if not outcome.requirements and not single:
@@ -129,7 +129,10 @@ def _describe_best(outcome: StudyOutcome) -> Iterator[doc.Words]:
 
 
 def _describe_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
-    """Yield the range of the first metric that varies, and the variables of the extreme designs."""
+    """Yield the range of the first metric that varies, and the variables of the extreme designs.
+
+    Nothing is yielded if no metric varies.
+    """
     measured = [
         summary
         for summary in outcome.measured
@@ -157,7 +160,10 @@ def _describe_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
 
 
 def _format_design(values: pd.Series[Any]) -> str:
-    """Return the variables of a design as ``name value unit``, separated by commas."""
+    """Return the values of a row as ``name value unit``, separated by commas.
+
+    ``values`` maps columns of the study's table to values in the unit of the column.
+    """
     shown = []
     for name, value in values.items():
         unit = find_column_unit(str(name))
@@ -193,12 +199,12 @@ def _text_column(name: str) -> doc.Column:
 
 
 def _number_column(name: str, unit: str = "") -> doc.Column:
-    """Create a column of numbers."""
+    """Return a column of numbers; ``name`` is the key of the heading, ``unit`` may be empty."""
     return doc.Column(text(name), unit)
 
 
 def _make_metric_table(outcome: StudyOutcome) -> doc.Table:
-    """Create the table of the smallest, median and largest value of each metric."""
+    """Create the table of metrics: smallest, median and largest value, and number of designs."""
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(_format_shown_label(summary.metric)),
@@ -254,7 +260,10 @@ def _make_failure_table(outcome: StudyOutcome) -> list[doc.Block]:
 
 
 def _make_front_blocks(outcome: StudyOutcome) -> list[doc.Block]:
-    """Create the table of the Pareto front, and a plot if there are two objectives."""
+    """Create the table of the Pareto front, preceded by a plot if there are two objectives.
+
+    No block is created without objectives or with an empty front.
+    """
     front, objectives = outcome.front, outcome.objectives
     if not objectives or front.empty:
         return []
@@ -278,7 +287,10 @@ def _make_front_blocks(outcome: StudyOutcome) -> list[doc.Block]:
 
 
 def _make_effect_table(outcome: StudyOutcome) -> list[doc.Block]:
-    """Create the table of main effects; no block without main effects."""
+    """Create the table of main effects; no block without main effects.
+
+    A main effect is the fraction of a metric's variance that a variable causes alone.
+    """
     rows: list[tuple[doc.Cell, ...]] = []
     for summary in outcome.measured:
         measured = text("measured-of", count=summary.designs, whole=outcome.designs)
@@ -305,7 +317,7 @@ def _make_effect_table(outcome: StudyOutcome) -> list[doc.Block]:
 
 
 def _format_share(value: float) -> doc.Number:
-    """Return a fraction (1 is all) as a percentage with a bar; a dash if not finite."""
+    """Return a table cell of a fraction, 0 to 1, as a percentage with a bar; "-" if not finite."""
     if not math.isfinite(value):
         return doc.Number("-", math.nan)
     return doc.Number(f"{value:.1%}", 100 * value, bar_fraction=min(max(value, 0.0), 1.0))
@@ -361,7 +373,10 @@ def _make_row_table(
 
 
 def format_duration(seconds: float) -> str:
-    """Format a duration [s] in s, min or h."""
+    """Format a duration [s] in whole s below 120 s, whole min below 120 min, else h.
+
+    "-" if the duration is not finite.
+    """
     if not math.isfinite(seconds):
         return "-"
     rounded = round(seconds)

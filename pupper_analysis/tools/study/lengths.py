@@ -122,7 +122,7 @@ def find_stretch(robot: Robot, joint: str, factor: float) -> Stretch:
 
 
 def _link_pose(config: Configuration, link: str) -> pin.SE3:
-    """Return the pose of a link's frame in the world."""
+    """Return the pose of a URDF link's frame in the world: rotation, and position [m]."""
     return pin.SE3(config.frame_rotation(link), config.frame_position(link))
 
 
@@ -209,7 +209,7 @@ def stretch_inertia(
 def _find_axis_factors(matrix: Array, rotation: Array) -> Array | None:
     """Return the stretch factors (3,) of a shape along its own axes, columns of ``rotation``.
 
-    None if the stretch ``matrix`` is not diagonal in these axes.
+    None if the stretch ``matrix``, shape (3, 3), is not diagonal in these axes.
     """
     local = rotation.T @ matrix @ rotation
     factors = np.diag(local)
@@ -352,7 +352,15 @@ def _stretch_geom(
 def _stretch_meshes(
     spec: mujoco.MjSpec, meshes: Mapping[str, list[tuple[mujoco.MjsGeom, Array]]]
 ) -> None:
-    """Scale mesh assets. A mesh whose geoms need different stretches gets an asset per stretch."""
+    """Scale the mesh assets of an MJCF, in place.
+
+    A mesh gets an additional asset per stretch if its geoms need different stretches, or if some of
+    its geoms are not stretched.
+
+    Args:
+        spec: MJCF.
+        meshes: {mesh name: [(geom, stretch factors along the mesh axes, shape (3,))]}.
+    """
     for name, users in meshes.items():
         mesh = spec.mesh(name)
         scale, file = np.array(mesh.scale), mesh.file
@@ -372,15 +380,19 @@ def _stretch_meshes(
 
 
 def _raise_keyframes(robot: Robot, spec: mujoco.MjSpec) -> float:
-    """Raise the base and the keyframes so that the clearance above the ground is unchanged.
+    """Raise the base of a stretched robot, in all poses, so that the ground clearance is unchanged.
 
-    Returns the new height of the nominal stand [m].
+    ``spec``, the stretched MJCF, is changed: position of the base body, and keyframes.
+
+    Returns:
+        New base height of the nominal stand [m]. For a fixed base or a robot without feet, nothing
+        is changed, and the old height is returned.
     """
     description = robot.description
     before, after = robot.mj_model, compile_spec(spec.copy(), description.mjcf_source)
 
     def height(model: mujoco.MjModel, qpos: Array) -> float:
-        """Return the base height [m] of a configuration of a model."""
+        """Return the base height [m] above the ground if the lowest foot touches the ground."""
         sites = {
             point: foot_site(model, frame, description.mjcf_source)
             for point, (_, frame) in description.contact_points.items()

@@ -159,7 +159,7 @@ class Design:
         return judge_stand(self.robot, self.stand, **self.gains)
 
     def map_to_joints(self, values: Iterable[float]) -> dict[str, float]:
-        """Return {joint: value} for values in actuator order."""
+        """Return {joint: value} for ``values`` of all joints in actuator order, in any unit."""
         pairs = zip(self.robot.joint_names, values, strict=True)
         return {name: float(value) for name, value in pairs}
 
@@ -173,9 +173,9 @@ class Design:
         return interval.high - interval.low
 
     def utilisation_at_rest(self) -> float:
-        """Return the largest ratio motor torque / effort limit at `standing_equilibrium`.
+        """Return the largest ratio |motor torque| / effort limit at `standing_equilibrium` [1].
 
-        NaN if not known.
+        NaN if the ratio of a joint is unknown.
         """
         return _find_peak(compute_utilisation(self.robot, self.standing_equilibrium.joint_torques))
 
@@ -282,12 +282,15 @@ _NUM_SET_DOWN_CHECKS = 50
 
 
 def _find_peak(values: NDArray[np.float64]) -> float:
-    """Return the largest magnitude of an array."""
+    """Return the largest magnitude in an array that is not empty; NaN if an element is NaN."""
     return float(np.abs(values).max())
 
 
 def _max_friction_utilisation(design: Design) -> float:
-    """Return the largest tangential / (friction coefficient x normal) force of the feet."""
+    """Return the largest ratio tangential force / (friction coefficient x normal force) of a foot.
+
+    The forces are the contact forces of `Design.statics`.
+    """
     return max(design.statics.friction_utilisation.values())
 
 
@@ -328,8 +331,8 @@ def _load_tool_metrics() -> Iterator[Metric]:
 
 
 METRICS_REVISION = 7
-"""Revision of the meanings of the metrics. Increased if a meaning changes, so that results of
-earlier revisions are not reused."""
+"""Revision of the meanings of the metrics, a part of `Study.digest`. Increased if a meaning
+changes, so that results of earlier revisions are not reused."""
 
 METRICS: Mapping[str, Metric] = {
     metric.name: metric for metric in (*_METRICS_OF_DESIGNS, *_load_tool_metrics())
@@ -377,6 +380,9 @@ def _bind_file(metric: Metric, requested: str) -> Metric:
     """Return a metric; if it needs a file, bound to the file in ``requested``.
 
     ``requested`` is ``NAME``, or ``NAME:FILE`` for a metric that needs a file.
+
+    Raises:
+        ConfigurationError: If a required file is not named, or a file is named for another metric.
     """
     _, colon, file = requested.partition(":")
     if metric.of_file is None:

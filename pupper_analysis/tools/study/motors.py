@@ -67,7 +67,7 @@ def make_motor_variable(name: str, requested: object) -> tuple[Variable, dict[fl
             `Variable.to_dict`.
 
     Raises:
-        ConfigurationError: If the value is no list of texts, or a motor occurs twice.
+        ConfigurationError: If the value is no list of texts or is empty, or a motor occurs twice.
         UnknownNameError: If no motor has the name.
         ModelError: If the file of a motor is not valid.
     """
@@ -112,7 +112,7 @@ def with_motors(robot: Robot, motors: Mapping[str, Motor], present: Motor) -> Ro
     The effort limit becomes the largest torque of the motor at rest, and the velocity limit the
     speed without load; the armature becomes the inertia of the rotor at the output. The difference
     in mass is a point mass of the parent link at the origin of the joint. If the motor states no
-    speed, rotor inertia or gain, the number of the files remains.
+    speed, gain, rotor inertia or gear ratio, the corresponding number of the files remains.
 
     Args:
         robot: Robot.
@@ -193,7 +193,12 @@ def _read_inertia(tree: ModelTree, link: str) -> pin.Inertia:
 def _add_point_masses(
     link: str, inertia: pin.Inertia, masses: list[tuple[float, Array]]
 ) -> pin.Inertia:
-    """Return an inertia with point masses; positions are in the frame of the inertia.
+    """Return the inertia of a link with added point masses, in the same frame.
+
+    Args:
+        link: Name of the link, for messages.
+        inertia: Inertia without the point masses.
+        masses: (mass [kg], may be negative; position (3,) [m] in the frame of ``inertia``) of each.
 
     Raises:
         ConfigurationError: If mass or principal moments are not positive, or the moments violate

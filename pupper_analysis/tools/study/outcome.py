@@ -336,7 +336,7 @@ def _format_source(source: Any) -> str:
 
 
 OBJECTIVE_SIGNS = {"min": 1.0, "max": -1.0}
-"""Sign that turns each objective into a cost."""
+"""{sense of an objective: factor that turns the values of a column into costs to minimise}."""
 
 
 def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataFrame:
@@ -412,7 +412,7 @@ counts as 0 (rounding). Chosen, not tuned."""
 
 
 def _assign_cells(values: Array) -> Array:
-    """Return the group of each value: the value itself, or the index of an interval.
+    """Return the group (cell) of each of n values, shape (n,): the value, or an interval's index.
 
     Up to `MAX_VALUE_CELLS` different values are groups; more are grouped into intervals of equal
     width.
@@ -453,7 +453,7 @@ def format_column_label(column: str) -> str:
 
 
 def measure_span(low: float, high: float) -> float:
-    """Return high - low; 0 if the difference is within rounding."""
+    """Return high - low; 0 if the difference is within rounding (`ROUNDING_RTOL`)."""
     return high - low if high - low > ROUNDING_RTOL * max(abs(low), abs(high)) else 0.0
 
 

@@ -227,6 +227,10 @@ def _add_offsets(
         name: Name of the variable, for messages.
         pattern: Pattern that selects the bodies and the axis.
         offset: Offset along this axis [m].
+
+    Raises:
+        ConfigurationError: If the offset is not finite, or a fixed base matches.
+        UnknownNameError: If the pattern matches nothing.
     """
     if not math.isfinite(offset):
         raise ConfigurationError(name, diagnose("offset-not-finite", offset=offset))
@@ -249,6 +253,10 @@ def _scale_value(
         joint: Joint whose parameter is scaled, for all other kinds.
         factor: Factor.
         robot: Robot of the files, for error messages.
+
+    Raises:
+        ModelError: If the tree cannot scale the mass or inertia, because MuJoCo computes it from
+            the geoms.
     """
     if kind not in BODY_VARIABLE_KINDS:
         tree.scale(joint, BY_KIND.get(kind) or BY_MJCF[kind], factor)

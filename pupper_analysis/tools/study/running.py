@@ -497,6 +497,10 @@ class StudyRun:
             blocks: Hashes and variable values (n, variables) of the designs.
             executor: Executor of the caller, or None.
             workers: Number of workers, or None.
+
+        Raises:
+            StudyError: If the workers do not start, have other package versions, or are lost.
+            OutputError: If the results cannot be written.
         """
         pool = WorkerPool(executor, workers)
         source = self._make_chunks(self._find_missing(blocks), pool.workers)
@@ -521,7 +525,7 @@ class StudyRun:
         """Yield (hashes, variable values) of the designs of each block without a stored result.
 
         The designs are sorted by all variables except servo gains, so that neighbours share a
-        robot.
+        robot. A repeated design is yielded once. Variable values have the shape (n, variables).
         """
         stored_keys = self.store.designs()
         for names, numbers in blocks:
@@ -559,7 +563,10 @@ class StudyRun:
                 yield Chunk(self.work, tuple(names[part]), rows)
 
     def _run_chunks(self, pool: WorkerPool, first: Chunk, source: Iterator[Chunk]) -> None:
-        """Evaluate chunks (groups of designs) in worker processes until no chunk is left."""
+        """Evaluate ``first`` and the chunks of ``source`` in the workers of ``pool``; store rows.
+
+        Chunks that lost their worker are evaluated again, one design at a time.
+        """
         waiting: Chunk | None = first
         while waiting is not None or self._in_flight or self._suspects:
             if self._suspects:  # one at a time, to find the design that ends a worker
@@ -592,7 +599,11 @@ class StudyRun:
             self._restart_workers(pool, None)
 
     def _collect_chunk(self, pool: WorkerPool, future: Future[ChunkOutcome]) -> None:
-        """Store the rows of a finished chunk, or handle the loss of the worker."""
+        """Store the rows of a finished chunk, or schedule its designs again if its worker ended.
+
+        Raises:
+            StudyError: If the evaluation failed for another reason.
+        """
         chunk, start = self._in_flight.pop(future)
         try:
             outcome = future.result()

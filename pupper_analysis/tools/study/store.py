@@ -104,7 +104,7 @@ class Store:
         write_all([Writing(file, content + b"\n", EDITED_KIND if is_rerun else MODEL_KIND)])
 
     def read_request(self) -> dict[str, Any]:
-        """Read the definition of the study.
+        """Read the definition of the study: {"format": number, "study": ..., "digest": ...}.
 
         Raises:
             StudyError: If the folder contains no definition, or the format differs.
@@ -174,7 +174,11 @@ class Store:
         return frame.sort_values("design").reset_index(drop=True)
 
     def _read_tables(self, columns: list[str] | None) -> Iterator[Any]:
-        """Yield the tables of the Parquet files of results; all columns if ``columns`` is None."""
+        """Yield the tables of the Parquet files of results; all columns if ``columns`` is None.
+
+        Raises:
+            StudyError: If a file cannot be read.
+        """
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -197,5 +201,8 @@ def make_design_keys(designs: Sequence[str]) -> NDArray[np.uint64]:
 
 
 def _column_type(pa: Any, name: str) -> Any:
-    """Return the Parquet type of a column: text for the design and for failures, else float64."""
+    """Return the Parquet type of a column: text for the design and for failures, else float64.
+
+    ``pa`` is the module ``pyarrow``, which is imported only if a study is run.
+    """
     return pa.string() if name in ("design", *FAILURE_COLUMNS) else pa.float64()

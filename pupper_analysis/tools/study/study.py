@@ -237,7 +237,13 @@ class Study:
         return Variants(self.source.spec, whole=True)
 
     def _check_variables(self) -> None:
-        """Check the ranges and patterns of all variables against the robot and the stand task."""
+        """Check the ranges and patterns of all variables against the robot and the stand task.
+
+        Raises:
+            ConfigurationError: If a value is out of range, or a variable contradicts the task.
+            UnknownNameError: If a pattern matches no joint, body or contact.
+            ModelError: If servo gains are varied, and the robot has no position servos.
+        """
         stance_variables = (name for name in self.variables if name in STANCE_VARIABLES)
         offset = next(
             (name for name in stance_variables if STANCE_VARIABLES[name][0].name == "offset"), None
@@ -275,7 +281,11 @@ class Study:
 
     @cached_property
     def digest(self) -> str:
-        """Hash of the study's robot, stand task, payload position, metrics and package versions."""
+        """SHA-256 hash, as hexadecimal text, of all that determines the results of a given design.
+
+        For example the robot, stand task, payload position, metrics and package versions, but not
+        the variables.
+        """
         parts = {
             "robot": hash_description(self.base.description),
             "source": repr(self.source.to_dict()) if self.source.scales else "",
@@ -319,8 +329,9 @@ class Study:
         return pickle.dumps(work)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the study as data for `Study.of`; ``time_limit`` is None for no time limit.
+        """Return the study as {key of a study file: value}, data for `Study.of`.
 
+        ``time_limit`` is None for no time limit.
         Motors are data for `read_study` only: their numbers are in the files of the motors.
         """
         data: dict[str, Any] = {

@@ -27,7 +27,11 @@ sequence. At 0 and 1 the normal quantile is infinite. Chosen, not tuned."""
 
 
 def _evaluate_normal(mean: float, deviation: float, probabilities: Array) -> Array:
-    """Return the quantiles of a normal distribution at n probabilities, shape (n,)."""
+    """Return the quantiles of a normal distribution at n probabilities, shape (n,).
+
+    ``mean`` and ``deviation`` (standard deviation) have the unit of the variable. Probabilities are
+    clipped to [`_MIN_PROBABILITY`, 1 - `_MIN_PROBABILITY`].
+    """
     from scipy.special import ndtri
 
     quantiles: Array = mean + deviation * ndtri(
@@ -138,7 +142,7 @@ def linspace(low: float, high: float, count: int) -> Variable:
 
 
 def values(numbers: Sequence[float]) -> Variable:
-    """Create a variable of a study that takes the values of a list.
+    """Create a variable of a study that takes the values of a list, in the unit of the variable.
 
     Raises:
         ConfigurationError: If the list is empty or too long, or a value is not finite or occurs
@@ -157,6 +161,8 @@ def values(numbers: Sequence[float]) -> Variable:
 def uniform(low: float, high: float) -> Variable:
     """Create a variable of a study that is distributed uniformly between two bounds.
 
+    The bounds are in the unit of the variable.
+
     Raises:
         ConfigurationError: If the interval is empty, or a bound is not finite.
     """
@@ -164,7 +170,9 @@ def uniform(low: float, high: float) -> Variable:
 
 
 def log_uniform(low: float, high: float) -> Variable:
-    """Create a variable of a study whose logarithm is distributed uniformly between two bounds.
+    """Create a variable of a study whose logarithm is distributed uniformly.
+
+    Its bounds ``low`` and ``high`` are in the unit of the variable.
 
     Raises:
         ConfigurationError: If the interval is empty, a bound is not finite, or the lower bound is
@@ -248,7 +256,11 @@ def _diagnose_grid(numbers: Any) -> Diagnostic:
 
 
 def _check_interval(name: str, low: float, high: float) -> tuple[float, float]:
-    """Return both bounds; raise a ConfigurationError unless they are finite and low < high."""
+    """Return both bounds as floats, if they are finite and low < high.
+
+    Raises:
+        ConfigurationError: Otherwise; ``name`` is the kind of the variable, for the message.
+    """
     first, last = check_finite(name, low), check_finite(name, high)
     if not first < last:
         raise ConfigurationError(name, diagnose("interval-empty", low=first, high=last))

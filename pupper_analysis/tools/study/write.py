@@ -44,8 +44,10 @@ from pupper_analysis.tools.study.store import require_library
 from pupper_analysis.tools.study.study import Study
 
 _METRIC_RTOL = 1e-6
-"""Relative tolerance between the metrics of the study and of the written files. The files contain
-all digits; iterative solvers differ within the solver tolerances. Chosen, not tuned."""
+"""Relative tolerance between the metrics of the study and of the written files, and magnitude below
+which its square is the absolute tolerance: |value - expected| <= tol max(|expected|, tol). The
+files contain all digits; iterative solvers differ within the solver tolerances. Chosen, not tuned.
+"""
 
 _MESH_FOLDER = "meshes"
 """Folder of the meshes, relative to the models."""
@@ -200,7 +202,7 @@ def format_place(point: Place) -> str:
 
 
 def _is_number(value: Any) -> bool:
-    """Return True for a finite number."""
+    """Return True if the value of a table cell is a finite number; False for None."""
     return value is not None and bool(np.isfinite(float(value)))
 
 
@@ -210,7 +212,10 @@ def _has_content(path: Path, content: bytes) -> bool:
 
 
 def _reload_files(robot: Robot, urdf: Path, mjcf: Path) -> tuple[Robot, list[str]]:
-    """Load the written files; return the robot, and the required ``--foot`` options."""
+    """Load the written files of ``robot``; return the loaded robot and the ``--foot`` options.
+
+    The options are required if the detected contact points differ; otherwise the list is empty.
+    """
     loaded = load_robot(urdf, mjcf)
     feet = robot.description.contact_points
     has_own_frames = any(link not in robot.description.made_frames for link, _ in feet.values())
@@ -238,7 +243,11 @@ def format_stance(task: StandTask) -> str:
 
 
 def _format_value(value: Any, unit: str = "") -> str:
-    """Format a value of the stance as TOML, lengths and angles with the unit."""
+    """Format a value of the stance as TOML.
+
+    A single length or angle is a text with its unit, such as "0.1m"; the elements of a tuple are
+    numbers without unit [m, rad].
+    """
     if isinstance(value, tuple):
         return f"[{', '.join(map(_format_value, value))}]"
     if isinstance(value, str | Contact | Weld):
@@ -249,7 +258,10 @@ def _format_value(value: Any, unit: str = "") -> str:
 def _make_files(
     description: Description, packages: Mapping[str, Path] | None
 ) -> Iterator[tuple[Path, bytes]]:
-    """Yield (path, content) of both models and of the meshes and textures that both models need."""
+    """Yield (path, content) of the URDF, the MJCF, and the meshes and textures that they reference.
+
+    Paths are relative to the folder of the design. ``packages`` maps ROS package names to folders.
+    """
     description = _without_made_frames(description)
     taken: dict[str, tuple[Path | None, bytes]] = {}
     urdf = urdf_from(
@@ -289,7 +301,10 @@ def _choose_path(contents: dict[str, tuple[Path | None, bytes]], file: Path, con
 
 
 def _render_mjcf(description: Description, choose_path: Any) -> str:
-    """Render the MJCF; its files are referenced by the paths that ``choose_path`` returns."""
+    """Return the XML of the MJCF, with references to files replaced by other paths.
+
+    ``choose_path(file, content)`` returns the path of a file in the XML.
+    """
     spec = description.mjcf.copy()
     source_folder = description.mjcf_source.parent
     path_of_file: dict[str, str] = {}
