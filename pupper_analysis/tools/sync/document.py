@@ -97,7 +97,10 @@ def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextSte
 
 
 def _list_failures(sync: Sync) -> Iterable[doc.Words]:
-    """Yield the failure of a sync that wrote nothing."""
+    """Yield a text that nothing was written, with the number of impossible changes.
+
+    Nothing is yielded unless a chosen difference prevented the writing (`Sync.withheld`).
+    """
     if sync.withheld:
         count = sum(unmended.cause == UnwrittenCause.NOT_MENDED for unmended in sync.not_mended)
         yield text(
@@ -107,7 +110,10 @@ def _list_failures(sync: Sync) -> Iterable[doc.Words]:
 
 
 def _make_choice_blocks(sync: Sync) -> Iterable[doc.Block]:
-    """Yield the differences with the lines in both files, and examples of ``--take``."""
+    """Yield the differences with the lines in both files, then examples of ``--take``.
+
+    There must be at least one difference.
+    """
     for difference in sync.differences:
         places = (difference.urdf_place, difference.mjcf_place)
         columns = tuple(
@@ -128,7 +134,7 @@ def _make_choice_blocks(sync: Sync) -> Iterable[doc.Block]:
 
 
 def _make_edit_blocks(sync: Sync, dry_run: bool) -> Iterable[doc.Block]:
-    """Yield the written or planned changes, and the remaining differences."""
+    """Yield the written changes (or the diff of a dry run), backups and remaining differences."""
     if dry_run:
         if sync.diff:
             yield doc.Listing(text("what-would-change"), sync.diff, "diff")

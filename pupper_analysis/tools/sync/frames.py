@@ -26,8 +26,8 @@ Part = TypeVar("Part", bound=Hashable)
 """Type of the keys of a body's parts, such as the name of a link."""
 
 _TRIANGLE_RTOL = 1e-6
-"""Relative tolerance of the triangle inequality of principal moments, for rounding. Chosen, not
-tuned."""
+"""Relative tolerance with which `is_physical` checks the triangle inequality of principal moments
+of inertia, for rounding. Chosen, not tuned."""
 
 
 def list_single_part_changes(
@@ -80,7 +80,8 @@ def is_same_body(first: pin.Inertia, second: pin.Inertia, tolerance: float = 1e-
 
 
 Key = tuple[str, str]
-"""Kind and element of a difference between two files, such as ``mass`` and the name of a joint."""
+"""Kind and element of a difference between two files. The element is the name of a joint, or of the
+base: ("mass", joint) is the mass of the bodies that the joint moves as one."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -266,7 +266,8 @@ class MjcfSide(Side):
     def _plan_damping(self, key: Key) -> None:
         """Plan to set the damping of a joint to the target less that of the joint's actuators.
 
-        Higher polynomial coefficients are kept.
+        Higher polynomial coefficients are kept. ``key`` is the difference (kind, joint); it is not
+        written if the result would be negative, or the base has no joint.
         """
         name = key[1]
         if name not in self.target.joints:
@@ -286,7 +287,10 @@ class MjcfSide(Side):
         self._plan_number(key, "damping", [target, *higher])
 
     def _plan_armature(self, key: Key) -> None:
-        """Plan to set the armature of a joint to the target less that of the joint's actuators."""
+        """Plan to set the armature of a joint to the target less that of the joint's actuators.
+
+        ``key`` is the difference (kind, joint); it is not written if the result would be negative.
+        """
         index = self.model.joint(key[1]).id
         dof = int(self.model.jnt_dofadr[index])
         of_joint = float(self.model.dof_armature[dof])
@@ -298,7 +302,7 @@ class MjcfSide(Side):
         self._plan_number(key, "armature", [target])
 
     def _plan_number(self, key: Key, attribute: str, values: list[float]) -> None:
-        """Plan to set an attribute of a joint's element in the MJCF to numbers in SI units.
+        """Plan to set an attribute of a joint's element in the MJCF to ``values`` in SI units.
 
         ``key`` is the difference (kind, joint); it is not written if the element is a copy of
         another.

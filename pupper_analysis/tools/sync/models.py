@@ -163,7 +163,11 @@ def sync_models(
 def _find_paths(
     urdf: str | Path | VariantSpec, mjcf: str | Path | VariantSpec | None, folder: Path
 ) -> tuple[str | Path, str | Path]:
-    """Return the paths of both models; the files of a scaled variant are written to ``folder``."""
+    """Return the paths of the URDF and the MJCF.
+
+    The files of a scaled variant are written to ``folder``. A name of a published robot is returned
+    as it is.
+    """
     paths = list[str | Path]()
     given = (urdf, urdf if mjcf is None else mjcf)
     for side, (argument, model) in enumerate(zip(given, find_model_pair(urdf, mjcf), strict=True)):
@@ -338,7 +342,7 @@ def _list_unmended(
 
 
 def make_unified_diff(path: Path, before: bytes, after: bytes) -> str:
-    """Return the changes of a file in the format of ``diff -u``."""
+    """Return the changes of a UTF-8 file in the format of ``diff -u``; empty without changes."""
     old_lines, new_lines = (text.decode("utf-8").split("\n") for text in (before, after))
     lines = difflib.unified_diff(
         old_lines, new_lines, f"a/{path.name}", f"b/{path.name}", lineterm=""
@@ -431,6 +435,9 @@ def _match_choice(differences: Sequence[Difference], which: str) -> Iterator[tup
     ``which`` is a label, link, element or kind, or numbers such as ``1,3-5``. If several choices
     select a difference, the one with the highest rank (the most specific) applies: 4 for numbers, 3
     for a label, 2 for a link or element, 1 for a kind, 0 for all.
+
+    Raises:
+        ConfigurationError: If ``which`` matches no difference.
     """
     if not which:
         yield from ((index, 0) for index in range(len(differences)))
@@ -462,7 +469,11 @@ def _match_choice(differences: Sequence[Difference], which: str) -> Iterator[tup
 
 
 def _parse_numbers(text: str, count: int) -> Iterator[int]:
-    """Yield the numbers of a list such as ``1,4-6``."""
+    """Yield the numbers, from 1 to ``count``, of a list such as ``1,4-6``.
+
+    Raises:
+        ConfigurationError: If the text has another form, or a number is larger than ``count``.
+    """
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", part)
         if match is None:

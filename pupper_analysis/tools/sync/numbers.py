@@ -241,7 +241,7 @@ def _make_mjcf(robot: Robot) -> MjcfFile:
 
 
 def _map_renamed_joints(robot: Robot, urdf: UrdfFile) -> dict[str, str]:
-    """Return {joint in the file: joint of the robot}, for joints that were renamed on loading."""
+    """Return {joint in the URDF: joint of the robot}, for joints that were renamed on loading."""
     name_of_child = {
         joint.child: name for name, joint in UrdfTree.of(robot.description.urdf).joints.items()
     }
@@ -258,9 +258,9 @@ def _map_renamed_joints(robot: Robot, urdf: UrdfFile) -> dict[str, str]:
 
 
 _READ_RTOL = 1e-9
-"""Largest relative difference between a requested number and the number that an engine reads from
-the new file; with a larger one the files are not written. Covers rounding and rotations. Chosen,
-not tuned."""
+"""Largest difference between a requested number and the number that an engine reads from the new
+file: relative, and in m for a centre of mass. With a larger difference the files are not written.
+Covers rounding and rotations. Chosen, not tuned."""
 
 
 def try_files(

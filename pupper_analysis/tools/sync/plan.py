@@ -56,7 +56,7 @@ _UNWRITTEN_REASONS = {
     "mimic": diagnose("mimic-unwritten"),
     "collision": diagnose("collision-unwritten"),
 }
-"""Reason why a kind of difference is not written."""
+"""{kind of difference: reason why `sync` never writes a difference of this kind}."""
 
 
 class UnwrittenCause(StrEnum):
@@ -166,6 +166,9 @@ def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) ->
         tolerances: Tolerances with which the differences were found.
         taken: {kind and element of a difference: ``"urdf"`` or ``"mjcf"``}: file whose value is
             taken.
+
+    Raises:
+        ModelError: If a file cannot be read, or the files cannot be matched.
     """
     urdf, mjcf = read_urdf(files.urdf, files.packages), read_mjcf(files.mjcf)
     matched = match_models(urdf, mjcf, names=files.names, tolerances=tolerances)
@@ -242,7 +245,7 @@ def _make_unstated_reason(whose: str) -> Diagnostic:
 
 
 def _iterate_edits(element: Element) -> Iterator[Edit]:
-    """Yield the changes of an element and of the new children."""
+    """Yield the changes of the attributes of an element, then those of its new children."""
     old_name = {new: old for old, new in element.renamed.items()}
     for attribute, text in element.changes.items():
         old = element.attributes.get(old_name.get(attribute, attribute))
@@ -307,14 +310,14 @@ within the top folder of the other model."""
 class FileLayout:
     """Files of a model, and their paths in a copy of the model in an output folder.
 
-    No path in the files is changed: the other folder repeats the folders around the files as far as
-    relative paths require.
+    No path in the files is changed: the output folder repeats the folders around the files as far
+    as relative paths require.
 
     Attributes:
         main: Main file of the model.
-        top: Common folder of all files, which the other folder replaces.
+        top: Common folder of all files, which the output folder replaces.
         files: All files, the main file first.
-        aside: Subfolder of the other folder.
+        aside: Subfolder of the output folder that contains the copies; by default none.
     """
 
     main: Path
@@ -400,10 +403,11 @@ def list_mjcf_files(mjcf: MjcfFile) -> FileLayout:
 
 
 def _iterate_assets(mjcf: MjcfFile) -> Iterator[Path]:
-    """Yield the existing mesh, height field, skin and texture files that an MJCF names.
+    """Yield the existing mesh, height field, skin and texture files to which an MJCF refers.
 
-    Relative paths are searched in the folder of the MJCF and of each file that the MJCF includes.
-    Absolute paths are left out.
+    A relative path is searched in the folder of the MJCF and in that of each included file; every
+    existing file is yielded. References with an absolute path, or with an absolute ``meshdir`` or
+    ``texturedir``, are left out.
     """
     spec = mjcf.spec
     folders = tuple(dict.fromkeys(file.parent for file in (mjcf.path, *mjcf.files)))

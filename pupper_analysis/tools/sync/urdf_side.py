@@ -28,8 +28,9 @@ Changes = dict[tuple[str, str], str]
 """New values: {(path below an element, attribute): text}."""
 
 UNKNOWN_LIMITS = {"effort": write_numbers(UNSTATED), "velocity": "1000"}
-"""Values of required limits that no file states. Cross-checks treat an effort of 0 as unknown, as
-exporters write it; a velocity of 0 would be used by motion planners."""
+"""{attribute of a URDF's <limit>: text that is written if no file states the required value}. The
+velocity is in rad/s or m/s. Cross-checks treat an effort of 0 as unknown, as exporters write it; a
+velocity of 0 would be used by motion planners. Chosen, not tuned."""
 
 _LIMIT_KINDS = ("lower limit", "upper limit")
 """Kinds of the two position limits of a joint, which a URDF must state together."""
@@ -154,7 +155,11 @@ class UrdfSide(Side):
             self._complete_limit(key, self._find_joint(name))
 
     def _complete_limit(self, key: Key, joint: UrdfJoint) -> None:
-        """Add missing attributes that a <limit> requires (`UNKNOWN_LIMITS`), each with a note."""
+        """Add missing attributes that a <limit> requires, with the values of `UNKNOWN_LIMITS`.
+
+        `notes` of the difference ``key`` then contains the last added attribute. Nothing is done if
+        the joint has no <limit>.
+        """
         limit = joint.element.find("limit")
         for word, value in UNKNOWN_LIMITS.items() if limit is not None else ():
             if limit.get(word) is None:
@@ -202,7 +207,7 @@ class UrdfSide(Side):
             return
 
         def changed(link: str, part: pin.Inertia) -> Changes:
-            """Return the changes that write an inertia in the body frame to a link."""
+            """Return the changes that give a link an inertia in the frame of the moving link."""
             in_link_frame = self._compute_link_pose(link).actInv(part)
             return make_inertial_changes(self._links[link].element, in_link_frame)
 
@@ -213,7 +218,10 @@ class UrdfSide(Side):
 
 
 def make_xyz_text(owner: Element | None, place: Array) -> str | None:
-    """Return the text of ``xyz`` for a position (3,) [m]; None if <origin> states this position."""
+    """Return the text of ``xyz`` for the position ``place``, shape (3,) [m].
+
+    None if the <origin> of ``owner`` states this position.
+    """
     origin = None if owner is None else owner.find("origin")
     old_text = None if origin is None else origin.get("xyz")
     return format_numbers((old_text or "0 0 0").split(), place, 1.0)
