@@ -28,11 +28,12 @@ from pupper_analysis.models.xml import LFS_POINTER
 from pupper_analysis.tools.usd.prim_limits import check_prim_count
 
 MAX_BYTES: Final = 500_000_000
-"""Upper bound of the size of a layer [bytes]; meshes are part of the layer. Chosen, not tuned."""
+"""Upper bound of the size of a USD file [bytes], with its meshes. Larger files are refused. Chosen,
+not tuned."""
 
 MAX_DEPTH: Final = 500
-"""Upper bound of the nesting depth of brackets in a text layer. Deeper layers are refused, because
-they can overflow the stack of USD's parser."""
+"""Upper bound of the nesting depth of brackets in a text file (``#usda``). Deeper files are
+refused, because they can overflow the stack of USD's parser. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,7 @@ class UsdFile:
 
 
 class PrimPlaces:
-    """Places of a model that was generated from a USD file: the prims of the file.
+    """Base class of models generated from a USD file, which are located by the prims of that file.
 
     Attributes:
         usd: USD file.
@@ -151,7 +152,12 @@ def _import_pxr() -> Any:
 
 
 def _check_file(path: Path) -> None:
-    """Refuse a path that is no file, too large, empty, too deeply nested or a Git LFS pointer."""
+    """Check a file before USD opens it.
+
+    Raises:
+        ModelError: If the path is no readable file, or the file is larger than `MAX_BYTES`, empty,
+            a Git LFS pointer, or nested deeper than `MAX_DEPTH`.
+    """
     try:
         data = read_input(path, MAX_BYTES)
     except InputError as error:
@@ -165,7 +171,11 @@ def _check_file(path: Path) -> None:
 
 
 def _check_depth(path: Path, text: bytes) -> None:
-    """Refuse a text layer whose brackets (outside of strings) are nested too deeply."""
+    """Check that the brackets of a text layer, outside of strings, are nested at most `MAX_DEPTH`.
+
+    Raises:
+        ModelError: If they are nested deeper.
+    """
     depth = 0
     for bracket in _BRACKET_PATTERN.findall(text):
         depth += {b"{": 1, b"(": 1, b"[": 1, b"}": -1, b")": -1, b"]": -1}.get(bracket, 0)
@@ -184,7 +194,7 @@ def _name_prims(prims: list[Any]) -> dict[str, str]:
 
 @contextmanager
 def _capture_warnings(pxr: Any) -> Iterator[Any]:
-    """Capture USD's warnings; yield a function that returns the warnings."""
+    """Capture USD's warnings; yield a function that returns the texts of new warnings as a list."""
     delegate = pxr.UsdUtils.CoalescingDiagnosticDelegate()
     try:
         yield lambda: [warning.commentary for warning in delegate.TakeUncoalescedDiagnostics()]

@@ -191,9 +191,10 @@ def read_edge(
 
 
 def _read_freedom(prim: Any) -> tuple[str, int, float, float]:
-    """Return kind, axis index, and lower and upper limit of a joint in the units of the file.
+    """Return kind, axis index (0 to 2), and lower and upper limit of a joint in units of the file.
 
-    Joints of unknown types are free; such joints are refused when joints are compared.
+    Missing limits are infinite. A joint that is neither hinge nor slide has axis 0 and infinite
+    limits; a joint of an unknown type is free, and is refused when joints are compared.
     """
     kind = _JOINT_KINDS.get(str(prim.GetTypeName()), FREE_JOINT)
     if kind not in (HINGE_JOINT, SLIDE_JOINT):
@@ -330,6 +331,10 @@ def read_body_mass(
         placement: Pose and scale of the prim.
         shapes: Prims of the collision shapes.
         units: Units of the stage.
+
+    Returns:
+        Mass properties with an inertial if mass, CoM and inertia are all stated or the mass is
+        negative; else without.
     """
     negative_mass = min(read_number(body, "physics:mass", 0.0), 0.0)
     mass = (_read_positive(body, "physics:mass") or negative_mass) * units.mass
@@ -371,14 +376,20 @@ def _read_positive(prim: Any, name: str) -> float:
 
 
 def _read_vector(prim: Any, name: str) -> Array | None:
-    """Return three finite numbers; None if missing (the schema's default is -inf)."""
+    """Return a vector attribute in the unit of the file, shape (3,).
+
+    None if the value is missing or a component is not finite (the schema's default is -inf).
+    """
     value = read_value(prim, name, "vector")
     values = None if value is None else recover_decimals(value)
     return None if values is None or not np.isfinite(values).all() else values
 
 
 def _read_principal_axes(prim: Any) -> Array:
-    """Return the rotation of the principal axes, shape (3, 3); the identity if not stated."""
+    """Return the rotation from the principal axes of inertia to the body frame, shape (3, 3).
+
+    The identity if the file does not state the axes.
+    """
     value = read_value(prim, "physics:principalAxes", "quaternion")
     return np.eye(3) if value is None else make_rotation((value.GetReal(), *value.GetImaginary()))
 
@@ -643,7 +654,7 @@ class _JointForest:
 
         Returns:
             {body: pose in the axes of the stage [m]}; {body: (parent, joint)}; joints that close
-            loops.
+            loops or are excluded from the articulation.
         """
         poses: dict[str, Pose] = {}
         for body in self.order:
@@ -692,7 +703,7 @@ def _make_joint(edge: Edge, parent: str, child: str, pose: Pose) -> Joint:
 
 
 def _make_free_joint(body: str, pose: Pose) -> Joint:
-    """Create the free joint between the world and a body."""
+    """Create the free joint between the world and a body; ``pose`` [m] is that of the body."""
     zeros, infinite = np.zeros(3), (-math.inf, math.inf, math.inf)
     return Joint(f"({body})", FREE_JOINT, "world", body, pose.position, zeros, zeros, {}, *infinite)
 

@@ -101,5 +101,8 @@ class _PrimCounter:
 
 
 def _added(operations: Any) -> tuple[Any, ...]:
-    """Return the added or explicit items of a USD list editor, such as references."""
+    """Return the items that a USD list editor (`Sdf.ListEditorProxy`) adds or sets explicitly.
+
+    The items are, for example, references, payloads or paths.
+    """
     return tuple(operations.GetAddedOrExplicitItems())

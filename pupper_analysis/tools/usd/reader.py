@@ -67,11 +67,15 @@ class UsdAsUrdf(PrimPlaces, UrdfFile):
 
 
 def read_as_urdf(path: Path) -> UsdAsUrdf:
-    """Read a USD file as a URDF with the same numbers.
+    """Convert a USD file to a URDF in memory, with the same links, joints and inertials.
+
+    Shapes are left out. Joints that close loops are left out with a note; joints whose effort the
+    USD does not state are listed in ``unknown``.
 
     Raises:
-        ModelError: If the file cannot be read, contains a joint that no URDF can state, or a mass
-            would follow from shapes.
+        ModelError: If the file cannot be opened or has no readable robot, the tree of its base
+            contains a ball joint or a free joint, or engines would derive a mass property from
+            shapes.
         MissingPackageError: If usd-core is not installed.
     """
     file = read_file(path)
@@ -140,7 +144,10 @@ def _get_joint_frame(link: Link) -> Pose:
 
 
 def _add_joint(tree: UrdfTree, model: UsdModel, joint: Joint, poses: Mapping[str, Pose]) -> None:
-    """Add a joint of a USD model to a URDF; ``poses`` are the link frames in the base frame."""
+    """Add a joint of a USD model to a URDF tree, in place.
+
+    ``poses`` are {link: pose of the link frame of the URDF in the base frame [m]}.
+    """
     frame = poses[joint.child]
     is_unlimited = not (math.isfinite(joint.lower) or math.isfinite(joint.upper))
     urdf_types = {
@@ -202,11 +209,14 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
 
 
 def read_as_mjcf(path: Path) -> UsdAsMjcf:
-    """Read a USD file as an MJCF with the same numbers.
+    """Convert a USD file to an MJCF in memory, with the same bodies, joints and inertials.
+
+    Shapes are left out. Joints that close loops become equality constraints; joints whose effort,
+    damping or friction the USD does not state are listed in ``unknown``.
 
     Raises:
-        ModelError: If the file cannot be read, MuJoCo refuses the numbers, or a mass that is not
-            stated would have to be computed from shapes.
+        ModelError: If the file cannot be opened or has no readable robot, MuJoCo has no equivalent
+            of a joint or refuses the numbers, or engines would derive a mass property from shapes.
         MissingPackageError: If usd-core is not installed.
     """
     file = read_file(path)
@@ -422,7 +432,10 @@ def mass_of_water(robot: UsdModel) -> Iterator[CheckFinding]:
 
 
 def mass_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Yield a finding for each body without a mass; a NOTE if it is fixed to another body."""
+    """Yield a finding for each body that has neither a mass nor collision shapes.
+
+    The severity is NOTE if the body is fixed to another body; otherwise that of the audit rule.
+    """
     for name, body_mass in robot.body_masses.items():
         if body_mass.origin is MassOrigin.UNKNOWN:
             is_separate = robot.links[name].moving or robot.links[name].parent is None
@@ -435,7 +448,7 @@ def mass_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
 def inertia_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
     """Yield a finding for each body whose mass, CoM or inertia is computed from its shapes.
 
-    The severity is WARNING if this applies to the CoM only.
+    The severity is WARNING if only the CoM is missing; otherwise that of the audit rule.
     """
     for name, body_mass in robot.body_masses.items():
         if body_mass.origin is MassOrigin.SHAPES:
