@@ -286,12 +286,19 @@ _CONTRACT_KEYS = (
     "latency", "clip", "history", "newest-first", "layout", "phase-rate", "phase-offsets", "signs",
     "effort", "action-offset", "action-clip",
 )  # fmt: skip
-"""Valid contract keys."""
+"""Valid keys of a policy contract, as in the TOML file beside the policy. Others are refused."""
 
 
 @dataclass(frozen=True)
 class _MergedValues:
-    """Contract keys of several files, merged; each value is checked when read."""
+    """Keys of a policy contract, merged from several files; each value is checked when read.
+
+    Attributes:
+        values: {key: value as in the file}.
+        places: {key: file, with the line if known}.
+        path: File of the policy.
+        joints: Number of joints that the policy commands.
+    """
 
     values: Mapping[str, Any]
     places: Mapping[str, str]
@@ -327,7 +334,8 @@ class _MergedValues:
         `fallback` replaces a missing key.
 
         Raises:
-            ModelError: If the key is missing and `fallback` is None, or the value is not valid.
+            ModelError: If the key is missing and `fallback` is None, or the value is no number or
+                out of range.
         """
         value = self.values.get(key, fallback)
         if value is None:
@@ -487,7 +495,11 @@ def _check_observation(merged: _MergedValues, contract: Contract, inputs: int) -
 def _check_ranges(
     merged: _MergedValues, lower: Array, upper: Array, effort: Array | None, signs: Array
 ) -> None:
-    """Raise a ModelError unless lower <= upper, efforts are positive, and signs are 1 or -1."""
+    """Check values of a contract, shape (n,) each.
+
+    Raises:
+        ModelError: Unless lower <= upper [rad], efforts [N m] are positive, and signs are 1 or -1.
+    """
     if (crossed := np.flatnonzero(lower > upper)).size:
         low, high = float(lower[crossed[0]]), float(upper[crossed[0]])
         raise merged.make_error(
@@ -503,7 +515,11 @@ def _check_ranges(
 
 
 def _read_joints(merged: _MergedValues) -> tuple[str, ...]:
-    """Return the joint names in the order of the policy; empty if no file states names."""
+    """Return the joint names in the order of the policy; empty if no file states names.
+
+    Raises:
+        ModelError: If the value is no list of distinct names with one per output of the network.
+    """
     joints = merged.values.get("joints", ())
     is_list = isinstance(joints, Sequence) and not isinstance(joints, str)
     if not is_list or not all(isinstance(joint, str) for joint in joints):
@@ -517,7 +533,13 @@ def _read_joints(merged: _MergedValues) -> tuple[str, ...]:
 
 
 def _read_history(merged: _MergedValues) -> tuple[int, bool]:
-    """Return the number of frames of an observation, and True if the newest frame is the first."""
+    """Return the number of frames of an observation, and True if the newest frame is the first.
+
+    By default a single frame, and the newest frame last.
+
+    Raises:
+        ModelError: If a value is not valid.
+    """
     history = merged.number("history", 1, 1, 1000)
     if history % 1:
         raise merged.make_error("history", diagnose("whole-number-needed", given=str(history)))
@@ -529,7 +551,13 @@ def _read_history(merged: _MergedValues) -> tuple[int, bool]:
 
 
 def _read_terms(merged: _MergedValues) -> tuple[Term, ...]:
-    """Return the terms of an observation, each a name, or a table with its scale, clip, history."""
+    """Return the terms of an observation, from the contract key ``observation``.
+
+    Each entry is the name of a term, or a table with ``term``, ``scale``, ``clip`` and ``history``.
+
+    Raises:
+        ModelError: If the key is missing or empty, a term is unknown, or a value is not valid.
+    """
     entries = merged.values.get("observation")
     if not isinstance(entries, list) or not entries:
         raise merged.make_error("observation", diagnose("contract-lacks", key="observation"))
@@ -561,7 +589,13 @@ def _read_terms(merged: _MergedValues) -> tuple[Term, ...]:
 
 
 def _read_clip(merged: _MergedValues, name: str, bounds: Any) -> tuple[float, float]:
-    """Return the bounds of a term's elements before scaling; ModelError unless low < high."""
+    """Return the lower and upper bound of a term's elements before scaling.
+
+    ``name`` is the term, for messages.
+
+    Raises:
+        ModelError: If ``bounds`` are not two numbers, or lower >= upper.
+    """
     try:
         numbers = real_array("clip", bounds)
     except ConfigurationError as error:
@@ -654,7 +688,10 @@ _SETTINGS_OF_DEPLOYMENT = {
 
 
 def _convert_term(term: ObservedTerm) -> dict[str, Any]:
-    """Convert an observed term of a source to an entry of the contract key ``observation``."""
+    """Convert a term of a deployment to an entry of the contract key ``observation``.
+
+    The entry is {"term": name, and optionally "scale": factor or list, "clip": [low, high]}.
+    """
     entry: dict[str, Any] = {"term": find_term_name(term.name)}
     if term.scales is not None:
         entry["scale"] = term.scales[0] if len(set(term.scales)) == 1 else list(term.scales)

@@ -110,7 +110,11 @@ def _make_view(walk: Walk, robot: Robot | None) -> doc.View:
 
 
 def _list_figures(walk: Walk) -> Iterable[doc.Words]:
-    """Yield the key figures: speed, torque, power, and contacts of the feet."""
+    """Yield four texts, in this order: velocity, torque, power, and duty factors of the feet.
+
+    Velocity, power and duty factors (fraction of the time in contact [%]) are those of the first
+    run; the margin of the pose and the torque are the worst of all runs.
+    """
     first, gaits = walk.gaits[0], walk.gaits
     yield text(
         "walk-speed-line",
@@ -216,7 +220,11 @@ def _max_over_runs(walk: Walk, name: str) -> Array:
 
 
 def _make_motor_table(walk: Walk) -> doc.Table:
-    """Create the table of motor torques and speeds."""
+    """Create the table of motors, with a row per joint and the worst value of all runs.
+
+    Columns: rms and peak torque, static torque of standing, limit [N m], time at the limit [%],
+    largest speed [rad/s].
+    """
     rms, peak, share, speed = (
         _max_over_runs(walk, name)
         for name in ("torque_rms", "torque_peak", "at_limit", "speed_peak")
@@ -266,7 +274,7 @@ def _describe_simulation(walk: Walk) -> doc.Text:
 
 
 def _format_range(values: Array) -> str:
-    """Return the smallest and largest value as text, such as ``2-5``; one number if equal."""
+    """Return the smallest and largest of some values as text, such as ``2-5``; one if equal."""
     low, high = float(values.min()), float(values.max())
     return f"{low:g}" if low == high else f"{low:g}-{high:g}"
 
@@ -279,7 +287,7 @@ def _describe_outcome(gait: Gait) -> doc.Words:
 
 
 def _make_run_table(walk: Walk) -> doc.Table:
-    """Create the table of the walking simulations, with a row per seed."""
+    """Create the table of the simulated runs, a row per seed: velocities, power, sway, outcome."""
     rows = tuple(
         (
             doc.Name(str(gait.seed)),
@@ -438,7 +446,10 @@ def _select_step_after_intervals(result: TrackedIntervals, *, outside: bool) -> 
 
 
 def _list_narrow_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
-    """Yield a warning for each criterion whose margin is smaller than the spread over the seeds."""
+    """Yield a warning for each criterion whose margin is narrow (`TrackedIntervals.narrow`).
+
+    The warning states the smallest margin and the spread over the seeds that track [%].
+    """
     for name in result.narrow:
         margins = getattr(result, f"{name}_margins")[list(result.seeds)]
         yield text(
@@ -450,7 +461,10 @@ def _list_narrow_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
 
 
 def _describe_nominal_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
-    """Yield the smallest margins of the unchanged robot over the seeds that track."""
+    """Yield a text of the smallest speed and turning margins [%] of the unchanged robot.
+
+    The minimum is over the seeds that track the command; without any, nothing is yielded.
+    """
     if result.seeds:
         speed, turning = (
             margins[list(result.seeds)].min()
@@ -462,7 +476,10 @@ def _describe_nominal_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
 
 
 def _describe_ends(failures: tuple[str, ...]) -> doc.Words:
-    """Return the criteria that end an interval, the most frequent first; "-" for an open end."""
+    """Return the criteria that end an interval, the most frequent first; "-" for an open end.
+
+    ``failures`` contains, for each seed, the key of the criterion that fails beyond the end, or "".
+    """
     names = Counter(name for name in failures if name)
     words = [text(f"walk-ends-{name}") for name, _ in names.most_common()]
     return join_words(words) if words else doc.Name("-")
@@ -771,7 +788,10 @@ Chosen, not tuned."""
 
 
 def _make_candidate_table(result: Orders) -> doc.Table:
-    """Create the table of the best interpretations of a policy."""
+    """Create the table of the best interpretations of a policy, and of the stated one.
+
+    Columns: rank, change, tracked commands, falls, rms torque [N m], velocity error [1], cost.
+    """
     places = sorted({*range(min(_MAX_SHOWN_CANDIDATES, len(result.candidates))), result.stated})
     rows = []
     for place in places:

@@ -46,12 +46,13 @@ DEFAULT_SECONDS, WARM_UP_SECONDS = 8.0, 2.0
 second to start walking."""
 
 SPEED_RTOL, SPEED_ATOL = 0.25, 0.05
-"""Tolerance of a tracked speed: fraction `SPEED_RTOL` of the command, plus `SPEED_ATOL` [m/s].
-Chosen: Pupper's public policy reaches 0.93 of the command."""
+"""Tolerance of the velocity error with which a run tracks a commanded speed v: `SPEED_RTOL` v +
+`SPEED_ATOL` [m/s], but at most (1 - `MIN_FOLLOWED_FRACTION`) v if v is not 0. Chosen: Pupper's
+public policy reaches 0.93 of the command."""
 
 TURN_ATOL = 0.1
-"""Absolute tolerance of a tracked turning rate [rad/s], in addition to `SPEED_RTOL`. Chosen, not
-tuned."""
+"""Absolute tolerance of a tracked turning rate [rad/s], in place of `SPEED_ATOL` in the same
+formula. Chosen, not tuned."""
 
 MIN_FOLLOWED_FRACTION = 0.5
 """Smallest fraction of a nonzero speed or turning command that a tracking robot reaches. Needed for
@@ -224,7 +225,7 @@ def has_unknown_masses(remarks: Iterable[Diagnostic]) -> bool:
 
 
 def check_command(command: ArrayLike) -> Array:
-    """Return a command as an array of shape (3,).
+    """Return a velocity command as an array of shape (3,) [m/s, m/s, rad/s].
 
     Raises:
         ConfigurationError: If the command is not three finite numbers with magnitudes of at most
@@ -244,7 +245,7 @@ def check_command(command: ArrayLike) -> Array:
 
 
 def parse_walking_command(text: str) -> Array:
-    """Parse the text of a command, ``0.5,0,0``, into an array of shape (3,).
+    """Parse the text of a velocity command, ``0.5,0,0``, into an array of shape (3,).
 
     Args:
         text: Forward speed [m/s], speed to the left [m/s] and turning rate to the left [rad/s].
@@ -263,10 +264,11 @@ def parse_walking_command(text: str) -> Array:
 
 
 def check_runs(seeds: int, seconds: float, warm_up: float) -> None:
-    """Check the number of runs, the duration [s] and the warm-up [s].
+    """Check the number of runs, the duration [s] and the warm-up [s] of walking simulations.
 
     Raises:
-        ConfigurationError: If a number is out of range.
+        ConfigurationError: Unless there are 1 to 1000 seeds, and the runs take 3 to 600 s and at
+            least 1 s more than the warm-up.
     """
     for name, value, low, high in (
         ("seconds", seconds, 3, 600),
@@ -643,5 +645,5 @@ def _compute_static_torques(
 
 
 def _root_mean_square(values: Array) -> Array:
-    """Return the root mean square over the first axis."""
+    """Return the root mean square of each column, over the first axis of (n, nu) values."""
     return np.asarray(np.sqrt((values**2).mean(axis=0)))

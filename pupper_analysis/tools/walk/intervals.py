@@ -71,7 +71,10 @@ class Quantity:
     apply: Change | None
 
     def compute_midpoint(self, first: float, second: float) -> float:
-        """Return the arithmetic mean of two values; for a factor (unit "x"), the geometric mean."""
+        """Return the arithmetic mean of two values of the quantity; of factors, the geometric mean.
+
+        The quantity is a factor if its unit is "x".
+        """
         return math.sqrt(first * second) if self.unit == "x" else (first + second) / 2
 
 
@@ -81,7 +84,7 @@ def _find_base(stage: Stage, model: mujoco.MjModel) -> int:
 
 
 def _scale_base_mass(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    """Multiply mass and inertia of the base body by a factor, in place; the CoM is unchanged."""
+    """Multiply mass and inertia of the base body by ``value``, in ``model``; not its CoM."""
     model.body_mass[_find_base(stage, model)] *= value
     model.body_inertia[_find_base(stage, model)] *= value
 
@@ -359,7 +362,10 @@ def _make_interval(
     """
 
     def collect(side: int, criterion: str, end: int) -> Array:
-        """Return the values of a bracket per seed; ``end`` is 0 (satisfied) or 1 (violated)."""
+        """Return the values of one end of a bracket, shape (seeds,).
+
+        ``end`` is 0 for the value that satisfies the criterion, 1 for the value that violates it.
+        """
         return np.array([brackets[name, side, seed, criterion][end] for seed in seeds])
 
     def find_failures(side: int) -> tuple[str, ...]:
@@ -514,17 +520,21 @@ QUANTITY_OF_FIT_KIND: Mapping[str, str] = {
 def read_measured_intervals(
     path: str | Path, robot: Robot, latency: float = 0.0
 ) -> dict[str, tuple[float, float]]:
-    """Return {quantity: (low, high)} of a real robot from the 95 % intervals of a ``fit`` result.
+    """Read the 95 % intervals that a fit found for the real robot, as values of `QUANTITIES`.
 
-    ``mass`` (factor) and ``com`` (forward displacement [m]) are those of the base. ``kp`` and
-    ``kd`` are factors on the stated gains, from the lowest to the highest end of the intervals of
-    all joints. ``delay`` [s] is reduced by the latency of the policy, to at least 0. Other
-    parameters of the fit, and infinite intervals, are ignored.
+    ``mass`` (factor on the stated mass) and ``com`` (forward displacement [m]) are those of the
+    base. ``kp`` and ``kd`` are factors on the stated gains, from the lowest to the highest end of
+    the intervals of all joints. ``delay`` [s] is the fitted delay less the latency of the policy,
+    at least 0. Ignored are all other parameters of the fit, infinite intervals, and masses and
+    gains whose stated value is not positive.
 
     Args:
         path: JSON of a fit: ``fit.json``, or the output of ``--json``.
         robot: Robot.
         latency: Latency of the policy [s].
+
+    Returns:
+        {quantity: (lower end, upper end)}, not empty.
 
     Raises:
         ModelError: If the file cannot be read, is not the result of a fit, or contains no quantity

@@ -21,6 +21,10 @@ def _make_policy_metric(
             returns the value of the metric.
         text: ``POLICY[@VX,VY,W]``: file of the policy, and the velocity command: forward [m/s],
             left [m/s], turning left [rad/s]. Without a command, 0.5 m/s forward.
+
+    Raises:
+        ConfigurationError: If the command is not three valid numbers.
+        ModelError: If a file of the policy cannot be used.
     """
     from pupper_analysis.base.runs import register_input
     from pupper_analysis.tools.walk.gait import check_command, simulate_walk

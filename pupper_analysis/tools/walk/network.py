@@ -31,13 +31,13 @@ memory. The widest layers of walking policies have 1024. Chosen, not tuned."""
 
 
 def sigmoid(value: Array) -> Array:
-    """Return 1 / (1 + exp(-x)) without overflow."""
+    """Return 1 / (1 + exp(-x)) without overflow, for each element x of an array."""
     halved: Array = 0.5 * (1.0 + np.tanh(0.5 * value))
     return halved
 
 
 def elu(value: Array, alpha: float = 1.0) -> Array:
-    """Return x for positive x, else alpha (exp(x) - 1)."""
+    """Return x for positive x, else alpha (exp(x) - 1), for each element x of an array."""
     return np.where(value > 0, value, alpha * np.expm1(np.minimum(value, 0.0)))
 
 
@@ -53,7 +53,13 @@ ACTIVATIONS: Mapping[str, Operation] = {
 
 
 def dense(value: Array, weights: Array, bias: Array) -> Array:
-    """Evaluate a dense layer of a network: return x W + b for the input x = ``value``."""
+    """Evaluate a dense layer of a network: return x W + b, shape (runs, 1, u).
+
+    Args:
+        value: Input x, shape (runs, 1, n).
+        weights: W, shape (n, u).
+        bias: b, shape (u,).
+    """
     product: Array = np.matmul(value, weights) + bias
     return product
 

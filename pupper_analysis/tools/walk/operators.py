@@ -72,7 +72,11 @@ def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _concatenate_sizes(*values: Array) -> Array:
-    """Return lists of sizes as one list; ValueError if a value is no list."""
+    """Return lists of sizes as one list, shape (n,).
+
+    Raises:
+        ValueError: If a value has more than one axis.
+    """
     if any(np.ndim(value) > 1 for value in values):
         raise ValueError([np.shape(value) for value in values])
     return np.concatenate([np.ravel(value) for value in values])
@@ -89,7 +93,7 @@ def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _is_plain_recurrence(attributes: Mapping[str, Any]) -> bool:
-    """Return False if a GRU or LSTM is not forward, or changes activations, clip, gates or layout.
+    """Return True if a GRU or LSTM runs forward, with standard activations, gates and layout.
 
     Args:
         attributes: Attributes of the ONNX node.
@@ -131,7 +135,7 @@ def _make_lstm(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def softplus(value: Array) -> Array:
-    """Return log(1 + exp(x)) without overflow."""
+    """Return log(1 + exp(x)) without overflow, for each element x of an array."""
     return np.logaddexp(0.0, value)
 
 
@@ -209,7 +213,7 @@ def _make_reduction(function: Callable[..., Any]) -> Make:
 
 
 def _find_axis(value: Array, axis: int) -> int:
-    """Return the axis of an array, whose first axis is that of the runs, for an ONNX axis.
+    """Return the axis of ``value``, whose first axis is that of the runs, for an ONNX axis.
 
     Raises:
         ValueError: If the axis is that of the runs.

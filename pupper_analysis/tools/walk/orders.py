@@ -38,8 +38,8 @@ orders can walk as well."""
 
 MIN_COST_RATIO = 1.1
 """Ratio between the cost of the second-best interpretation of a policy and the cost of the best
-one, above which the best one is clearly better. Chosen: for Pupper's own policy on the model v3 the
-ratio is 1.2."""
+one (`Candidate.cost`), above which the best one is clearly better. Chosen: for Pupper's own policy
+on the model v3 the ratio is 1.2."""
 
 SCALE_FACTORS = (0.5, 2.0)
 """Factors on the stated action scale that are tried as other interpretations of a policy. Smaller
@@ -210,7 +210,10 @@ def rank_orders(
 
 
 def group_limbs(robot: Robot, joints: Sequence[str]) -> list[list[int]]:
-    """Return the indices of the joints of each limb: joints below the same child of the base."""
+    """Group joints by limb; return the indices into ``joints`` of each limb's joints.
+
+    A limb is all bodies below the same child body of the base.
+    """
     model = robot.mj_model
     base = model.body(robot.mj_base).id
     limbs: dict[int, list[int]] = {}

@@ -140,9 +140,13 @@ SOURCE_SUFFIXES = (".yaml", ".yml", ".py")
 
 
 def split_sources(words: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Separate words that name a robot from files of a policy, deployment or trainer.
+    """Separate words of a command into words that name a robot, and other files.
 
-    The latter may be ``FILE:NAME`` to select a configuration.
+    The other files are recognised by their suffix: policy, deployment or trainer. They may be
+    ``FILE:NAME`` to select a configuration.
+
+    Returns:
+        Words that name a robot; the other words.
     """
     suffixes = (*SOURCE_SUFFIXES, ".onnx", ".json", *TORCHSCRIPT_SUFFIXES)
     is_source = [Path(word.rpartition(":")[0] or word).suffix in suffixes or
@@ -247,7 +251,8 @@ def _read_policy(path: Path) -> tuple[Network, dict[str, Any]]:
 
 
 _NUMPY_TYPES = {1: "<f4", 6: "<i4", 7: "<i8", 10: "<f2", 11: "<f8"}
-"""NumPy type of each TensorProto data type."""
+"""{data type of an ONNX tensor (TensorProto.DataType): NumPy type of its raw bytes}. Tensors of
+other types are refused."""
 
 _FLOAT16 = 10
 """TensorProto data type of half precision: numbers that are not raw bytes are stored as integers
@@ -382,7 +387,13 @@ _ACTION_NAMES = ("actions", "action", "mu", "mean", "mean_actions", "continuous_
 def _build_onnx_network(path: Path, file: OnnxFile, weight_files: _WeightFiles) -> Network:
     """Build the network of an ONNX graph.
 
-    Inputs and outputs after the first are recurrent states.
+    The first input is the observation, the first output the action; further inputs and outputs are
+    recurrent states. Of several outputs of a network with a single input, the one named in
+    `_ACTION_NAMES` is the action.
+
+    Raises:
+        ModelError: If the numbers of inputs and (remaining) outputs differ, an operator is not
+            supported, or a size does not fit.
     """
     graph = file.graph
     constants = dict(_read_tensor(path, message, weight_files) for message in graph.get(5, ()))
@@ -605,7 +616,8 @@ TORCHSCRIPT_SUFFIXES = (".pt", ".pth", ".jit", ".ts")
 """File name suffixes of TorchScript."""
 
 _MAX_TORCHSCRIPT_BYTES = 4 * MAX_WEIGHTS
-"""Maximum size of a TorchScript file [bytes]: `MAX_WEIGHTS` in single precision."""
+"""Maximum size of a TorchScript file [bytes], derived from `MAX_WEIGHTS` in single precision.
+Larger files are refused."""
 
 
 class _ScriptedModule:
@@ -644,7 +656,9 @@ class _ScriptedModule:
         }
 
     def evaluate(self, states: Mapping[str, int], value: Array, *values: Array) -> Any:
-        """Return the actions, and the next values of the states, of several runs.
+        """Return the actions of several runs, shape (runs, 1, outputs).
+
+        With states, return a tuple of the actions and of the next values of each state.
 
         Args:
             states: {state: number of elements}.

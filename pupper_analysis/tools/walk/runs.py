@@ -473,7 +473,7 @@ def raise_upright(upright: StandReference, lift: float) -> StandReference:
 
 
 def _make_start_state(stage: Stage, case: Case) -> Array:
-    """Return the initial MuJoCo state of a case (mjSTATE_FULLPHYSICS).
+    """Return the initial MuJoCo state of a case (mjSTATE_FULLPHYSICS), shape (size,).
 
     The seed of the case determines random deviations from the default pose; none for seed 0.
     """
@@ -622,12 +622,16 @@ class Observer:
     ) -> dict[str, Array]:
         """Return the accelerometer at the origin of the base, and the contacts of the feet.
 
-        Accelerations and contact forces follow from MuJoCo's forward dynamics.
+        Accelerations and contacts follow from MuJoCo's forward dynamics.
 
         Args:
             states: MuJoCo states of n runs, shape (n, size).
             active: Indices of the n runs among all runs, shape (n,).
             base_rotations: Orientations of the base, shape (n, 3, 3).
+
+        Returns:
+            {"accelerometer": acceleration minus gravity in the base frame, shape (n, 3) [m/s^2];
+            "contacts": 1 for each foot that touches anything, else 0, shape (n, feet)}.
         """
         stage, data, feet = self._stage, mujoco.MjData(self._stage.model), [*self._stage.robot.feet]
         specific, contacts = np.zeros((len(states), 3)), np.zeros((len(states), len(feet)))

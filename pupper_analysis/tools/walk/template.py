@@ -20,7 +20,7 @@ from pupper_analysis.tools.walk.contract import TERM_SIZES
 from pupper_analysis.tools.walk.policy import read_statements
 
 _REQUIRED_KEYS = ("observation", "default", "action-scale", "rate")
-"""Keys without which a policy cannot be simulated."""
+"""Keys of a policy contract without default: the template marks those that no file states."""
 
 _MEANINGS = {
     "observation": "terms of a frame of the observation, in order",
@@ -38,7 +38,7 @@ _MEANINGS = {
     "history": "number of frames of each term; without: 1; a term may state its own history",
     "phase-rate": "frequency of the gait phase [Hz], if a phase is observed",
 }
-"""{key: meaning} of the keys of a template."""
+"""{key of a policy contract: comment above the key in the template}, in the order of the file."""
 
 
 def write_template(

@@ -132,7 +132,13 @@ def read_trace(path: str | Path) -> Trace:
 
 
 def _read_npz(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Return {array: values} of an npz file, and the joint names. Nothing is unpickled."""
+    """Return {array: values} of an npz file, and the joint names (empty if not stated).
+
+    Nothing is unpickled.
+
+    Raises:
+        ModelError: If the file cannot be read.
+    """
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             stated = {name: file[name] for name in file.files}
@@ -144,7 +150,13 @@ def _read_npz(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
 
 
 def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Return {array: values} of a CSV file, and the names of the joints."""
+    """Return {array: values} of a CSV file, and the joint names in its columns ``q_JOINT``.
+
+    The names are empty if the columns are numbered, or absent.
+
+    Raises:
+        ModelError: If the file is no table of numbers, or signals have different joints.
+    """
     text = decode_input(path, data)
     header, _, body = text.partition("\n")
     names = [name.strip() for name in header.split(",")]
@@ -275,7 +287,10 @@ def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
 
 
 def _describe_delay(detail: str, period: float) -> str:
-    """Return a text about a delay in samples, with the duration [ms] appended."""
+    """Return ``detail``, a text such as "3 samples", with the duration of the delay [ms] appended.
+
+    ``period`` is the time between samples [s].
+    """
     return f"{detail} ({1e3 * float(detail.split()[0]) * period:.3g} ms)"
 
 
@@ -293,7 +308,14 @@ def _check_network(policy: Policy, trace: Trace) -> TermCheck:
 
 
 def _make_signals(robot: Robot, policy: Policy, trace: Trace) -> dict[str, Array]:
-    """Return {term, or ``targets``: recorded signal in the units and order of the contract}."""
+    """Return {term, or ``targets``: recorded signal in the units and order of the contract}.
+
+    A signal has the shape (n, size), before clip and scale of the term. Terms without a recorded
+    signal are missing.
+
+    Raises:
+        ModelError: If the trace lacks a joint of the policy, or a column per joint.
+    """
     contract, arrays = policy.contract, trace.arrays
     columns = list(trace.joints or robot.joint_names)
     wanted = [robot.joint_names[index] for index in find_joint_indices(robot, policy)]
@@ -342,14 +364,21 @@ def _extract_frame(contract: Contract, observations: Array, *, newest: bool) -> 
 
 
 def _measure_difference(seen: Array, expected: Array) -> float:
-    """Return the rms difference relative to the signal; at most `MATCH_RTOL` if both agree."""
+    """Return the rms difference of two signals (n, size), relative to the expected signal [1].
+
+    The divisor is the rms of ``expected`` about its mean, plus `MATCH_ATOL` / `MATCH_RTOL`, so that
+    the result is at most `MATCH_RTOL` if both agree within the tolerances.
+    """
     difference = float(np.sqrt(np.mean((seen - expected) ** 2)))
     size = float(np.sqrt(np.mean((expected - expected.mean(axis=0)) ** 2)))
     return difference / (size + MATCH_ATOL / MATCH_RTOL)
 
 
 def _agrees(seen: Array, expected: Array) -> bool:
-    """Return True if each column of two signals agrees within the tolerances."""
+    """Return True if each column of two signals (n, size) agrees within the tolerances.
+
+    The criterion is `_measure_difference` of at most `MATCH_RTOL`.
+    """
     return all(
         _measure_difference(seen[:, [column]], expected[:, [column]]) <= MATCH_RTOL
         for column in range(seen.shape[1])
@@ -357,7 +386,11 @@ def _agrees(seen: Array, expected: Array) -> bool:
 
 
 def _list_delays(seen: Array, expected: Array) -> Iterator[tuple[int, Array, Array]]:
-    """Yield delay in samples, and the signals shifted by it; positive if ``seen`` is late."""
+    """Yield delays from -2 to `MAX_DELAY` samples, the shortest first, with shifted signals.
+
+    A delay is positive if ``seen`` is later than ``expected``. The signals are cut to the samples
+    that both have after the shift.
+    """
     for delay in sorted(range(-2, MAX_DELAY + 1), key=abs):
         count = len(seen) - abs(delay)
         if delay >= 0:
@@ -398,7 +431,10 @@ def _explain(seen: Array, expected: Array, names: Sequence[str]) -> tuple[float,
 
 
 def _find_signs(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
-    """Return ("sign", inverted elements); None unless signs explain the difference."""
+    """Return ("sign", names of inverted elements); None unless signs explain the difference.
+
+    Arguments are those of `_explain`.
+    """
     signs = np.where(np.sum(seen * expected, axis=0) < 0, -1.0, 1.0)
     if (signs > 0).all() or not _agrees(seen, signs * expected):
         return None
@@ -407,7 +443,10 @@ def _find_signs(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str
 
 
 def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
-    """Return ("scale", factors of elements); None unless factors explain the difference."""
+    """Return ("scale", factors of elements); None unless factors explain the difference.
+
+    The factors are ``seen`` / ``expected``, as text. Arguments are those of `_explain`.
+    """
     squares = np.sum(expected**2, axis=0)
     factors = np.sum(seen * expected, axis=0) / np.where(squares > 0, squares, 1.0)
     factors = np.where(squares > len(seen) * MATCH_ATOL**2, factors, 1.0)
@@ -424,7 +463,10 @@ def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[st
 
 
 def _find_order(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
-    """Return ("order", moved elements); None unless a permutation explains the difference."""
+    """Return ("order", moved elements); None unless a permutation explains the difference.
+
+    At most six moved elements are named. Arguments are those of `_explain`.
+    """
     from scipy.optimize import linear_sum_assignment
 
     costs = np.array(
@@ -443,7 +485,11 @@ def _find_order(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str
 
 
 def _list_offsets(seen: Array, expected: Array, names: Sequence[str]) -> str:
-    """Return the elements with a constant difference, and the difference, as text."""
+    """Return the elements whose mean difference seen - expected is not 0, with it, as text.
+
+    At most six elements are named; a difference up to `MATCH_ATOL` counts as 0. Arguments are those
+    of `_explain`.
+    """
     offsets = (seen - expected).mean(axis=0)
     changed = np.flatnonzero(np.abs(offsets) > MATCH_ATOL)
     return ", ".join(f"{names[index]} {offsets[index]:+.4g}" for index in changed[:6])
