@@ -14,11 +14,15 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.workspace import BaseWorkspace
 
 _ANGLE_DIRECTIONS = ("roll", "pitch", "yaw")
-"""Directions of a base workspace with ranges in angles; the report shows these in degrees."""
+"""Directions of a base workspace whose ranges are angles [rad]; the report prints degrees. The
+ranges of other directions are lengths [m], printed in mm."""
 
 
 def _join_limits(workspace: BaseWorkspace) -> doc.Text:
-    """Return the limits of all directions in one text, each once; joints are named together."""
+    """Return the limits of all directions as one text, with one part per kind of limit.
+
+    The joints of all joint limits are listed in a single part.
+    """
     found = [limit for limits in workspace.limits.values() for limit in limits]
     joints = dict.fromkeys(
         name
