@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 
 import mujoco
 import numpy as np
@@ -184,6 +184,54 @@ def list_depth_first(model: RobotModel) -> tuple[str, ...]:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _JointNames:
+    """Names in a source, and the joints of the robot that the names and list indices denote.
+
+    Attributes:
+        model: Joints of the robot.
+        matched: {name in the source: joint}.
+        order: Joints in the order of the source's lists, "" for a name without match; empty if the
+            order is not known.
+    """
+
+    model: RobotJoints
+    matched: Mapping[str, str]
+    order: tuple[str, ...]
+
+    def find_joints(self, statement: Statement) -> list[str]:
+        """Return the joints to which a statement applies; [""] for a setting of the whole robot.
+
+        Empty if no joint has the name, pattern or index, and for an entry of a list whose length is
+        not that of ``order``.
+        """
+        if statement.index is not None:
+            if statement.count != len(self.order):
+                return []
+            return list(filter(None, self.order[statement.index : statement.index + 1]))
+        is_name = statement.joint in self.matched
+        if statement.is_part and not (is_name and statement.quantity in _QUANTITIES_BY_NAME):
+            return [
+                joint
+                for joint in self.model.order
+                if statement.joint in joint
+                or statement.joint in self.source_names.get(joint, joint)
+            ]
+        if is_name or not statement.joint:
+            return [self.matched.get(statement.joint, "")]
+        return [
+            joint
+            for joint in self.model.order
+            if matches_name(statement.joint, joint)
+            or matches_name(statement.joint, self.source_names.get(joint, joint))
+        ]
+
+    @cached_property
+    def source_names(self) -> dict[str, str]:
+        """{joint of the robot: last of its names in the source}, without joints that have none."""
+        return {joint: name for name, joint in self.matched.items()}
+
+
 def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) -> PlacedSource:
     """Assign the values that a source (for example a driver or a policy) states to robot joints.
 
@@ -195,83 +243,37 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
     Returns:
         Facts about joints of the robot, the joint order with its origin, and unmatched names.
     """
-    patterns = dict.fromkeys(statement.joint for statement in source.statements if statement.joint)
-    # Parts of names of gains (legged_gym) are never names of joints; angles may have either.
-    parts = {one.joint for one in source.statements if one.is_part}
-    angles = {one.joint for one in source.statements if one.quantity == "default angle"}
-    plain_names = [
-        pattern
-        for pattern in patterns
-        if (_PLAIN_NAME.fullmatch(pattern) or not is_pattern(pattern))
-        and (pattern not in parts or pattern in angles)
-    ]
-    names = list(dict.fromkeys((*source.order, *plain_names)))
+    names = _list_joint_names(source)
     matched = model.match_names(names)
-    order, how, assumed = _determine_order(source, model, others, matched)
-    reverse = {joint: name for name, joint in matched.items()}
-    observation_scales = {
-        f"observation {term.common_name}": (term.scale, term.place)
-        for term in source.observations
-        if term.scale is not None
-    }
-    facts = {
-        (quantity, ""): source.make_fact(Statement(quantity, *scale_and_place))
-        for quantity, scale_and_place in observation_scales.items()
-    }
-    unread: dict[str, int] = {}
-    unplaced: dict[str, tuple[str, ...]] = {}
+    order, how, order_notes = _determine_order(source, model, others, matched)
+    joint_names = _JointNames(model, matched, order)
+    facts = _make_scale_facts(source)
     rest_facts = set[tuple[str, str]]()
+    unread_counts: dict[str, int] = {}
+    unplaced: dict[str, tuple[str, ...]] = {}
     for statement in source.statements:
+        joints = joint_names.find_joints(statement)
         if statement.index is not None:
-            # A list of another length cannot be assigned to joints.
-            assigned = list(filter(None, order[statement.index : statement.index + 1]))
             if statement.count != len(order):
-                unread[statement.quantity], assigned = statement.count, []
+                unread_counts[statement.quantity] = statement.count
             if how == "assumed" and statement.origin is Origin.STATED:
                 statement = replace(statement, origin=Origin.ASSUMED)
-        elif statement.is_part and (
-            statement.joint not in matched or statement.quantity not in _QUANTITIES_BY_NAME
-        ):
-            assigned = [
-                joint
-                for joint in model.order
-                if statement.joint in joint or statement.joint in reverse.get(joint, joint)
-            ]
-        elif statement.joint in matched or not statement.joint:
-            assigned = [matched.get(statement.joint, "")]
-        else:
-            assigned = [
-                joint
-                for joint in model.order
-                if matches_name(statement.joint, joint)
-                or matches_name(statement.joint, reverse.get(joint, joint))
-            ]
-        if statement.joint and not assigned:
+        if statement.joint and not joints:
             keys = (*unplaced.get(statement.quantity, ()), statement.joint)
             unplaced[statement.quantity] = keys
-        keys_of_joints = [(statement.quantity, joint) for joint in assigned]
+        fact_keys = [(statement.quantity, joint) for joint in joints]
         if statement.is_rest:
-            rest_facts.update(keys_of_joints)
+            rest_facts.update(fact_keys)
         else:
-            rest_facts.difference_update(keys_of_joints)
-        facts |= {key: source.make_fact(statement, key[1]) for key in keys_of_joints}
-    # A number of "all other joints" is that of the joints that the source controls.
+            rest_facts.difference_update(fact_keys)
+        facts |= {key: source.make_fact(statement, key[1]) for key in fact_keys}
+    # A number of "all other joints" applies to the joints that the source controls.
     controlled = {joint for quantity, joint in facts if quantity == "kp"}
     facts = {
         key: fact for key, fact in facts.items() if key not in rest_facts or key[1] in controlled
     }
-    time_step, decimation = (facts.get((quantity, "")) for quantity in ("time step", "decimation"))
-    if time_step and decimation and time_step.number * decimation.number:
-        decimation = replace(
-            decimation,
-            quantity="policy step",
-            unit=time_step.unit,
-            decimals=None,
-            origin=str(Origin.DERIVED),
-            value=time_step.number * decimation.number,
-        )
-        facts.setdefault(("policy step", ""), decimation)
-    lists = {
+    _add_policy_step(facts)
+    unread = {
         quantity: diagnose(
             "contract-list-unread",
             file=source.name,
@@ -280,16 +282,68 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
             joints=len(order) or len(model.order),
             sources=source.path,
         )
-        for quantity, count in unread.items()
+        for quantity, count in unread_counts.items()
     }
+    name_parts = {statement.joint for statement in source.statements if statement.is_part}
     unknown = tuple(
         name
         for name in names
         if name not in matched
-        and not (name in parts and any(name in joint for joint in model.order))
+        and not (name in name_parts and any(name in joint for joint in model.order))
     )
-    notes = (*assumed, *lists.values())
-    return PlacedSource(source, facts, order, how, matched, unknown, notes, lists, unplaced)
+    notes = (*order_notes, *unread.values())
+    return PlacedSource(source, facts, order, how, matched, unknown, notes, unread, unplaced)
+
+
+def _list_joint_names(source: Source) -> list[str]:
+    """Return the texts in a source that may be names of joints: its order, then keys of numbers.
+
+    Regular expressions are left out. Parts of names (legged_gym states gains by parts) are left
+    out, unless the source also states a default angle under the same key.
+    """
+    keys = dict.fromkeys(statement.joint for statement in source.statements if statement.joint)
+    parts = {statement.joint for statement in source.statements if statement.is_part}
+    angle_keys = {
+        statement.joint for statement in source.statements if statement.quantity == "default angle"
+    }
+    plain_names = [
+        key
+        for key in keys
+        if (_PLAIN_NAME.fullmatch(key) or not is_pattern(key))
+        and (key not in parts or key in angle_keys)
+    ]
+    return list(dict.fromkeys((*source.order, *plain_names)))
+
+
+def _make_scale_facts(source: Source) -> dict[tuple[str, str], Fact]:
+    """Return {("observation " + term, ""): scale} of the observation terms with a stated scale."""
+    scales = {
+        f"observation {term.common_name}": (term.scale, term.place)
+        for term in source.observations
+        if term.scale is not None
+    }
+    return {
+        (quantity, ""): source.make_fact(Statement(quantity, scale, place))
+        for quantity, (scale, place) in scales.items()
+    }
+
+
+def _add_policy_step(facts: dict[tuple[str, str], Fact]) -> None:
+    """Add the policy step (time step x decimation) to facts that contain both but no policy step.
+
+    Nothing is added if the product is 0.
+    """
+    time_step, decimation = facts.get(("time step", "")), facts.get(("decimation", ""))
+    if time_step and decimation and time_step.number * decimation.number:
+        policy_step = replace(
+            decimation,
+            quantity="policy step",
+            unit=time_step.unit,
+            decimals=None,
+            origin=str(Origin.DERIVED),
+            value=time_step.number * decimation.number,
+        )
+        facts.setdefault(("policy step", ""), policy_step)
 
 
 def list_observations(source: Source) -> list[str]:
