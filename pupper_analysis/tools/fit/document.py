@@ -271,7 +271,7 @@ def _describe_kp_factor(fit: StandFit) -> Iterator[doc.Words]:
 
 
 def _make_stand_residual_plot(fit: StandFit) -> doc.BarPlot:
-    """Create a bar plot of the RMS residual of each stand, largest first."""
+    """Create a bar plot of the RMS residual of each stand, in standard deviations of the noise."""
     worst = sorted(fit.residuals.items(), key=lambda item: -item[1])
     return doc.BarPlot(
         text("residuals-of-stands"),
@@ -308,7 +308,7 @@ def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
 
 
 def _describe_known_mass(plan: StandPlan) -> Iterator[doc.Words]:
-    """Yield the text of the known mass, if the plan has a known mass."""
+    """Yield where a known mass [kg] is attached [mm], and in how many stands, if a plan has one."""
     if (place := plan.place) is not None:
         loaded = [stand for stand in plan.stands if stand.added]
         x, y, z = (f"{1e3 * value:.1f}" for value in place.offset)

@@ -19,8 +19,9 @@ from pupper_analysis.base.errors import FitError
 from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTable
 
 _MAX_STEPS = 60
-"""Upper bound of the Gauss-Newton steps of a fit. A fit that starts at the values of the model file
-takes 4 to 10. Chosen, not tuned."""
+"""Upper bound of the Gauss-Newton steps of a fit. After these, the fit fails unless the predicted
+further decrease is small (`_MAX_UNREALISED_DECREASE`). A fit that starts at the values of the model
+file takes 4 to 10. Chosen, not tuned."""
 
 _MIN_PREDICTED_DECREASE = 1e-4
 """Predicted decrease of the cost chi2 + z^T P z below which the iteration has converged, with z the

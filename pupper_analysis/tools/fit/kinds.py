@@ -8,7 +8,7 @@ from pupper_analysis.base.kinds import NUM_HEAD_BYTES, Kind
 
 
 def _is_trace(file: BinaryIO) -> bool:
-    """Return True if a file is a zip archive that begins with observations."""
+    """Return True if a file is a trace: a zip archive with ``observations.npy`` at its start."""
     head = file.read(NUM_HEAD_BYTES)
     return head.startswith(b"PK") and b"observations.npy" in head
 

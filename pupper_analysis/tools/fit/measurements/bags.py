@@ -54,7 +54,8 @@ MAX_BAG_BYTES: Final = 2_000_000_000
 which can be left out. Chosen, not tuned."""
 
 MAX_MESSAGE_BYTES: Final = 500_000_000
-"""Upper bound of the total size of the messages that are read [bytes]. Chosen, not tuned."""
+"""Upper bound of the total size of the messages that are read [bytes]. With more, the bag is
+refused. Chosen, not tuned."""
 
 
 MAX_CHUNK_BYTES: Final = 500_000_000
@@ -195,7 +196,11 @@ class _LimitedFile:
         self._file, self._size = file, 0
 
     def read(self, size: int) -> bytes:
-        """Read up to ``size`` further bytes of the unpacked file, and check its size so far."""
+        """Return up to ``size`` further bytes of the unpacked file.
+
+        Raises:
+            MeasurementError: If more than `MAX_BAG_BYTES` bytes have been read in total.
+        """
         data: bytes = self._file.read(size)
         self._size += len(data)
         _check_unpacked_size(self._size, MAX_BAG_BYTES)

@@ -91,7 +91,11 @@ def inspect_log(robot: Robot, log: Log) -> tuple[Diagnostic, ...]:
 
 
 def _list_remarks(robot: Robot, log: Log, joints: tuple[str, ...]) -> Iterator[Diagnostic]:
-    """Yield remarks on a log with joints in actuator order; ``joints`` are the measured joints."""
+    """Yield remarks on a log whose columns are in actuator order.
+
+    For example: coarse or uneven sample times, degrees instead of radians, exchanged or resting
+    joints. ``joints`` are the joints that the log contains.
+    """
     indices = [robot.joint_names.index(name) for name in joints]
     position, command = log.position[:, indices], log.command[:, indices]
     if log.interval > _MAX_INTERVAL:

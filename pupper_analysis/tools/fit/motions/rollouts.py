@@ -232,7 +232,10 @@ class Simulator:
         )
 
     def _predict_batch(self, run: Run, vectors: Sequence[Array]) -> Array:
-        """Return encoder positions predicted for up to ``_MAX_BATCH_SIZE`` parameter vectors."""
+        """Return the encoder positions of a run [rad], predicted for k parameter vectors.
+
+        The shape is (k, samples, nu); k is at most `_MAX_BATCH_SIZE`.
+        """
         while len(self._models) < len(vectors):
             self._models.append(copy.copy(self._model))  # 20 ms, with the meshes
         models = self._models[: len(vectors)]
@@ -423,7 +426,10 @@ class MovingBodies:
         )
 
     def _merge_fixed_bodies(self, body: int) -> None:
-        """Move the inertials of all bodies that are fixed to a body into that body."""
+        """Add the inertias of all bodies that are fixed to a body to that body's inertia.
+
+        The fixed bodies then have no mass.
+        """
         model = self.model
         fixed = np.flatnonzero(model.body_weldid == body)
         if len(fixed) == 1:
@@ -532,7 +538,10 @@ def _compute_link_frames(
 
 
 def _compute_base_offset(robot: Robot, data: mujoco.MjData, by_pin: pin.Data) -> pin.SE3:
-    """Return the pose of Pinocchio's world in MuJoCo's world, with which the bases coincide."""
+    """Return the pose of Pinocchio's world in MuJoCo's world [m], if the two bases coincide.
+
+    ``data`` and ``by_pin`` contain the kinematics of the engines at a configuration.
+    """
     model = robot.pin_model
     frame = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]
     base_pose = by_pin.oMi[frame.parentJoint] * frame.placement

@@ -29,7 +29,7 @@ SIGNALS = ("positions", "velocities", "targets", "commands", "angular_velocity",
 """Optional signals of a trace, see `pupper_analysis.tools.walk.trace`."""
 
 MIN_ACTIONS = 20
-"""Smallest number of actions of a trace. Chosen, not tuned."""
+"""Smallest number of actions of a trace; with fewer, no trace is written. Chosen, not tuned."""
 
 LISTENERS_GROUP = "pupper_analysis.listeners"
 """Group of entry points by which other packages add listeners. An entry point is a function of the

@@ -350,7 +350,7 @@ candidate. Two or three rounds are sufficient."""
 
 
 def _log_determinant(information: Array) -> float:
-    """Return the natural logarithm of the absolute determinant of a matrix, shape (n, n)."""
+    """Return the logarithm (base e) of the absolute determinant of an (n, n) matrix."""
     return float(np.linalg.slogdet(information)[1])
 
 
@@ -502,7 +502,7 @@ class RandomStands:
         return stands
 
     def explain_shortage(self, requested: int) -> Diagnostic:
-        """Return a diagnostic with the most frequent reason for fewer stands than requested."""
+        """Return the most frequent reason why fewer stands than ``requested`` were found."""
         code = max(self._refusal_counts, key=lambda code_name: self._refusal_counts[code_name])
         if code == "too-few-in-reach":
             offset_margin = Quantity(self._joint_margin, "rad")
@@ -514,7 +514,10 @@ class RandomStands:
         return diagnose("too-few-are-held", found=self._num_found, wanted=requested)
 
     def _draw_task(self) -> StandTask:
-        """Draw a stand task with random height, roll, pitch, foot positions and swing foot."""
+        """Draw a stand task with random height, roll, pitch and foot positions.
+
+        If the robot has more than three feet, one foot may be lifted.
+        """
         rng, height, feet = self._rng, self._robot.stand_height, list(self._robot.feet)
         swing = {}
         if len(feet) > 3 and rng.random() < _LIFTED_PROBABILITY:
