@@ -143,9 +143,10 @@ class Controls:
         self.sliders[control.name] = handle
 
     def _make_callback(self, change: Callable[[State], State]) -> Callable[[Any], None]:
-        """Return a callback for viser that changes the state if the user changes a control.
+        """Return a callback for viser that sets the state to ``change(state)``.
 
-        Changes by the program (without a client) are ignored.
+        The state is kept if ``change`` raises a PupperAnalysisError. Changes of a control by the
+        program (without a client) are ignored.
         """
 
         def moved(event: Any) -> None:

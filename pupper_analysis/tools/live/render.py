@@ -256,7 +256,7 @@ PANEL_STYLE = """<style>
 .pa .good{border-color:#1e8c46}.pa .bad{border-color:#c81e28}.pa .wait{border-color:#e0a020}
 .pa .bar{display:inline-block;height:.62em;border-radius:2px;vertical-align:baseline}
 </style>"""
-"""Style sheet of the panels."""
+"""HTML element with the CSS style sheet of the panels (class ``pa``) on the web page."""
 
 _BOX_CLASSES = {"good": "good", "bad": "bad", "warn": "wait"}
 """{emphasis of a text (`Document.mark`): CSS class of the box around the text}."""

@@ -377,7 +377,7 @@ class Scene:
         grid.position = -1e-3 * turn[:, 2]  # slightly below drawings on the ground
 
     def _draw_steps(self, described: StandingScene) -> None:
-        """Draw the steps and pits under feet."""
+        """Draw steps as boxes or cylinders, and pits as dark areas of the ground plane."""
         normal, thin = described.ground_normal, 2e-3 * self._size
         for number, step in enumerate(described.steps.values()):
             # A pit is drawn as a dark square on the opaque ground.
@@ -449,7 +449,10 @@ class Scene:
         ball.position = place.position(Configuration(answer.robot, stand.qpos))
 
     def _draw_torques(self, joints: Sequence[JointAxis]) -> None:
-        """Colour the joints by utilisation; label the joint with the largest utilisation."""
+        """Draw a disc at each joint with a known torque, coloured by the motor utilisation.
+
+        A label states the torque of the joint with the largest utilisation.
+        """
         assert self._robot is not None
         held_joints = [joint for joint in joints if joint.torque is not None]
         for joint in held_joints:

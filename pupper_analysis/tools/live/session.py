@@ -256,7 +256,7 @@ class Session:
         self._show_answer(self._model.solve_state(self._panels.controls.state))
 
     def _reset_results(self, answer: Answer | None, verdict: Verdict | None) -> None:
-        """Store an answer and clear the results of the previous answer."""
+        """Store an answer and its first verdict; clear the results of the previous answer."""
         self._answer, self._sag, self._refusal, self._pending = answer, None, None, True
         self._verdict, self._answer_time = verdict, monotonic()
         self._pending_job = None
@@ -289,7 +289,11 @@ class Session:
         self._panels.show_status(message)
 
     def _run_worker(self) -> None:
-        """Analyse the shown stance closely, and run simulations, until the page is closed."""
+        """Analyse each shown stance closely, and run queued simulations, until the page is closed.
+
+        The thread of the worker runs this function. Unless a simulation is queued, the analysis
+        starts once the stance is `QUIET_SECONDS` old.
+        """
         analysed: Answer | None = None
         while not self._closed.is_set():
             self._work_pending.wait()

@@ -300,7 +300,7 @@ def _list_options(state: State) -> Iterator[tuple[str, str, str]]:
 
 
 def _format_value(field: Field, value: Any) -> str:
-    """Format a value as typed on the command line."""
+    """Return a value (page units) as text for an option of the command line, in SI or degrees."""
     if field.kind == "angle":
         return f"{value!r}deg"
     if isinstance(value, tuple):
