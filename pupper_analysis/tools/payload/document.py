@@ -130,9 +130,9 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
 
 
 def _describe_limit(limit: PayloadLimit) -> doc.Words | None:
-    """Return the text of the failure that limits the payload, or None.
+    """Return the text of the failure that limits the payload.
 
-    None if torque limits are unknown, and the upper bound of the mass is above 0.
+    None if the limit is unknown: torque limits are unknown, and the upper bound is above 0 kg.
     """
     if limit.unknown_limits and limit.upper_bound > 0:
         return None
