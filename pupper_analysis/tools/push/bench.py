@@ -168,7 +168,8 @@ class PushBench:
         """Simulate pushes for the whole duration, and return the failure of each or None.
 
         None means that the robot recovers. A simulation ends earlier only if the push has failed.
-        It goes on if the robot is not at rest at the end, as in ``simulate_until_decided``.
+        It is prolonged if the robot is not at rest after ``duration``: until the robot rests or
+        falls, up to ``MAX_DURATION_RATIO`` times the duration.
 
         Args:
             directions: Indices of the axes, shape (n,).
@@ -418,10 +419,14 @@ class PushBench:
         )
 
     def _is_at_rest(self, states: Array) -> bool:
-        """Return True if the robot is slow, upright, and no mode doubles within `HOLD_DURATION`.
+        """Return True if a pushed robot is at rest at the end of its simulated states.
 
-        The predicted motion of the base must be small, too. If a mode grows, the caller simulates
-        the push to the end, which is shorter than a simulation that would test the mode (48 s).
+        The robot is upright and slower than `_MAX_SLOW_SPEED` during the last `_SLOW_DURATION`;
+        linearised there, no mode of its motion doubles within `HOLD_DURATION`, and the predicted
+        motion of the base is small (`_will_rest`).
+
+        Args:
+            states: MuJoCo's full states of the last steps, shape (n, 1 + nq + nv + ...).
         """
         model = self.drive.model
         rates = states[-round(_SLOW_DURATION / self.timestep) :, 1 + model.nq :][:, : model.nv]
