@@ -219,9 +219,10 @@ def _stiffen_servos(run: StandVerification) -> NextStep:
 
 
 def _stiffen_soft_servos(stance: Stance) -> NextStep | None:
-    """Return ``stand`` with the gains with which a failing stand holds (`SoftServos`).
+    """Return the next step ``stand`` with servo gains with which a failing stand holds.
 
-    None without such gains, or if the name of a class, as a pattern, matches further joints.
+    The gains are those of `SoftServos`, per class of joints with equal gains. Returns None without
+    such gains, or if the name of a class, as a pattern, matches further joints.
     """
     servos, soft = stance.servos, stance.soft_servos
     if servos is None or soft is None:
