@@ -228,7 +228,7 @@ def _make_metric_table(outcome: StudyOutcome) -> doc.Table:
 
 
 def _make_failure_table(outcome: StudyOutcome) -> list[doc.Block]:
-    """Create the table of failures by kind; no block without failures."""
+    """Return [table of the failures by kind], or [] without failures."""
     if not outcome.failures:
         return []
     rows: list[tuple[doc.Cell, ...]] = [
@@ -324,7 +324,7 @@ def _format_share(value: float) -> doc.Number:
 
 
 def _make_design_table(outcome: StudyOutcome) -> doc.Table:
-    """Create the table of at most `MAX_TABLE_ROWS` designs, with a note about the others."""
+    """Create the table of the first `MAX_TABLE_ROWS` designs, with a note about the others."""
     measured = [summary.metric for summary in outcome.measured]
     columns = [*outcome.variables, *measured]
     return replace(_make_row_table(text("designs-title"), outcome.table, columns), detail=True)

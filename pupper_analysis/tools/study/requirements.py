@@ -62,11 +62,14 @@ class Requirement:
 
     @property
     def text(self) -> str:
-        """The requirement as ``column < limit``."""
+        """The requirement as text: column, comparison and limit, for example ``mass < 5``."""
         return f"{self.column} {self.comparison} {self.limit:g}"
 
     def is_met(self, table: pd.DataFrame) -> NDArray[np.bool_]:
-        """Return for each row of a table True if the value is known and meets the requirement."""
+        """Return for each row of a table whether the value meets the requirement.
+
+        The shape is (rows,). A missing value, or a missing column, does not meet it.
+        """
         if self.column not in table:
             return np.zeros(len(table), bool)
         values = table[self.column].to_numpy(dtype=float)
@@ -77,7 +80,7 @@ class Requirement:
 
 
 def select_designs(table: pd.DataFrame, requirements: tuple[Requirement, ...]) -> pd.DataFrame:
-    """Return the rows of a table that meet all requirements."""
+    """Return the rows of a study's table that meet all requirements (`Requirement.is_met`)."""
     met = np.ones(len(table), bool)
     for requirement in requirements:
         met &= requirement.is_met(table)

@@ -591,7 +591,11 @@ class StudyRun:
                 self._write_shard()
 
     def _submit_chunk(self, pool: WorkerPool, chunk: Chunk) -> None:
-        """Submit a chunk; if the executor is broken, restart the workers."""
+        """Submit a chunk of designs to the workers; if the executor is broken, restart these.
+
+        Raises:
+            StudyError: If the executor is broken, and belongs to the caller.
+        """
         try:
             self._in_flight[pool.submit(chunk)] = chunk, time.monotonic()
         except BrokenExecutor:
@@ -665,7 +669,7 @@ class StudyRun:
         self._store_rows(({"design": name, **values, **columns},))
 
     def _store_rows(self, rows: Iterable[Row]) -> None:
-        """Add the result rows of designs to the next table file (shard); count the failures."""
+        """Collect the result rows of designs for the next shard; count designs and failures."""
         for row in rows:
             self._rows.append(row)
             self.progress.done += 1

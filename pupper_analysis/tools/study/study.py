@@ -91,7 +91,7 @@ STUDY_KEYS = (
     "minimise",
     "maximise",
 )
-"""Valid keys of a study file."""
+"""Valid keys of a study file; a file with another key is refused."""
 
 
 class Study:
@@ -206,7 +206,11 @@ class Study:
         self._check_columns("minimise, maximise", [*self.minimise, *self.maximise])
 
     def _check_columns(self, argument: str, columns: Sequence[str]) -> None:
-        """Raise a ConfigurationError if a column is of no metric and of no numeric variable."""
+        """Check that columns belong to metrics of the study, or to variables other than motors.
+
+        Raises:
+            ConfigurationError: If a column does not; the error names ``argument``.
+        """
         measured = [metric.name for metric in self.metrics]
         numbers = [name for name in self.variables if not is_motor_variable(name)]
         for name in columns:
@@ -218,7 +222,8 @@ class Study:
         """Return the motor whose mass the files include; None if no motor is varied.
 
         Raises:
-            ConfigurationError: If a motor is varied and no present motor is given, or vice versa.
+            ConfigurationError: If a motor is varied and no present motor is given, or if a present
+                motor is given and no motor is varied.
             ModelError: If the mass of the present motor is unknown.
         """
         if bool(self.motors) != (present is not None):

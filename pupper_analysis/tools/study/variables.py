@@ -102,7 +102,7 @@ class Variable:
         return {self.kind: list(self.numbers)}
 
     def code_of(self, value: Any) -> float:
-        """Return a value of a table as a number; the code of a named motor."""
+        """Return a value of this variable as a number; of a motor's name, the code of the motor."""
         if isinstance(value, str):
             return self.numbers[self.labels.index(value)]
         return float(value)

@@ -181,7 +181,7 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
 
 
 def _list_warnings(design: Design) -> Iterator[Diagnostic]:
-    """Yield a warning if a design stands only undisturbed (`survives_set_down`)."""
+    """Yield a warning if a design stands, but not after it is set down (`survives_set_down`)."""
     try:
         survives = survives_set_down(design)
     except PupperAnalysisError:  # the metrics state why it does not stand
