@@ -289,7 +289,12 @@ def _compare_planned(plan: Plan, tolerances: Tolerances) -> FilesCompared:
 def _write_files(
     plan: Plan, *, backup: bool, force: bool
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Replace all changed files, or none; return the paths of files and backups."""
+    """Replace all changed files, or none; return the paths of files and backups.
+
+    Raises:
+        OutputError: If a file cannot be written, was changed since it was read, or, unless
+            ``force``, has uncommitted changes in git.
+    """
     for document in plan.documents():
         remove_stale_files(resolve_target(document.path)[0].parent)
     changed = [d for d in plan.documents() if d.render() != d.data]
@@ -368,7 +373,7 @@ _JOINT_KINDS: Final = (
     "damping polynomial",
     *SERVO_GAIN_KINDS,
 )
-"""Kinds of differences of a joint."""
+"""Kinds of differences whose element is a joint."""
 
 
 def format_owner_name(difference: Difference) -> str:
