@@ -268,7 +268,10 @@ def _read_gains(
 def _read_mimic(
     prim: Any, is_hinge: bool, units: StageUnits, paths: Mapping[str, str]
 ) -> tuple[str, float, float] | None:
-    """Return leader, multiplier and offset [rad, m] of a coupled joint; None if not coupled."""
+    """Return leader, multiplier and offset [rad, m] of a coupled joint; None if not coupled.
+
+    ``paths`` is {path of a joint's prim: name of the joint}.
+    """
     unit = RADIANS_PER_DEGREE if is_hinge else units.length
     for name in prim.GetAuthoredPropertyNames():
         if not name.endswith(("newton:mimicJoint", ":referenceJoint")):
@@ -333,8 +336,8 @@ def read_body_mass(
         units: Units of the stage.
 
     Returns:
-        Mass properties with an inertial if mass, CoM and inertia are all stated or the mass is
-        negative; else without.
+        Mass properties. The inertial is None unless mass, CoM and inertia are all stated, or the
+        mass is negative.
     """
     negative_mass = min(read_number(body, "physics:mass", 0.0), 0.0)
     mass = (_read_positive(body, "physics:mass") or negative_mass) * units.mass
@@ -709,7 +712,11 @@ def _make_free_joint(body: str, pose: Pose) -> Joint:
 
 
 def _read_gravity(file: UsdFile, units: StageUnits) -> Array | None:
-    """Return the gravity of the first scene that states it, shape (3,) [m/s^2], z up; or None."""
+    """Return the gravity in a frame with z up, shape (3,) [m/s^2]; None if no scene states it.
+
+    The first scene with a magnitude of at least 0 determines the gravity; without a direction,
+    gravity points down.
+    """
     from pxr import Usd, UsdPhysics
 
     for prim in Usd.PrimRange(file.stage.GetPseudoRoot()):
@@ -757,7 +764,10 @@ class StageUnits:
 
 
 def read_units(stage: Any) -> StageUnits:
-    """Return the units and the up axis of a stage; USD's default length unit is the centimetre."""
+    """Return the units and the up axis of a USD stage.
+
+    Units that the stage does not state have USD's defaults, centimetre and kilogram.
+    """
     from pxr import UsdGeom, UsdPhysics
 
     y_up_rotation = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
