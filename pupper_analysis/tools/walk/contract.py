@@ -471,7 +471,12 @@ def _set_number_of_feet(contract: Contract, inputs: int) -> Contract:
 
 
 def _check_observation(merged: _MergedValues, contract: Contract, inputs: int) -> None:
-    """Raise a ModelError if the layout does not permit the histories, or a size does not fit."""
+    """Check the layout of the observation, and its size against the network.
+
+    Raises:
+        ModelError: If terms have different numbers of frames in a layout by frame, or the size is
+            not ``inputs``.
+    """
     if contract.layout == BY_FRAME and not contract.has_one_history:
         found = sorted(set(map(contract.count_frames, contract.terms)))
         raise merged.make_error("layout", diagnose("histories-differ", found=found))

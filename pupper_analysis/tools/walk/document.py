@@ -486,7 +486,10 @@ def _describe_ends(failures: tuple[str, ...]) -> doc.Words:
 
 
 def _list_absolute_limits(result: TrackedIntervals) -> Iterable[doc.Words]:
-    """Yield the payload [kg] and impulses [N s] up to which the runs of all seeds track."""
+    """Yield texts of the payload [kg] and the impulses [N s] up to which all seeds track.
+
+    The text of the payload also states up to which mass no run falls.
+    """
     for interval in result.intervals:
         if interval.quantity == "payload":
             yield text(
@@ -506,7 +509,7 @@ def _format_command(command: Array) -> doc.Name:
 
 
 def _name_quantity(name: str) -> doc.Text:
-    """Return the readable name of a tracked quantity of a walk, from its key."""
+    """Return the readable name of a quantity, from its key in `QUANTITIES`."""
     return text(f"walk-quantity-{name}")
 
 

@@ -148,7 +148,7 @@ def _erf(value: Array) -> Array:
 
 
 def _make_gelu(attributes: dict[str, Any], _: int) -> Operation:
-    """Return the operation Gelu (Hendrycks and Gimpel, 2016), exact or with its approximation."""
+    """Return the operation Gelu (Hendrycks and Gimpel, 2016), exact or its tanh approximation."""
     if attributes.get("approximate") == "tanh":
         return lambda x: 0.5 * x * (1 + np.tanh(np.sqrt(2 / np.pi) * (x + 0.044715 * x**3)))
     return lambda x: 0.5 * x * (1 + _erf(x / np.sqrt(2)))
@@ -306,7 +306,7 @@ def _make_transpose(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_convolution(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation Conv of one dimension; None with groups, dilation or padding."""
+    """Return the operation Conv along one axis; None with groups, dilation or padding."""
     is_plain = attributes.get("group", 1) == 1 and not any(attributes.get("pads", ()))
     is_plain &= attributes.get("auto_pad", "NOTSET") in ("NOTSET", "VALID")
     stride, dilation = attributes.get("strides", [1]), attributes.get("dilations", [1])
@@ -332,7 +332,7 @@ def _expand(value: Array, sizes: Array) -> Array:
 
 
 def _fold(function: Callable[..., Any]) -> Operation:
-    """Return the operation that applies a function of two arrays to any number, from the left."""
+    """Return the operation f(f(a, b), c)... of any number of arrays, for a function f of two."""
 
     def apply(first: Array, *others: Array) -> Any:
         for other in others:

@@ -37,15 +37,15 @@ COMMAND_OPTION = click.option(
 def load_walking_robot(
     source: str | VariantSpec | RobotFiles, style: str, *, everything: bool
 ) -> Robot:
-    """Load a robot for walking, and print the notes on a robot of files.
+    """Return the selected robot; with ``style`` "text", print the notes on a robot of files.
 
     Args:
         source: Variant, or files.
-        style: ``text``, or ``markdown``: nothing is printed, since the page contains the notes.
+        style: Output format. In "markdown" nothing is printed, since the report contains the
+            notes.
         everything: True to print all notes.
     """
     robot = load_selected_robot(source)
-    # In Markdown the notes are part of the page.
     if isinstance(source, RobotFiles) and style == "text":
         print_notes(robot, everything=everything)
     return robot

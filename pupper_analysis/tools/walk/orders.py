@@ -231,7 +231,10 @@ joints with the opposite sign."""
 
 
 def _list_interpretations(robot: Robot, contract: Contract) -> Iterator[tuple[Change, Contract]]:
-    """Yield (change from the stated contract, changed contract) for each interpretation."""
+    """Yield each interpretation of a policy as (change, changed contract), the stated one first.
+
+    Changed are for example the order of the joints, signs, the action scale or the history.
+    """
     stated_joints = contract.joints
     limbs = group_limbs(robot, stated_joints)
     yield ("stated", "", ()), contract

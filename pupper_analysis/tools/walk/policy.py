@@ -231,7 +231,11 @@ def refuse_malformed(path: Path) -> Iterator[None]:
 
 
 def _read_policy(path: Path) -> tuple[Network, dict[str, Any]]:
-    """Return the network of a policy file, and {contract key: value} that the file states."""
+    """Return the network of a policy file, and {contract key: value} that the file states.
+
+    Raises:
+        ModelError: If the file cannot be read, or contains a network that is not supported.
+    """
     with refuse_malformed(path):
         if path.suffix == ".json":
             values = read_rtneural(path)
