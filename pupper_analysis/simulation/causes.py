@@ -51,8 +51,9 @@ def find_instability(
 ) -> list[Diagnostic]:
     """Report the fastest growing mode, or else a nudge that does not decay.
 
-    A joint that the nudge displaces too far, at the end or temporarily, is reported as well. A
-    remaining speed of at most ``_SOLVER_NOISE_RATIO`` times the nudge is not reported.
+    A joint that the nudge displaces by ``MAX_JOINT_DISPLACEMENT`` or more, at the end or
+    temporarily, is reported as well. A remaining speed of at most ``_SOLVER_NOISE_RATIO`` times the
+    speed of the nudge is not reported. The result is empty if there is nothing to report.
 
     Args:
         stability: Stability at the settled state. Modes are reported only if the state is at rest.
@@ -81,8 +82,8 @@ def proves_unrest(nudge: Nudge) -> bool:
     """Return True if the response to a nudge alone shows that the stand is not stable.
 
     True if a joint moved by `MAX_JOINT_DISPLACEMENT` or more; or if the remaining motion does not
-    decay, is faster than `MAX_RESTING_SPEED`, and is more than noise of the solver. A slow motion
-    proves nothing, since a foot with almost no load may bounce.
+    decay, reaches `MAX_RESTING_SPEED`, and is faster than ``_SOLVER_NOISE_RATIO`` times the nudge.
+    A slow motion proves nothing, since a foot with almost no load may bounce.
     """
     if not (nudge.moved < MAX_JOINT_DISPLACEMENT and nudge.stays):
         return True
@@ -126,6 +127,9 @@ def describe_growth(mode: Mode) -> Diagnostic:
 
 def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> list[Diagnostic]:
     """Report contact chatter: ground forces on a standing robot that vary from step to step.
+
+    The result is empty if the standard deviation of the total vertical force, over the last
+    ``_CHATTER_STATES`` states, is at most ``_MAX_FORCE_VARIATION`` times the weight.
 
     Possible causes are pyramidal friction cones with an ``impratio`` above 1, whose edges MuJoCo's
     solver resolves to a limited accuracy, and stiff ground, which amplifies the error of each step.

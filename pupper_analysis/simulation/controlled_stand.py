@@ -321,8 +321,9 @@ class ControlledStand:
 
         Returns:
             True if the joints come to rest or their oscillation decays, no joint displacement or
-            velocity exceeds `_MAX_SHIFT` or `_MAX_JOINT_SPEED`, and the displacement does not grow
-            in the second half of the simulation.
+            velocity exceeds `_MAX_SHIFT` or `_MAX_JOINT_SPEED`, and the largest joint displacement
+            in the second half of the simulation is at most `_MAX_SHIFT_RATIO` times its value at
+            the middle plus `_MIN_SHIFT`.
         """
         data = copy_data(self.model, self._start)
         target, stiff = data.qpos[self._places].copy(), kp[self._driven]
@@ -358,9 +359,11 @@ class ControlledStand:
 def find_largest_damping_factor(
     loop: ControlledStand, kp: Array, kd: Array, *, tolerance: float = FACTOR_TOLERANCE
 ) -> float:
-    """Return the largest factor on the damping with which no mode of a controlled stand grows.
+    """Return the largest factor on the damping with which a controlled stand is stable.
 
-    Infinite if all tried factors up to `MAX_FACTOR` are stable; NaN if no tried factor is stable.
+    The search starts at the stable factor nearest to 1, of the powers of 2 up to `MAX_FACTOR`, and
+    doubles the factor until the stand is unstable (``ControlledStand.is_stable``). The result is
+    infinite if `MAX_FACTOR` is reached, and NaN if no power of 2 is stable.
 
     Args:
         loop: The controlled stand.
@@ -385,9 +388,16 @@ def find_largest_damping_factor(
 def bisect_factor(
     is_inside: Callable[[float], bool], inside: float, outside: float, tolerance: float
 ) -> float:
-    """Bisect the end of an interval of factors on a logarithmic scale; return the inner end.
+    """Bisect the boundary of a set of factors on a logarithmic scale.
 
-    ``tolerance`` is relative; ``is_inside`` is True at ``inside`` and False at ``outside``.
+    Args:
+        is_inside: Predicate of a factor: True at ``inside``, False at ``outside``.
+        inside: Factor in the set.
+        outside: Factor outside of the set.
+        tolerance: Relative width of the bracket with which the bisection ends.
+
+    Returns:
+        The end of the last bracket that is in the set.
     """
     while abs(math.log(outside / inside)) > tolerance:
         middle = math.sqrt(inside * outside)
@@ -396,7 +406,10 @@ def bisect_factor(
 
 
 def _replace_servos(model: mujoco.MjModel, actuators: NDArray[np.int64], gear: Array) -> None:
-    """Make actuators torque motors, in place: ctrl is the torque at the joint [N m]."""
+    """Make actuators torque motors, in place: ctrl is the torque at the joint [N m].
+
+    ``gear`` is the gear ratio of each of these actuators, by which MuJoCo multiplies the force.
+    """
     model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
     model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_NONE.value
     model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value

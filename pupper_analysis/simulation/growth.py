@@ -184,9 +184,11 @@ def confirm_growth(
 
 
 def _nudge_sizes(modes: list[Mode]) -> list[tuple[float, float]]:
-    """Return the sizes of the initial deviations with which growing modes are simulated, in order.
+    """Return the bounds of the initial deviations with which growing modes are simulated.
 
-    Each is a joint displacement [rad, m] and a velocity [rad/s, m/s].
+    Each is a pair of a joint displacement [rad, m] and a velocity [rad/s, m/s]: the small pair, or
+    the large pair if dry friction would stop a small deviation (``Mode.without_dry_friction``). If
+    such modes oscillate, both are tried, the small pair first.
     """
     small, large = (MODE_NUDGE_ANGLE, MODE_NUDGE_SPEED), (FREEING_ANGLE, FREEING_SPEED)
     if not modes[0].without_dry_friction:
@@ -317,9 +319,11 @@ def _make_displacement(
 ) -> Array:
     """Compute the initial displacement of (qpos, qvel, act) along modes, shape (2 nv + na,).
 
-    This is the scaled sum of the modes that were found with both steps of the finite differences
-    (``repeated_at_second_step``). Each mode is first scaled to the bounds ``angle`` and ``speed``:
-    the velocities of a fast mode would otherwise leave almost no displacement along a slow one.
+    Elements are in the tangent space: positions [m, rad], velocities [m/s, rad/s] and activations.
+    The displacement is the scaled sum of the modes that were found with both steps of the finite
+    differences (``repeated_at_second_step``). Each mode is first scaled to the bounds ``angle``
+    [rad, m] and ``speed`` [rad/s, m/s]: the velocities of a fast mode would otherwise leave almost
+    no displacement along a slow one.
     Without such modes, the displacement is a velocity of all coordinates, and no position changes.
     """
     nv = model.nv
@@ -354,12 +358,13 @@ _NUM_TRANSLATIONS = {int(JointKind.FREE): 3, int(JointKind.SLIDE): 1}
 
 
 def _displace_state(model: mujoco.MjModel, start: Array, displacement: Array) -> Array:
-    """Return a state displaced in the tangent space, by ``mj_integratePos`` for the positions.
+    """Return a state (mjSTATE_FULLPHYSICS) that is displaced in the tangent space.
 
     Args:
         model: MuJoCo model.
         start: State (mjSTATE_FULLPHYSICS).
-        displacement: Changes of position, velocity and activation, shape (2 nv + na,).
+        displacement: Changes of position [m, rad], velocity [m/s, rad/s] and activation, shape
+            (2 nv + na,).
     """
     data, nv = mujoco.MjData(model), model.nv
     mujoco.mj_setState(model, data, start, STATE_SPEC)
@@ -428,7 +433,11 @@ def _crossing_time(rising: Array, level: float, window: float) -> float:
 
 
 def _make_confirmed_mode(modes: list[Mode], trial: GrowthTrial, timestep: float) -> Mode:
-    """Return the mode that a trial confirms, with the growth and the joints of the simulation."""
+    """Return the mode that a trial confirms, with the growth and the joints of the simulation.
+
+    It is the mode whose doubling time is nearest to the simulated time; the first oscillating mode
+    if the trial confirms a sustained oscillation only. ``timestep`` is that of the model [s].
+    """
     if trial.doubling_time is None:
         mode = next(mode for mode in modes if mode.shakes)
         joints = trial.joints or mode.joints

@@ -77,9 +77,10 @@ class LinearStep:
         return error <= _INTERVAL_RTOL * most + _INTERVAL_ATOL
 
     def _predict(self, before: Array, state: Array, count: int) -> Array:
-        """Return displacements from ``state`` at ``count`` successive times; see ``predict``.
+        """Return displacements from ``state`` at ``count`` times, shape (count, 2 nv + na).
 
-        The interval between two of these times is ``_stride`` time steps.
+        The columns are those of ``predict``. The times are multiples of ``_stride`` time steps;
+        ``before`` is the state one step before ``state``.
         """
         change = self.subtract(before, state)
         displacements, displacement = np.empty((count, len(change))), np.zeros(len(change))
@@ -92,7 +93,8 @@ class LinearStep:
     def subtract(self, before: Array, state: Array) -> Array:
         """Return the change from the state ``before`` to ``state``, shape (2 nv + na,).
 
-        The change is in the tangent space of (qpos, qvel, act); time is left out.
+        The change is in the tangent space: positions [m, rad], velocities [m/s, rad/s] and
+        activations.
         """
         model = self._model
         ends = 1 + model.nq, 1 + model.nq + model.nv + model.na

@@ -136,9 +136,9 @@ class StandReference:
         return base_tilt(self.robot, self.rotation, state)
 
     def _locate_com_point(self, state: Array) -> Array:
-        """Return the world position (3,) [m] of the reference point, which moves with the base.
+        """Return the world position (3,) [m] of the reference point in a simulated state.
 
-        In the stand, this point is at the CoM of the robot.
+        The point moves with the base. In the expected stand, it is at the CoM of the robot.
         """
         base = state[1 + self.robot.mj_convention.qpos_index[:7]]
         position: Array = base[:3] + rotation_from_quaternion(base[3:]) @ self.com_offset
@@ -274,7 +274,7 @@ class ContactSampler:
 
 
 def foot_centres(robot: Robot, data: mujoco.MjData) -> dict[str, Array]:
-    """Return the centres of the contact points in MuJoCo's data.
+    """Return the centre of each contact point in the world, such as the centre of a foot sphere.
 
     Args:
         robot: Robot.

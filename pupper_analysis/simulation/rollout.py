@@ -218,7 +218,10 @@ def settled_activations(
 
 
 def full_state(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Return the state in MuJoCo's data as an array, in the order of mjSTATE_FULLPHYSICS."""
+    """Return the state in MuJoCo's data, shape (size,): time, qpos, qvel, act and more.
+
+    The order is that of mjSTATE_FULLPHYSICS.
+    """
     state = np.empty(mujoco.mj_stateSize(model, STATE_SPEC))
     mujoco.mj_getState(model, data, state, STATE_SPEC)
     return state

@@ -366,6 +366,9 @@ def _mean_foot_displacements(held: StandStart, data: mujoco.MjData, states: Arra
 def _has_left_stand(
     reference: monitor.StandReference, state: Array, max_rotation: float = MAX_STAND_ROTATION
 ) -> bool:
-    """Return True if the base is rotated by more than a bound [rad] or the robot has collapsed."""
+    """Return True if the base is rotated by more than ``max_rotation``, or the robot has collapsed.
+
+    The rotation [rad] is measured from the reference; ``state`` is an mjSTATE_FULLPHYSICS.
+    """
     rotation = monitor.rotation_angle(reference.robot, reference.rotation, state)
     return rotation > max_rotation or reference.has_collapsed(state)

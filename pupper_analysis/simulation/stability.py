@@ -171,7 +171,7 @@ def find_final_spectrum(
 
 
 def _make_data(drive: Servos, state: Array, ctrl: Array) -> mujoco.MjData:
-    """Return MuJoCo data in a state (mjSTATE_FULLPHYSICS), with a command of the actuators."""
+    """Return MuJoCo data in a state (mjSTATE_FULLPHYSICS), with actuator commands ``ctrl``."""
     data = mujoco.MjData(drive.model)
     mujoco.mj_setState(drive.model, data, state, STATE_SPEC)
     data.ctrl[:] = ctrl
@@ -352,7 +352,7 @@ def simulate_nudge(model: mujoco.MjModel, state: Array, ctrl: Array, duration: f
 
 
 def nudge_state(model: mujoco.MjModel, state: Array) -> Array:
-    """Return a state (mjSTATE_FULLPHYSICS) with the velocities of a nudge added."""
+    """Return a state (mjSTATE_FULLPHYSICS) with a nudge added to all velocities [m/s, rad/s]."""
     nudged, first = state.copy(), 1 + model.nq
     nudged[first : first + model.nv] += nudge_velocity(model)
     return nudged

@@ -248,8 +248,8 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
     - the CoM margin is below `_MIN_MARGIN_RATIO` times the displacement of the CoM,
     - a motor utilisation or friction utilisation is above `_MAX_UTILISATION`,
     - a foot bears less than `_MIN_LOAD_RATIO` times the mean load (not with welds or grips),
-    - a joint is less than `_MIN_LIMIT_DISTANCE` from a limit; a joint that moves no foot may rest
-      on a limit.
+    - a joint is less than `_MIN_LIMIT_DISTANCE` from a limit; joints without a range are not
+      compared, and a joint that moves no foot may rest on a limit.
 
     False if the statics have no CoM margin, or if the base is fixed or welded.
 
@@ -374,7 +374,8 @@ class _FailureConditions:
         """Return an upper bound of the motion of a coordinate [m, rad] in the ``remaining`` time T.
 
         The bound is ``_SPEED_FACTOR`` v (exp(r T) - 1) / r, with ``speed`` v, the largest speed of
-        a coordinate [m/s, rad/s], and the largest growth rate r [1/s]; T is in s.
+        a coordinate [m/s, rad/s], and the largest growth rate r [1/s]; T is in s. The bound is
+        infinite if r T exceeds ``_MAX_GROWTH_EXPONENT``.
         """
         growth = self.growth_rate * remaining
         if growth > _MAX_GROWTH_EXPONENT:
@@ -418,7 +419,10 @@ class _FailureConditions:
         return _PREDICTION_FACTOR * displacements, velocity + changes
 
     def displacement(self, state: Array) -> Array:
-        """Return the displacement of the positions from the unnudged start, (nv,) [m, rad]."""
+        """Return the displacement of a state's positions from the unnudged start, (nv,) [m, rad].
+
+        ``state`` is an mjSTATE_FULLPHYSICS.
+        """
         model, displacement = self.held.drive.model, np.empty(self.held.drive.model.nv)
         ends = slice(1, 1 + model.nq)
         mujoco.mj_differentiatePos(model, displacement, 1.0, self.held.start[ends], state[ends])
@@ -506,7 +510,8 @@ class _NudgedRun:
     def _find_failure(self, samples: Array) -> _Event | None:
         """Return the first failure in successive samples (n, size); None without a failure.
 
-        Saturated motors and lifted feet with little load are no failure yet; `advance` reports them
+        If a motor has saturated before, its first saturation is returned as the failure. Saturated
+        motors and lifted feet with little load are no failure by themselves; `advance` reports them
         at the end of the simulation.
         """
         conditions = self._conditions
@@ -567,8 +572,8 @@ class _NudgedRun:
         The remaining motion of each coordinate is bounded by the largest speed of the last interval
         and the largest growth rate of the modes in the spectra so far
         (`_FailureConditions.bound_motion`). If this bound is too large, the motion is predicted by
-        the linearised step, and each coordinate must remain within the range that it has passed
-        since the nudge. The conditions of a failure are evaluated with the remaining motion.
+        the linearised step (`_bound_motion`). The conditions of a failure are evaluated with the
+        remaining motion. False, for example, while a motor is saturated or a foot is lifted.
 
         Args:
             states: States of the last interval, shape (n, size).
@@ -624,7 +629,10 @@ class _NudgedRun:
     ) -> tuple[Array | None, Array]:
         """Return upper bounds of remaining motion (nv,) [m, rad] and speeds (nv,) [m/s, rad/s].
 
-        The motion is None if it has no bound, or is too large to end the simulation early.
+        The motion is the bound from ``speed`` if that is at most ``_MAX_REMAINING_MOTION``, else
+        the prediction of the linearised step. None if the prediction does not exist, or leaves the
+        range that a coordinate has passed since the nudge by more than ``_MAX_REMAINING_MOTION``,
+        or if a foot would slide too far.
 
         Args:
             states: States of the last interval, shape (n, size).

@@ -317,7 +317,10 @@ def _find_worst_code(
     published: Published | None,
     remarks: tuple[Diagnostic, ...],
 ) -> VerdictCode:
-    """Return the worst verdict that applies; codes of `UNKNOWN_CODES` are not considered."""
+    """Return the worst verdict code that applies to the simulations of a stance.
+
+    Codes of `UNKNOWN_CODES` are not considered. The arguments are those of `judge_stance`.
+    """
     if not fed.passed:
         return VerdictCode.DISAGREES if fed.stays and not overloaded_motors else VerdictCode.FAILS
     user_gains = servos.source is ServoSource.GIVEN  # the servos of the file are not used then

@@ -212,7 +212,7 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
     motion: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})
 
     def _columns(self) -> dict[str, Array]:
-        """Return {column: values} of a table over time: time [s], height of the base [m]."""
+        """Return {column: values} of a table: time [s] and height of the base [m], (n,) each."""
         return {"time": self.time, "height": self.height}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -611,7 +611,10 @@ def _find_standing_failures(
     record: ContactRecord,
     result: StandVerification,
 ) -> list[Diagnostic]:
-    """Report why a robot does not stand still on its feet."""
+    """Report why a robot does not stand still on its feet; empty if it does.
+
+    ``states`` are the simulated states after each step, shape (n, size).
+    """
     failures = list(record.failures)
     if monitor.has_diverged(states, result.timestep):
         failures.insert(0, monitor.describe_divergence(result.integrator, result.timestep))
