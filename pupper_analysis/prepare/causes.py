@@ -243,12 +243,12 @@ def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_joint_ids(published: PublishedModel, robot: Robot) -> NDArray[np.int64]:
-    """Return the ids of the robot's joints in the published model."""
+    """Return the ids of the robot's joints in the published model, (nu,), in actuator order."""
     return np.array([published.model.joint(name).id for name in robot.joint_names])
 
 
 def _list_actuator_ids(published: PublishedModel, robot: Robot) -> NDArray[np.int64]:
-    """Return the ids of the actuators at the robot's joints in the published model."""
+    """Return the ids of the actuators at the robot's joints in the published model, shape (n,)."""
     joints = _list_joint_ids(published, robot).tolist()
     return np.array(
         [m for joint in joints for m in list_joint_actuators(published.model, joint)],
@@ -381,9 +381,10 @@ def _list_contact_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
 
 
 def _select_bad_contacts(model: mujoco.MjModel, of: str, code: str) -> NDArray[np.bool_]:
-    """Return the mask of the geoms or contact pairs whose contacts are slippery or soft.
+    """Return the mask, shape (n,), of the geoms or contact pairs that are slippery or soft.
 
-    ``of`` is ``"geom"`` or ``"pair"``; ``code`` is ``"slippery"`` or ``"soft"``.
+    ``of`` is ``"geom"`` or ``"pair"``. ``code`` is ``"slippery"`` (sliding friction below
+    `_MIN_FRICTION`) or ``"soft"`` (time constant above `_MAX_CONTACT_TIME_CONSTANT`).
     """
     if code == "slippery":
         return np.asarray(getattr(model, f"{of}_friction")[:, 0] < _MIN_FRICTION)
@@ -494,7 +495,11 @@ def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]
 
 
 def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield loose joints and ball joints, which the loaded robot holds at zero, as candidates."""
+    """Yield joints that the prepared robot lacks, and holds at zero, as candidate causes.
+
+    Ball joints are one candidate; hinges and slides are the other. To test a candidate, its joints
+    are locked by damping.
+    """
     model, unmatched = published.model, list_unmatched_joints(published, robot)
     balls = [joint for joint in unmatched if model.jnt_type[joint] == JointKind.BALL]
     loose = [joint for joint in unmatched if joint not in balls]

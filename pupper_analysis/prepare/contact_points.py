@@ -236,8 +236,9 @@ _APEX_HEIGHT = 1.0
 a volume. Chosen, not tuned."""
 
 _FOOT_SPHERE_RISE = 5e-3
-"""Height [m] above a foot's lowest point within which a sphere is part of the foot. Chosen, not
-tuned."""
+"""Upper bound of the height [m] of a sphere's lowest point above the lowest point of all geoms of a
+foot, with which `_find_end_spheres` returns the sphere as a contact of the foot. A tilt of the foot
+raises the bound. Chosen, not tuned."""
 
 _MAX_AXIS_COSINE = 0.1
 """Upper bound of |cos| of the angle between a cylinder's axis and the vertical, with which the
@@ -352,7 +353,10 @@ def _find_tip_contact(
 def _make_contact_point(
     data: mujoco.MjData, geom: int, place: Array, radius: float
 ) -> ContactPoint:
-    """Return a contact point at a position (3,) in the world frame [m]."""
+    """Return the contact point of a geom at a position ``place``, (3,) [m], in the world frame.
+
+    ``radius`` is the radius of the contact point's sphere [m].
+    """
     own = int(data.model.geom_bodyid[geom])
     return ContactPoint(geom, data.xmat[own].reshape(3, 3).T @ (place - data.xpos[own]), radius)
 

@@ -347,7 +347,8 @@ def _report_added_servos(
 def _record_added_servos(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> Robot:
     """Return a robot whose description lists the added servos with their gains.
 
-    Servos at passive joints, which exert no torque, are not listed.
+    Servos at passive joints, which exert no torque, are not listed. ``kp`` [N m/rad] and ``kd``
+    [N m s/rad], (nu,) each, are the gains of all servos in actuator order.
     """
     added = {addition.joint for addition in built.description.added if isinstance(addition, Servo)}
     added -= set(built.description.passive_joints)
@@ -382,6 +383,7 @@ def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
 
     Also True if URDF and MJCF describe different robots, since no gains help then. First a
     simulation of `_BRIEF_DURATION` is tried; without agreement, the usual duration is simulated.
+    The servos have stiffness ``kp`` [N m/rad] and damping ``kd`` [N m s/rad], (nu,) each.
     """
     with contextlib.suppress(PupperAnalysisError):
         stand = solve_stand_on_soft_ground(robot, stand, explain=False)
@@ -392,7 +394,11 @@ def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
 
 
 def _are_different_robots(robot: Robot, verification: StandVerification) -> bool:
-    """Return True if both files describe different robots: then no gains make the results agree."""
+    """Return True if both files describe different robots: then no gains make the results agree.
+
+    The files differ if the largest unbalanced generalised force of the predicted stand in MuJoCo
+    exceeds ``MAX_BALANCE_RESIDUAL_RATIO`` times the weight.
+    """
     weight = robot.weight
     return verification.mujoco_residual > MAX_BALANCE_RESIDUAL_RATIO * weight
 

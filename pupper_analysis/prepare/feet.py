@@ -162,6 +162,8 @@ def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
 def _find_lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
     """Return the feet in a pose: the limbs that end at about the height of the lowest limb.
 
+    ``joints`` are the joint positions of the pose, shape (nu,) [rad, m]; the base is level.
+
     Raises:
         ModelError: If no limb ends below the base.
     """

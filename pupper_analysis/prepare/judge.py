@@ -307,7 +307,12 @@ def describe_missing_masses(robot: Robot) -> Diagnostic | None:
 
 
 def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Return messages about errors and assumptions in a robot's files, for its verdicts."""
+    """Return messages about errors and assumptions in a robot's files, for its verdicts.
+
+    Reported are, for example, impossible masses and inertias, notes on loading about errors of the
+    file (`_FILE_ERROR_CODES`), negative friction or damping, joints with an empty range,
+    placeholder torque limits, and an import of the URDF that MuJoCo refuses.
+    """
     loaded = get_loaded_robot(robot)
     messages = [note for note in loaded.notes if note.code in _FILE_ERROR_CODES]
     joint_names, model = np.array(loaded.joint_names), loaded.mj_model

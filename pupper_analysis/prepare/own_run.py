@@ -185,7 +185,10 @@ def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
 
 
 def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
-    """Simulate the published file from its keyframe, without the cache of ``own_run``."""
+    """Simulate the published file from its keyframe, without the cache of ``own_run``.
+
+    None in the cases that ``own_run`` lists.
+    """
     if not robot.floating or not robot.feet or robot.published is None:
         return None
     model = robot.compute_once(get_published_model)

@@ -483,7 +483,7 @@ and 10 mm, tilted by 0.6 rad, need 2 to 5 (measured for all orders of the axes).
 
 
 def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:
-    """Return the joint positions, shape (nu,), of the nominal stand; None if there is no stand."""
+    """Return the joint positions of the nominal stand, (nu,) [rad, m]; None if there is none."""
     sunk = start.compute_resting_depths(draft.mjcf.model)
     stand = start.solve_nominal_stand(find_start_pose(robot, draft.keyframes, sunk)[0])
     return None if stand is None else stand.qpos[-robot.nu :]

@@ -263,7 +263,10 @@ def compare_with_file(
 
 
 def _simulate_prepared_robot(robot: Robot, prediction: PredictedRest) -> PublishedRun | None:
-    """Simulate the model of the prepared robot like a published model (`simulate_prediction`)."""
+    """Simulate the model of the prepared robot from a predicted state of rest, and compare both.
+
+    None in the cases in which `simulate_prediction` returns None.
+    """
     model = PublishedModel.from_model(copy.copy(robot.mj_model), robot)
     return simulate_prediction(model, robot, prediction)
 
@@ -580,7 +583,10 @@ def explain_own_run(robot: Robot) -> OwnRun | None:
 
 
 def _own_run_explained(robot: Robot) -> OwnRun | None:
-    """Return the simulation of the unmodified file (`own_run`), with its causes if it fails."""
+    """Return the simulation of the unmodified file (`own_run`), with its causes if it fails.
+
+    No causes are searched if a servo has a stiffness of zero or below. None if `own_run` is None.
+    """
     run = own_run(robot)
     model = robot.compute_once(get_published_model)
     if run is None or not run.fails or model is None:

@@ -253,11 +253,11 @@ def compute_joint_inertia(robot: Robot, qpos: Array) -> Array:
 
 
 def _round_to_two_digits(value: float) -> float:
-    """Round a positive number down to two significant digits."""
+    """Round a positive ``value`` down to two significant digits."""
     digits = 1 - math.floor(math.log10(value))
     return math.floor(value * 10.0**digits + 1e-9) / 10.0**digits
 
 
 def round_to_three_digits(value: float) -> float:
-    """Round a number to three significant digits."""
+    """Round ``value`` to three significant digits."""
     return float(f"{value:.3g}")

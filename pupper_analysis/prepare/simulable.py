@@ -75,7 +75,10 @@ def check_simulable(mjcf: MjcfFile) -> None:
 def _list_bounded_values(
     model: mujoco.MjModel,
 ) -> Iterator[tuple[str, str, ArrayLike, tuple[float, float]]]:
-    """Yield (element, attribute, values, (minimum, maximum)) of the values of a model to check."""
+    """Yield (element, attribute, values, (minimum, maximum)) of the values of a model to check.
+
+    Values and bounds have the unit of the MJCF attribute, for example s, m or kg m^2.
+    """
     option, length_range, mass_range = model.opt, (-_MAX_LENGTH, _MAX_LENGTH), (0.0, math.inf)
     yield "option", "timestep", [option.timestep], TIMESTEP_RANGE
     yield "option", "impratio", [option.impratio], (_MIN_IMPRATIO, math.inf)

@@ -240,7 +240,9 @@ def clip_to_limits(robot: Robot, joints: Mapping[str, float] | None = None) -> A
 def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
     """Return True if a pose may be a stand: joints within limits, feet at about the same height.
 
-    All feet must also be below the base.
+    A joint may exceed its limit by `_LIMIT_ATOL`. With the base level, all feet must be below the
+    origin of the base, and their heights may differ by `_MAX_FOOT_HEIGHT_SPREAD` times the height
+    of the base above the lowest foot.
 
     Args:
         robot: Robot with feet.
@@ -298,7 +300,7 @@ def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
 
     Bending a leg with fewer than six joints, and with axes that are not parallel, moves the sole
     sideways and tilts it. The sole may then not be level at the horizontal positions of straight
-    legs.
+    legs. The stand is searched near ``pose``, joint positions of shape (nu,) [rad, m].
 
     Returns:
         Robot with this nominal stand. None if there is none, or if no joint moves a contact point
@@ -433,11 +435,14 @@ def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
 
 
 def _spread_feet(robot: Robot, pose: Array) -> Array:
-    """Return joint positions (nu,) with each foot at a bounded horizontal distance from the hip.
+    """Return joint positions (nu,) [rad, m] with each foot at a bounded distance from the hip.
 
-    A foot that is too near or too far in the posture ``pose``, shape (nu,), is moved. Legs that
-    are straight to the side, such as a spider's at zero angles, cannot reach the ground below
-    their feet. If the legs cannot reach the targets, the foot errors are the smallest found.
+    The distance is horizontal. A foot that is too near or too far (`_MIN_SIDE_DISTANCE`,
+    `_MAX_SIDE_DISTANCE`) in the posture ``pose``, shape (nu,), gets a target at
+    `_TARGET_SIDE_DISTANCE`; all targets have the same height. Legs that are straight to the side,
+    such as a spider's at zero angles, cannot reach the ground below their feet. If the legs cannot
+    reach the targets, the foot errors are the smallest found. Without an IK branch, the result is
+    ``pose``.
     """
     qpos = robot.make_qpos(pose)
     config = Configuration(robot, qpos)
@@ -806,7 +811,11 @@ def _set_start_pose(robot: Robot, joints: Array, sunk: float) -> Robot:
 
 
 def _copy_start_pose(whole: Robot, posed: Robot) -> Robot:
-    """Return the robot ``whole`` with the start pose of ``posed``, also in its description."""
+    """Return the robot ``whole`` with the start pose and nominal positions of ``posed``.
+
+    The description's MJCF gets the start pose as well, with the base level at x = y = 0. Both
+    robots have the same joints.
+    """
     spec = whole.description.mjcf.copy()
     data = mujoco.MjData(whole.mj_model)
     home = posed.home.copy()

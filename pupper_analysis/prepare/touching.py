@@ -197,7 +197,7 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
 
 
 def _find_start_configuration(robot: Robot) -> Array | None:
-    """Return the qpos, (nq,), of the nominal stand, or of the default posture with a fixed base.
+    """Return the qpos, (nq,) [m, rad], of the nominal stand, or of a fixed base's default posture.
 
     None if the stand or posture cannot be solved.
     """

@@ -78,7 +78,7 @@ class RobotFiles:
         return load_robot(*self.models, **self.options, **more)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the robot's files (``models``) and loading options as a dict for TOML or JSON."""
+        """Return {option: value} for TOML or JSON: file names in ``models``, loading options."""
         return {**({"models": list(self.models)} if self.models else {}), **self.options}
 
 
@@ -114,5 +114,5 @@ class FileSource:
         return self.loaded
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the robot's files and options as a dict for a study file (TOML)."""
+        """Return {option: value} for a study file (TOML): file names and loading options."""
         return self.files.to_dict()
