@@ -165,7 +165,10 @@ def _make_results(
 
 
 def _make_fix(fix: Fix) -> dict[str, Any]:
-    """Create a SARIF fix. Source: SARIF 2.1.0, 3.55."""
+    """Create a SARIF fix object: {"description": ..., "artifactChanges": [...]}.
+
+    Source: SARIF 2.1.0, 3.55.
+    """
     replacements = [
         {
             "deletedRegion": {"byteOffset": start, "byteLength": count},
@@ -179,7 +182,7 @@ def _make_fix(fix: Fix) -> dict[str, Any]:
 
 
 def get_code_and_values(diagnostic: Diagnostic) -> dict[str, Any]:
-    """Return the code and the values of a diagnostic, as plain JSON values."""
+    """Return {"code": ..., "values": {name: value}} of a diagnostic, as plain JSON values."""
     content = json.loads(to_json(diagnostic))
     return {name: content[name] for name in ("code", "values")}
 
@@ -193,10 +196,12 @@ def _escape_brackets(text: str) -> str:
 
 
 def _make_location(file: str, line: int | None) -> dict[str, Any]:
-    """Create a SARIF location, in line 1 if there is no line number.
+    """Create the place of a SARIF location: {"artifactLocation": ..., "region": ...}.
 
-    GitHub shows no result without a line. A colon in a relative path is quoted: the reference must
-    not begin with a scheme, such as "C:".
+    Without a line number the place is in line 1.
+
+    GitHub shows no result without a line. Special characters of a relative path are
+    percent-encoded, for example the colon: the reference must not begin with a scheme such as "C:".
     """
     uri = Path(file).as_uri() if Path(file).is_absolute() else quote(os.fsencode(file))
     return {"artifactLocation": {"uri": uri}, "region": {"startLine": line or 1}}

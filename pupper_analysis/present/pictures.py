@@ -279,7 +279,7 @@ def _make_verification_view(run: StandVerification, robot: Robot | None = None) 
 
 
 def _make_view(robot: Robot, qpos: Array) -> View:
-    """Return the view of a robot in one configuration, shape (nq,)."""
+    """Return the view of a robot in one configuration ``qpos``, shape (nq,), at time 0."""
     return View(robot, np.zeros(1), np.asarray(qpos, dtype=float)[None])
 
 
@@ -394,9 +394,10 @@ def _list_drivers() -> tuple[str, ...]:
 
 
 def _run_drawing(folder: Path, driver: str) -> str | None:
-    """Draw the views stored in a folder, in another process; return the failure, or None.
+    """Draw the views stored in a folder, in another process; return the reason of a failure.
 
-    ``driver`` is the value of MUJOCO_GL, which selects MuJoCo's rendering backend.
+    None if the frames were written. ``driver`` is the value of MUJOCO_GL, which selects MuJoCo's
+    rendering backend.
     """
     environment = {**os.environ, "MUJOCO_GL": driver}
     program = Path(__file__).with_name("offscreen.py")

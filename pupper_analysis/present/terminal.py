@@ -49,7 +49,13 @@ _MIN_TERMINAL_WIDTH = 40
 
 
 class _ViewOptions(NamedTuple):
-    """Console, number of the finding, and extent of the output."""
+    """Options with which a block of a document is printed.
+
+    Attributes:
+        out: Console, which determines the width.
+        place: Number of the finding that the block contains, from 1; not used by other blocks.
+        everything: True to print also details and quoted lines.
+    """
 
     out: Console
     place: int

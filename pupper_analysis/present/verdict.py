@@ -375,7 +375,11 @@ def make_replaced_clauses(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
 
 
 def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
-    """Yield clauses on how the simulations of the computed stand ended, and on the servos."""
+    """Yield clauses on how the simulations of the computed stand ended, and on the servos.
+
+    The clauses are, for example, about the end of the simulation with feed-forward and without,
+    the reasons of a failure, and servos that the preparation added.
+    """
     fed, alone = verdict.with_feedforward, verdict.commands_alone
     if fed is Ending.HOLDS and verdict.question is not Question.STANDS:
         pass  # what it carries, and how it follows, is told beside it
@@ -615,7 +619,10 @@ def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
 
 
 def _describe_gains(servos: ServosUsed) -> dict[str, Any]:
-    """Return the values of a message about servo gains: lowest, highest if different, and units."""
+    """Return {name: value} of a message about servo gains: lowest, highest, and units.
+
+    The highest gains (``kp_most``, ``kd_most``) are None if all gains are equal.
+    """
     (kp, kp_most), (kd, kd_most) = servos.kp, servos.kd
     return {
         "kp": kp,

@@ -155,7 +155,7 @@ def describe_slides(names: Iterable[str], units: Iterable[str]) -> list[doc.Word
 
 
 def _format_fraction(value: float) -> str:
-    """Format a fraction in percent; a dash if the fraction is not finite."""
+    """Format a fraction [1] as a text in percent; a dash if ``value`` is not finite."""
     return format_number(value, ".1%") if math.isfinite(value) else "-"
 
 

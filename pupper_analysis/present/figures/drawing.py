@@ -198,10 +198,10 @@ def _draw_marks(drawing: Drawing, axes: Axes, size: float) -> None:
 
 
 def _make_line_style(kind: str, width: float) -> dict[str, Any]:
-    """Return Matplotlib's line options for a class of the style sheet.
+    """Return the options of Matplotlib for a line: {"color": ..., "ls": ..., "lw": [pt]}.
 
     Args:
-        kind: Class.
+        kind: Class of the HTML report's style sheet, such as ``s0`` or ``limit``.
         width: Default line width [pt].
     """
     colour = _CLASS_COLOURS.get(kind, GREY_COLOUR)
@@ -320,10 +320,11 @@ def save_figure(figure: Figure, path: str | Path, *, force: bool = False) -> Non
     Args:
         figure: The figure.
         path: The file.
-        force: Replace an existing file that this package did not write as a figure.
+        force: True to replace an existing file of any kind, except an input of the run. False: of
+            existing files that are not empty, only a picture of this package may be replaced.
 
     Raises:
-        OutputError: If the file cannot be written, or would replace a file of another kind.
+        OutputError: If the file cannot be written, or if it exists and must not be replaced.
     """
     from pupper_analysis import __version__
 

@@ -308,7 +308,11 @@ def _list_links(robot: Robot, qpos: ArrayLike) -> list[Array]:
 def _draw_stand(
     axes: Axes, projection: Array, lines: Skeleton, stand: Stand, seen: StandingScene
 ) -> None:
-    """Draw skeleton, centre of mass and support polygon in a projection of shape (2, 3)."""
+    """Draw the parts of a stand other than forces, from the world frame [m] into axes.
+
+    The parts are the boxes of the base, legs, support polygon, feet and centre of mass.
+    ``projection`` is the matrix, shape (2, 3), from the world to the image.
+    """
 
     def line(points: Array, *marks: str, **how: Any) -> None:
         """Draw a polyline through ``points``, shape (n, 3) [m], in the projection."""
@@ -389,7 +393,10 @@ def _measure_support(seen: StandingScene) -> float:
 
 
 def _draw_scale(axes: Axes, seen: StandingScene) -> None:
-    """Draw a bar of a round length, with the length, below the view from above."""
+    """Draw a scale bar (one of `_SCALE_LENGTHS`) with its length in mm, below the view from above.
+
+    The lower limit of the y axis is moved to make space for the bar.
+    """
     limit = 0.6 * _measure_support(seen)
     fitting = (length for length in _SCALE_LENGTHS if length <= limit)
     length = max(fitting, default=_SCALE_LENGTHS[0])

@@ -95,7 +95,7 @@ def format_axis_value(axis: Axis, value: float) -> str:
 
 
 def round_ticks(low: float, high: float, count: int = 5) -> list[float]:
-    """Return about ``count`` round values between two bounds.
+    """Return about ``count`` round values from ``low`` to ``high``, in ascending order.
 
     The values are multiples of 1, 2 or 5 times a power of 10.
     """

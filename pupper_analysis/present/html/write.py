@@ -93,7 +93,11 @@ def serialise_scene(scene: object) -> dict[str, Any] | None:
 
 @serialise_scene.register
 def _serialise_stand(scene: StandScene) -> dict[str, Any]:
-    """Convert the scene of a stand to JSON data for the viewer of a page."""
+    """Convert the scene of a stand to JSON data, {key: value}, for the viewer of a page.
+
+    The data of `_serialise_robot` are extended by contacts (point [m], force [N]), support polygon,
+    steps, ground, centre of mass [m] and layers, in the world frame.
+    """
     robot, stand, statics = scene.robot, scene.stand, scene.statics
     still = Motion(text("the-stand"), np.zeros(1), stand.qpos[None])
     seen = describe_scene(robot, stand, statics)
@@ -129,10 +133,10 @@ def _serialise_stand(scene: StandScene) -> dict[str, Any]:
 
 @serialise_scene.register
 def _serialise_motion(scene: MotionScene) -> dict[str, Any]:
-    """Convert the scene of a moving robot to JSON data for the three-dimensional view of a page.
+    """Convert the scene of a moving robot to JSON data, {key: value}, for the viewer of a page.
 
-    The data contain bodies, shapes, meshes, joint axes, motions, and a level ground at height 0
-    below the first pose. Lengths are in m. Contacts, support polygon, steps and CoM are empty.
+    The data are those of `_serialise_robot`, and a level ground at height 0 below the first pose.
+    Lengths are in m. Contacts, support polygon, steps and CoM are empty.
     """
     robot, qpos = scene.robot, scene.motions[0].qpos[0]
     axes = describe_joint_axes(Configuration(robot, qpos), qpos[-robot.nu :], None)
@@ -150,7 +154,12 @@ def _serialise_motion(scene: MotionScene) -> dict[str, Any]:
 def _serialise_robot(
     robot: Robot, qpos: Array, motions: Iterable[Motion], axes: Iterable[JointAxis]
 ) -> dict[str, Any]:
-    """Convert a robot to JSON data: bodies, shapes, joints, motions, and extent at ``qpos`` [m]."""
+    """Convert a robot to JSON data, {key: value}: bodies, shapes, meshes, motions, joints, extent.
+
+    The extent is the centre (``middle``) and half the diagonal (``radius``) [m] of the box around
+    the robot at the configuration ``qpos``, shape (nq,), in the world frame. ``axes`` are the
+    joints at ``qpos``.
+    """
     model, data = robot.mj_model, robot.compute_kinematics(qpos)
     low, high = compute_extent(model, data)
     geoms, meshes = serialise_geoms(model)
@@ -170,7 +179,11 @@ def _serialise_robot(
 
 
 def _pack_motion(robot: Robot, data: mujoco.MjData, motion: Motion) -> dict[str, Any]:
-    """Convert a motion to JSON data: body poses at up to `MAX_FRAMES` finite configurations."""
+    """Convert a motion to JSON data: body poses at up to `MAX_FRAMES` finite configurations.
+
+    The result is that of `pack_poses`. ``data`` is changed: its kinematics are evaluated at each
+    configuration.
+    """
     finite = np.isfinite(motion.qpos).all(axis=1)
     most = np.linspace(0, finite.sum() - 1, min(int(finite.sum()), MAX_FRAMES)).round()
     chosen = np.flatnonzero(finite)[np.unique(most.astype(int))]
@@ -192,9 +205,9 @@ def pack_poses(name: Text, time: Array, poses: Array) -> dict[str, Any]:
             (n, bodies, 7).
 
     Returns:
-        Name in both languages (``en``, ``zh``), times (``time``) [s], the largest absolute
-        coordinate, at least 1e-3 (``reach``) [m], and the integers (``frames``): per body x, y, z
-        in units of ``reach`` / 32767, then the quaternion in units of 1 / 32767.
+        {key: value}: name in both languages (``en``, ``zh``), times (``time``) [s], the largest
+        absolute coordinate, at least 1e-3 (``reach``) [m], and the integers (``frames``): per body
+        x, y, z in units of ``reach`` / 32767, then the quaternion in units of 1 / 32767.
     """
     values = poses.copy()
     reach = max(float(np.abs(values[..., :3]).max()), 1e-3)
@@ -209,9 +222,9 @@ def pack_poses(name: Text, time: Array, poses: Array) -> dict[str, Any]:
 
 
 def round_values(values: ArrayLike) -> list[Any]:
-    """Round an array to five decimals, and convert it to nested lists.
+    """Round an array of any shape to five decimals, and convert the array to nested lists.
 
-    For lengths in metres this is 0.01 mm, which suffices for a view.
+    For lengths in metres five decimals are 0.01 mm, which suffices for a view.
     """
     return np.round(np.asarray(values), 5).tolist()  # type: ignore[no-any-return]
 
@@ -252,7 +265,12 @@ def serialise_bodies(model: mujoco.MjModel) -> list[dict[str, Any]]:
 
 
 def _serialise_joint(one: JointAxis, motion: str) -> dict[str, Any]:
-    """Convert a joint to JSON data: axis, type of motion, position [rad, m], torque and limit."""
+    """Convert a joint to JSON data, {key: value}, for the viewer of a page.
+
+    The data are name, index of the body (without the world), anchor [m] and axis in the body frame,
+    type of motion (``motion``), position [rad, m], and motor torque and effort limit [N m, N] or
+    None.
+    """
     return {
         "name": escape_control(one.name),
         "body": one.body - 1,
@@ -294,7 +312,11 @@ def serialise_geoms(
 
 
 def _pack_mesh(mesh: Mesh) -> dict[str, Any]:
-    """Pack a mesh: vertices as 16-bit integers relative to the bounding box, faces as integers."""
+    """Pack a mesh for the viewer of a page, {key: value}, with integers in base64.
+
+    A vertex has the coordinates ``low`` + ``span`` * (integer / 65535) [m]. Faces are three indices
+    of vertices; ``wide`` is True for indices of 32 bits instead of 16.
+    """
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     span = np.where(high > low, high - low, 1.0)
     steps = np.round((mesh.vertices - low) / span * 65535).astype("<u2")
