@@ -100,7 +100,10 @@ def print_next_step(step: NextStep | None) -> None:
 
 
 def _list_values(value: object) -> list[str]:
-    """Return the typed values of a parameter as words; [] for other values, such as flags."""
+    """Return the values of a parameter as words: the items of a list, or a text as a single word.
+
+    Empty for a value that is neither, such as a flag or a number.
+    """
     if isinstance(value, list | tuple):
         return [str(one) for one in value]
     return [value] if isinstance(value, str) else []

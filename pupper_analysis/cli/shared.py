@@ -291,8 +291,12 @@ class Command(click.Command):
     def invoke(self, context: click.Context) -> Any:
         """Check that the output files of the command can be written, and run the command.
 
-        Files that the parameters name are registered as inputs, which no result replaces. An error
-        about an argument of a function then names the typed option.
+        Files that the parameters name are registered as inputs, which no result replaces.
+
+        Raises:
+            OutputError: If a result cannot or must not be written.
+            ConfigurationError: As the command, but an error about an argument of a function names
+                the typed option instead.
         """
         run = context.with_resource(ensure_run())
         run.request = _collect_options(self, context)
@@ -920,8 +924,9 @@ def _spell_unit(kind: str, text: str) -> str:
 
 
 def show_progress(what: str) -> AbstractContextManager[object]:
-    """Show a progress message while a context is active, if standard error is a terminal.
+    """Show the progress message ``what`` while a context is active.
 
+    Nothing is shown if standard error is no terminal.
     After ``MIN_REPORTED_TIME``, the message contains the elapsed time, or the number of completed
     parts and an estimate of the remaining time.
     """
@@ -930,7 +935,7 @@ def show_progress(what: str) -> AbstractContextManager[object]:
 
 @contextmanager
 def _display_progress(what: str) -> Iterator[None]:
-    """Display a message and the progress on standard error, until the context ends."""
+    """Display the message ``what`` and the progress on standard error, until the context ends."""
     from rich.console import Console
     from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextColumn
     from rich.text import Text
