@@ -310,7 +310,10 @@ def _list_ground_contacts(failures: Sequence[Diagnostic]) -> Iterator[tuple[floa
 
 
 def _make_sweep_title(sweeps: Sequence[GainSweep]) -> str:
-    """Return the title of the gain figure, with the disturbance and the simulated time."""
+    """Return the title of the gain figure, with disturbance and duration of the first sweep.
+
+    Empty without sweeps.
+    """
     if not sweeps:
         return ""
     first = sweeps[0]
@@ -324,7 +327,18 @@ def _make_sweep_title(sweeps: Sequence[GainSweep]) -> str:
 
 
 def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm, units: JointUnits) -> None:
-    """Draw a cell for each pair of gains, with the height deviation [mm]."""
+    """Draw a heat map of a gain sweep: a cell per pair of gains, a row per kp, a column per kd.
+
+    A cell has the colour and the number of the height deviation in the last second [mm]. It is grey
+    with the word "falls" if the robot falls, and hatched if the robot does not stay at rest
+    (``GainSweep.lasts``).
+
+    Args:
+        axes: Panel; limits, ticks and axis names are set.
+        sweep: Results, a deviation per pair.
+        scale: Logarithmic colour scale of deviations [mm].
+        units: Units of kp and kd in the axis names.
+    """
     deviation = 1e3 * np.asarray(sweep.height_deviation, float)
     colours = ScalarMappable(scale, _COLOUR_MAP)
     for row, column in np.ndindex(deviation.shape):

@@ -539,7 +539,7 @@ def _get_verdict_key(verified: bool, stands_without: bool) -> str:
 
 
 def _compute_ratio(length: float | None, reference: float | None) -> float | None:
-    """Return the ratio of two values; None if either is unknown or the reference is zero."""
+    """Return ``length`` / ``reference``; None if either is unknown or the reference is zero."""
     return length / reference if length is not None and reference else None
 
 

@@ -298,7 +298,10 @@ def _render_with(backend: str, tiles: Sequence[Tile]) -> list[Pixels]:
 
 
 def _render_tile(tile: Tile) -> Pixels:
-    """Render the picture of one robot, with the background in `BACKGROUND_COLOUR`."""
+    """Render the picture of one robot, shape (height, width, 3) of the tile, 8 bits per colour.
+
+    Pixels without robot or ground have the `BACKGROUND_COLOUR`. An OpenGL context must be active.
+    """
     model = _compile_model(tile)
     data = mujoco.MjData(model)
     tile.robot.mj_convention.set_state(data, tile.qpos)

@@ -48,7 +48,7 @@ from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution
 
 GainPair = tuple[float, float]
-"""kp and kd."""
+"""kp [N m/rad] and kd [N m s/rad] of all servos in a simulation."""
 
 GAIN_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Ratios between the default gains of a sweep (kp or kd) and the median gain of the model. Chosen,
@@ -84,7 +84,11 @@ class GainSweep(Tabular):
     integrator: str
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return {column: values} of a table of the simulations, a row per pair of kp and kd."""
+        """Return {column: values} of a table with a row per pair of kp and kd.
+
+        The columns are kp [N m/rad], kd [N m s/rad], height deviation [m], and the truth values
+        ``fell`` and ``lasts``, shape (n m,) each.
+        """
         kp, kd = np.meshgrid(self.kp, self.kd, indexing="ij")
         return {
             "kp": kp.ravel(),
@@ -282,7 +286,11 @@ class _SweepTrial:
         return float(monitor.base_heights(self.robot, states)[-last:].std())
 
     def _is_standing(self, watcher: monitor.ContactSampler, states: Array) -> bool:
-        """Return True if the robot stands in the last of ``states``, MuJoCo states of a rollout."""
+        """Return True if the robot stands in the last of ``states``, MuJoCo states of a rollout.
+
+        The robot stands if the simulation did not diverge, the base is upright and at its height,
+        and only feet touch the ground (``StandCheck.stands``).
+        """
         if monitor.has_diverged(states, self.timestep):
             return False
         upright = monitor.StandReference.from_configuration(
