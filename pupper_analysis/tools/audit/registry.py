@@ -54,7 +54,7 @@ class Rule:
 
 
 def _read_catalogue() -> dict[str, Rule]:
-    """Read all rules: the catalogue, and ``rules.toml`` of each format of another package."""
+    """Read {id: rule} of the catalogue, and of ``rules.toml`` of each format of another package."""
     own = Path(__file__).parent / "rules/catalogue.toml"
     entries = tomllib.loads(own.read_text(encoding="utf-8"))
     for format in formats().values():
@@ -75,7 +75,9 @@ def _read_catalogue() -> dict[str, Rule]:
 
 
 def _merge_texts(own: Mapping[str, str], model: Mapping[str, str], space: str) -> dict[str, str]:
-    """Combine the texts of a rule with those of a similar rule, to which ``like`` refers.
+    """Return {"title", "why" or "todo": text} of a rule, with the texts of a similar rule.
+
+    An entry of the catalogue names the similar rule under the key ``like``.
 
     Args:
         own: Texts of the rule: ``title`` and, optionally, ``more`` to add to the reason.
@@ -210,7 +212,10 @@ class Audit(Tabular):
     floating: bool
 
     def _columns(self) -> dict[str, list[object]]:
-        """Return {column: values} of a table of the findings of an audit, a row per finding."""
+        """Return {column: values} of a table of the findings of an audit, a row per finding.
+
+        The columns are rule, severity, file, line, element and message.
+        """
         names = ("rule", "severity", "file", "line", "element", "message")
         return {name: [getattr(found, name) for found in self.findings] for name in names}
 

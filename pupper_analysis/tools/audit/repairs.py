@@ -421,9 +421,10 @@ def _mirror_tensor(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 
 
 def _compute_mirrored_tensor(robot: UrdfModel, link: Link, twin: Link) -> dict[str, str] | None:
-    """Return the attributes of <inertia> for the mirror image of the tensor of ``twin``.
+    """Return the mirror image of the tensor of ``twin`` as {attribute of <inertia>: text}.
 
-    None if the tensor of ``twin`` is missing or physically impossible.
+    The tensor is for ``link``, the link on the other side [kg m^2]. None if the robot has no mirror
+    plane, or if the tensor of ``twin`` is missing or physically impossible.
     """
     mirror = find_mirror_plane(robot)
     if mirror is None or twin.inertial is None:
@@ -452,7 +453,7 @@ def _find_twin(robot: RobotModel, name: str) -> Link | None:
 
 
 def _rotate(tensor: Array, rotation: Array) -> Array:
-    """Return R T R^T for a tensor T and a rotation matrix R, shape (3, 3) each."""
+    """Return a tensor T in rotated axes: R T R^T, with the rotation matrix R, shape (3, 3) each."""
     rotated: Array = rotation @ tensor @ rotation.T
     return rotated
 
@@ -645,7 +646,10 @@ def _fits_shapes(robot: RobotModel, link: Link) -> bool:
 
 
 def _scale_tensor(robot: UrdfModel, name: str, factor: float) -> dict[str, str]:
-    """Return the attributes of the tensor of a link, multiplied by a factor."""
+    """Return {attribute: text} of a link's <inertia>, with the moments multiplied by a factor.
+
+    Empty if the link has no <inertia>, or its name is not unique.
+    """
     element = _find_element(robot, "link", name, "inertial/inertia")
     return {
         word: _format_value(factor * float(str(element.get(word))))

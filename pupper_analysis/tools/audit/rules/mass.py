@@ -528,7 +528,7 @@ reported only if all moving links have it, and there are more of them than this 
 
 
 def _is_power_of_ten(value: float) -> bool:
-    """Return True if a number is a power of ten."""
+    """Return True if ``value`` is a positive power of ten, within `ROUND_LOG_ATOL`."""
     return value > 0 and bool(abs(np.log10(value) - round(np.log10(value))) < ROUND_LOG_ATOL)
 
 
@@ -538,6 +538,9 @@ counts as a power of ten: more than binary rounding."""
 
 
 def _compute_box_moment(points: Array, mass: float) -> float:
-    """Compute the largest principal moment [kg m^2] of a solid box around points, (n, 3) [m]."""
+    """Compute the largest principal moment [kg m^2] of a solid box of a given mass [kg].
+
+    The box is the axis-aligned bounding box of ``points``, shape (n, 3) [m].
+    """
     _, middle, greatest = np.sort(np.ptp(points, axis=0))
     return mass * float(middle**2 + greatest**2) / 12

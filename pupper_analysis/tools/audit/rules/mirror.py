@@ -54,7 +54,7 @@ class MirrorPlane:
 
     @property
     def matrix(self) -> Array:
-        """Matrix S = S^T, shape (3, 3), that reflects vectors in the base frame at this plane."""
+        """Reflection matrix S = S^T of this plane, shape (3, 3) [1], for vectors in base axes."""
         matrix = np.eye(3)
         matrix[self.axis, self.axis] = -1.0
         return matrix
@@ -137,7 +137,10 @@ def _list_body_pairs(robot: RobotModel) -> Iterator[tuple[Link, Link]]:
 
 
 def _get_anchor(body: Link) -> Array:
-    """Return the position of a link's joint, or of a fixed link's frame, in the base frame [m]."""
+    """Return the position of a link's joint, or of a fixed link's frame, shape (3,) [m].
+
+    The position is expressed in the base frame, at zero joint angles.
+    """
     return body.joints[0].position if body.moving else body.pose.position
 
 

@@ -39,7 +39,11 @@ sphere. Chosen, not tuned."""
 
 
 def _list_end_points(robot: RobotModel, body: Link) -> dict[Subject, Array]:
-    """Return {next joint or foot: position [m]} of a link, expressed in the frame of the link."""
+    """Return {joint or foot: position, shape (3,) [m]} of the ends of a link, in its frame.
+
+    These are the moving joints of the next links, and the links and frames with "foot" in their
+    name. Links that are fixed to the link belong to it.
+    """
     to_frame = body.pose.inverse()
     points: dict[Subject, Array] = {}
     for part in robot.fixed_group(body.name):

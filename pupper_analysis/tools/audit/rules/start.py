@@ -275,6 +275,13 @@ def _find_opposite_signs(
     The joints have the same place in the chains of all legs. The smallest set of joints counts; all
     hinges of the legs must then be inside their limits.
 
+    Args:
+        robot: Model of the MJCF, which MuJoCo compiles.
+        qpos: Configuration of the keyframe, shape (nq,).
+        feet: Ids of the foot geoms.
+        others: Ids of the other geoms, which must be above the feet.
+        heights: Returns the height [m] of the lowest point of each geom, from qpos and ids.
+
     Returns:
         Names of the joints, and the largest distance of a foot from the ground [m]. None if no set
         of joints, or several sets of equal size, put all feet within `MIN_FOOT_CLEARANCE` of the
@@ -414,7 +421,7 @@ def _command_servos(robot: MjcfModel, data: mujoco.MjData) -> bool:
 
 
 def _run_simulation(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> None:
-    """Simulate for a duration [s], rounded to whole time steps; ``data`` is changed in place."""
+    """Simulate for ``seconds`` [s], rounded to whole time steps; ``data`` is changed in place."""
     for _ in range(round(seconds / model.opt.timestep)):
         mujoco.mj_step(model, data)
 
