@@ -144,7 +144,10 @@ def _run_search(
     point: Place,
     kp: ArrayLike | None,
 ) -> StanceSearch:
-    """Run the search of `best_stance`, with its arguments, and return the finished search."""
+    """Run the search of `best_stance`, and return the finished search.
+
+    The arguments, with their units, are those of `best_stance`; ``kp`` is in N m/rad.
+    """
     robot = with_contacts(robot, task.contacts) if task is not None else robot
     if (
         not robot.fixed_parts
@@ -166,7 +169,8 @@ def _make_result(
     """Make the result for a stance of a search.
 
     If the objective is the payload at ``point``, and the initial task has a larger payload limit,
-    the result is the initial task.
+    the result is the initial task. The servos have stiffness ``kp`` [N m/rad] and damping ``kd``
+    [N m s/rad].
     """
     robot, space, payload = search.robot, search.space, None
     # Solve the task again without the search's initial guesses, which determine redundant joints.

@@ -286,8 +286,8 @@ class StanceSearch:
             slack: Constraint slacks of the stand.
 
         Returns:
-            Smallest number that satisfies a + b level >= 0 for all rows (a, b), and the rows, shape
-            (k, 2).
+            Level [1], the smallest number that satisfies a + b level >= 0 for all rows (a, b); and
+            the rows, shape (k, 2).
         """
         if self.objective is Objective.PAYLOAD:
             return self._compute_payload_level(stand)
@@ -393,7 +393,7 @@ class StanceSearch:
         self._minimise_level(subspace, subspace.start, iterations)
 
     def merit(self, stance: EvaluatedStance | None) -> float:
-        """Return the merit of a stance, to be minimised: level (scaled objective) plus a penalty.
+        """Return the merit of a stance [1], to be minimised: level (scaled objective) + penalty.
 
         The penalty is `_CONSTRAINT_PENALTY` times the sum of the violations (negative slacks of the
         constraints). Infinite for None.

@@ -158,7 +158,10 @@ class StanceSpace:
         self.low, self.high = self._compute_bounds()
 
     def _compute_bounds(self) -> tuple[Array, Array]:
-        """Compute the lower and upper bounds of a stance's coordinates; they include ``start``."""
+        """Compute the lower and upper bounds of a stance's coordinates, shape (n,) each [m or rad].
+
+        The bounds are those that `best_stance` lists; ``start`` is inside.
+        """
         # A bounded rotation saves the search for the end of its interval.
         max_changes = dict.fromkeys(BASE_COORDINATES, math.inf)
         max_changes |= dict.fromkeys(_BASE_ROTATIONS, MAX_BASE_ROTATION)
@@ -199,7 +202,7 @@ class StanceSpace:
         """Return the signs of the directions away from the centre of the feet, for each free foot.
 
         Returns:
-            {foot: -1, 0 or 1 along x and along y of the world frame, shape (2,)}.
+            {foot: -1, 0 or 1 along x and along y of the world frame, shape (2,) [1]}.
         """
         return {foot: np.sign(self._compute_foot_offset(foot)) for foot in self.free}
 
