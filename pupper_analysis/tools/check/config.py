@@ -283,7 +283,11 @@ class _ConfigReader:
         return GuardConfig(self.path, tuple(pairs.values()), fail_on, baseline)
 
     def list_pairs(self, entry: dict[str, Any]) -> Iterator[GuardedPair]:
-        """Yield the model pair of a ``[[pair]]`` entry; with wildcards, a pair for each match."""
+        """Yield the model pair of a ``[[pair]]`` entry; with wildcards, a pair for each match.
+
+        Raises:
+            ModelError: If a key or value is not valid, a file is missing, or no file matches.
+        """
         self.check_table(
             entry,
             ("pair", self._entry),
@@ -315,6 +319,9 @@ class _ConfigReader:
         """Return the paths of the files that a pattern matches, relative to the configuration.
 
         Files that other MJCFs include are left out. ``key`` names the pattern in an error.
+
+        Raises:
+            ModelError: If no file matches, or the pattern is not valid.
         """
         try:
             files = (path for path in self.folder.glob(pattern) if path.is_file())

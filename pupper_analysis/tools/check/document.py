@@ -136,7 +136,10 @@ def _is_audit_rule(remark: Remark) -> bool:
 
 
 def _describe_group(group: list[Remark]) -> doc.FileFinding:
-    """Create the block of a group of remarks: message, quoted lines, effects and repair."""
+    """Create the block of a group of remarks: message, quoted lines, effects and repair.
+
+    A group are remarks with the same cause or the same values; the first defines the message.
+    """
     first, *others = group
     notes: list[doc.Words] = []
     if first.cause is not None:
