@@ -212,7 +212,7 @@ class Fact(Result):
 
     @property
     def number(self) -> float:
-        """Value of the fact in SI units; 0 if the expression is not constant (``value`` None)."""
+        """Value of the fact, in ``unit``; 0 if the expression is not constant (``value`` None)."""
         return self.value or 0.0
 
 
@@ -354,7 +354,7 @@ class Node:
 
     @property
     def table(self) -> dict[Any, Node]:
-        """Entries of a dict, or fields of an object, in this node; otherwise empty."""
+        """{key: node} of a dict, or {field: node} of an object, in this node; otherwise empty."""
         content = getattr(self.value, "fields", self.value)
         return content if isinstance(content, dict) else {}
 
@@ -499,7 +499,13 @@ def read_yaml_nodes(path: Path, text: str) -> list[Node]:
 
 
 def _convert_yaml_node(path: Path, node: yaml.Node, left: list[int]) -> Node:
-    """Convert a node of PyYAML; ``left[0]`` counts down the values that may still be read."""
+    """Convert a node of PyYAML, with all nodes in it, to a `Node` with lines.
+
+    ``left[0]`` is the number of values that may still be read; it is decremented for each value.
+
+    Raises:
+        ModelError: If the number is used up, or a table repeats a key.
+    """
     place = Place(path, node.start_mark.line + 1)
     left[0] -= 1
     if left[0] < 0:

@@ -54,7 +54,13 @@ class UnknownValue(NamedValue):
 
 @dataclass(eq=False)
 class FunctionValue(NamedValue):
-    """Function with the enclosing scope; for a method also the bound object."""
+    """Function of an evaluated file.
+
+    Attributes:
+        node: Syntax tree of the function.
+        around: Scope in which the function was defined.
+        own: Object to which a method is bound; None for a function.
+    """
 
     node: ast.FunctionDef | ast.Lambda
     around: Scope
@@ -63,7 +69,13 @@ class FunctionValue(NamedValue):
 
 @dataclass(eq=False)
 class ClassValue(NamedValue):
-    """Class. ``fields`` includes the fields of bases; ``ordered`` lists the annotated names."""
+    """Class of an evaluated file.
+
+    Attributes:
+        bases: Base classes.
+        fields: {name: value} of attributes and methods, including those of the bases.
+        ordered: Annotated names, in the order of the arguments of the constructor.
+    """
 
     bases: list[ClassValue]
     fields: dict[str, Node]
@@ -650,7 +662,7 @@ class Evaluator:
     _evaluate_list = _evaluate_set = _evaluate_tuple
 
     def _evaluate_dict(self, expression: ast.Dict, scope: Scope) -> dict[Any, Node]:
-        """Return the values of a dict display, with entries of ``**other`` included."""
+        """Return {key: value} of a dict display, with entries of ``**other`` included."""
         result: dict[Any, Node] = {}
         for key, value in zip(expression.keys, expression.values, strict=True):
             content = self.evaluate(value, scope)
@@ -738,7 +750,7 @@ class Evaluator:
     _evaluate_generatorexp = _evaluate_listcomp
 
     def _evaluate_dictcomp(self, expression: ast.DictComp, scope: Scope) -> dict[Any, Node]:
-        """Return the table of a dict comprehension."""
+        """Return the table {key: value} of a dict comprehension."""
         return {
             self._make_key(expression.key, inner): self.evaluate(expression.value, inner)
             for inner in self._iterate_loops(expression.generators, scope)

@@ -138,10 +138,11 @@ def select_configurations(request: Request, sources: Sequence[Source]) -> list[S
 def read_folder(
     folder: Path, read: Sequence[Source], joints: RobotJoints
 ) -> tuple[list[Source], list[Diagnostic]]:
-    """Read the deployments in a folder that name joints of this robot; Python modules are not read.
+    """Read the deployments in a folder that name joints of this robot, and return them with notes.
 
-    A deployment is kept if it names all joints, or if the order consists of joints of the robot.
-    Other deployments are counted in a note, as are files that cannot be read.
+    Python modules, and files of the sources ``read``, are not read. A deployment is kept if it
+    names all joints, or if the order consists of joints of the robot. Other deployments are counted
+    in a note, as are files that cannot be read.
     """
     known_paths = {source.path.absolute() for source in read}
     fitting, num_rejected, refused = list[Source](), 0, list[str]()
