@@ -599,7 +599,8 @@ def _find_changed_values(
         rows: Ids of geoms; ``[0]`` for options.
 
     Returns:
-        For each attribute with such values, the values.
+        {attribute: its values that differ from the default}; attributes without such a value are
+        left out.
     """
     default = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>"
