@@ -576,7 +576,7 @@ def find_dropped_products(case: PatternCase, lacking: str) -> PatternFindings:
 
 
 def _get_own_inertia(link: ComparedLink) -> Array:
-    """Return the inertia of a link in the axes of the link [kg m^2]."""
+    """Return the inertia of a link about its CoM, (3, 3) [kg m^2], in the axes of the link."""
     return link.axes.T @ link.body.inertia @ link.axes
 
 
@@ -587,12 +587,12 @@ def _drop_products(link: ComparedLink) -> ComparedLink:
 
 
 def _keep_diagonal(inertia: Array) -> Array:
-    """Return a tensor, shape (3, 3), with zeros off the diagonal."""
+    """Return an inertia tensor, shape (3, 3) [kg m^2], with zeros off the diagonal."""
     return np.diag(np.diag(inertia))
 
 
 def _is_diagonal(inertia: Array) -> bool:
-    """Return True if the products of a tensor are at most 1e-9 of its largest entry."""
+    """Return True if the products of an inertia, (3, 3), are at most 1e-9 of its largest entry."""
     off = inertia - _keep_diagonal(inertia)
     return float(np.abs(off).max()) <= 1e-9 * max(float(np.abs(inertia).max()), 1e-300)
 

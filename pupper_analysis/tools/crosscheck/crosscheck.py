@@ -381,7 +381,10 @@ def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
 
 
 def _collect_body_values(bodies: Sequence[pin.Inertia]) -> dict[str, ArrayLike]:
-    """Return {quantity: masses [kg], CoMs [m] or inertias [kg m^2]} of bodies, a value each."""
+    """Return {quantity: values} of n bodies, in the frame of the inertias.
+
+    The quantities are masses, (n,) [kg], CoMs, (n, 3) [m], and inertias, (n, 3, 3) [kg m^2].
+    """
     return {
         "body masses": [body.mass for body in bodies],
         "body coms": [np.array(body.lever) for body in bodies],
@@ -462,6 +465,9 @@ def _evaluate_at_rest(
     dofs: NDArray[np.int64],
 ) -> dict[str, ArrayLike]:
     """Return body and joint parameters of a MuJoCo model, {quantity: values}.
+
+    The quantities and their units are those of `QUANTITIES` that do not depend on the state, with a
+    row per body, joint or degree of freedom.
 
     Args:
         robot: Robot, whose joint order is used.
@@ -959,9 +965,9 @@ def _compare_quantity(
 
 
 def _find_min_scale(name: str, evaluation: Evaluation) -> float:
-    """Return the lower bound of the scale by which deviations of a quantity are divided.
+    """Return the lower bound of the scale by which deviations of the quantity ``name`` are divided.
 
-    The bound is in the unit of the quantity; smaller values are rounding errors.
+    The bound is in the unit of the quantity (`QUANTITIES`); smaller values are rounding errors.
     """
     if name in ("gravity", "bias forces"):  # a millionth of the weight
         return 1e-6 * EARTH_GRAVITY * float(np.abs(evaluation["mass matrix"]).max())
@@ -971,7 +977,7 @@ def _find_min_scale(name: str, evaluation: Evaluation) -> float:
 def _compute_deviation(
     first: Array, second: Array, least: float, *, per_row: bool
 ) -> tuple[float, float, float, tuple[int, ...]]:
-    """Return the largest relative deviation of two arrays, element by element.
+    """Return the largest relative deviation of two arrays of equal shape, element by element.
 
     The absolute deviation is divided by a scale: the largest magnitude in both arrays, or in the
     same row of both if ``per_row``; at least ``least``.
