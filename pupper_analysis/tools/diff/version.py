@@ -282,7 +282,8 @@ def open_version(given: str | Path | ModelObject) -> Iterator[VersionedFile]:
             current folder if PATH begins with ``./`` or ``../``.
 
     Raises:
-        ModelError: If git is not installed or does not contain the file; with git's message.
+        ModelError: If git is not installed or does not contain the file, with git's message; or if
+            REVISION begins with a hyphen.
     """
     if is_object(given):
         yield VersionedFile(cast(ModelObject, given), "")
@@ -320,7 +321,8 @@ def open_revision(revision: str, folder: Path) -> Iterator[Callable[[Path], Path
         folder: Folder in the repository.
 
     Raises:
-        ModelError: If git is not installed or does not contain the revision; with git's message.
+        ModelError: If git is not installed or does not contain the revision, with git's message; or
+            if the revision begins with a hyphen.
     """
     if revision.startswith("-"):
         raise ModelError(revision, diagnose("no-revision", revision=revision))
@@ -348,16 +350,19 @@ def find_repository_top(folder: Path) -> Path:
 
 
 def find_path_in_revision(given: str, revision: str, inside: str) -> str:
-    """Return the path of ``REVISION:PATH`` relative to the top of the repository.
+    """Return the path of a file in a revision, relative to the top of the repository.
+
+    The repository is that of the current folder; ``..`` and ``.`` in the path are resolved.
 
     Args:
-        given: Version or folder that errors name.
-        revision: Revision.
-        inside: Path relative to the top, or to the current folder if it begins with ``./`` or
-            ``../``.
+        given: Argument of the user, ``REVISION:PATH``, which errors name.
+        revision: Revision of git, such as ``HEAD``.
+        inside: PATH in the revision: relative to the top of the repository, or to the current
+            folder if it begins with ``./`` or ``../``.
 
     Raises:
-        ModelError: If git does not contain the file; with git's message.
+        ModelError: If git is not installed, the current folder is in no repository, or the revision
+            does not contain the file; with git's message.
     """
     prefix = _git_text(given, "rev-parse", "--show-prefix").strip()
     given_path = prefix + inside if inside.startswith(("./", "../")) else inside
@@ -369,20 +374,20 @@ def find_path_in_revision(given: str, revision: str, inside: str) -> str:
 def write_revision(
     given: str, revision: str, root: Path, endings: tuple[str, ...], folder: Path | None = None
 ) -> None:
-    """Write the files of a revision with given suffixes to a folder.
+    """Write the files of a revision with given suffixes to a folder, at the same relative paths.
 
     Files are written as committed. Pointers of Git LFS are replaced by the file if the repository
     has a copy. Symbolic links, submodules, and files that a partial clone lacks are left out.
 
     Args:
-        given: Version or folder that errors name.
-        revision: Revision.
-        root: Empty folder.
+        given: Argument of the user, such as ``REVISION:PATH``, which errors name.
+        revision: Revision of git.
+        root: Empty folder, to which the files are written.
         endings: Suffixes, in lower case.
         folder: Folder in the repository; by default the current folder.
 
     Raises:
-        ModelError: If git does not contain the revision; with git's message.
+        ModelError: If git is not installed or does not contain the revision; with git's message.
     """
     listed = _git_answer(given, "ls-tree", "-r", "-z", "--full-tree", revision, folder=folder)
     kept = _git_text(
@@ -430,7 +435,7 @@ def _git_answer(given: str, *arguments: str, folder: Path | None = None) -> byte
     """Run git and return the output.
 
     Args:
-        given: Version or folder that errors name.
+        given: Argument of the user, which errors name.
         *arguments: Arguments of git.
         folder: Folder in the repository; by default the current folder.
 
@@ -459,7 +464,11 @@ def _git_command(given: str, *arguments: str) -> list[str]:
 def _read_git_objects(
     given: str, entries: Sequence[GitEntry], folder: Path | None
 ) -> Iterator[tuple[GitEntry, bytes]]:
-    """Yield the content of each file; submodules and missing objects are skipped."""
+    """Yield (entry, content) of each file of a git tree.
+
+    Submodules and missing objects are skipped. ``given`` is the argument of the user, which errors
+    name; ``folder`` is in the repository (None: the current folder).
+    """
     command = _git_command(given, "cat-file", "--batch")
     with subprocess.Popen(
         command,
