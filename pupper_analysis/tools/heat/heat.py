@@ -257,7 +257,11 @@ def study_heat(
 def _check_request(
     ambient: float | None, limit: float | None, battery_energy: float | None
 ) -> None:
-    """Raise a ConfigurationError if a temperature or the battery is out of range."""
+    """Raise a ConfigurationError if a temperature or the battery is out of range.
+
+    ``ambient`` and ``limit`` must be within `TEMPERATURE_RANGE` [degC], the limit above the ambient
+    temperature, and ``battery_energy`` [J] positive and finite. None is accepted for each.
+    """
     low, high = TEMPERATURE_RANGE
     for name, value in (("ambient", ambient), ("limit", limit)):
         if value is not None and not low <= value <= high:
@@ -339,7 +343,9 @@ def _choose_times(
 
     The time of a motor is the time to its temperature limit, otherwise to `_SETTLED_FRACTION` of
     the final rise. If the temperature rises without bound, the time is the product of total heat
-    capacity and total thermal resistance. The longest time is cut at `_MAX_DURATION`.
+    capacity and total thermal resistance. The longest time is cut at `_MAX_DURATION`. All times are
+    0 if no temperature is known. ``ambient`` is the temperature of the air [degC]; None: that of
+    each motor.
     """
     longest = 0.0
     for heat, motor in zip(heats, motors, strict=True):
@@ -358,7 +364,10 @@ def _choose_times(
 
 
 def _compute_curve(heat: MotorHeat, motor: Motor, times: Array, ambient: float | None) -> Array:
-    """Return the temperatures of a winding at times [s], shape (n,) [degC]; NaN if unknown."""
+    """Return the temperatures of a winding at ``times`` [s], shape (n,) [degC]; NaN if unknown.
+
+    ``ambient`` is the temperature of the air [degC]; None: that of the motor.
+    """
     if heat.steady_temperature is None:
         return np.full(len(times), np.nan)
     network = ThermalNetwork.of_motor(motor, heat.current, ambient)
