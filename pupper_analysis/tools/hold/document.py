@@ -268,7 +268,10 @@ def _make_limit_table(
 
 
 def _make_limit_cell(value: float) -> doc.Cell:
-    """Create a table cell with a limit; a word if the limit is NaN (effort limits are unknown)."""
+    """Create a table cell with a limit ``value``, such as a payload [kg] or a force [N].
+
+    A word if the limit is NaN, since effort limits are unknown.
+    """
     return text("limit-unknown") if math.isnan(value) else doc.number_cell(value, ".4g")
 
 

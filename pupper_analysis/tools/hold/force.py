@@ -71,7 +71,10 @@ class ToolForce(Tabular):
     frontal: Array = field(metadata={"unit": "N"})
 
     def _columns(self) -> dict[str, object]:  # type: ignore[override]  # directions are tuples
-        """Return {column: values} of a table of the largest forces, a row per direction."""
+        """Return {column: values} of a table with a row per direction.
+
+        The columns are direction (x, y, z) in world axes, force [N] and joint.
+        """
         return {
             "direction": [tuple(direction) for direction in self.directions.tolist()],
             "force": self.forces,

@@ -76,7 +76,10 @@ class ReachLoad(Tabular):
     utilisation: Array = field(metadata={"unit": "1"})
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return {column: values} of a table of the random postures, a row per posture."""
+        """Return {column: values} of a table with a row per random posture.
+
+        The columns are distance and height of the tool [m], and utilisation [1], (n,) each.
+        """
         return {
             "distance": self.distances,
             "height": self.heights,
@@ -431,7 +434,10 @@ class Hold(Tabular):
         return self.verdict.passed
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return {column: values} of a table of joint positions and torques, a row per joint."""
+        """Return {column: values} of a table with a row per joint.
+
+        The columns are name, position [rad, m], torque [N m, N] and utilisation [1], (nu,) each.
+        """
         return {
             "joint": self.statics.joint_names,
             "position": self.posture.qpos,

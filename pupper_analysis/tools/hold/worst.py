@@ -48,8 +48,9 @@ search for the largest torque stops. Also the relative variation up to which sam
 count as constant (rounding). Chosen, not tuned."""
 
 _PEAK_POSITION_ATOL = 1e-6
-"""Tolerance [rad, m] of the joint position of a torque maximum between samples. The error of the
-torque is of second order, about 1e-12 of the torque."""
+"""Tolerance [rad, m] of the joint position at which a motor torque has a maximum between two
+samples: ``xatol`` of SciPy's bounded minimisation, and width at which bisections end. Derived: the
+torque of a hinge is A cos(x) near the maximum, so that an error of x changes it by 1e-12 A / 2."""
 
 _UNDEFINED_TORQUE = 1e300
 """A value larger than any torque [N m, N]. Its negative is the torque of a posture with a loop that
@@ -153,9 +154,9 @@ class TorqueSearch:
         return best, qpos
 
     def compute_torques(self, qpos: Array) -> Array:
-        """Compute the static motor torques in a posture, shape (nu,) [N m or N].
+        """Compute the static motor torques in a posture ``qpos``, shape (nu,) [rad, m].
 
-        Zeros if the loops are singular.
+        The result has the shape (nu,) [N m or N]; zeros if the loops are singular.
         """
         config = Configuration(self._robot, qpos)
         try:
@@ -247,11 +248,12 @@ def _maximize_sinusoid(cosine: float, sine: float, rate: float, low: float, high
 def _maximize_sampled(
     function: Callable[[float], float], samples: Array, *, fine: bool, everywhere: bool
 ) -> float:
-    """Return the argument of the maximum of a function on an interval.
+    """Return the argument of the maximum of a function on the interval of ``samples``.
 
-    The function is evaluated at `samples`. With `fine`, a bounded scalar minimisation (scipy)
-    follows around the largest value, or, with `everywhere`, around each local maximum: between
-    samples of a closed loop the global maximum need not be next to the largest sample.
+    Argument and samples are displacements [rad, m] in ascending order. The function is evaluated at
+    `samples`. With `fine`, a bounded scalar minimisation (scipy) follows around the largest value,
+    or, with `everywhere`, around each local maximum: between samples of a closed loop the global
+    maximum need not be next to the largest sample.
     """
     from scipy import optimize  # slow to import
 
@@ -277,9 +279,10 @@ def _maximize_sampled(
 
 
 def _find_last_defined(function: Callable[[float], float], start: float, end: float) -> float:
-    """Return the last argument from `start` to `end` at which a function is defined, by bisection.
+    """Return the argument nearest to ``end`` [rad, m] at which a function is defined, by bisection.
 
-    The function must be defined at `start`.
+    The result is ``end`` itself if the function is defined there. The function must be defined at
+    ``start``; the undefined value is -`_UNDEFINED_TORQUE`.
     """
     if function(end) > -_UNDEFINED_TORQUE:
         return end
@@ -329,7 +332,10 @@ class WorstPostures(Tabular):
     endless: Diagnostic | None
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return {column: values} of a table of the largest torques, a row per joint."""
+        """Return {column: values} of a table with a row per joint.
+
+        The columns are joint name, largest torque [N m or N] and utilisation [1].
+        """
         return {
             "joint": self.joint_names,
             "torque": self.joint_torques,
@@ -406,9 +412,10 @@ def worst_postures(
 def _explain_unbounded_torque(
     robot: Robot, motions: JointMotions, stiffness: Array
 ) -> Diagnostic | None:
-    """Return the reason for unbounded torques, or None.
+    """Return the reason for unbounded torques; None if all torques are bounded.
 
-    Reasons are a slide without a limit, and a spring at a joint without a limit.
+    Reasons are a slide without a limit, and a spring at a joint without a limit. ``stiffness`` is
+    the spring stiffness of each joint, shape (nu,) [N m/rad, N/m].
     """
     if motions.endless:
         return diagnose("slide-not-limited")
