@@ -93,7 +93,9 @@ def proves_unrest(nudge: Nudge) -> bool:
 
 
 def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
-    """Create the message about a mode of the spectrum that a nudged simulation does not confirm.
+    """Create the message about a growing mode that a nudged simulation does not confirm.
+
+    A mode is an eigenvector of MuJoCo's simulation step at rest.
 
     The first of `Stability.refuted_modes` is described; empty if there is none.
     """
@@ -111,7 +113,11 @@ def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
 
 
 def describe_growth(mode: Mode) -> Diagnostic:
-    """Create the message about a growing mode, with the deviation that was simulated, if any."""
+    """Create the message about a growing mode, with the deviation that was simulated, if any.
+
+    A mode is an eigenvector of MuJoCo's simulation step at rest. The message states, for example,
+    the frequency [Hz] of an oscillating mode, the joints that move most, and the doubling time [s].
+    """
     nudge = Quantity(mode.nudge, mode.nudge_unit) if mode.nudge else None
     is_length = mode.nudge_unit == "m"
     return diagnose(

@@ -237,8 +237,8 @@ def judge_stance(
         question=question,
         passed=code in PASSING_CODES,
         seconds=fed.duration,
-        with_feedforward=describe_ending(fed),
-        commands_alone=None if alone is None else describe_ending(alone),
+        with_feedforward=classify_ending(fed),
+        commands_alone=None if alone is None else classify_ending(alone),
         torque_error=fed.torque_error,
         force_error=fed.force_error,
         failures=fed.failures,
@@ -299,8 +299,12 @@ def find_overloaded_motors(statics: GravityCompensation) -> tuple[str, ...]:
     return tuple(name for name, utilisation in utilisations if utilisation > 1)
 
 
-def describe_ending(run: Outcome) -> Ending:
-    """Classify how a simulation ended: the robot holds, stands differently, fails or collapses."""
+def classify_ending(run: Outcome) -> Ending:
+    """Classify how a simulation ended: the robot holds, stands differently, fails or collapses.
+
+    The robot stands differently (``Ending.DISAGREES``) if it stays at rest on its feet
+    (``Outcome.stays``), but not as predicted.
+    """
     if run.passed:
         return Ending.HOLDS
     if run.stays:

@@ -94,18 +94,23 @@ def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompe
 
 
 STABLE_DEVIATION = 5e-3
-"""Standard deviation of the base's height in the last second below which a stand is steady [m].
-Chosen, not tuned."""
+"""Upper bound of the standard deviation of the base's height in the last second before the nudge
+[m]. At or above the bound, `verify_stand` reports that the robot does not stand still. Chosen, not
+tuned."""
 
 JOINT_TOLERANCE = 1e-3
-"""Largest joint error of a verified stand [rad, m]. Chosen, not tuned."""
+"""Upper bound of the difference between settled and predicted joint position [rad, m], in addition
+to the deadband by dry friction. At or above the bound, a stand is not verified. Chosen, not
+tuned."""
 
 FORCE_TOLERANCE = 1e-2
-"""Largest relative error of torques and foot forces of a verified stand. Chosen, not tuned."""
+"""Upper bound of the difference between simulated and predicted motor torques, relative to
+`torque_scale`, and normal foot forces, relative to the prediction [1]. At or above the bound, a
+stand is not verified. Chosen, not tuned."""
 
 MIN_FORCE_SCALE = 0.05
-"""Smallest force, relative to the weight, by which the error of a foot force is divided. Chosen,
-not tuned."""
+"""Lower bound of the force by which the error of a foot force is divided, relative to the weight:
+feet with almost no load have large relative errors. Chosen, not tuned."""
 
 MAX_SINKING_RATIO = 0.1
 """Largest height loss of a verified stand with feed-forward, relative to the CoM height above the
@@ -122,8 +127,9 @@ TORQUE_SCALE_LEVER = 1e-3
 (`torque_scale`), since all predicted torques may be zero. Chosen, not tuned."""
 
 SETTLED_DRIFT = 5e-4
-"""Largest height rate of the base in the last second of a settled stand [m/s]. Chosen, not
-tuned."""
+"""Upper bound of the magnitude of the base's mean vertical velocity in the last second before the
+nudge [m/s]. At or above the bound, `verify_stand` reports that the robot does not stand still.
+Chosen, not tuned."""
 
 _SAMPLE_TIME = 0.02
 """Time between the height samples of the result [s]. Chosen, not tuned."""
