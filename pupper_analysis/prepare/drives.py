@@ -277,7 +277,8 @@ def _restore_zero_limits(made: Robot, robot: Robot) -> Robot:
 def _add_servos_of_stand(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Add position servos with suggested gains to a robot, and return notes about these servos.
 
-    If the robot has no nominal stand, the gains for a fixed base are used.
+    The gains hold the nominal stand (default `StandTask`). If the robot has no such stand, the
+    gains for a fixed base are used.
     """
     stand = start.solve_nominal_stand(robot)
     if stand is None:

@@ -87,7 +87,7 @@ def get_loaded_robot(robot: Robot) -> Robot:
 def own_run(robot: Robot) -> OwnRun | None:
     """Return the simulation of the published file from its keyframe, cached per loaded robot.
 
-    Without a keyframe, the simulation starts at the nominal stand.
+    Without a keyframe, the simulation starts at the nominal stand (default `StandTask`).
 
     Returns:
         Simulation result. None if the robot has no feet or a fixed base, if ``get_published_model``
@@ -200,7 +200,7 @@ def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
 def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> OwnRun | None:
     """Simulate a published model from its initial keyframe.
 
-    Without a keyframe, the simulation starts at the robot's nominal stand.
+    Without a keyframe, the simulation starts at the robot's nominal stand (default `StandTask`).
 
     Args:
         published: Model of the unmodified file, or a copy with modifications.
@@ -298,7 +298,9 @@ def _xml_has_ctrl(robot: Robot, key: int) -> bool:
 
 @silence_mujoco()
 def _simulate_nominal_stand(published: PublishedModel, robot: Robot) -> OwnRun | None:
-    """Simulate a published model from the nominal stand, and command the joint positions.
+    """Simulate a published model from the nominal stand (default `StandTask`).
+
+    The joint positions of the stand are commanded.
 
     Returns:
         Simulation result. None if the model has no level ground, if the base cannot be placed, or

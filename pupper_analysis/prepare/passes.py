@@ -286,7 +286,10 @@ def _may_get_servos(draft: Draft) -> bool:
 
 
 def _rebuild_robot(draft: Draft, description: Description | None) -> Draft:
-    """Return a draft whose robot is built from ``description``; the same draft if it is None."""
+    """Return a draft (robot in preparation) whose robot is built from ``description``.
+
+    The same draft is returned if ``description`` is None.
+    """
     return draft if description is None else replace(draft, built=build_robot(description))
 
 
@@ -570,7 +573,7 @@ def _report_uncommanded_joints(draft: Draft) -> PassOutput:
 
 
 def _describe_missing_stand(draft: Draft) -> Diagnostic:
-    """Return the reason for which a robot has no nominal stand.
+    """Return the reason for which a robot has no nominal stand (default `StandTask`).
 
     With fewer than `_MIN_STANDING_FEET` found feet, these may be the fingers of a gripper.
     """
@@ -644,7 +647,7 @@ def _store_rest_pose(draft: Draft) -> PassOutput:
 
 
 def _solve_rest_pose(robot: Robot) -> Stand | None:
-    """Solve the nominal stand on soft ground; None if there is none."""
+    """Solve the nominal stand (default `StandTask`) on MuJoCo's soft ground; None without one."""
     with contextlib.suppress(PupperAnalysisError):
         return solve_stand_on_soft_ground(robot, explain=False)
     return None

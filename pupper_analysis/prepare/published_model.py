@@ -385,6 +385,12 @@ def _place_base(
     The frame of the base may differ between both models. Newton's method on the joints of the base
     is used, because the base may move by three slides and three hinges instead of a free joint.
 
+    Args:
+        published: Published model.
+        robot: Prepared robot.
+        state: Data of the robot's model, with kinematics.
+        data: Data of the published model; changed in place.
+
     Returns:
         True if position and orientation errors are below `_BASE_POSE_ATOL`.
     """

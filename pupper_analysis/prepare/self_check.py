@@ -158,7 +158,10 @@ def compare_as_published(
 
 
 def _is_nominal_stand(robot: Robot, stand: Stand) -> bool:
-    """Return True if a stand has the same task and the same qpos as the robot's nominal stand."""
+    """Return True if a stand has the same task and the same qpos as the robot's nominal stand.
+
+    The nominal stand is the solution of the default `StandTask`.
+    """
     with contextlib.suppress(PupperAnalysisError):
         nominal = solve_stand(robot, explain=False)
         return nominal.task == stand.task and np.array_equal(nominal.qpos, stand.qpos)
@@ -170,7 +173,7 @@ RequestedGains = tuple[ArrayLike | None, ArrayLike | None]
 
 
 def compare_nominal_stand(robot: Robot) -> Published | None:
-    """Compare the published file with the prediction for the nominal stand of a robot.
+    """Compare the published file with the prediction for the nominal stand (default `StandTask`).
 
     None, for example, if the robot has no nominal stand, or nothing is predicted for this stand.
     """
@@ -178,10 +181,11 @@ def compare_nominal_stand(robot: Robot) -> Published | None:
 
 
 def _compare_nominal(robot: Robot, gains: RequestedGains | None) -> Published | None:
-    """Compare the published file with the prediction for the nominal stand.
+    """Compare the published file with the prediction for the nominal stand (default `StandTask`).
 
-    None if the nominal stand cannot be solved, if an error of this package ends the comparison, or
-    if `_compare_in` returns None.
+    ``gains`` are servo gains that the published model gets; None: those of the file. None if the
+    nominal stand cannot be solved, if an error of this package ends the comparison, or if
+    `_compare_in` returns None.
     """
     with contextlib.suppress(PupperAnalysisError):
         return _compare_in(robot, solve_stand(robot, explain=False), gains)
@@ -190,6 +194,8 @@ def _compare_nominal(robot: Robot, gains: RequestedGains | None) -> Published | 
 
 def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Published | None:
     """Compare the published file with the prediction for a stand, with the causes of differences.
+
+    ``gains`` are servo gains that the published model gets; None: those of the file.
 
     Returns:
         Comparison. None if the robot has no file, or a free base without feet; if nothing is
@@ -692,7 +698,7 @@ def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
 
 
 def _find_run_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
-    """Find the elements because of which a simulation of the unmodified file fails.
+    """Find the elements of the file because of which its simulation from a keyframe fails.
 
     The elements are changed in copies of the model, which are simulated again (`_test_causes`).
     """

@@ -261,7 +261,7 @@ def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
 
 
 def solve_nominal_stand(robot: Robot) -> Stand | None:
-    """Solve the nominal stand of a robot (default `StandTask`).
+    """Solve the nominal stand of a robot: the stand of the default `StandTask`.
 
     None if the stand is out of reach or not in equilibrium.
     """
@@ -296,7 +296,7 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
 
 
 def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
-    """Find a nominal stand with level feet; the horizontal foot positions are free.
+    """Find a nominal stand (default `StandTask`) with level feet at free horizontal positions.
 
     Bending a leg with fewer than six joints, and with axes that are not parallel, moves the sole
     sideways and tilts it. The sole may then not be level at the horizontal positions of straight
@@ -398,7 +398,8 @@ def _set_start(robot: Robot, joints: Array, height: float) -> Robot:
 def _choose_middle_start(starts: Sequence[Robot]) -> Robot | None:
     """Return the first robot with a nominal stand, tried from the middle of a sequence outwards.
 
-    The robots differ in the start of the search for this stand. A start may fail: the stand needs
+    The robots differ in the start pose, from which the nominal stand (that of the default
+    `StandTask`) is solved. A start may fail: the stand needs
     the CoM in the centre of the feet, and straight legs move the CoM when they are bent. None if
     all fail.
     """
@@ -408,7 +409,9 @@ def _choose_middle_start(starts: Sequence[Robot]) -> Robot | None:
 
 
 def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
-    """Return the robot with a nominal stand, searched from candidate start poses.
+    """Return the robot with a nominal stand (default `StandTask`), searched from start poses.
+
+    ``poses`` are joint positions, shape (nu,) [rad, m] each.
 
     The pose is used from which a stand exists at the largest number of consecutive base heights.
     The nominal stand is that at the middle height, or the nearest that is valid. Required margins
