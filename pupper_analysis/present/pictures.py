@@ -109,7 +109,7 @@ class Animation:
             force: Replace a file that this function did not write.
 
         Raises:
-            ConfigurationError: If the suffix is another one.
+            ConfigurationError: If the suffix is neither ``.gif`` nor ``.mp4``.
             MissingPackageError: If an MP4 is requested, and ``imageio[ffmpeg]`` is not installed.
             OutputError: If the file cannot be written, or would replace a file of another kind.
         """
@@ -168,10 +168,10 @@ def show_result(
     azimuth: float = AZIMUTH,
     elevation: float = ELEVATION,
 ) -> Image.Image | None:
-    """Show the last configuration of a result in MuJoCo's viewer, or return it as a picture.
+    """Show the last configuration of a result in MuJoCo's viewer, or return a picture of it.
 
-    The viewer is used if a window can be opened and no notebook runs. It simulates the robot until
-    the window is closed, and None is returned.
+    The viewer is used if a window can be opened and no notebook runs. The viewer simulates the
+    robot until the window is closed, and None is returned.
 
     Args:
         result: Result.

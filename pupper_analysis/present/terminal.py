@@ -232,7 +232,7 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
 
 
 def _join_short_messages(messages: Sequence[Words]) -> Text:
-    """Join messages in their short form into one line of up to `MAX_ANSWER_WIDTH` characters.
+    """Join the short forms of messages into a line of up to `MAX_ANSWER_WIDTH` characters.
 
     The first message is always printed. Messages from the first that does not fit are counted.
     """
@@ -335,7 +335,7 @@ def _make_finding_lines(block: FileFinding, view: _ViewOptions) -> list[_Printed
 
 @_make_lines.register
 def _make_remark_lines(block: Lines, _: _ViewOptions) -> list[_PrintedLine]:
-    """Return the printed lines of a block of remarks, after its title if it has one."""
+    """Return the title of a block of remarks, if any, and the remarks, a line each."""
     lines = [_PrintedLine(_style_words(line)) for line in block.lines]
     if block.title is None:
         return lines
@@ -376,7 +376,7 @@ def _to_plain_text(words: Words) -> str:
 
 
 def _shorten(words: Words) -> str:
-    """Return the escaped short English form of words; the whole text if they have none."""
+    """Return the escaped short English form of words; the whole text without a short form."""
     short = words.short if isinstance(words, TranslatedText) else ""
     return _escape_line(short) or _to_plain_text(words)
 

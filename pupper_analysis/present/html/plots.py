@@ -49,7 +49,8 @@ DOT_RADIUS, MARKED_DOT_RADIUS = 3.5, 6.0
 """Radius of a point [CSS pixels], and of the marked point of a series."""
 
 NUM_SERIES_STYLES = 6
-"""Number of series styles in the style sheet (``s0`` ...), with different colours and dashes."""
+"""Number of series styles in the style sheet (``s0`` ...), with different colours and dashes. The
+styles of further series repeat from the first."""
 
 
 @dataclass(frozen=True)
@@ -227,8 +228,8 @@ def _shorten_name(words: Words) -> Words:
 def _select_drawn_points(points: Array, marked_index: int | None) -> NDArray[np.intp]:
     """Return the indices of the drawn points of a line, among ``points`` of shape (n, 2).
 
-    These are the finite points, thinned to `MAX_LINE_POINTS` including the first and the last, and
-    the marked point if it is finite.
+    Drawn are the finite points, thinned to `MAX_LINE_POINTS` including the first and the last, and
+    the marked point ``marked_index`` if finite.
     """
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     if len(finite) <= MAX_LINE_POINTS:

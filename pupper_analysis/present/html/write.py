@@ -373,7 +373,7 @@ def load_viewer_library() -> ViewerLibrary | None:
 
 
 def _collect_licences(folder: Path) -> str:
-    """Return the licence texts of MeshCat, and of the libraries that its script contains."""
+    """Return the licence texts of MeshCat, and of the libraries in the script of MeshCat."""
     named = (
         path
         for path in distribution(_VIEWER_PACKAGE).files or ()
@@ -567,7 +567,7 @@ def _read_part(name: str) -> object:
 
 
 def _mark_safe(script: str) -> object:
-    """Mark a text as safe for the HTML template, which then inserts it without escaping."""
+    """Mark a text as safe for the HTML template, which then inserts the text without escaping."""
     import markupsafe
 
     return markupsafe.Markup(script)
