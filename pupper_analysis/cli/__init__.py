@@ -1,7 +1,7 @@
 """Command line: commands of the tools, imported at first use, and the exit status of a run.
 
 `group` finds the commands of this package and of installed plug-ins by name, and imports only the
-command that runs. `run` executes a command and ends the process with its exit status; errors become
+command that runs. `run` executes a command and ends the process with the exit status; errors become
 a line on standard error.
 """
 
@@ -40,7 +40,7 @@ from pupper_analysis.cli.shared import (
 
 
 def list_tools() -> list[str]:
-    """Return the names of all tools, including those of installed plug-ins."""
+    """Return the names of all tools, including the tools of installed plug-ins."""
     return sorted([*own_tools(), *other_tools()])
 
 
@@ -153,7 +153,10 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
 
 
 def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -> int:
-    """Run a command, print the error if it fails, and return the exit status (`EXIT_...`)."""
+    """Run a command, print the error of a failed command, and return the exit status (`EXIT_...`).
+
+    ``debug`` prints the traceback of an unexpected error.
+    """
     try:
         with ensure_run() as run:  # includes parsing, because options read files
             run.command = (GENERATOR_NAME, *arguments)
@@ -195,9 +198,9 @@ exit status `EXIT_BAD_INPUT`; other unexpected errors are reported as bugs."""
 
 
 def _describe_lack(error: Exception) -> str:
-    """Return the description of a missing resource, such as disk space; empty for other errors.
+    """Return the description of a missing system resource; empty for other errors.
 
-    A deleted current folder is also a missing resource.
+    Resources are, for example, disk space and memory (`_RESOURCE_ERRORS`), and the current folder.
     """
     if isinstance(error, OSError) and error.errno in _RESOURCE_ERRORS:
         return f"the system has no more to give: {error.strerror}"

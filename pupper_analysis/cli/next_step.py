@@ -29,8 +29,8 @@ The next command does not get these options."""
 def complete_command(step: NextStep | None) -> str:
     """Return the command line of a next step, for the robot of the running command.
 
-    The line contains the robot that the user typed, unless the step names files. It also contains
-    typed options that both commands have, except those for outputs.
+    The line contains the robot that the user typed, unless the step names files, and the typed
+    options that both commands have, except options for outputs.
 
     Args:
         step: Next step; None for none.

@@ -64,8 +64,8 @@ class OutputPath(click.Path):
     """Parameter type of an output path.
 
     Args:
-        holds: Kind of the result, or content of the folder; or a function that returns it from
-            the parameters of the command (None: nothing is written).
+        holds: Kind of the result, or content of the folder; or a function that returns kind or
+            content from the parameters of the command (None: nothing is written).
     """
 
     def __init__(
@@ -89,8 +89,8 @@ class OutputPath(click.Path):
     def check_suffix(self, option: str, path: Path, kind: Kind) -> None:
         """Check that the suffix of an output file does not belong to another format.
 
-        Figures and pages have one of their own suffixes, or none, because programs choose by the
-        suffix how to open them.
+        Figures and pages have a suffix of their own format, or none, because programs choose by the
+        suffix how to open a file.
 
         Args:
             option: Name of the option, for errors.
@@ -655,7 +655,7 @@ MODEL_FILE = ModelFile()
 
 
 def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
-    """Return a URDF and an MJCF in this order, in whatever order they were typed.
+    """Return a URDF and an MJCF in this order, in whatever order the user typed both.
 
     A variant has both formats, and represents the format that the other file does not have. Files
     that cannot be read keep the typed order.

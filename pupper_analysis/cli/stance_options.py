@@ -144,8 +144,8 @@ OUTPUT_OPTIONS = (shared.text_format_option, shared.verbose_option)
 class RobotAndTask:
     """Values of the stance options, as typed.
 
-    ``which`` contains the options of the robot, ``stance`` those of the stand task. The command
-    sets ``fixed_base``; each other field is the value of an option.
+    ``which`` contains the options of the robot, ``stance`` the options of the stand task. The
+    command sets ``fixed_base``; each other field is the value of an option.
     """
 
     which: RobotOptions
