@@ -344,7 +344,7 @@ def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
         turn = np.eye(3)
         new = {"xyz": _format_vector(np.round(solid.lever, 7)), "rpy": "0 0 0"}
         changes.append(_make_change(robot, name, "inertial/origin", new, reason))
-    tensor = _rotate(density * np.array(solid.inertia), turn.T)
+    tensor = _rotate_tensor(density * np.array(solid.inertia), turn.T)
     scale = float(np.abs(tensor).max())
     element = _find_element(robot, "link", name, "inertial/inertia")
     entries = {
@@ -435,8 +435,10 @@ def _compute_mirrored_tensor(robot: UrdfModel, link: Link, twin: Link) -> dict[s
     turn = (
         np.eye(3) if link.inertial is None else robot.file.tree.links[link.name].inertial_rotation
     )
-    in_base = mirror.matrix @ _rotate(twin.inertial.inertia, twin.pose.rotation) @ mirror.matrix
-    tensor = _rotate(in_base, (link.pose.rotation @ turn).T)
+    in_base = (
+        mirror.matrix @ _rotate_tensor(twin.inertial.inertia, twin.pose.rotation) @ mirror.matrix
+    )
+    tensor = _rotate_tensor(in_base, (link.pose.rotation @ turn).T)
     scale = float(np.abs(tensor).max())
     return {
         word: _format_value(0.0 if abs(tensor[index]) < 1e-9 * scale else float(tensor[index]))
@@ -452,7 +454,7 @@ def _find_twin(robot: RobotModel, name: str) -> Link | None:
     return None
 
 
-def _rotate(tensor: Array, rotation: Array) -> Array:
+def _rotate_tensor(tensor: Array, rotation: Array) -> Array:
     """Return a tensor T in rotated axes: R T R^T, with the rotation matrix R, shape (3, 3) each."""
     rotated: Array = rotation @ tensor @ rotation.T
     return rotated

@@ -146,8 +146,8 @@ def _assume_order(placed: Sequence[PlacedSource], joints: RobotJoints) -> Placed
     """Return the first trainer, with the joint order of its framework as an assumption.
 
     None if no trainer states a stiffness or action scale of a joint. The order of Isaac Lab is by
-    depth in the tree, that of mjlab and Isaac Gym is limb by limb. The joints are those with a
-    stiffness or, without any, those with an action scale.
+    depth in the tree, that of mjlab and Isaac Gym is limb by limb. Joints with a stiffness are
+    ordered or, if none has a stiffness, joints with an action scale.
     """
     for source in placed:
         if source.source.role is not Role.TRAINER:

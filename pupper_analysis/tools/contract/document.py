@@ -79,7 +79,7 @@ def _select_next_step(contract: Contract) -> doc.NextStep:
 
 
 def _describe_first(contract: Contract) -> Iterable[doc.Words]:
-    """Yield the text of the most severe disagreement between the sources, if there is one."""
+    """Yield the text of the most severe disagreement between the sources, if any."""
     if contract.findings:
         yield text("contract-first", finding=doc.diagnostic_text(contract.findings[0].diagnostic))
 
@@ -141,7 +141,7 @@ def _format_value(finding: Disagreement, number: int) -> str:
 
 
 def _make_column(key: str, unit: str = "", *, detail: bool = False) -> doc.Column:
-    """Create a column with a header from the catalogue, left-aligned if it has no unit."""
+    """Create a column with a header from the catalogue, left-aligned without a unit."""
     return doc.Column(text(key), unit, left=not unit, detail=detail)
 
 

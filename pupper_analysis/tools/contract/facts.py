@@ -279,8 +279,8 @@ class Source:
     def content(self) -> tuple[tuple[object, ...], ...]:
         """Content of the source without file locations, for comparisons between sources.
 
-        It consists of the stated values, the orders of joints and motors, and the observations of
-        the policy. Sources with equal content count once.
+        The content consists of the stated values, the orders of joints and motors, and the
+        observations of the policy. Sources with equal content count once.
         """
         statements = sorted(str((s.quantity, s.joint, s.index, s.value)) for s in self.statements)
         observations = [(term.name, term.scales, term.history) for term in self.observations]
@@ -501,7 +501,7 @@ def read_yaml_nodes(path: Path, text: str) -> list[Node]:
 def _convert_yaml_node(path: Path, node: yaml.Node, left: list[int]) -> Node:
     """Convert a node of PyYAML, with all nodes in it, to a `Node` with lines.
 
-    ``left[0]`` is the number of values that may still be read; it is decremented for each value.
+    ``left[0]`` is the number of values that may still be read, decremented for each value.
 
     Raises:
         ModelError: If the number is used up, or a table repeats a key.

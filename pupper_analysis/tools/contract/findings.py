@@ -190,7 +190,7 @@ def note_servo_damping(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
 
 
 def find_lost_quantities(placed: Sequence[PlacedSource]) -> list[Diagnostic]:
-    """List the quantities of a source that are not compared although another source states them.
+    """List the quantities of a source that are not compared, although another source states them.
 
     A list may not be assigned to joints, or keys may match no joint of the robot.
     """
@@ -274,7 +274,7 @@ def facts_agree(first: Fact, second: Fact) -> bool:
 def _find_unlimited_efforts(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
     """Yield a disagreement for each model without the effort limits that another source states.
 
-    The limits are those of the first source that limits a joint which the model drives without a
+    Stated are the limits of the first source that limits a joint which the model drives without a
     limit. MuJoCo then simulates a motor of any torque. `crosscheck` reports the same difference
     between a URDF and an MJCF.
     """

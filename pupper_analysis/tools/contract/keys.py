@@ -124,12 +124,19 @@ def load_order_keys(source: Path) -> tuple[tuple[str, ...], ...]:
 
 
 def load_key_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
-    """Return the rules of numbers in a format, those of the user last; see `_load_rules`."""
+    """Return the rules of keys with numbers in a format; rules of the user are the last.
+
+    ``form`` is ``table``, ``trainer`` or ``actuator``; ``source`` is the file to which the rules
+    are applied.
+
+    Raises:
+        ModelError: If an entry of the user's file is not valid.
+    """
     return tuple(rule for rule in _load_rules(form, source) if rule.quantity != JOINT_ORDER)
 
 
 def _load_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
-    """Return all rules of a format; those of the user, which have precedence, are the last.
+    """Return all rules of a format; rules of the user, which have precedence, are the last.
 
     The user's rules are in the first ``pupper-analysis.toml`` in the folder of the source or the
     folders above, otherwise in the current folder or the folders above.

@@ -482,7 +482,7 @@ def _get_motor_names(source: Source) -> dict[int, str]:
 
 
 def matches_name(pattern: str, name: str) -> bool:
-    """Return True if a pattern equals a joint name, or is a regular expression of all of it."""
+    """Return True if a pattern equals a name, or is a regular expression of the whole name."""
     if pattern in (name, ".*"):
         return True
     return is_pattern(pattern) and re.fullmatch(pattern, name) is not None

@@ -250,7 +250,7 @@ class Evaluator:
         self.steps, self.depth = 0, 0
 
     def load_module(self, path: Path) -> ModuleNames:
-        """Evaluate a Python file from its syntax tree, and return the names that it defines.
+        """Evaluate a Python file from the syntax tree, and return the names that the file defines.
 
         Each file is evaluated once. In a circular import, the names defined so far are returned.
 
@@ -281,7 +281,7 @@ class Evaluator:
         """Evaluate the block ``if __name__ == "__main__"`` of a file, after the file itself.
 
         Returns:
-            Names of the file, with those that the block defines.
+            Names of the file, including names that the block defines.
 
         Raises:
             InputError: If the file cannot be read.
@@ -333,7 +333,7 @@ class Evaluator:
     _run_annassign = _run_assign
 
     def _run_augassign(self, statement: ast.AugAssign, scope: Scope) -> None:
-        """Assign the result of an operation such as ``x += 1`` to its target."""
+        """Assign the result of an operation such as ``x += 1`` to the target ``x``."""
         read = ast.copy_location(
             ast.BinOp(statement.target, statement.op, statement.value), statement
         )
@@ -367,7 +367,7 @@ class Evaluator:
         raise _NextSignal
 
     def _run_if(self, statement: ast.If, scope: Scope) -> None:
-        """Run the branch of an ``if`` statement that its condition selects."""
+        """Run the branch of an ``if`` statement that the condition selects."""
         self.run_statements(
             statement.body
             if self._is_true(self.evaluate(statement.test, scope))
@@ -638,7 +638,7 @@ class Evaluator:
         return Node(expression.value, self._make_place(expression, scope), digits)
 
     def _evaluate_name(self, expression: ast.Name, scope: Scope) -> Any:
-        """Return the value of a name; an unknown value if the scope does not contain it."""
+        """Return the value of a name; an unknown value if the scope lacks the name."""
         return scope.get(expression.id) or UnknownValue(expression.id)
 
     def _evaluate_attribute(self, expression: ast.Attribute, scope: Scope) -> Any:

@@ -114,7 +114,7 @@ def list_mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) ->
 
 
 def _get_moving_joint(robot: Robot, model: pin.Model, joint: int) -> str:
-    """Return the name of a joint of a Pinocchio model if the robot has it, else that of the base.
+    """Return the name of a joint of a Pinocchio model if it is a joint of the robot, else the base.
 
     ``joint`` is the index of the parent joint of a link; the result names the body with the link.
     """
@@ -257,7 +257,8 @@ PatternFindings = Iterator[PatternFinding]
 
 
 _EULER_SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
-"""Sequences of Euler angles about moving axes; in upper case, about fixed axes."""
+"""Values of the MJCF's ``eulerseq`` that `find_angle_settings` tests: Euler angles about moving
+axes. Each is also tested in upper case, for fixed axes."""
 
 
 def find_angle_settings(case: PatternCase) -> PatternFindings:

@@ -625,19 +625,19 @@ class _Gains:
             joints=tuple(robot.joint_names[joint] for joint in members),
             kp=kp,
             kd=kd,
-            least_kp=_scale(kp, least_kp.factor),
-            largest_kd=_scale(kd, largest_kd.factor),
-            largest_kd_alone=_scale(kd * stable_pair[1], alone),
+            least_kp=_scale_gain(kp, least_kp.factor),
+            largest_kd=_scale_gain(kd, largest_kd.factor),
+            largest_kd_alone=_scale_gain(kd * stable_pair[1], alone),
             largest_kp_of_torque=limit / error if limited and error is not None else None,
             largest_kd_of_encoder=(
                 MAX_NOISE_RATIO * limit * self.loop.period / count if limited and count else None
             ),
-            recommended_kp=_scale(kp, recommended[0]),
-            recommended_kd=_scale(kd, recommended[1]),
+            recommended_kp=_scale_gain(kp, recommended[0]),
+            recommended_kd=_scale_gain(kd, recommended[1]),
             are_slides=are_slides,
         )
 
 
-def _scale(gain: float, factor: float | None) -> float | None:
-    """Return a gain times a factor; None if the factor is None."""
+def _scale_gain(gain: float, factor: float | None) -> float | None:
+    """Return a gain (kp or kd) times a factor, in the unit of the gain; None if factor is None."""
     return None if factor is None else gain * factor

@@ -1,4 +1,4 @@
-"""Document of heat: first motor to reach its limit, losses, battery, and temperatures over time.
+"""Document of heat: first motor to reach the limit, losses, battery, and temperatures over time.
 
 Input is a `HeatStudy`; output is a document that is independent of the output format.
 """
@@ -77,9 +77,9 @@ def _format_minutes(seconds: float) -> str:
 def _describe_first(motor: MotorHeat) -> doc.Words:
     """State the result of the motor that the report names first.
 
-    If the motor is too weak, this is its largest torque. If the final temperature is unknown, this
-    is the comparison with the continuous torque. Otherwise this is the time to the temperature
-    limit, or the final temperature, or a temperature that rises without bound.
+    If the motor is too weak, this is the largest torque of the motor. If the final temperature is
+    unknown, this is the comparison with the continuous torque. Otherwise this is the time to the
+    temperature limit, or the final temperature, or a temperature that rises without bound.
     """
     time, final = motor.time_to_limit, motor.steady_temperature
     values = {
@@ -110,7 +110,7 @@ def _describe_first(motor: MotorHeat) -> doc.Words:
 
 
 def _format_duration(time: float) -> str:
-    """Return a time [s] in min, or in s below one minute."""
+    """Return a time [s] in min, or in s below 60 s."""
     return f"{_format_minutes(time)} min" if time >= 60.0 else f"{time:.2g} s"
 
 
@@ -161,10 +161,10 @@ def _make_table(study: HeatStudy) -> doc.Table:
             doc.number_cell(motor.largest_torque, ".3g"),
             doc.number_cell(motor.current, ".3g"),
             doc.number_cell(motor.cold_loss, ".3g"),
-            doc.number_cell(_finite(motor.steady_loss), ".3g"),
-            doc.number_cell(_finite(motor.steady_temperature), ".1f"),
+            doc.number_cell(_drop_nonfinite(motor.steady_loss), ".3g"),
+            doc.number_cell(_drop_nonfinite(motor.steady_temperature), ".1f"),
             doc.number_cell(motor.limit_temperature, ".0f"),
-            doc.number_cell(_finite(motor.time_to_limit), ".1f", scale=1 / 60),
+            doc.number_cell(_drop_nonfinite(motor.time_to_limit), ".1f", scale=1 / 60),
         )
         for motor in study.motors
     ]
@@ -188,7 +188,7 @@ def _make_table(study: HeatStudy) -> doc.Table:
     )
 
 
-def _finite(value: float | None) -> float | None:
+def _drop_nonfinite(value: float | None) -> float | None:
     """Return ``value`` if finite; None for an infinite value, NaN or None."""
     return None if value is None or not math.isfinite(value) else value
 

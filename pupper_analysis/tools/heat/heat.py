@@ -100,7 +100,7 @@ class MotorHeat(Result):
 
     @property
     def overheats(self) -> bool:
-        """Whether the winding reaches its limit, or grows hotter without bound.
+        """Whether the winding reaches the temperature limit, or grows hotter without bound.
 
         Without known temperatures, whether the torque exceeds the continuous torque of the data
         sheet. False for a motor that cannot exert the torque.
@@ -341,7 +341,7 @@ def _choose_times(
 ) -> Array:
     """Return the times of the curves [s], shape (n,), from 0 to the longest time of a motor.
 
-    The time of a motor is the time to its temperature limit, otherwise to `_SETTLED_FRACTION` of
+    The time of a motor is the time to the temperature limit, otherwise to `_SETTLED_FRACTION` of
     the final rise. If the temperature rises without bound, the time is the product of total heat
     capacity and total thermal resistance. The longest time is cut at `_MAX_DURATION`. All times are
     0 if no temperature is known. ``ambient`` is the temperature of the air [degC]; None: that of

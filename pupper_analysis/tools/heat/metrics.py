@@ -12,7 +12,7 @@ from pupper_analysis.tools.heat.heat import HeatStudy, study_heat
 
 
 def _compute_heat(design: Any) -> HeatStudy:
-    """Return the heat of the motors of a design in its stand.
+    """Return the heat of the motors of a design of a study, in the stand of the design.
 
     Raises:
         ConfigurationError: If no motor is varied, or a driven joint has no motor.
@@ -32,7 +32,7 @@ def _check_motors(design: Any) -> None:
 
 
 def _measure_continuous_utilisation(design: Any) -> float:
-    """Return the largest |torque| / continuous torque of the motors of a design.
+    """Return the largest |torque| / continuous torque [1] of the motors of a design.
 
     Raises:
         ModelError: If the continuous torque of a motor is unknown.
@@ -48,7 +48,7 @@ def _measure_continuous_utilisation(design: Any) -> float:
 
 
 def _measure_time_until_hot(design: Any) -> float:
-    """Return the time until the first winding reaches its limit [s]; infinite if no winding does.
+    """Return the time until a winding reaches the limit [s]; infinite if no winding does.
 
     Raises:
         ModelError: If a motor is too weak for its torque, or the time is unknown.

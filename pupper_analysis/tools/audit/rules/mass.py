@@ -46,7 +46,8 @@ shapes or meshes, the second if it only has simple collision shapes, which may b
 link. Chosen, not tuned."""
 
 DEFAULT_DENSITY = 1000.0
-"""MuJoCo's default density of a geom [kg/m^3]."""
+"""MuJoCo's default density of a geom [kg/m^3]. A visual mesh with this density probably has mass by
+accident, which `visual_adds_mass` reports."""
 
 
 @rule

@@ -85,7 +85,7 @@ def read(request: Request) -> Iterator[Source]:
 def _list_joint_statements(
     model: RobotModel, joint: Joint, drives: list[int]
 ) -> Iterator[Statement]:
-    """Yield the limits and passive terms of a joint, with their lines.
+    """Yield the limits and passive terms of a joint, each with the line in the file.
 
     ``drives`` are the indices of the joint's actuators, at which an MJCF may state the effort.
     """

@@ -188,7 +188,7 @@ def _read_tensor_shape(data: int | memoryview) -> tuple[str, list[int]]:
 
 
 def _decode_varint(data: memoryview, position: int) -> tuple[int, int]:
-    """Decode the variable-length integer at a position; return it and the next position."""
+    """Return the variable-length integer at a position, and the position after the integer."""
     value = 0
     for shift in range(0, 70, 7):  # at most ten bytes
         value |= (data[position] & 0x7F) << shift

@@ -101,7 +101,8 @@ def _read_constants(
 ) -> Iterator[Source]:
     """Yield the constants of a file without tables as a source: of a deployment or a simulation.
 
-    Constants are those of the module, of its classes, and those that a method assigns to ``self``.
+    Read are constants of the module, of classes in the module, and constants that a method assigns
+    to ``self``. ``own_names`` is {name: value} of the module.
     """
     table = {
         name.lower(): _make_constant_table(evaluator, node)
@@ -176,7 +177,10 @@ def _find_annotated_class(
 
 
 def _iterate_instances(node: Node, seen: set[int]) -> Iterator[Node]:
-    """Yield all class instances in a configuration value, nested ones too, each once."""
+    """Yield all class instances in a configuration value, also nested instances, each once.
+
+    ``seen`` contains the Python ids of the values that were visited before, and is extended.
+    """
     value = node.value
     if id(value) in seen or not isinstance(value, py.InstanceValue | dict | list):
         return
@@ -229,7 +233,7 @@ def _read_root(name: str, path: Path, root: Node) -> Iterator[Source]:
 
 
 def _list_actuators(node: Node) -> list[Node]:
-    """Return the actuators in a robot's configuration (Isaac Lab or mjlab); empty for others."""
+    """Return the actuators in a robot's configuration (Isaac Lab or mjlab); otherwise empty."""
     actuators = node.find_first("actuators")
     parts = list(actuators.value.values()) if isinstance(actuators.value, dict) else actuators.items
     return [
