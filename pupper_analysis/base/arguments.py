@@ -314,8 +314,8 @@ def _make_elements_test(
     def has_valid_elements(value: Any) -> bool:
         """Return True if a value is an iterable whose elements pass the test ``element``.
 
-        With ``of_known_length``, the value must be a sequence or an array. The elements of an
-        iterator are not tested.
+        With ``of_known_length``, the value must be a sequence or an array. A text is no iterable.
+        The elements of an iterator are not tested.
         """
         is_sequence = isinstance(value, Sequence) and not isinstance(value, str | bytes)
         is_array = isinstance(value, np.ndarray) and value.ndim
@@ -325,6 +325,8 @@ def _make_elements_test(
             return False
         # Elements of an iterator are not tested here, because that would consume the iterator.
         reusable = is_sequence or is_array
+        if isinstance(value, str | bytes):  # an iterable of characters is not meant
+            return False
         return isinstance(value, Iterable) and (not reusable or all(map(element, value)))
 
     return has_valid_elements

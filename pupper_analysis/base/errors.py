@@ -148,7 +148,7 @@ class UnknownNameError(ModelError):
 
     Attributes:
         kind: Kind of element: ``"joint"``, ``"frame"``, ``"foot"``, ``"body"`` ...
-        name: Unknown name.
+        name: Unknown name; the given value, if the value is no text.
         known: Valid names.
     """
 
@@ -159,14 +159,15 @@ class UnknownNameError(ModelError):
         self.name = name
         self.known = tuple(known)
         listed = self.known
+        given = name if isinstance(name, str) else reprlib.repr(name)
         if len(listed) > MAX_LISTED_NAMES:
             folded = {known.lower(): known for known in reversed(listed)}
-            close = difflib.get_close_matches(name.lower(), folded, NUM_CLOSE_NAMES, cutoff=0.0)
+            close = difflib.get_close_matches(given.lower(), folded, NUM_CLOSE_NAMES, cutoff=0.0)
             listed = tuple(folded[known] for known in close)
         problem = diagnose(
             "name-unknown",
             kind=Term(kind),
-            unknown=name,
+            unknown=given,
             known=listed,
             others=len(self.known) - len(listed),
         )

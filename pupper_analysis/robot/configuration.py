@@ -154,19 +154,20 @@ class Configuration(Pictured):
 
         Raises:
             UnknownNameError: If the URDF has no such link.
-            ConfigurationError: If ``reference`` is unknown.
+            ConfigurationError: If ``reference`` is unknown, or ``offset`` is no vector of three
+                finite numbers.
         """
         frame = self._frame_index(name)
-        if reference == "local_world_aligned":
+        if isinstance(reference, str) and reference == "local_world_aligned":
             jacobian = self._jacobian(frame)
             if offset is not None:
-                jacobian[:3] -= pin.skew(np.asarray(offset, dtype=float)) @ jacobian[3:]
+                jacobian[:3] -= pin.skew(check_vector("offset", offset, 3)) @ jacobian[3:]
             return jacobian
         frame_type = _check_reference(reference)
         columns = pin.getFrameJacobian(self._model, self._data, frame, frame_type)
         jacobian = self._structure.sort_columns(columns)
         if offset is not None and reference == "local":
-            lever = self._data.oMf[frame].rotation.T @ np.asarray(offset, dtype=float)
+            lever = self._data.oMf[frame].rotation.T @ check_vector("offset", offset, 3)
             jacobian[:3] -= pin.skew(lever) @ jacobian[3:]
         return jacobian
 
@@ -190,7 +191,8 @@ class Configuration(Pictured):
 
         Raises:
             UnknownNameError: If the URDF has no such link.
-            ConfigurationError: If ``reference`` is unknown.
+            ConfigurationError: If ``reference`` is unknown, or ``offset`` is no vector of three
+                finite numbers.
         """
         frame, frame_type = self._frame_index(name), _check_reference(reference)
         workspace = self._structure.acquire_workspace()
@@ -200,7 +202,7 @@ class Configuration(Pictured):
         columns = pin.getFrameJacobianTimeVariation(self._model, data, frame, frame_type)
         variation = self._structure.sort_columns(columns)
         if offset is not None and reference != "world":
-            lever = np.asarray(offset, dtype=float)
+            lever = check_vector("offset", offset, 3)
             if reference == "local":  # the lever is constant in the axes of the link
                 lever = data.oMf[frame].rotation.T @ lever
             else:
@@ -230,12 +232,13 @@ class Configuration(Pictured):
 
         Raises:
             UnknownNameError: If the URDF has no such link.
-            ConfigurationError: If ``motion`` is unknown.
+            ConfigurationError: If ``motion`` is unknown, or ``offset`` is no vector of three
+                finite numbers.
         """
-        rows = _MOTION_ROWS.get(motion)
+        rows = _MOTION_ROWS.get(motion) if isinstance(motion, str) else None
         if rows is None:
-            known = list(_MOTION_ROWS)
-            raise ConfigurationError("motion", diagnose("not-one-of", given=motion, known=known))
+            problem = diagnose("not-one-of", given=str(motion), known=list(_MOTION_ROWS))
+            raise ConfigurationError("motion", problem)
         jacobian = self.frame_jacobian(name, offset)[rows, self.robot.nv - self.robot.nu :]
         if jacobian.shape[1] < jacobian.shape[0]:
             return 0.0  # fewer joints than rows: J J^T is singular
@@ -250,16 +253,17 @@ class Configuration(Pictured):
 
         Raises:
             UnknownNameError: If the URDF has no such link.
+            ConfigurationError: If the point is no vector of three finite numbers.
         """
         frame = self._frame_index(name)
         jacobian = self._jacobian(frame)
-        offset = point - self._data.oMf[frame].translation
+        offset = check_vector("point", point, 3) - self._data.oMf[frame].translation
         result: Array = jacobian[:3] - pin.skew(offset) @ jacobian[3:]
         return result
 
     def _frame_index(self, name: str) -> int:
         """Return the index of a link's frame in Pinocchio; UnknownNameError for an unknown link."""
-        index = self._structure.links.get(name)
+        index = self._structure.links.get(name) if isinstance(name, str) else None
         if index is None:
             links = [frame.name for frame in self._model.frames if frame.type == pin.FrameType.BODY]
             raise UnknownNameError(self.robot.name, "link", name, links)
@@ -273,13 +277,22 @@ class Configuration(Pictured):
         jacobian = pin.getFrameJacobian(self._model, self._data, frame, pin.LOCAL_WORLD_ALIGNED)
         return self._structure.sort_columns(jacobian)
 
+    def _foot_frames(self, feet: Iterable[str]) -> list[int]:
+        """Return the Pinocchio frames of contact points; UnknownNameError for an unknown point."""
+        frames, names = self._structure.feet, tuple(feet)
+        try:
+            return [frames[name] for name in names]
+        except (KeyError, TypeError):  # TypeError: a value without hash
+            for name in names:
+                self.robot.check_foot(name)
+            raise
+
     def _jacobians(self, feet: Iterable[str]) -> Array:
         """Return the Jacobians (n, 6, nv) of the sphere centres of feet, in world axes.
 
         Rows of each: linear velocity of the centre [m/s], then angular velocity [rad/s].
         """
-        frames = self._structure.feet
-        jacobians = np.array([self._jacobian(frames[foot]) for foot in feet])
+        jacobians = np.array([self._jacobian(frame) for frame in self._foot_frames(feet)])
         return jacobians.reshape(-1, 6, self._structure.nv)
 
     def joint_position(self, name: str) -> Array:
@@ -304,7 +317,7 @@ class Configuration(Pictured):
 
     def _joint_index(self, name: str) -> int:
         """Return the Pinocchio index of a joint; UnknownNameError if there is none."""
-        index = self._structure.joints.get(name)
+        index = self._structure.joints.get(name) if isinstance(name, str) else None
         if index is None:
             raise UnknownNameError(self.robot.name, "joint", name, self.robot.joint_names)
         return index
@@ -319,9 +332,12 @@ class Configuration(Pictured):
 
         Args:
             feet: Names of the contact points.
+
+        Raises:
+            UnknownNameError: If there is no such contact point.
         """
-        placements, frames = self._data.oMf, self._structure.feet
-        positions = [placements[frames[foot]].translation for foot in feet]
+        placements = self._data.oMf
+        positions = [placements[frame].translation for frame in self._foot_frames(feet)]
         return np.array(positions, dtype=float).reshape(-1, 3)
 
     def foot_jacobians(self) -> dict[str, Array]:
@@ -332,14 +348,22 @@ class Configuration(Pictured):
         return {foot: self._jacobian(frame)[:3] for foot, frame in self._structure.feet.items()}
 
     def foot_rotations(self, feet: Iterable[str]) -> Array:
-        """Return the rotations (n, 3, 3) from the frames of contact points to world axes."""
-        placements, frames = self._data.oMf, self._structure.feet
-        return np.array([placements[frames[foot]].rotation for foot in feet]).reshape(-1, 3, 3)
+        """Return the rotations (n, 3, 3) from the frames of contact points to world axes.
+
+        Raises:
+            UnknownNameError: If there is no such contact point.
+        """
+        placements = self._data.oMf
+        rotations = [placements[frame].rotation for frame in self._foot_frames(feet)]
+        return np.array(rotations).reshape(-1, 3, 3)
 
     def foot_twist_jacobians(self, feet: Sequence[str]) -> Array:
         """Return the Jacobians, shape (n, 6, nv), of the centres of n contact points.
 
         J qvel = (linear velocity of the centre [m/s], angular velocity [rad/s]), in world axes.
+
+        Raises:
+            UnknownNameError: If there is no such contact point.
         """
         return self._jacobians(feet)
 
@@ -507,8 +531,14 @@ class Configuration(Pictured):
         Args:
             wrenches: {contact point: wrench (6,)}: force [N] and moment about the centre [N m],
                 constant in world axes.
+
+        Raises:
+            ConfigurationError: If a wrench is no vector of six finite numbers.
+            UnknownNameError: If there is no such contact point.
         """
-        pushes = np.array(list(wrenches.values())).reshape(-1, 6)
+        check_type("wrenches", wrenches, Mapping[str, object])
+        rows = [check_vector(f"wrenches[{point}]", row, 6) for point, row in wrenches.items()]
+        pushes = np.array(rows).reshape(-1, 6)
         return self.loaded_points_derivative(self._jacobians(wrenches), pushes)
 
     def loaded_points_derivative(self, jacobians: Array, wrenches: Array) -> Array:
@@ -685,7 +715,7 @@ class Configuration(Pictured):
                 wrong length, or a value is not a finite number.
             UnknownNameError: If there is no such link.
         """
-        frame = name or self.robot.imu
+        frame = self.robot.imu if name is None else name
         if frame is None:
             raise ConfigurationError("name", diagnose("no-imu", robot=self.robot.name))
         index = self._frame_index(frame)
@@ -705,7 +735,7 @@ class Configuration(Pictured):
 
 def _check_reference(reference: str) -> pin.ReferenceFrame:
     """Return Pinocchio's constant of a reference frame; ConfigurationError if it is unknown."""
-    if reference not in _REFERENCE_FRAMES:
+    if not isinstance(reference, str) or reference not in _REFERENCE_FRAMES:
         problem = diagnose("not-one-of", given=str(reference), known=list(_REFERENCE_FRAMES))
         raise ConfigurationError("reference", problem)
     return _REFERENCE_FRAMES[reference]

@@ -20,6 +20,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from pupper_analysis.base.arguments import check_vector
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
@@ -714,7 +715,7 @@ class Robot(EngineModels):
             UnknownNameError: If there is no such contact point; the message lists the existing
                 points.
         """
-        if foot not in self.contact_frames:
+        if not isinstance(foot, str) or foot not in self.contact_frames:
             raise UnknownNameError(self.name, "foot", foot, self.contact_points)
         return foot
 
@@ -724,18 +725,20 @@ class Robot(EngineModels):
         Raises:
             UnknownNameError: If there is no such foot; the message lists the feet.
         """
-        if foot not in self.feet:
+        if not isinstance(foot, str) or foot not in self.feet:
             raise UnknownNameError(self.name, "foot", foot, tuple(self.feet))
         return self.feet[foot]
 
     def foot_of(self, point: str) -> str:
-        """Return the foot of an existing contact point.
+        """Return the foot of a contact point.
 
         Raises:
-            StopIteration: If there is no such contact point, unlike the UnknownNameError of
-                ``points_of``.
+            UnknownNameError: If there is no such contact point.
         """
-        return next(foot for foot, points in self.feet.items() if point in points)
+        for foot, points in self.feet.items():
+            if point in points:
+                return foot
+        raise UnknownNameError(self.name, "foot", point, self.contact_points)
 
     def feet_with(self, points: Iterable[str]) -> tuple[str, ...]:
         """Return the feet that have at least one of the contact points ``points``."""
@@ -765,9 +768,12 @@ class Robot(EngineModels):
 
         Args:
             joints: Joint positions in actuator order, shape (nu,) [rad, m].
+
+        Raises:
+            ConfigurationError: If the shape differs, or a position is not a finite number.
         """
         qpos = self.neutral()
-        qpos[self.nq - self.nu :] = joints
+        qpos[self.nq - self.nu :] = check_vector("joints", joints, self.nu)
         return qpos
 
     def compute_kinematics(self, qpos: ArrayLike | None = None) -> mujoco.MjData:
@@ -775,9 +781,13 @@ class Robot(EngineModels):
 
         Args:
             qpos: Configuration, shape (nq,); by default ``neutral``.
+
+        Raises:
+            ConfigurationError: If the shape differs, or an element is not a finite number.
         """
+        state = self.neutral() if qpos is None else check_vector("qpos", qpos, self.nq)
         data = mujoco.MjData(self.mj_model)
-        self.mj_convention.set_state(data, np.asarray(self.neutral() if qpos is None else qpos))
+        self.mj_convention.set_state(data, state)
         mujoco.mj_kinematics(self.mj_model, data)
         mujoco.mj_comPos(self.mj_model, data)
         return data

@@ -16,7 +16,7 @@ import numpy as np
 import placo
 from numpy.typing import ArrayLike
 
-from pupper_analysis.base.arguments import real_array
+from pupper_analysis.base.arguments import MAX_LENGTH, check_fields, check_finite, real_array
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -116,6 +116,7 @@ class PositionTask(PostureTask):
     unit: ClassVar[str] = "m"
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _freeze_array(self, "position", _make_vector("position", self.position))
         _check_axes(self.axes)
 
@@ -151,6 +152,7 @@ class OrientationTask(PostureTask):
     unit: ClassVar[str] = "rad"
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _freeze_array(self, "rotation", _make_rotation(self.rotation))
 
     @property
@@ -185,6 +187,7 @@ class RelativePositionTask(PostureTask):
     unit: ClassVar[str] = "m"
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _freeze_array(self, "position", _make_vector("position", self.position))
 
     @property
@@ -231,6 +234,7 @@ class CoMTask(PostureTask):
     unit: ClassVar[str] = "m"
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _freeze_array(self, "position", _make_vector("position", self.position))
         _check_axes(self.axes)
 
@@ -267,6 +271,7 @@ class AxisAlignTask(PostureTask):
     unit: ClassVar[str] = "rad"
 
     def __post_init__(self) -> None:
+        check_fields(self)
         _freeze_array(self, "axis", _make_direction("axis", self.axis))
         if (self.direction is None) == (self.point is None):
             raise ConfigurationError("direction", diagnose("direction-or-point"))
@@ -330,6 +335,11 @@ class JointsTask(PostureTask):
     required: bool = True
     unit: ClassVar[str] = "rad or m"
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+        for joint, position in self.positions.items():
+            check_finite(f"positions[{joint}]", position)
+
     def residual(self, body: WholeBody) -> float:
         """Return the largest distance [rad, m] of a joint position from its target."""
         gaps = [abs(body.joint(name) - target) for name, target in self.positions.items()]
@@ -359,7 +369,8 @@ class SelfClearanceTask(PostureTask):
     unit: ClassVar[str] = "m"
 
     def __post_init__(self) -> None:
-        if not 0 <= self.distance < np.inf:
+        check_fields(self)
+        if not 0 <= self.distance <= MAX_LENGTH:
             problem = diagnose("clearance-not-a-length", given=repr(self.distance))
             raise ConfigurationError("distance", problem)
 

@@ -33,7 +33,12 @@ from pupper_analysis.stance.search import (
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import Contacts, make_contacts
-from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation, balance_load
+from pupper_analysis.statics.equilibrium import (
+    ForceDistribution,
+    GravityCompensation,
+    balance_load,
+    to_distribution,
+)
 
 __all__ = ["Stand", "solve_stand", "stand_statics"]
 
@@ -149,7 +154,7 @@ def stand_statics(
         ConfigurationError: If the stand belongs to another robot, or ``distribution`` is unknown.
         StaticsInfeasibleError: If no contact forces balance the stand: the robot slides or tips.
     """
-    robot = stand.check(robot)
+    robot, distribution = stand.check(robot), to_distribution(distribution)
 
     def compute() -> GravityCompensation:
         """Compute the statics without the cache of the stand."""

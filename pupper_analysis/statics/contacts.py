@@ -15,7 +15,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pupper_analysis.base.arguments import real_array
+from pupper_analysis.base.arguments import MAX_LENGTH, check_length, real_array
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.base.diagnostics import diagnose
@@ -220,8 +220,8 @@ def make_contacts(
     Raises:
         UnknownNameError: If a contact point is unknown.
         ConfigurationError: If a friction coefficient is missing or not in [0, `MAX_FRICTION`], a
-            normal is not a direction, a contact point is named twice, the ground's friction is
-            unknown, or a robot with a fixed base has contacts.
+            normal is not a direction, a depth is not a length, a contact point is named twice,
+            the ground's friction is unknown, or a robot with a fixed base has contacts.
     """
     feet = tuple(robot.bearing_points if contacts is None and robot.floating else contacts or ())
     if friction is None and normals is None and depths is None:
@@ -277,15 +277,26 @@ def _make_contacts(
         feet=feet,
         normals=unit_normals,
         friction=np.array([_friction_of(robot, foot, friction) for foot in feet]),
-        offsets=contact_offset(
-            radii, unit_normals, [(depths or {}).get(foot, 0.0) for foot in feet]
-        ),
+        offsets=contact_offset(radii, unit_normals, _list_depths(feet, depths)),
         soles={foot: names for foot, names in soles.items() if names},
         fixed_parts=robot.fixed_parts,
         stated=prescribed_forces(robot, feet),
         weight=robot.weight if robot.touching else 0.0,
         grips=grips,
     )
+
+
+def _list_depths(feet: tuple[str, ...], depths: Mapping[str, float] | None) -> list[float]:
+    """Return the penetration [m] of each contact point; ConfigurationError if one is no length."""
+    listed = [(depths or {}).get(foot, 0.0) for foot in feet]
+    try:
+        if abs(math.fsum(listed)) <= MAX_LENGTH:  # faster than a check of each; False for NaN
+            return listed
+    except (TypeError, ValueError, OverflowError):
+        pass
+    return [
+        check_length(f"depths[{foot}]", value) for foot, value in zip(feet, listed, strict=True)
+    ]
 
 
 def prescribed_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] | None:

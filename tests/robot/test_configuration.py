@@ -232,6 +232,74 @@ def test_unknown_frame_and_foot_are_refused_with_the_valid_names() -> None:
         config.imu(np.zeros(18), "tail")
 
 
+@pytest.mark.parametrize("name", [None, 3, 1.5, object(), [], ["FR"], np.ones(2)], ids=repr)
+def test_names_that_are_no_texts_are_refused_as_unknown(name: object) -> None:
+    """They ended in AttributeError, KeyError, StopIteration or an unhashable type."""
+    robot = load("v3")
+    config = pa.Configuration(robot, robot.neutral())
+    calls: tuple[Callable[[object], object], ...] = (
+        config.frame_position,  # type: ignore[assignment]
+        config.joint_axis,
+        robot.check_foot,
+        robot.points_of,
+        lambda name: config.foot_centres([name]),  # type: ignore[list-item]
+        lambda name: config.foot_rotations([name]),  # type: ignore[list-item]
+        lambda name: config.foot_twist_jacobians([name]),  # type: ignore[list-item]
+        lambda name: config.contact_points([name]),  # type: ignore[list-item]
+    )
+    for call in calls:
+        with pytest.raises(pa.UnknownNameError) as refusal:
+            call(name)
+        assert refusal.value.name is name
+        assert refusal.value.known
+
+
+def test_unknown_contact_points_are_refused_by_all_methods() -> None:
+    robot = load("v3")
+    config = pa.Configuration(robot, robot.neutral())
+    for call in (config.foot_centres, config.foot_rotations, config.foot_twist_jacobians):
+        with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL"):
+            call(["FR", "tail"])
+    with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL"):
+        robot.foot_of("tail")
+    with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL"):
+        config.static_load_derivative({"tail": np.zeros(6)})
+    with pytest.raises(pa.UnknownNameError):
+        config.imu(np.zeros(18), "")  # an empty name is not the default
+
+
+def test_vectors_of_methods_are_checked() -> None:
+    """Each was broadcast, or returned numbers that are not finite."""
+    robot = load("v3")
+    config = pa.Configuration(robot, robot.neutral())
+    wrong = (np.nan, [1.0, 2.0], [np.nan] * 3, "point", None, np.ones((2, 2)))
+    calls: dict[str, Callable[[object], object]] = {
+        "point": lambda value: config.point_jacobian("base_link", value),  # type: ignore[arg-type]
+        "offset": lambda value: config.frame_jacobian(
+            "base_link",
+            [] if value is None else value,  # type: ignore[arg-type]
+        ),
+        "joints": robot.make_qpos,  # type: ignore[dict-item]
+        "qpos": lambda value: robot.compute_kinematics([] if value is None else value),  # type: ignore[arg-type]
+        "wrenches": lambda value: config.static_load_derivative({"FR": value}),  # type: ignore[dict-item]
+    }
+    for field, call in calls.items():
+        for value in wrong:
+            with pytest.raises(pa.ConfigurationError, match=field):
+                call(value)
+    with pytest.raises(pa.ConfigurationError, match="wrenches"):
+        config.static_load_derivative([1.0])  # type: ignore[arg-type]
+    for value in wrong[:-2]:  # without None, the default
+        for reference in ("local", "local_world_aligned"):
+            with pytest.raises(pa.ConfigurationError, match="offset"):
+                config.frame_jacobian_time_variation("base_link", value, reference=reference)  # type: ignore[arg-type]
+    for choice in ([], {}, np.ones((2, 2)), 1.0):
+        with pytest.raises(pa.ConfigurationError, match="reference"):
+            config.frame_jacobian("base_link", reference=choice)  # type: ignore[arg-type]
+        with pytest.raises(pa.ConfigurationError, match="motion"):
+            config.manipulability("base_link", motion=choice)  # type: ignore[arg-type]
+
+
 def test_configuration_copies_and_normalises_its_state() -> None:
     """Results are copies, too: a changed result does not change the next one."""
     robot = load("v3")

@@ -373,10 +373,34 @@ def test_invalid_tasks_are_refused() -> None:
         CoMTask((0, 0, 0), axes="ab")
     with pytest.raises(pa.ConfigurationError, match="0 or more"):
         SelfClearanceTask(-0.01)
+    with pytest.raises(pa.ConfigurationError, match="0 or more"):
+        SelfClearanceTask(1e300)
     with pytest.raises(pa.ConfigurationError, match="fixed base"):
         pa.solve_posture(by_hand.arm(), [PositionTask("tip", (0, 0, 0))], contacts=["tip"])
     with pytest.raises(pa.ConfigurationError, match="tasks"):
         pa.solve_posture(robot, ["reach"])  # type: ignore[list-item]
+
+
+def test_fields_of_tasks_with_another_type_are_refused_by_name() -> None:
+    """They failed in the solver, for example with AttributeError or IndexError."""
+    for wrong in (None, 1.5, [], object(), np.ones((2, 2))):
+        for field, make in (
+            ("frame", lambda value: PositionTask(value, (0, 0, 0))),
+            ("axes", lambda value: PositionTask("base_link", (0, 0, 0), axes=value)),
+            ("axes", lambda value: CoMTask((0, 0, 0), axes=value)),
+            ("frame", lambda value: OrientationTask(value, np.eye(3))),
+            ("frame", lambda value: AxisAlignTask(value, (1, 0, 0), (1, 0, 0))),
+            ("positions", JointsTask),
+            ("required", lambda value: JointsTask({}, required=value)),
+            ("leg_front_r_1", lambda value: JointsTask({"leg_front_r_1": value})),
+            ("distance", lambda value: SelfClearanceTask([value])),
+        ):
+            if field == "leg_front_r_1" and isinstance(wrong, float):
+                continue
+            with pytest.raises(pa.ConfigurationError, match=field):
+                make(wrong)  # type: ignore[no-untyped-call]
+    with pytest.raises(pa.ConfigurationError, match="leg_front_r_1"):
+        JointsTask({"leg_front_r_1": np.nan})
 
 
 def test_residuals_of_mujoco_show_that_the_mjcf_differs() -> None:

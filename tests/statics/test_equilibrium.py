@@ -663,6 +663,12 @@ def test_com_margin_equals_the_distance_to_a_rectangles_edge(
         ({"normals": {"FR": (0, 1)}}, "normals"),
         ({"normals": {"FR": "up"}}, "normals"),
         ({"normals": {"FR": None}}, "normals"),
+        ({"depths": {"FR": math.nan}}, "depths"),  # was LinAlgError
+        ({"depths": {"FR": math.inf}}, "depths"),
+        ({"depths": {"FR": "deep"}}, "depths"),
+        ({"depths": {"FR": None}}, "depths"),
+        ({"contacts": ""}, "contacts"),  # a text was read as a list without contacts
+        ({"contacts": "FR"}, "contacts"),
     ],
 )
 def test_gravity_compensation_raises_for_invalid_arguments(

@@ -145,6 +145,8 @@ def read_pair(
             MJCF has several robots or none (see `with_one_robot`).
         UnknownNameError: If the MJCF has no such body.
     """
+    for name, folder in (packages or {}).items():
+        check_type(f"packages[{name}]", folder, str | Path)
     folders = {name: Path(folder) for name, folder in (packages or {}).items()}
     objects = [model for model in models if is_object(model)]
     paths: list[str | Path] = []
