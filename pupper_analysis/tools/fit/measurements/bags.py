@@ -50,8 +50,8 @@ _CONTROLLER_FIELDS = {"state": ("feedback", "actual"), "command": ("reference", 
 since ROS 2 Humble, then the name before. The role is ``state`` (measured) or ``command``."""
 
 MAX_BAG_BYTES: Final = 2_000_000_000
-"""Upper bound of the size of a file of a bag [bytes]. Larger bags usually contain camera topics,
-which can be left out. Chosen, not tuned."""
+"""Upper bound of the size of a file of a bag [bytes]. A larger file is refused; usually it contains
+camera topics that can be left out. Chosen, not tuned."""
 
 MAX_MESSAGE_BYTES: Final = 500_000_000
 """Upper bound of the total size of the messages that are read [bytes]. With more, the bag is
@@ -59,8 +59,8 @@ refused. Chosen, not tuned."""
 
 
 MAX_CHUNK_BYTES: Final = 500_000_000
-"""Upper bound of the size of an unpacked chunk or message [bytes]. Writers make chunks of some MB;
-500 kB of packed zeros are 2 GB. Chosen, not tuned."""
+"""Upper bound of the size of an unpacked chunk or message [bytes]; a bag with a larger one is
+refused. Writers make chunks of some MB; 500 kB of packed zeros are 2 GB. Chosen, not tuned."""
 
 
 def is_bag(path: Path) -> bool:

@@ -33,7 +33,8 @@ _MIN_JUMP = 0.5
 intervals if these are longer. Chosen, not tuned."""
 
 MIN_SAMPLES = 100
-"""Smallest number of samples of a log: half a second at 200 Hz. Chosen, not tuned."""
+"""Smallest number of samples of a log, half a second at 200 Hz. A shorter log is refused. Chosen,
+not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -66,8 +66,8 @@ _MAX_INTERVAL_DEVIATION = 0.3
 uneven intervals. Measured: 0.01 to 0.1 with a scheduler that is late."""
 
 _MAX_INTERVAL = 0.1
-"""Upper bound of the sampling interval [s]. Servos respond faster; a step at 2 Hz would have five
-samples. Chosen, not tuned."""
+"""Median sampling interval [s] above which a log is refused as too slow. Servos respond faster; a
+step at 2 Hz would have five samples. Chosen, not tuned."""
 
 
 @check_arguments
@@ -143,7 +143,7 @@ def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterato
 
     The first diagnostic lists joints whose position correlates with the command of another joint,
     the second lists joints whose position correlates negatively with their own command. Either is
-    left out if its list is empty.
+    left out if its list is empty, and both with fewer than ten complete samples.
 
     Args:
         robot: Robot.

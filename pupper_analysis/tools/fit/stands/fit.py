@@ -486,8 +486,8 @@ def fit_stands(
     files' values (``parameters.KINDS``). The unevenness of the ground, the moments on feet and the
     random part of dry friction are estimated by maximum evidence.
 
-    Stands with contradictory data, for example a carrying foot that would have
-    to pull, are left out with a note: one by one, at most a quarter.
+    Stands with contradictory data, for example a carrying foot that would have to pull, are left
+    out with a note: one by one, at most a quarter.
 
     Args:
         robot: Robot with a free base and feet.
@@ -641,6 +641,8 @@ class _StandProblem:
 
         Raises:
             MeasurementError: If the stands do not belong to this robot, or are too few.
+            UnknownNameError: If the robot lacks a joint, foot or link of the stands.
+            ConfigurationError: If a prior matches no parameter.
         """
         averaged = stands.check_readings(robot).average_repeats()
         if len(averaged) < MIN_STANDS:
