@@ -500,8 +500,9 @@ def make_slider_ranges(robot: Robot) -> dict[str, Range]:
 
     The ends of the range of a length are multiples of the height of the nominal stand, of a mass
     multiples of the robot's mass, of a gain multiples of the median gain; their magnitudes are
-    rounded up (`round_up_slider_end`). Ranges of angles do not depend on the robot. Initial values
-    are not rounded. Sliders of joints are not included.
+    rounded up (`round_up_slider_end`); a lower end of 0 that is not allowed becomes one step.
+    Ranges of angles do not depend on the robot. Initial values are not rounded. Sliders of joints
+    are not included.
     """
     ranges = {}
     for name, control in CONTROL_BY_NAME.items():
