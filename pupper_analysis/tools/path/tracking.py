@@ -296,8 +296,8 @@ def study_path(
             simulation limits torques by the effort limits of the robot only.
 
     Returns:
-        Stand at the end, path, tracking and verdict. The verdict passes if the simulation tracks
-        the path (`PathTracking.passed`), and the final stand has no growing mode.
+        Stand at the end, path, tracking and verdict. The verdict passes only if the simulation
+        tracks the path (`PathTracking.passed`), and the final stand has no growing mode.
 
     Raises:
         StanceUnreachableError: If a sample is out of reach. The error states the time.
@@ -307,6 +307,7 @@ def study_path(
         ConfigurationError: If the task or another argument is invalid for the robot.
         ModelError: If the robot has no position servos, and kp and kd are not both given, or a
             number of a motor is unknown.
+        UnknownNameError: If the task names a foot or joint that the robot does not have.
     """
     stand = solve_stand(robot, task)
     path = stance_path(robot, plan_stances(robot, stand), seconds, motors=motors)
