@@ -97,8 +97,9 @@ def simulate_payload(
 
     Raises:
         ConfigurationError: If an argument is out of range, or the robot cannot stand.
-        ModelError: If the model has no position servos, and kp and kd are not both given; or the
-            robot has no such frame.
+        ModelError: If the model has no position servos, and kp and kd are not both given.
+        UnknownNameError: If the task names a foot or joint, or ``point`` a frame, that the robot
+            does not have.
         StanceUnreachableError: If the loaded stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the loaded stance.
         NotSettlingError: If the penetration depths of the loaded feet do not converge.
@@ -311,8 +312,9 @@ def payload_limit(
         StaticsInfeasibleError: If the stance slides or tips without payload.
         NotSettlingError: If the penetration depths of the feet do not converge without payload.
         ConfigurationError: If an argument is out of range, or invalid for the robot.
-        ModelError: If the model has no position servos, and kp and kd are not both given; or the
-            robot has no such frame.
+        ModelError: If the model has no position servos, and kp and kd are not both given.
+        UnknownNameError: If the task names a foot or joint, or ``point`` a frame, that the robot
+            does not have.
     """
     place = find_place(robot, point)
     if isinstance(stance, Stand):
