@@ -319,11 +319,8 @@ class PushBench:
     def _find_early_failure(self, states: Array) -> Diagnostic | None:
         """Return the failure that ends a simulation: divergence, or a body on the ground.
 
-        Contacts are searched only at states in which a part may reach the ground, according to
-        `GroundClearance`.
-
-        Returns:
-            The failure; None if the states are finite and only feet touch the ground.
+        Contacts are searched every `_SAMPLE_TIME`, and only at states in which a part may reach
+        the ground, according to `GroundClearance`. None without such a failure.
         """
         if monitor.has_diverged(states, self.timestep):
             return monitor.describe_divergence(self.drive.integrator, self.timestep)
@@ -440,6 +437,8 @@ class PushBench:
 
     def simulate_peak_torques(self, direction: int, impulse: float) -> Array:
         """Simulate a push, and return the largest |torque| of each motor, shape (nu,) [N m].
+
+        Torques are evaluated every `_SAMPLE_TIME`.
 
         Args:
             direction: Index of the push direction in ``axes``.
