@@ -183,6 +183,7 @@ def study_stance(
         ConfigurationError: If the task, or another argument, is not valid for the robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
             both given, or if the ground cannot be added (``build_on_ground``).
+        UnknownNameError: If the task names a foot or joint that the robot does not have.
     """
     robot, stand = resolve_stance(robot, stance)
     settled, unsettled, min_kp, no_stiffness = None, None, None, None
