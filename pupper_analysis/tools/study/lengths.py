@@ -79,9 +79,10 @@ class Stretch:
 
 
 def find_stretch(robot: Robot, joint: str, factor: float) -> Stretch:
-    """Return the stretch of the link that a joint moves, along the line to the link's end.
+    """Return the stretch of the link that a joint moves, in the direction of the link's end.
 
-    The end is the next joint or the foot.
+    The end is the next joint or the foot. The direction is perpendicular to the axis of the next
+    joint, or, for a link with a foot, of ``joint``.
 
     Args:
         robot: Robot.
@@ -314,8 +315,8 @@ def _stretch_geom(
 ) -> None:
     """Stretch a geom of the MJCF in place: points p of the body frame [m] move to A p + b.
 
-    Spheres keep their size; cylinders and capsules keep their radius. Of a geom with ``fromto``,
-    both ends are moved.
+    Spheres and ellipsoids keep their size; cylinders and capsules keep their radius. Of a geom with
+    ``fromto``, both ends are moved.
 
     Args:
         geom: Geom.

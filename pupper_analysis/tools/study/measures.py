@@ -350,6 +350,7 @@ def make_metric(requested: str | MetricFunction) -> Metric:
     Raises:
         ConfigurationError: If the name is unknown, a file is missing or not needed, or the function
             has another signature, cannot be pickled or has the name of a metric.
+        ModelError: If the file cannot be used.
     """
     if isinstance(requested, str):
         if (metric := METRICS.get(requested.partition(":")[0])) is not None:
@@ -383,6 +384,7 @@ def _bind_file(metric: Metric, requested: str) -> Metric:
 
     Raises:
         ConfigurationError: If a required file is not named, or a file is named for another metric.
+        ModelError: If the file cannot be used.
     """
     _, colon, file = requested.partition(":")
     if metric.of_file is None:

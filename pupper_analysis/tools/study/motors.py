@@ -96,6 +96,10 @@ def assign_motors(
         robot: Robot of the design.
         numbers: {variable: value}; the values of motor variables are codes.
         motors: {code: motor}.
+
+    Raises:
+        ConfigurationError: If a motor would be assigned to a joint that cannot have one.
+        UnknownNameError: If a pattern matches no joint.
     """
     assigned: dict[str, Motor] = {}
     for name in sorted(filter(is_motor_variable, numbers), key=lambda name: ":" in name):

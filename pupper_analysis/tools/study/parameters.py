@@ -172,7 +172,8 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
             ``com_z`` is an offset [m] in the axes of the URDF's link.
 
     Raises:
-        ConfigurationError: If a value is out of range.
+        ConfigurationError: If a value is out of range, a stretched link has no length or more than
+            one end, or the CoM of a fixed base would be moved.
         UnknownNameError: If a pattern matches nothing.
         ModelError: If a model cannot be built, or does not have the requested masses.
     """

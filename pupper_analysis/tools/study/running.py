@@ -339,10 +339,10 @@ class _RecordingContext(multiprocessing.context.SpawnContext):
 
 
 def choose_chunk_size(progress: Progress, num_workers: int) -> int:
-    """Return the number of designs per chunk; 1 until a design has been evaluated.
+    """Return the number of designs per chunk, 1 to `MAX_CHUNK_DESIGNS`.
 
-    A chunk takes about `CHUNK_SECONDS`, or `CHUNK_SECONDS_PER_WORKER` times the number of workers
-    if this is longer.
+    It is 1 until a design has been evaluated. Later chunks take about `CHUNK_SECONDS`, or
+    `CHUNK_SECONDS_PER_WORKER` times the number of workers if this is longer.
 
     Args:
         progress: Progress of the run, with the time that workers have spent on designs.
