@@ -320,6 +320,8 @@ class MjcfSide(Side):
 def plan_gains(side: MjcfSide, name: str, target_gains: dict[Key, float]) -> None:
     """Plan the changes of the MJCF that give a joint's servo the target gains.
 
+    Gains that cannot be written are recorded in ``side.unwritten``, with the reason.
+
     Args:
         side: MJCF.
         name: Name of the joint.

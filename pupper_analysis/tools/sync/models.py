@@ -315,6 +315,8 @@ def _list_unmended(
 ) -> Iterable[Unmended]:
     """Yield the differences that remain after the changes of a plan, each with the reason.
 
+    Joints that only one file contains are included.
+
     Args:
         plan: Planned changes.
         before: Comparison of the original files.

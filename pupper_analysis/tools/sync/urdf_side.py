@@ -143,7 +143,8 @@ class UrdfSide(Side):
     def _plan_number(self, key: Key) -> None:
         """Plan to set a number of a joint in the URDF to that of the MJCF, in SI units.
 
-        ``key`` is the difference (kind, joint); the kind is also the name of the joint's field.
+        ``key`` is the difference (kind, joint). A difference of a base without a joint is recorded
+        in ``unwritten``.
         """
         kind, name = key
         if name not in self.target.joints:
