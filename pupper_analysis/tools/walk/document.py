@@ -93,9 +93,10 @@ at 25 per second."""
 
 
 def _make_view(walk: Walk, robot: Robot | None) -> doc.View:
-    """Create the 3-D view of the first run: its first and its last configurations.
+    """Create the 3-D view of the first run: the first configuration, and the motion at the end.
 
-    The horizontal position of the base is set to zero.
+    The motion has the last `_MAX_SHOWN_CONFIGURATIONS` configurations. The horizontal position of
+    the base is set to zero.
     """
     gait, motions = walk.gaits[0], []
     for name, selection in (

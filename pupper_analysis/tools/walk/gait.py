@@ -313,7 +313,7 @@ def simulate_walk(
 
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, the robot has no
-            feet, or the rate of the policy exceeds that of the time steps.
+            feet, or the policy acts at least twice per time step.
         ModelError: If the policy does not fit the robot, or a number of a motor is unknown.
         UnknownNameError: If the policy names a joint that the robot does not have.
     """

@@ -428,7 +428,7 @@ def tracked_intervals(
 
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, the robot has no
-            feet, or the rate of the policy exceeds that of the time steps.
+            feet, or the policy acts at least twice per time step.
         ModelError: If the policy does not fit the robot.
     """
     checked_command = check_command(command)

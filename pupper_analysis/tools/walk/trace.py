@@ -33,7 +33,7 @@ from pupper_analysis.tools.walk.runs import (
 )
 
 MIN_SAMPLES = 20
-"""Smallest number of samples of a trace. Chosen, not tuned."""
+"""Smallest number of samples of a trace; with fewer, the file is refused. Chosen, not tuned."""
 
 MAX_DELAY = 10
 """Largest delay that is searched, in samples. Chosen: 0.2 s at 50 Hz."""
@@ -247,6 +247,7 @@ def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
     Raises:
         ModelError: If observations or actions have other sizes than those of the network, the trace
             lacks a joint of the policy, or an array does not have a column per joint.
+        UnknownNameError: If the policy names a joint that the robot does not have.
     """
     contract, observations = policy.contract, trace.arrays["observations"]
     sizes = (policy.network.inputs, policy.network.outputs)
@@ -541,6 +542,9 @@ def record_trace(
         commands: Commands one after the other: forward [m/s], left [m/s], turning [rad/s].
         seconds_per_command: Duration of each command [s].
         seed: Seed of the initial state.
+
+    Raises:
+        PupperAnalysisError: As `prepare_stage`.
     """
     stage = prepare_stage(robot, policy)
     lockstep = Lockstep(stage, [stage.make_case(np.array(commands[0], dtype=float), seed)])
