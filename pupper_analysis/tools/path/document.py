@@ -59,8 +59,8 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
         there,
         (
             view_block(robot, there.stand, None, [motion]),
-            _plan_table(path),
-            _tracking_table(tracking),
+            _make_plan_table(path),
+            _make_tracking_table(tracking),
             loads,
         ),
         answer,
@@ -78,14 +78,14 @@ def _list_motors(path: StancePath) -> list[doc.Words]:
     return [text("path-of-motors", motors=join_words(map(doc.Name, names)))] if names else []
 
 
-def _plan_table(path: StancePath) -> doc.Table:
+def _make_plan_table(path: StancePath) -> doc.Table:
     """Create the table of the planned path: duration [s], peak utilisations [%], margins [mm]."""
     peak = text(
         "greatest-torque-of-motors",
         joint=doc.Name(path.peak_joint),
         time=f"{path.peak_time:.2f}",
     )
-    return _quantity_table(
+    return _make_quantity_table(
         text("the-path-title"),
         (text("time"), "s", float(path.time[-1]), ".4g"),
         *_make_utilisation_row(peak, path.peak_utilisation),
@@ -109,14 +109,14 @@ def _make_utilisation_row(name: doc.Text, share: float) -> list[tuple[doc.Text, 
     return [] if math.isnan(share) else [(name, "%", 100 * share, ".1f")]
 
 
-def _tracking_table(tracking: PathTracking) -> doc.Table:
+def _make_tracking_table(tracking: PathTracking) -> doc.Table:
     """Create the table of the simulated path, with the largest value of each error.
 
     Errors: torques [%], joint positions [degrees or mm], base height [mm], base orientation
     [degrees], foot slip [mm].
     """
     joint_error = convert_to_display(tracking.joint_error, tracking.joint_error_unit)
-    return _quantity_table(
+    return _make_quantity_table(
         text("how-it-is-followed"),
         (text("torque-error-of-the-largest"), "%", 100 * tracking.torque_error, ".1f"),
         (text("joint-error"), *joint_error, ".2f"),
@@ -126,7 +126,7 @@ def _tracking_table(tracking: PathTracking) -> doc.Table:
     )
 
 
-def _quantity_table(
+def _make_quantity_table(
     title: doc.Words, *quantities: tuple[doc.Words, str, float, str], note: doc.Words | None = None
 ) -> doc.Table:
     """Create a table of quantities from tuples (name, unit, value, number format)."""
