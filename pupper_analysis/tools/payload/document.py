@@ -118,7 +118,7 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
     the torque of one of these motors instead.
     """
     if limit.unknown_limits and limit.upper_bound > 0:
-        return _unknown_text(limit)
+        return _describe_upper_bound(limit)
     return text(
         "payload-at-place",
         place=", ".join(f"{1e3 * value:.0f}" for value in limit.point),
@@ -139,7 +139,7 @@ def _describe_limit(limit: PayloadLimit) -> doc.Words | None:
     return text("payload-limited", failure=_describe_failure(limit.failure, limit.failing_parts))
 
 
-def _unknown_text(limit: PayloadLimit) -> doc.Text:
+def _describe_upper_bound(limit: PayloadLimit) -> doc.Text:
     """Return the text of the upper bound of the mass if torque limits are unknown.
 
     It contains the largest torque, with this mass, of a motor without a stated limit.
