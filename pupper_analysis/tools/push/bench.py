@@ -226,7 +226,7 @@ class PushBench:
                 is_decided = failure is not None
                 if not is_decided and begin >= self.steps:
                     end_failures = self._find_end_failures(tails[index])
-                    is_decided = begin == longest or not _only_moves(end_failures)
+                    is_decided = begin == longest or not _is_only_motion(end_failures)
                     failure = _combine_failures(end_failures) if is_decided else None
                 elif not is_decided and may_rest:
                     is_decided = self._is_at_rest(states)
@@ -309,7 +309,7 @@ class PushBench:
         while (
             len(states) < longest
             and self._find_early_failure(last) is None
-            and _only_moves(self._find_end_failures(states))
+            and _is_only_motion(self._find_end_failures(states))
         ):
             steps = min(interval, longest - len(states))
             (last,) = self._roll_out_batches(states[-1:], np.zeros((1, 2)), steps, pushed=False)
@@ -471,7 +471,7 @@ class PushBench:
         }
 
 
-def _only_moves(failures: list[Diagnostic]) -> bool:
+def _is_only_motion(failures: list[Diagnostic]) -> bool:
     """Return True if the failures consist of a single one: the base moves at the end."""
     return [failure.code for failure in failures] == ["not-at-rest"]
 
