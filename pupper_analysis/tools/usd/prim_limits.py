@@ -78,13 +78,13 @@ class _PrimCounter:
             for variants in spec.variantSets
             for variant in variants.variantList
         )
-        arcs = (*_added(spec.referenceList), *_added(spec.payloadList))
+        arcs = (*_list_added(spec.referenceList), *_list_added(spec.payloadList))
         for arc in arcs:
             target = self._open(layer, arc.assetPath) if arc.assetPath else layer
             name = "" if target is None else str(arc.primPath) or target.defaultPrim
             if name:
                 total += self.count(target, Sdf.Path.absoluteRootPath.AppendPath(name.lstrip("/")))
-        inherited = (*_added(spec.inheritPathList), *_added(spec.specializesList))
+        inherited = (*_list_added(spec.inheritPathList), *_list_added(spec.specializesList))
         return total + sum(self.count(layer, path) for path in inherited)
 
     def _open(self, layer: Any, name: str) -> Any:
@@ -100,7 +100,7 @@ class _PrimCounter:
         return self._layers[path]
 
 
-def _added(operations: Any) -> tuple[Any, ...]:
+def _list_added(operations: Any) -> tuple[Any, ...]:
     """Return the items that a USD list editor (`Sdf.ListEditorProxy`) adds or sets explicitly.
 
     The items are, for example, references, payloads or paths.
