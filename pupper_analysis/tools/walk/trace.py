@@ -268,7 +268,7 @@ def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
         expected = np.clip(expected, -contract.clip, contract.clip)
         seen = _extract_frame(contract, observations, newest=True)
         names = labels if size == len(labels) else tuple(map(str, range(size)))
-        error, mistake, detail = _explain(seen[:, first : first + size], expected, names)
+        error, mistake, detail = _explain_difference(seen[:, first : first + size], expected, names)
         if mistake:
             error, mistake, detail = _search_elsewhere(
                 contract, observations, expected, first, (error, mistake, detail)
@@ -279,7 +279,7 @@ def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
         clipped = np.clip(trace.arrays["actions"], -contract.action_clip, contract.action_clip)
         offset = contract.default if contract.offset is None else contract.offset
         expected = np.clip(offset + contract.action_scale * clipped, contract.lower, contract.upper)
-        error, mistake, detail = _explain(signals["targets"], expected, labels)
+        error, mistake, detail = _explain_difference(signals["targets"], expected, labels)
         detail = _describe_delay(detail, trace.period) if mistake == "delay" else detail
         checks.append(TermCheck("targets", -1, len(labels), error, mistake, detail))
     return TraceCheck(
@@ -303,7 +303,7 @@ def _check_network(policy: Policy, trace: Trace) -> TermCheck:
         action, memory = network.forward(row[None], memory)
         actions.append(action[0])
     names = policy.contract.joints or tuple(map(str, range(network.outputs)))
-    error, mistake, detail = _explain(trace.arrays["actions"], np.array(actions), names)
+    error, mistake, detail = _explain_difference(trace.arrays["actions"], np.array(actions), names)
     detail = _describe_delay(detail, trace.period) if mistake == "delay" else detail
     return TermCheck("network", -1, network.outputs, error, mistake, detail)
 
@@ -400,7 +400,9 @@ def _list_delays(seen: Array, expected: Array) -> Iterator[tuple[int, Array, Arr
             yield delay, seen[:count], expected[-delay:]
 
 
-def _explain(seen: Array, expected: Array, names: Sequence[str]) -> tuple[float, str, str]:
+def _explain_difference(
+    seen: Array, expected: Array, names: Sequence[str]
+) -> tuple[float, str, str]:
     """Return the relative error, and the mistake and detail that explain a difference.
 
     The mistake is "" if both signals agree, and "unexplained" if no known mistake explains the
@@ -434,7 +436,7 @@ def _explain(seen: Array, expected: Array, names: Sequence[str]) -> tuple[float,
 def _find_signs(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
     """Return ("sign", names of inverted elements); None unless signs explain the difference.
 
-    Arguments are those of `_explain`.
+    Arguments are those of `_explain_difference`.
     """
     signs = np.where(np.sum(seen * expected, axis=0) < 0, -1.0, 1.0)
     if (signs > 0).all() or not _agrees(seen, signs * expected):
@@ -446,7 +448,7 @@ def _find_signs(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str
 def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
     """Return ("scale", factors of elements); None unless factors explain the difference.
 
-    The factors are ``seen`` / ``expected``, as text. Arguments are those of `_explain`.
+    The factors are ``seen`` / ``expected``, as text. Arguments are those of `_explain_difference`.
     """
     squares = np.sum(expected**2, axis=0)
     factors = np.sum(seen * expected, axis=0) / np.where(squares > 0, squares, 1.0)
@@ -466,7 +468,7 @@ def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[st
 def _find_order(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
     """Return ("order", moved elements); None unless a permutation explains the difference.
 
-    At most six moved elements are named. Arguments are those of `_explain`.
+    At most six moved elements are named. Arguments are those of `_explain_difference`.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -489,7 +491,7 @@ def _list_offsets(seen: Array, expected: Array, names: Sequence[str]) -> str:
     """Return the elements whose mean difference seen - expected is not 0, with it, as text.
 
     At most six elements are named; a difference up to `MATCH_ATOL` counts as 0. Arguments are those
-    of `_explain`.
+    of `_explain_difference`.
     """
     offsets = (seen - expected).mean(axis=0)
     changed = np.flatnonzero(np.abs(offsets) > MATCH_ATOL)
