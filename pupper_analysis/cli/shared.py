@@ -701,7 +701,8 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
 
         Raises:
             click.BadParameter: If the text is no such quantity, or a length without unit is
-                probably in millimetres, or an angle that is probably in degrees.
+                probably in millimetres, an angle that is probably in degrees, or a time that is
+                probably in milliseconds.
         """
         if isinstance(value, float | int):
             value = repr(float(value)) if self.name == "length" else value
@@ -728,7 +729,8 @@ def parse_quantity(kind: str, text: str) -> float:
 
     Raises:
         ValueError: If the text is no number, has an unknown unit, or has no unit and is a length
-            that is probably in mm, or an angle that is probably in degrees.
+            that is probably in mm, an angle that is probably in degrees, or a time that is probably
+            in milliseconds.
     """
     for unit, size in sorted(UNIT_FACTORS[kind].items(), key=lambda item: -len(item[0])):
         if text.endswith(unit):
@@ -737,7 +739,7 @@ def parse_quantity(kind: str, text: str) -> float:
                 return Position(value, "rad" if unit in UNIT_FACTORS["angle"] else "m")
             return value
     value = float(text)
-    if is_millimetres(kind, value) or is_degrees(kind, value):
+    if is_millimetres(kind, value) or is_degrees(kind, value) or is_milliseconds(kind, value):
         raise ValueError(text)
     return value
 
@@ -772,6 +774,24 @@ def is_degrees(kind: str, value: float) -> bool:
         value: Number, taken as radians.
     """
     return kind == "angle" and MAX_BARE_ANGLE < abs(value) < math.inf
+
+
+MAX_BARE_TIME: Final = 0.5
+"""Upper bound of times that are accepted without a unit [s]. Larger values are probably in
+milliseconds: it is the largest delay of a controller that is accepted
+(`simulation.controlled_stand.MAX_DELAY`), and time steps are shorter."""
+
+
+def is_milliseconds(kind: str, value: float) -> bool:
+    """Return True if a number without a unit is a time above `MAX_BARE_TIME` [s].
+
+    Such a time is probably in milliseconds.
+
+    Args:
+        kind: Quantity, a key of ``base.units.UNIT_FACTORS``; the result is False unless "time".
+        value: Number, taken as seconds.
+    """
+    return kind == "time" and MAX_BARE_TIME < abs(value) < math.inf
 
 
 def parse_assignment(option: str, text: str) -> tuple[str, str]:
@@ -898,6 +918,8 @@ def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnos
             return diagnose("length-without-unit", length=text)
         if is_degrees(kind, float(text)):
             return diagnose("angle-without-unit", angle=text)
+        if is_milliseconds(kind, float(text)):
+            return diagnose("time-without-unit", time=text)
     return diagnose(
         "part-is-no-quantity",
         part=text,

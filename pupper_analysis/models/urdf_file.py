@@ -198,7 +198,8 @@ def urdf_from(
     links = distinct_children(path, root, "link")
     joints = distinct_children(path, root, "joint")
     if not links:
-        raise make_file_error(Place(path), diagnose("no-links"))
+        semantic = not joints and any(child.tag in _SRDF_TAGS for child in root)
+        raise make_file_error(Place(path), diagnose("no-links", semantic=semantic))
     if len(links) > MAX_LINKS:
         raise make_file_error(
             Place(path), diagnose("too-many-links", count=len(links), most=MAX_LINKS)
@@ -222,6 +223,9 @@ def urdf_from(
             file.resolve_mesh(element.get("filename") or "")
     return file
 
+
+_SRDF_TAGS: Final = ("group", "group_state", "end_effector", "disable_collisions", "virtual_joint")
+"""Elements of an SRDF, the semantic description of MoveIt, whose root is also ``<robot>``."""
 
 MAX_LINKS: Final = 2000
 """Largest number of links of a URDF; a file with more is refused. Chosen, to bound the time."""

@@ -5,11 +5,14 @@ A base model has files. The models of a scaled variant are derived in memory, wi
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.errors import ConfigurationError, VariantError
+from pupper_analysis.base.inputs import find_similar_files
+from pupper_analysis.models.published import is_published_name
 from pupper_analysis.pupper.variants import (
     BASE_MODELS,
     VARIANTS,
@@ -29,6 +32,9 @@ _Model = TypeVar("_Model")
 _MAX_WORD_LENGTH = 200
 """Largest number of characters of a word that can be a misspelled variant name. Chosen, not tuned:
 longer texts are XML."""
+
+_NAME = re.compile(r"\w[\w-]*")
+"""Pattern of a word that may be the name of a variant: no suffix, folder, prefix or XML."""
 
 
 def is_variant(word: object) -> bool:
@@ -132,16 +138,27 @@ def _find_base_files(spec: VariantSpec) -> tuple[Path, Path]:
     return find_model_folder("urdf") / base.urdf, find_model_folder("mjcf") / base.mjcf
 
 
-def refuse_unknown_variant(word: str) -> None:
-    """Raise an error if a word is probably a misspelled variant name.
+def refuse_unknown_variant(word: str, *, is_robot: bool = True) -> None:
+    """Raise an error if a word is probably the name of a variant that does not exist.
+
+    Args:
+        word: Word of the user.
+        is_robot: True if the word specifies a robot. Any word without suffix that names neither a
+            file nor a published robot is then refused. False if other sources are permitted, of
+            which only names similar to a variant are refused.
 
     Raises:
-        VariantError: If the word has no suffix, names no file, and is similar to names of variants,
-            which the message lists.
+        VariantError: If the word is refused; the message lists the similar variants, or all.
     """
-    if len(word) > _MAX_WORD_LENGTH:
+    if len(word) > _MAX_WORD_LENGTH or not _NAME.fullmatch(word) or word in VARIANTS:
         return
-    path = Path(word)
-    may_be_variant = not path.suffix and len(path.parts) == 1 and not path.exists()
-    if may_be_variant and word not in VARIANTS and list_similar_variants(word):
-        get_variant_spec(word)
+    if Path(word).exists() or is_published_name(word):
+        return
+    if is_robot or list_similar_variants(word):
+        raise make_unknown_robot_error(word)
+
+
+def make_unknown_robot_error(word: str) -> VariantError:
+    """Return the error for a word that names no robot, with similar variants and files."""
+    similar = [*list_similar_variants(word), *map(str, find_similar_files(Path(word)))]
+    return VariantError("name", word, diagnose("known-robots", alike=similar, variants=VARIANTS))

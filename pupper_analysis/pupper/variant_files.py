@@ -23,7 +23,6 @@ from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.inputs import (
     MAX_FILE_BYTES,
     STANDARD_INPUT,
-    find_similar_files,
     is_input,
     read_input,
     read_text,
@@ -36,13 +35,13 @@ from pupper_analysis.models.menagerie import is_menagerie_name
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import make_input_error, one_line
 from pupper_analysis.models.published import is_published_name
+from pupper_analysis.pupper.named_robots import make_unknown_robot_error
 from pupper_analysis.pupper.variants import (
     BASE_MODELS,
     VARIANTS,
     VariantSpec,
     find_model_folder,
     get_variant_spec,
-    list_similar_variants,
 )
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import PublishedFile, Robot
@@ -246,8 +245,7 @@ def parse_robot_word(word: str) -> str | tuple[str, ...]:
     with suppress(OSError, ValueError):  # for example a name that is too long
         if Path(word).is_dir():
             raise VariantError("name", word, diagnose("file-is-folder"))
-    similar = [*list_similar_variants(word), *map(str, find_similar_files(Path(word)))]
-    raise VariantError("name", word, diagnose("known-robots", alike=similar, variants=VARIANTS))
+    raise make_unknown_robot_error(word)
 
 
 def parse_robot_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:

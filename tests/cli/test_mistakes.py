@@ -53,6 +53,12 @@ def test_error_of_a_length_without_unit_suggests_millimetres(
     assert "write 120mm" in message or "write 120.0mm" in message
 
 
+@pytest.mark.parametrize(("command", "option"), [("gains", "--delay"), ("stand", "--timestep")])
+def test_error_of_a_time_without_unit_suggests_milliseconds(command: str, option: str) -> None:
+    message = run_refused(command, "v3", option, "4")
+    assert "4 without a unit is in seconds, which is too long; write 4ms" in message
+
+
 def test_a_direction_may_have_any_length() -> None:
     """Reference: distance of a point at 1 m height from a plane at 45 mm, 0.955 m."""
     for z in ("10", "1"):
@@ -102,6 +108,9 @@ def test_a_result_is_not_written_under_another_formats_suffix(
         (("stand", "robot.udrf"), "did you mean robot.urdf?"),
         (("stand", "v3-heavy.urdf"), "did you mean v3-heavy?"),
         (("stand", "zebra.urdf"), "zebra.urdf: there is no such file\n"),
+        (("audit", "GO2"), "name 'GO2' is not valid; known variants: original, long-leg"),
+        (("diff", "v3", "GO2"), "v3-heavy; or give a file: a URDF or an MJCF\n"),
+        (("stand", "go2.srdf"), "go2.srdf: this is an SRDF, which only adds groups"),
         (("stand", "folder"), "it is a folder; give the path of a file"),
         (("stand", "deploy.yaml"), "the file does not begin with <"),
     ],
@@ -113,6 +122,7 @@ def test_error_of_a_wrong_robot_names_the_nearest(
     shutil.copy(ROOT / "urdf" / "pupper_v3.urdf", tmp_path / "robot.urdf")
     (tmp_path / "folder").mkdir()
     (tmp_path / "deploy.yaml").write_text("kp: 5\n")
+    (tmp_path / "go2.srdf").write_text('<robot name="go2"><group name="legs"/></robot>')
     assert suggested in run_refused(*arguments, folder=tmp_path)
 
 

@@ -229,7 +229,7 @@ def _find_model_files(
         if is_variant(source):
             found += find_files(source, folder)
         else:
-            refuse_unknown_variant(str(source))
+            refuse_unknown_variant(str(source), is_robot=False)
             named = is_published_name(str(source)) or str(source).startswith(PACKAGE_PREFIX)
             found.append(find_file(str(source)) if named else cast(str | Path, source))
     return found
