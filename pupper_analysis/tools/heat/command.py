@@ -84,6 +84,7 @@ def command(
 
     task = request.task()
     robot = request.robot(words)
+    robot.check_floating()  # before the motors: no motor makes a fixed base stand
     assigned = _read_file_motors(robot) | parse_motors(motors, robot)
     if not assigned:
         raise ConfigurationError("--motor", diagnose("motor-not-given"))

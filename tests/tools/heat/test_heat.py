@@ -20,6 +20,7 @@ from pupper_analysis.models.motors.reading import find_motor
 from pupper_analysis.pupper.variant_files import write_variant
 from pupper_analysis.tools.heat.document import heat_document
 from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat, study_heat
+from tests.support import arm
 from tests.support.commands import answer
 from tests.support.legged import quadruped_with_slides
 from tests.support.variants import load, stand_of
@@ -208,6 +209,11 @@ def test_bad_words_end_with_exit_status_2(tmp_path: Path) -> None:
     missing = answer("heat", "v3")
     assert missing.returncode == 2
     assert "--motor: no motor is given, and the MJCF has no dcmotor" in missing.stderr
+    arm_path = tmp_path / "arm.urdf"
+    arm_path.write_text(arm.URDF)
+    fixed = answer("heat", str(arm_path))
+    assert fixed.returncode == 2
+    assert "has a fixed base and cannot stand; pupper-analysis hold" in fixed.stderr
     path = tmp_path / "bad.toml"
     path.write_text(WEAK.replace("2 ohm", "2 rpm"))
     bad = answer("heat", "v3", "--motor", str(path))
