@@ -25,12 +25,17 @@ _OUTPUT_PARAMETERS = ("everything", "style", "force")
 """Names of the options for the form of the output, and of ``--force``, which permits overwriting.
 The next command does not get these options."""
 
+_PAYLOAD_SEARCHES = (("payload",), ("best", "payload"))
+"""First words of the commands that search for a payload, and accept ``--payload-at`` without
+``--payload``."""
+
 
 def complete_command(step: NextStep | None) -> str:
     """Return the command line of a next step, for the robot of the running command.
 
     The line contains the robot that the user typed, unless the step names files, and the typed
-    options that both commands have, except options for outputs.
+    options that both commands have, except options for outputs. ``--payload-at`` is left out if the
+    next command would refuse this option without ``--payload``.
 
     Args:
         step: Next step; None for none.
@@ -80,7 +85,11 @@ def complete_command(step: NextStep | None) -> str:
     replacing = [
         word for word, value in zip(step.words, following, strict=False) if "=" not in value
     ]
-    excluded = (*replacing, *step.omitted)
+    excluded = [*replacing, *step.omitted]
+    words = (step.command, *step.words)
+    searches = any(words[: len(start)] == start for start in _PAYLOAD_SEARCHES)
+    if not (searches or values.get("payload") or "--payload" in step.words):
+        excluded.append("--payload-at")
     options = _list_common_options(order, values, target, excluded)
     split = next(
         (place for place, word in enumerate(step.words) if word.startswith("-")), len(step.words)

@@ -346,6 +346,7 @@ def make_payload_result(*unknown: str) -> Any:
         get_torque_unit=lambda _: "N m",
         continuous=(),
         weak_motors=(),
+        carried=0.0,
         trial=trial,
         verdict=judge_stance(run(0.0, passed=True), None, SERVOS, question=Question.CARRIES),
     )

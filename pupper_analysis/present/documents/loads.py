@@ -74,6 +74,12 @@ def mass_text(mass: float) -> doc.Words:
     return doc.Name(f"{math.floor(100 * mass) / 100:.2f} kg")
 
 
+def round_mass_down(mass: float) -> float:
+    """Round a mass [kg] above 0 down to two significant digits: the rounded mass also holds."""
+    step = 10.0 ** (math.floor(math.log10(mass)) - 1)
+    return math.floor(mass / step) * step
+
+
 def proof_text(verification: StandVerification) -> doc.Text:
     """Return a sentence on the simulation that verified the predicted torques and foot forces.
 

@@ -22,6 +22,7 @@ from pupper_analysis.present.documents.loads import (
     get_display_scales,
     limit_cell,
     origins_text,
+    round_mass_down,
     torque_plot,
     torque_table,
     utilisation_cell,
@@ -108,9 +109,8 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
         return select_step_after_failure(hold.verdict, doc.NextStep("audit"))
     if not math.isfinite(payload) or payload <= 0:
         return doc.NextStep("audit")
-    step = 10.0 ** (math.floor(math.log10(payload)) - 1)
-    rounded = math.floor(payload / step) * step
-    return doc.NextStep("hold", ("--payload", f"{hold.carried + rounded:.3g}kg"))
+    carried = hold.carried + round_mass_down(payload)
+    return doc.NextStep("hold", ("--payload", f"{carried:.3g}kg"))
 
 
 def _describe_worst_posture(hold: Hold) -> doc.Words:

@@ -65,7 +65,12 @@ def command(
     with shared.show_progress("searching for the payload, and simulating it"):
         result = payload_limit(robot, task, request.place, kp=kp, kd=kd)
         weak = describe_weak_motors(motors, result.torque_by_joint)
-        result = replace(result, continuous=tuple(continuous_efforts), weak_motors=weak)
+        result = replace(
+            result,
+            continuous=tuple(continuous_efforts),
+            weak_motors=weak,
+            carried=request.payload,
+        )
     request.show(result, robot)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text, word
-from pupper_analysis.present.documents.loads import mass_text, view_block
+from pupper_analysis.present.documents.loads import mass_text, round_mass_down, view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import (
     ground_text,
@@ -29,7 +30,7 @@ from pupper_analysis.present.verdict import (
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.trial import Failure
 from pupper_analysis.simulation.verdict import Ending
-from pupper_analysis.tools.payload.limit import Bound, PayloadLimit, PayloadTrial
+from pupper_analysis.tools.payload.limit import VERIFIED_FRACTION, Bound, PayloadLimit, PayloadTrial
 
 
 @build_document.register(PayloadLimit)
@@ -81,14 +82,20 @@ def _select_next_step(limit: PayloadLimit) -> NextStep:
 
     If motor limits are unknown, this is `audit`. If no payload is carried, it is `stand`, which
     states the cause, or `crosscheck` or `audit` if the files explain the failure. Otherwise it is
-    the command for the bound that limits the payload (`_NEXT_STEPS`).
+    the command for the bound that limits the payload (`_NEXT_STEPS`). Except for `best`, which
+    searches for a payload, the command loads the robot with `VERIFIED_FRACTION` of this bound.
     """
     if limit.unknown_limits and limit.upper_bound > 0:
         return NextStep("audit")
     if not limit.passed or not limit.bounds:
         return select_step_after_failure(limit.verdict, NextStep("stand"))
     smallest = min(limit.bounds, key=lambda name: limit.bounds[name].mass)
-    return _NEXT_STEPS.get(smallest, NextStep("push"))
+    step = _NEXT_STEPS.get(smallest, NextStep("push"))
+    mass = VERIFIED_FRACTION * limit.upper_bound
+    if step.command == "best" or not 0 < mass < math.inf:
+        return step
+    payload = limit.carried + round_mass_down(mass)
+    return replace(step, words=(*step.words, "--payload", f"{payload:.3g}kg"))
 
 
 def _select_verdict_word(limit: PayloadLimit) -> doc.Words:

@@ -218,6 +218,8 @@ class PayloadLimit(Result):
         continuous: Joints whose effort limit is a continuous torque; the limits of the other joints
             are peak torques.
         weak_motors: Named motors that cannot exert the torques of ``stand`` even for moments.
+        carried: Mass of the payload of the command line [kg] (``--payload``), to which all results
+            are additional.
     """
 
     name: str
@@ -242,6 +244,7 @@ class PayloadLimit(Result):
     trial: PayloadTrial | None
     continuous: tuple[str, ...] = ()
     weak_motors: tuple[Diagnostic, ...] = ()
+    carried: float = field(default=0.0, metadata={"unit": "kg"})
 
     @property
     def torque_by_joint(self) -> dict[str, float]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from pupper_analysis.simulation.verdict import Question
 from pupper_analysis.tools.payload.document import payload_document
 from tests.present.test_printed import print_words
@@ -22,3 +24,13 @@ def test_payload_limit_states_that_its_servos_were_added() -> None:
     result = make_payload_result()
     result.verdict = judge_added_servos(Question.CARRIES)
     assert ADDED_SERVOS_TEXT in " ".join(print_words(payload_document(result)))
+
+
+@pytest.mark.parametrize(("carried", "mass"), [(0.0, "1.2kg"), (1.0, "2.2kg")])
+def test_next_command_simulates_the_payload_with_the_typed_one(carried: float, mass: str) -> None:
+    """Reference: 97 % of 1.239 kg is 1.2018 kg, which is rounded down."""
+    result = make_payload_result()
+    result.carried = carried
+    step = payload_document(result).next_step
+    assert step is not None
+    assert (step.command, step.words) == ("stand", ("--minimum-stiffness", "--payload", mass))
