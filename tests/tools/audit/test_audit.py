@@ -681,6 +681,19 @@ def test_individually_identified_motors_are_no_finding(
     )
 
 
+def test_armature_of_all_right_joints_that_differs_is_a_finding(tmp_path: Path) -> None:
+    """All pairs are unequal, but with two values only: these motors were not identified."""
+    text, names = OWN["mjcf"].read_text(), []
+    for name in re.findall('<joint name="(.._H.E|.._KFE|.._HAA)"', text):
+        value = 0.003 if name[1] == "L" else 0.006
+        names += [f"joint {name!r}"] if name[1] == "R" else []
+        text = text.replace(f'<joint name="{name}"', f'<joint name="{name}" armature="{value}"')
+    path = tmp_path / "own.xml"
+    path.write_text(text)
+    findings = find_findings(audit_model(path), "mirror-drive")
+    assert sorted(finding.element for finding in findings) == sorted(names)
+
+
 def test_keyframe_without_commands_is_a_note(tmp_path: Path) -> None:
     """Missing commands are zeros; no finding if the keyframe's joint positions are zero as well."""
     path = write_model(tmp_path, "mjcf", (Edit(KEY, r' ctrl="[^"]*"', ""),))
