@@ -165,7 +165,12 @@ def command(
     )
     from pupper_analysis.tools.contract.contract import TRACED
     from pupper_analysis.tools.contract.deployment import read_deployment
-    from pupper_analysis.tools.walk.gait import parse_walking_command, simulate_walk
+    from pupper_analysis.tools.walk.falls import find_fall_tests
+    from pupper_analysis.tools.walk.gait import (
+        DEFAULT_SECONDS,
+        parse_walking_command,
+        simulate_walk,
+    )
     from pupper_analysis.tools.walk.intervals import (
         QUANTITIES,
         read_measured_intervals,
@@ -224,6 +229,10 @@ def command(
                     robot, loaded_policy, checked_command, motors=assigned, **arguments
                 )
                 result = result if check is None else replace(result, evidence=TRACED, trace=check)
+                tests = find_fall_tests(
+                    robot, loaded_policy, result, arguments.get("seconds", DEFAULT_SECONDS)
+                )
+                result = replace(result, fall_tests=tests)
     shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pupper_analysis.base.array_types import Array
+from pupper_analysis.base.diagnostics import Severity
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import limit_cell
@@ -66,7 +67,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
             *(() if walk.within_region else _describe_region(walk)),
         ),
         findings=(
-            *(causes if fallen else ()),
+            *(_list_causes_of_fall(walk) if fallen else ()),
             speed,
             torque,
             *(_describe_region(walk) if walk.within_region else ()),
@@ -81,10 +82,42 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
 
 
 def _select_next_step(walk: Walk) -> doc.NextStep:
-    """Return the command to run next: ``--vary`` if all runs track, otherwise ``--orders``."""
+    """Return the command to run next.
+
+    It is ``walk --vary`` if all runs track. After a fall that a change prevents, it is ``walk
+    --response`` for a command of zero, and ``gains`` for other gains. Otherwise it is ``walk
+    --orders``.
+    """
     if all(gait.tracks for gait in walk.gaits):
         return doc.NextStep("walk", ("--vary", "mass,kp,delay"))
+    prevented = {test.quantity for test in walk.fall_tests if not test.falls}
+    if "command" in prevented:
+        return doc.NextStep("walk", ("--response",))
+    if prevented & {"kp", "kd"}:
+        return doc.NextStep("gains")
     return doc.NextStep("walk", ("--orders",), omitted=("--command", "--seeds"))
+
+
+def _list_causes_of_fall(walk: Walk) -> Iterable[doc.Words]:
+    """Yield the causes of a fall: motors without torque, errors of the files, tested changes.
+
+    Other remarks about the files follow.
+    """
+    yield from _list_limit_warnings(walk)
+    errors = [remark for remark in walk.remarks if remark.severity is Severity.ERROR]
+    yield from map(doc.diagnostic_text, errors)
+    if walk.fall_tests:
+        prevented = [test for test in walk.fall_tests if not test.falls]
+        factors: dict[str, list[str]] = {}
+        for test in prevented or walk.fall_tests:
+            factors.setdefault(test.quantity, []).append(f"{test.value:g}")
+        changes = [
+            text(f"walk-fall-{quantity}", value=doc.Name(" / ".join(values)))
+            for quantity, values in factors.items()
+        ]
+        key = "walk-fall-prevented" if prevented else "walk-falls-anyway"
+        yield text(key, changes=join_words(changes))
+    yield from (doc.diagnostic_text(remark) for remark in walk.remarks if remark not in errors)
 
 
 _MAX_SHOWN_CONFIGURATIONS = 75
@@ -771,8 +804,24 @@ def orders_document(result: Orders, robot: Robot | None = None) -> doc.Document:
         failures=() if result.passed else (line,),
         findings=(*((line,) if result.passed else ()), text("walk-orders-not")),
         notes=robot_notes(robot),
-        next_step=doc.NextStep("walk", omitted=("--orders",)),
+        next_step=_select_step_after_orders(result),
     )
+
+
+def _select_step_after_orders(result: Orders) -> doc.NextStep:
+    """Return the next command after a ranking of interpretations.
+
+    It is ``audit`` of the model if no interpretation walks, ``walk --init`` (a TOML file for the
+    correction) if another one walks better, ``walk --vary`` if the stated one walks best, and
+    ``walk --response`` if the ranking is not determined.
+    """
+    if not result.candidates[0].tracked:
+        return doc.NextStep("audit")
+    if not result.passed:
+        return doc.NextStep("walk", ("--init",), omitted=("--orders", "--seconds", "--effort"))
+    if result.determined:
+        return doc.NextStep("walk", ("--vary", "mass,kp,delay"), omitted=("--orders",))
+    return doc.NextStep("walk", ("--response",), omitted=("--orders",))
 
 
 def _describe_change(candidate: Candidate) -> doc.Words:

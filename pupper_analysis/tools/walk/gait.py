@@ -153,6 +153,23 @@ class Gait(Result):
     torques: Array = field(metadata={"unit": "N m"})
 
 
+@dataclass(frozen=True)
+class FallTest(Result):
+    """Repetition of a run that falls, with one changed quantity.
+
+    Attributes:
+        quantity: ``command``, ``delay``, or a factor of ``strength``, ``friction``, ``kp``, ``kd``.
+        value: Factor of the quantity; 0 for a command of zero, and without delay.
+        falls: True if the robot also falls with this change.
+        duration: Time until the fall, or until the end.
+    """
+
+    quantity: str
+    value: float = field(metadata={"unit": "1"})
+    falls: bool
+    duration: float = field(metadata={"unit": "s"})
+
+
 @dataclass(frozen=True, eq=False)
 class Walk(Result):
     """Gaits of a policy on a robot: an evaluated run per seed.
@@ -173,6 +190,8 @@ class Walk(Result):
         evidence: ``simulated``; ``traced`` if the policy was also compared with a recorded trace.
         trace: Comparison with a recorded trace; None without.
         motors: {joint: name of the assigned motor}.
+        fall_tests: Repetitions of the first run that falls, with one changed quantity each; empty
+            if not requested.
     """
 
     name: str
@@ -190,6 +209,7 @@ class Walk(Result):
     evidence: str = SIMULATED
     trace: TraceCheck | None = None
     motors: dict[str, str] = field(default_factory=dict)
+    fall_tests: tuple[FallTest, ...] = ()
 
     @property
     def beyond_region(self) -> Array:

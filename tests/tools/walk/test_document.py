@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pupper_analysis.tools.walk.document import _max_over_runs
+from pupper_analysis.tools.walk.document import _max_over_runs, orders_document
 from pupper_analysis.tools.walk.orders import Candidate, Orders
 from tests.support.printing import printed
 
@@ -37,17 +37,20 @@ def make_orders(tracked: tuple[int, int]) -> Orders:
 
 
 @pytest.mark.parametrize(
-    ("tracked", "word", "passed"),
+    ("tracked", "word", "passed", "following"),
     [
-        ((0, 0), "NONE WALKS", False),
-        ((3, 1), "ANOTHER INTERPRETATION WALKS BETTER", False),
-        ((3, 3), "NOT DETERMINED", True),
+        ((0, 0), "NONE WALKS", False, ("audit", ())),
+        ((3, 1), "ANOTHER INTERPRETATION WALKS BETTER", False, ("walk", ("--init",))),
+        ((3, 3), "NOT DETERMINED", True, ("walk", ("--response",))),
     ],
 )
 def test_verdict_of_orders_depends_on_the_tracked_commands(
-    tracked: tuple[int, int], word: str, passed: bool
+    tracked: tuple[int, int], word: str, passed: bool, following: tuple[str, tuple[str, ...]]
 ) -> None:
     """No interpretation walks; another one tracks more commands; both walk equally well."""
     orders = make_orders(tracked)
     assert (orders.passed, orders.determined) == (passed, tracked == (3, 1))
     assert printed(orders).startswith(f"{word} v3")
+    step = orders_document(orders).next_step
+    assert step is not None
+    assert (step.command, step.words) == following

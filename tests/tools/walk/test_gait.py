@@ -20,6 +20,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.tools.walk.contract import Term
 from pupper_analysis.tools.walk.document import walk_document
+from pupper_analysis.tools.walk.falls import find_fall_tests
 from pupper_analysis.tools.walk.gait import (
     describe_fall,
     find_ground_contacts,
@@ -28,6 +29,7 @@ from pupper_analysis.tools.walk.gait import (
 )
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Observer, Run, prepare_stage, simulate_cases
+from tests.present.test_printed import print_words
 from tests.support.variants import load
 from tests.tools.walk import made
 
@@ -131,6 +133,29 @@ def test_fall_of_a_walk_is_reported(still: Policy) -> None:
     assert gait.margin == 0
     assert gait.duration < 4.0
     assert math.isfinite(gait.power)
+
+
+@pytest.mark.slow
+def test_tested_change_prevents_a_fall_as_a_walk_with_this_change(still: Policy) -> None:
+    """References: a walk whose policy states half the damping, and a pose that cannot stand."""
+    stiff = still.with_contract(kd=np.full(12, 10.0))
+    walk = simulate_walk(load("v3"), stiff, (0, 0, 0), seconds=4.0)
+    found = find_fall_tests(load("v3"), stiff, walk, 4.0)
+    tests = {(test.quantity, test.value): test for test in found}
+    assert walk.gaits[0].fall is not None
+    assert ("command", 0.0) not in tests
+    assert not tests["kd", 0.5].falls
+    assert tests["kd", 2.0].falls
+    halved = still.with_contract(kd=np.full(12, 5.0))
+    upright = simulate_walk(load("v3"), halved, (0, 0, 0), seconds=4.0)
+    assert upright.gaits[0].fall is None
+    assert find_fall_tests(load("v3"), halved, upright, 4.0) == ()
+    printed = " ".join(print_words(walk_document(replace(walk, fall_tests=found))))
+    assert "cause: the robot does not fall with " in printed
+    lying = still.with_contract(default=POSE + np.array([0, 1.2, 0] * 4))
+    walk = simulate_walk(load("v3"), lying, (0.2, 0, 0), seconds=4.0)
+    found = find_fall_tests(load("v3"), lying, walk, 4.0)
+    assert [test.falls for test in found] == [True] * 7
 
 
 def test_fall_states_height_and_tilt_of_the_last_state(still: Policy) -> None:

@@ -1,0 +1,68 @@
+"""Tests of the cause of a fall: the run is repeated with one quantity changed at a time.
+
+`find_fall_tests` repeats the first run of a walk that falls. A change without a fall names a cause;
+if the robot falls with each change, the policy probably reads or drives the joints wrongly.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pupper_analysis.base.array_types import Array
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.walk.gait import DEFAULT_SECONDS, FallTest, Walk
+from pupper_analysis.tools.walk.intervals import make_changed_case
+from pupper_analysis.tools.walk.policy import Policy
+from pupper_analysis.tools.walk.runs import Case, Stage, prepare_stage, simulate_cases
+
+_FACTORS = (
+    ("strength", 10.0),
+    ("friction", 2.0),
+    *(("kp", 0.5), ("kp", 2.0), ("kd", 0.5), ("kd", 2.0)),
+)
+"""(quantity of `QUANTITIES`, factor) of the tested changes. Gains of a deployment that are wrong
+differ by a factor of two or more. Chosen, not tuned."""
+
+
+def find_fall_tests(
+    robot: Robot, policy: Policy, walk: Walk, seconds: float = DEFAULT_SECONDS
+) -> tuple[FallTest, ...]:
+    """Repeat the first run of a walk that falls, with one changed quantity at a time.
+
+    Args:
+        robot: Robot of the walk.
+        policy: Policy of the walk.
+        walk: Result of `simulate_walk`.
+        seconds: Duration of each run [s].
+
+    Returns:
+        A test per changed quantity. Changes without effect are left out: a command of zero for the
+        command zero, no delay for a policy without latency, larger torque limits for motors without
+        limits. Empty if no run of the walk falls.
+    """
+    fallen = next((gait for gait in walk.gaits if gait.fall is not None), None)
+    if fallen is None:
+        return ()
+    stage = prepare_stage(robot, policy)
+    changes = _list_changes(stage, fallen.command, fallen.seed)
+    runs = simulate_cases(stage, list(changes.values()), seconds, walk.warm_up)
+    return tuple(
+        FallTest(quantity, value, run.fallen, len(run.states) * stage.timestep)
+        for (quantity, value), run in zip(changes, runs, strict=True)
+    )
+
+
+def _list_changes(stage: Stage, command: Array, seed: int) -> dict[tuple[str, float], Case]:
+    """Return {(quantity, value): run with this change} of the changes that have an effect."""
+    changes: dict[tuple[str, float], Case] = {}
+    latency = stage.policy.contract.latency
+    if np.any(command):
+        changes["command", 0.0] = Case(stage.model, np.zeros(3), latency, seed)
+    if latency:
+        changes["delay", 0.0] = Case(stage.model, command, 0.0, seed)
+    limited = bool(np.isfinite(stage.robot.effort_limits).any())
+    for quantity, factor in _FACTORS:
+        if quantity != "strength" or limited:
+            case = make_changed_case(stage, quantity, factor, command, seed)
+            changes[quantity, factor] = case
+    return changes
