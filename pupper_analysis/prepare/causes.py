@@ -287,7 +287,10 @@ def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[Cause
 
 
 def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield springs, joint limits, fluid forces and tilted gravity as candidate causes."""
+    """Yield springs, joint limits, fluid forces and tilted gravity as candidate causes.
+
+    There is one candidate per kind, for example all springs of joints and tendons together.
+    """
     model, joints = published.model, _list_joint_ids(published, robot)
     linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
     sprung = [
@@ -356,7 +359,11 @@ contacts in a test simulation."""
 
 
 def _list_contact_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
-    """Yield contacts with low friction (slippery), and soft contacts, as candidate causes."""
+    """Yield contacts with low friction (slippery), and soft contacts, as candidate causes.
+
+    There are at most two candidates: all slippery and all soft geoms and contact pairs
+    (`_select_bad_contacts`).
+    """
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     slippery_geoms = np.flatnonzero(_select_bad_contacts(model, "geom", "slippery") & collidable)
@@ -451,7 +458,11 @@ def _list_equality_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield limits of commands and forces, a candidate per kind."""
+    """Yield the active limits of commands and forces as candidate causes of a deviation.
+
+    There is one candidate per kind: ``ctrlrange`` and ``forcerange`` of the actuators, and
+    ``actuatorfrcrange`` of the joints.
+    """
     model, joints, motors = (
         published.model,
         _list_joint_ids(published, robot),

@@ -387,7 +387,12 @@ def _build_with_fixed_base(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("adds a level ground, or makes it level"), _has_free_base)
 def _level_ground(draft: Draft) -> PassOutput:
-    """Add a level floor, or level the file's floor; set friction options of a new floor."""
+    """Add a level floor, or level the file's floor.
+
+    Solver options that reduce the creep of contacts (`STIFF_FRICTION_OPTIONS`) are added if the
+    MJCF was converted from a URDF, or if a floor was added to a file without free joint and without
+    such options.
+    """
     leveled = draft.matched_description.mjcf.copy()  # passes before ``build`` modify it in place
     messages = level_ground(leveled)
     floors = tuple(Floor(note) for note in messages if note.code == "ground-added")
@@ -516,7 +521,11 @@ def _find_start_pose(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("takes hulls that carry most of the load as contact points"), _may_be_altered)
 def _use_hulls_as_feet(draft: Draft) -> PassOutput:
-    """Use other shapes of soft feet, such as hulls, as contact points if they carry most load."""
+    """Use other shapes of soft feet, such as hulls, as contact points if they carry most load.
+
+    `touching.find_carrying_hulls` finds these shapes. The draft is unchanged without such shapes,
+    with closed loops, or if the robot with these contact points has no nominal stand.
+    """
     if draft.footless is None or draft.robot.closure is not None:
         return draft, ()
     hulls = touching.find_carrying_hulls(draft.footless, draft.robot, draft.feet)

@@ -243,7 +243,14 @@ class UrdfBodies:
             self._fill_body(inner, self.tree.links[joint.child])
 
     def _add_joint(self, body: etree._Element, urdf_joint: UrdfJoint) -> None:
-        """Add a joint of the URDF to a body of the MJCF; record its effort limit and coupling."""
+        """Add a joint of the URDF to a body of the MJCF; nothing is added for a fixed joint.
+
+        The effort limit is recorded in ``efforts``, the coupling of a mimic joint in ``mimics``.
+        Empty ranges and negative efforts are left out, with a note.
+
+        Raises:
+            ModelError: If the joint is floating or planar, or the axis has length zero.
+        """
         if urdf_joint.is_fixed:
             return
         joint, kind, name = urdf_joint.element, urdf_joint.kind, urdf_joint.name
@@ -344,7 +351,12 @@ class UrdfBodies:
         )
 
     def _convert_geometry(self, geometry: etree._Element, kind: str) -> dict[str, str] | None:
-        """Return the attributes of a geom; None, with a note, if the shape is left out."""
+        """Return {attribute: text} of the geom of a URDF shape; None if the shape is left out.
+
+        A shape without extent, of an unknown kind, or with a mesh that cannot be used is left out,
+        with a note. ``kind`` is ``"visual"`` or ``"collision"``: a collision sphere of radius zero
+        gets the radius `_POINT_RADIUS`.
+        """
         tag = str(geometry.tag)
         sizes = " ".join(str(geometry.get(word)) for word in _SIZE_ATTRIBUTES.get(tag, ()))
         is_point = tag == "sphere" and is_zero(sizes) and kind == "collision"

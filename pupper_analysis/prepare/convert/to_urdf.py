@@ -305,7 +305,10 @@ def _set_zero_inertial(link: UrdfLink) -> None:
 
 
 def _add_couplings(tree: UrdfTree, model: mujoco.MjModel) -> list[Diagnostic]:
-    """Write coupled joints as <mimic>; return notes on equalities that a URDF cannot express."""
+    """Add a <mimic> for each linear joint equality that is active; return notes on the others.
+
+    A joint gets at most one <mimic>. Other equalities, such as loops, have no equivalent in a URDF.
+    """
     left, joints = [], tree.joints
     for index in range(model.neq):
         kind = mujoco.mjtEq(int(model.eq_type[index]))
