@@ -281,7 +281,11 @@ def contact_table(statics: GravityCompensation) -> doc.Table:
 
 
 def _make_contact_table(statics: GravityCompensation, verification: StandVerification) -> doc.Table:
-    """Create the table of contact forces, with notes on centres of pressure, welds and grips."""
+    """Create the table of contact forces [N], with notes below the table.
+
+    The notes state the centre of pressure of each foot [m], if feet have several contact points,
+    and the moment of each weld [N m] or the force of each grip [N].
+    """
     flat = len(statics.foot_loads) < len(statics.contact_forces)
     notes = [
         text(

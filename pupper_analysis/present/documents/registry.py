@@ -62,7 +62,11 @@ def value_cell(value: object) -> Cell:
 
 
 def _write_value(value: object) -> str:
-    """Return the text of a value with all entries of short containers, also of nested ones."""
+    """Return the text of a value, with all entries of lists, mappings and arrays that are short.
+
+    Short is up to `MAX_SHOWN_ENTRIES` entries; longer containers are replaced by their size or
+    shape. Nested containers and results are written in the same way, floats with six digits.
+    """
     if isinstance(value, str) and not isinstance(value, Enum):
         return value
     if isinstance(value, float):
@@ -85,7 +89,10 @@ def _write_value(value: object) -> str:
 
 
 def make_fields_document(result: Result) -> doc.Document:
-    """Create a document that lists the fields of a result with meanings and units."""
+    """Create a document with a table of a result's fields: name, value, meaning and unit.
+
+    The verdict is ``passed`` of the result, if the result has such a field.
+    """
     kind = type(result)
     rows: list[tuple[doc.Cell, ...]] = [
         (

@@ -109,7 +109,10 @@ def round_ticks(low: float, high: float, count: int = 5) -> list[float]:
 
 @draw_svg.register
 def _draw_line_plot(plot: LinePlot) -> Drawing:
-    """Convert a line plot to SVG elements (`Mark`), lengths in CSS pixels."""
+    """Convert a line plot to a drawing: grid, axes and lines, each line with labelled points.
+
+    The size is `PLOT_WIDTH` by `PLOT_HEIGHT` [CSS pixels]. Points that are not finite are omitted.
+    """
     x, y, series = plot.x, plot.y, plot.series
     lines, marked = [], []
     for one in series:
@@ -156,7 +159,11 @@ rounding and the bar plot stays one-sided."""
 
 @draw_svg.register
 def _draw_bar_plot(plot: BarPlot) -> Drawing:
-    """Convert a bar plot to SVG elements (`Mark`), lengths in CSS pixels."""
+    """Convert a bar plot to a drawing: a row per bar, with name, value, limit and marker.
+
+    The width is `PLOT_WIDTH` [CSS pixels]; the height depends on the number of bars. The axis
+    extends to the largest value or limit; in both directions if a value is negative.
+    """
     axis, bars = plot.axis, plot.bars
     shown = [_shorten_name(bar.name) for bar in bars]
     names, values, step = 24.0 + LETTER_WIDTH * max(map(_count_letters, shown)), 84.0, 22.0

@@ -518,7 +518,10 @@ def _draw_block(block: Block, scenes: list[dict[str, Any]]) -> Any:
 
 
 def _collect_script_words() -> dict[str, dict[str, str]]:
-    """Return the words of the page's scripts, {language: {key: word}}."""
+    """Return {language: {key: word}} of the words that the page's scripts display.
+
+    These are, for example, names of quantities and of joint motions in the 3-D view.
+    """
     word_keys = {
         "no_library": "view-without-three-js",
         "no_webgl": "view-without-webgl",
