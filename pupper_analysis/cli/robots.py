@@ -240,7 +240,14 @@ class RobotOptions:
 
     @property
     def _load_options(self) -> dict[str, Any]:
-        """Robot options of the command line, as keyword arguments of ``load_robot``."""
+        """Typed options for files, as {keyword argument of ``load_robot``: value}.
+
+        Options that were not typed are not included.
+
+        Raises:
+            ConfigurationError: If a text such as ``NAME=FRAME`` has another form, or a folder of
+                ``--package`` does not exist.
+        """
         named = [foot if "=" in foot else f"{foot}={foot}" for foot in self.feet or ()]
         frames: dict[str, str | tuple[str, str]] = {}
         for foot, frame in (shared.parse_assignment("foot", text) for text in named):
@@ -293,7 +300,10 @@ def load_selected_robot(
 def name_uniquely(
     meant: Sequence[str | VariantSpec | RobotFiles], robots: list[Robot]
 ) -> list[Robot]:
-    """Return robots with unique names: equal names are extended by file names or numbers."""
+    """Return robots with unique names: equal names are extended by file names or numbers.
+
+    ``meant`` are the selections of the user from which ``robots`` were loaded, in the same order.
+    """
     names = Counter(robot.name for robot in robots)
     renamed: list[Robot] = []
     for selection, robot in zip(meant, robots, strict=True):

@@ -224,7 +224,11 @@ class RobotAndTask:
             refuse_alone(("--slope",), "uphill")
 
     def _load_robot(self, selection: str | VariantSpec | RobotFiles, *, visuals: bool) -> Robot:
-        """Load a robot with the options; notes on files are printed after the result."""
+        """Load a selected robot, and apply the typed options (`_apply_options`).
+
+        Warnings on a robot from files are printed when the command ends, after the result, unless
+        the output is Markdown, which contains them.
+        """
         robot = self._apply_options(
             load_selected_robot(
                 selection, fixed_base=self.fixed_base, as_is=self.as_is, visuals=visuals
@@ -241,7 +245,14 @@ class RobotAndTask:
         return robot
 
     def _apply_options(self, robot: Robot) -> Robot:
-        """Return a robot with the typed effort limits, payload, MuJoCo options and contacts."""
+        """Return a robot with the typed effort limits, payload, MuJoCo options and contacts.
+
+        A payload is appended to the name of the robot: mass [kg] and position [mm].
+
+        Raises:
+            ConfigurationError: If an option is not valid.
+            UnknownNameError: If an option names a joint or frame that the robot lacks.
+        """
         from pupper_analysis.robot.build import with_efforts
         from pupper_analysis.robot.servos import with_options
         from pupper_analysis.robot.tool import with_payload
