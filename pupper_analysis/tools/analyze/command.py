@@ -183,7 +183,10 @@ def _analyze_all(
 def _compare_variants(
     meant: list[VariantSpec | RobotFiles], analyses: list[Analysis]
 ) -> list[ComparisonRow]:
-    """Compare each variant with the unscaled base model; robots from files have no base model."""
+    """Return a row of key figures per robot, with the ratios of variants to their base model.
+
+    The base model is the unscaled variant. Robots from files have no base model, and no ratios.
+    """
     from pupper_analysis.pupper.variant_files import load_variant
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.tools.analyze.analysis import measure_leg_lengths
@@ -201,7 +204,11 @@ def _compare_variants(
 
 
 def _write_figures(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
-    """Write the figures of the analyses into a folder."""
+    """Write the figures of the analyses into a folder, and print the folder.
+
+    The figures are ``pose_NAME.png`` per robot, the figures of `FIGURES`, and ``variants.png`` with
+    all robots side by side.
+    """
     from pupper_analysis.present.figures.pose import write_pose_figure
     from pupper_analysis.tools.analyze.comparison_figures import FIGURES
     from pupper_analysis.tools.analyze.figures import render_variants

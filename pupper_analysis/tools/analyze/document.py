@@ -227,7 +227,10 @@ def _report_fall(without: StandVerification) -> Iterable[doc.Words]:
 
 
 def _make_structure_blocks(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
-    """Create the model sizes and the tables of joints and masses."""
+    """Yield the model data: sizes, mass, CoM and leg lengths, then the tables of joints and masses.
+
+    ``robot`` is named with its files; None if not available.
+    """
     yield doc.Lines(
         (
             text(
@@ -264,7 +267,10 @@ def _make_structure_blocks(analysis: Analysis, robot: Robot | None) -> Iterable[
 
 
 def _make_joint_table(analysis: Analysis) -> doc.Table:
-    """Create the table of joint axes, limits and passive terms."""
+    """Create the table of joints: axis, limits, effort, velocity and passive terms, a row each.
+
+    Position limits are in degrees, of slides in mm; the other columns are in SI units.
+    """
     rows: list[tuple[doc.Cell, ...]] = []
     for joint in analysis.joints:
         scale = 1e3 if joint.is_sliding else math.degrees(1.0)
@@ -319,7 +325,10 @@ def _format_length(length: float | None) -> str:
 
 
 def _make_jacobian_table(analysis: Analysis) -> doc.Block:
-    """Create the table of foot Jacobians."""
+    """Create the table of foot Jacobians [m/rad] in world axes, a row per foot.
+
+    The columns are the three rows of the Jacobian, singular values and condition number.
+    """
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(foot),
@@ -347,7 +356,11 @@ def _make_jacobian_table(analysis: Analysis) -> doc.Block:
 
 
 def _make_check_table(analysis: Analysis) -> doc.Block:
-    """Create the table of the cross-check."""
+    """Create the table of the cross-check, a row per compared quantity.
+
+    The columns are place and pair of evaluations with the largest relative deviation, the
+    deviation, and whether it is within the tolerance.
+    """
     check = analysis.check
     rows: list[tuple[doc.Cell, ...]] = []
     for quantity in check.quantities:

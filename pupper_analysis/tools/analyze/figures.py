@@ -188,7 +188,11 @@ _DISABLING_VALUES = ("disable", "disabled", "off", "false", "0")
 
 
 def _compile_model(tile: Tile) -> mujoco.MjModel:
-    """Compile a robot's MJCF with ground and lights of the picture instead of those of the MJCF."""
+    """Compile a robot's MJCF for the picture: with the ground of the tile, and other lights.
+
+    Planes of the MJCF are hidden, and its lights deleted. A robot with a fixed base loses free
+    joint and keyframes.
+    """
     robot = tile.robot
     spec = robot.description.mjcf.copy()
     for geom in spec.geoms:
@@ -436,7 +440,10 @@ def _draw_scale_bar(canvas: Axes, tile: Tile, picture_height: int) -> None:
 
 
 def _draw_lines(canvas: Axes, tile: Tile) -> None:
-    """Draw a robot's skeleton, in the projection of the rendered picture."""
+    """Draw a robot as legs and boxes on its piece of ground, in place of a rendered picture.
+
+    The projection is that of the rendered picture. ``canvas`` has the picture's pixels as unit.
+    """
     lines = tile.lines
     thick = 0.035 * tile.width * 72 / _PICTURE_DPI
     legs = np.array([leg[[0, -1]] for leg in lines.legs.values()])

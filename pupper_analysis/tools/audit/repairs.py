@@ -266,10 +266,10 @@ def _repair_number(
 def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the possible repairs of an inertia tensor of a URDF.
 
-    If the link on the other side has a possible tensor, this is the mirror image of that tensor, or
-    the own tensor with one decimal point moved if it agrees with the mirror image. Without such a
-    link, these are all possible tensors with one decimal point moved. If there is none, this is the
-    tensor of the solid shapes (`_fill_shapes`).
+    If the link on the other side has a possible tensor and the same mass within 1 %, this is the
+    mirror image of that tensor, or the own tensor with one decimal point moved if it agrees with
+    the mirror image. Without such a link, these are all possible tensors with one decimal point
+    moved. If there is none, this is the tensor of the solid shapes (`_fill_shapes`).
     """
     if not isinstance(robot, UrdfModel):
         return
@@ -408,8 +408,8 @@ def _move_decimal_points(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 def _mirror_tensor(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     """Yield a repair that replaces a link's inertia tensor by the mirrored tensor of the twin link.
 
-    Nothing if there is no twin on the other side, if the twin's tensor is physically impossible, or
-    if the masses differ by more than 1 %.
+    Nothing, for example, if there is no twin on the other side, if the twin's tensor is physically
+    impossible, or if the masses differ by more than 1 %.
     """
     twin, link = _find_twin(robot, name), robot.links[name]
     if twin is None or not math.isclose(link.mass, twin.mass, rel_tol=0.01):

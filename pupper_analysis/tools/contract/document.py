@@ -146,7 +146,11 @@ def _make_column(key: str, unit: str = "", *, detail: bool = False) -> doc.Colum
 
 
 def _tabulate_poses(contract: Contract) -> doc.Table:
-    """Create the table of the stands in the default poses of the sources."""
+    """Create the table of the stands in the default poses of the sources, a row per pose.
+
+    The columns are base height [mm], height loss [mm], utilisation [%], and whether the robot stays
+    standing in simulation. Problems are notes below the table.
+    """
     columns = (
         _make_column("contract-source"),
         _make_column("contract-height", "mm"),

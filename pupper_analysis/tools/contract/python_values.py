@@ -495,7 +495,13 @@ class Evaluator:
                     self._assign_target(cast(ast.expr, node), lost, scope)
 
     def _assign_target(self, to: ast.expr, value: Node, scope: Scope) -> None:
-        """Assign a value to a name, to several names, to an attribute or to an item."""
+        """Assign a value to a name, to several names, to an attribute or to an item.
+
+        ``to`` is the target of the assignment.
+
+        Raises:
+            NotConstantError: If the target is of another kind, or the value does not fit it.
+        """
         match to:
             case ast.Name():
                 scope[to.id] = value
@@ -770,7 +776,12 @@ class Evaluator:
     # Calls.
 
     def _evaluate_call(self, expression: ast.Call, scope: Scope) -> Any:
-        """Return the result of a call: of a read function or class, or of a library function."""
+        """Return the result of a call.
+
+        Functions and classes of evaluated files are evaluated (`call`), allowed methods of lists
+        and tables are called (`_ALLOWED_METHODS`); other calls are those of a library
+        (`_call_library`).
+        """
         arguments = self._evaluate_starred(expression.args, scope)
         keywords: dict[str, Node] = {}
         for keyword in expression.keywords:

@@ -268,7 +268,10 @@ def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
 
 
 def _list_losses_in_mjcf(urdf: UrdfFile) -> list[Diagnostic]:
-    """List velocity limits, textures and elements of a URDF that the new MJCF does not contain."""
+    """Return messages on the parts of a URDF that the new MJCF does not contain, with numbers.
+
+    These are velocity limits, textures, and elements with other tags than `_CONVERTED_TAGS`.
+    """
     losses = []
     speeds = [
         float(limit.get("velocity"))
@@ -353,7 +356,11 @@ def _convert_start_pose(addition: Addition, published: PublishedModel, robot: Ro
 
 
 def _add_servos_of_fixed_base(bare: ConvertedMjcf, options: MjcfOptions) -> list[Diagnostic]:
-    """Add the servos of a robot with a fixed base, and return a note for each addition."""
+    """Add the additions of a loaded robot with a fixed base, such as servos, to the new MJCF.
+
+    Floor and start keyframe are left out. Return a note for each addition; without a joint, a note
+    that nothing moves.
+    """
     mjcf = NewMjcf(bare.mjcf.root)
     if not mjcf.joints:
         return [diagnose("nothing-moves")]

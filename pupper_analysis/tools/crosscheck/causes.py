@@ -324,8 +324,8 @@ def _has_euler(spec: mujoco.MjSpec) -> bool:
 def find_exchanged(case: PatternCase) -> PatternFindings:
     """Find pairs of limbs whose names are exchanged in either file.
 
-    A pair is a finding if at most `_MAX_REMAINING_FRACTION` of its differences remain when the
-    joint names are exchanged.
+    A pair counts if it has two or more differences, of which at most `_MAX_REMAINING_FRACTION`
+    remain when the joint names are exchanged. All pairs together are one finding.
     """
     tops = case.first.children(case.first.base)
     limbs = {top: [top, *case.first.list_descendants(top)] for top in tops}
@@ -498,7 +498,11 @@ def _guess_unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagno
 
 
 def find_efforts_before_gears(case: PatternCase) -> PatternFindings:
-    """Find URDF efforts [N m] that equal the MJCF's only after multiplication by the gear ratio."""
+    """Find efforts in the URDF [N m] that equal those in the MJCF if multiplied by the gear ratio.
+
+    The joint has a single actuator, whose gear ratio is not 1. Differences that another cause
+    explains are skipped.
+    """
     model = case.robot.mj_model
     joints_by_gear: dict[tuple[float, float], list[str]] = defaultdict(list)
     for kind, name in case.unexplained:
@@ -996,7 +1000,10 @@ def _compute_moment_scale(first: TreeBody, second: TreeBody) -> Array:
 
 
 def _describe_lacking_links(mistakes: Sequence[_LinkMistake]) -> Diagnostic:
-    """Describe the links that a file lacks, grouped by name pattern."""
+    """Create the message about the links that a file lacks, with masses [kg], by name pattern.
+
+    All ``mistakes`` are about the same file.
+    """
     links = {link.name: link.body.mass for mistake in mistakes for link in mistake.links}
     other = "URDF" if mistakes[0].lacks == "MJCF" else "MJCF"
     groups = sorted(

@@ -245,7 +245,11 @@ def _format_file_name(path: str) -> doc.Name:
 
 
 def _list_blocks(comparison: Comparison) -> Iterable[doc.Block]:
-    """Yield the blocks of the document, the difference to repair first at the top."""
+    """Yield the blocks of the document, the difference to repair first at the top.
+
+    The blocks are files, parts in one file only, causes and groups of differences with quoted
+    lines, the table of all differences, other objections, and the table of quantities.
+    """
     causes, groups = comparison.causes, comparison.unexplained_differences
     files = {"urdf-file": comparison.urdf, "mjcf-file": comparison.mjcf}
     named = tuple(text(label, file=doc.Name(file)) for label, file in files.items())
@@ -314,7 +318,11 @@ def _format_effects(difference: Difference) -> doc.Text:
 
 
 def _tabulate_differences(comparison: Comparison) -> doc.Table:
-    """Create the table of all differences: values, largest relative effect [%] and lines."""
+    """Create the table of all differences, a row each, in the order of their urgency.
+
+    The columns are, for example, kind, element, values in both files, largest relative effect on
+    the dynamics [%], and lines.
+    """
     rows: list[tuple[doc.Cell, ...]] = []
     for order, difference in enumerate(comparison.differences, start=1):
         effect = difference.relative_effects[1]

@@ -358,7 +358,7 @@ class _Comparison:
                 yield Difference(kind, element, old, new, "", message, {})
 
     def _make_change(self, difference: Difference) -> ModelChange:
-        """Convert a difference to a change, with the places in both files."""
+        """Convert a difference of the versions to a `ModelChange`, with file and line in both."""
         kind, element = difference.kind, difference.element
         found: Sequence[Place | None]
         if isinstance(difference, ElementDifference):
@@ -510,9 +510,10 @@ class RandomStates:
         The tree must have the same joints as the tree whose limits define the states.
 
         Returns:
-            {quantity: values, shape (n, ...)}: mass matrix, gravity [N m], bias forces minus
-            passive forces such as damping [N m], CoM [m], and positions [m] in the world of the
-            bodies that the joints move ("joint positions") and of the frames ("foot positions").
+            {quantity: values, shape (n, ...)}: mass matrix [kg, kg m, kg m^2], gravity [N, N m],
+            bias forces minus passive forces such as damping [N, N m], CoM [m], and positions [m] in
+            the world of the bodies that the joints move ("joint positions") and of the frames
+            ("foot positions").
         """
         model, places, dofs = self._load_tree(values)
         data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
@@ -583,7 +584,11 @@ def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyT
 
 
 def fix_joint(values: MultibodyTree, name: str) -> MultibodyTree:
-    """Return a tree with a joint fixed at position zero, so that the body is part of the parent."""
+    """Return a tree with the joint ``name`` fixed at position zero.
+
+    The body that the joint moves becomes part of the parent body: the inertias are added, and child
+    joints and frames belong to the parent.
+    """
     joint = values.joints[name]
     pose, joints = joint.placement, {}
     for other_name, child in values.joints.items():

@@ -144,7 +144,11 @@ def _format_percent(old: float, new: float) -> str:
 
 
 def _tabulate_torques(diff: ModelDiff) -> Iterable[doc.Block]:
-    """Yield a table of the gravity torques that have changed, or a line if none has."""
+    """Yield a table of the gravity torques [N m, N] that have changed, or a line if none has.
+
+    A row per joint has old and new torque and the change in percent. Changes of up to
+    `_MIN_RELATIVE_CHANGE` are left out.
+    """
     changed = {
         name: pair
         for name, pair in diff.torques.items()

@@ -370,7 +370,11 @@ def match_elements(
 def _list_unnamed_shapes(
     old: Mapping[Key, Element], new: Mapping[Key, Element], bodies: Mapping[str, str]
 ) -> dict[Key, tuple[list[Key], list[Key]]]:
-    """Return {(tag, body): keys of old and of new shapes that cannot be matched by name}."""
+    """Return {(tag, body): keys of old and of new shapes that cannot be matched by name}.
+
+    These are the shapes without a name, and shapes whose name only one version has. Bodies have the
+    names of the old version; ``bodies`` is {body of the new file: name in the old file}.
+    """
     shapes_by_body: dict[Key, tuple[list[Key], list[Key]]] = {}
     for number, elements in enumerate((old, new)):
         for key, element in elements.items():
@@ -501,7 +505,10 @@ _COMPILER_ATTRIBUTES: Final = {
 
 
 def find_changed_compiler_settings(old: MjcfFile, new: MjcfFile) -> Iterator[ElementDifference]:
-    """Yield the changed attributes of ``<compiler>``, which change the meaning of other lines."""
+    """Yield a difference for each changed attribute of ``<compiler>`` (`_COMPILER_ATTRIBUTES`).
+
+    These attributes change the meaning of other lines, for example the unit of angles.
+    """
     for name, word in _COMPILER_ATTRIBUTES.items():
         settings = tuple(getattr(file.spec.compiler, name) for file in (old, new))
         old_setting, new_setting = (

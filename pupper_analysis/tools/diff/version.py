@@ -92,7 +92,10 @@ def read_version(file: UrdfFile | MjcfFile) -> Version:
 
 
 def _read_urdf_version(file: UrdfFile) -> Version:
-    """Return the content of a URDF; mimic joints are independent in the tree."""
+    """Return the content of a URDF for comparison with another version.
+
+    Mimic joints are independent in the tree; their couplings are in ``Version.extra_values``.
+    """
     root = without_shapes(file.root)
     mimics = urdf_mimics(root)
     tree = UrdfTree(root)
@@ -114,7 +117,13 @@ def _read_urdf_version(file: UrdfFile) -> Version:
 
 
 def _read_mjcf_version(file: MjcfFile) -> Version:
-    """Return the content of an MJCF, without objects that do not belong to the robot."""
+    """Return the content of an MJCF for comparison with another version.
+
+    Objects that do not belong to the robot are left out, and ball joints fixed, with notes.
+
+    Raises:
+        ModelError: For example, if the MJCF has no joints, or ball joints only.
+    """
     published = file
     if file.spec.compiler.fusestatic:
         file = _disable_fusestatic(file)

@@ -117,7 +117,11 @@ def command(
 def _write_files(
     request: RobotAndTask, words: tuple[str, ...], study: GainStudy, folder: Path
 ) -> None:
-    """Write the recommended gains into copies of the files of the selected robot."""
+    """Write the recommended gains into copies of the files of the selected robot in a folder.
+
+    The robot is that of ``words`` and the options in ``request``; v3 by default. The files do not
+    contain the payload, which is printed.
+    """
     from pupper_analysis.cli.robots import load_selected_robot
     from pupper_analysis.prepare.convert.files import RobotFiles
     from pupper_analysis.tools.gains.write import write_gains

@@ -132,7 +132,10 @@ def _select_next_step(study: GainStudy) -> NextStep:
 
 
 def _make_class_table(study: GainStudy) -> doc.Table:
-    """Create the table of the joint classes."""
+    """Create the table of the joint classes (joints with equal gains), a row per class.
+
+    The columns are present, smallest or largest, and recommended kp [N m/rad] and kd [N m s/rad].
+    """
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(one.name),
@@ -181,7 +184,11 @@ def _class_notes(study: GainStudy) -> Iterable[doc.Words]:
 
 
 def _make_bound_table(study: GainStudy) -> doc.Table:
-    """Create the table of the bounds of kp and kd, as factors common to all joints."""
+    """Create the table of three bounds: smallest kp, largest kp and largest kd.
+
+    A row has the factor on the present gains of all joints [1] by the linear model and by
+    simulation, the frequency of the growing mode [Hz], and its joints.
+    """
     bounds = (
         ("gains-least-kp", study.least_kp),
         ("gains-largest-kp", study.largest_kp),

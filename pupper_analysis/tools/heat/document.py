@@ -115,7 +115,10 @@ def _format_duration(time: float) -> str:
 
 
 def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
-    """Yield the unknown numbers of each kind of loaded motor, and up to 4 joints without motor."""
+    """Yield a text per type of loaded motor with unknown numbers, and one on joints without motor.
+
+    At most four joints without motor are named.
+    """
     lacking: dict[str, tuple[str, ...]] = {}
     for motor in study.motors:
         if motor.unknown and motor.torque:

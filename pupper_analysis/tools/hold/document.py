@@ -182,7 +182,10 @@ def _make_torque_table(hold: Hold, limits: list[float]) -> doc.Table:
 
 
 def _make_tool_table(hold: Hold) -> doc.Table:
-    """Create the table of tool position and tool displacement."""
+    """Create the table of tool position, and predicted and simulated sag of the tool [mm].
+
+    A row has the vector in world axes, and its length. The predicted sag is left out if unknown.
+    """
     vectors = (
         ("tool-position", hold.tool_position, "+.1f"),
         ("tool-sag", hold.tool_sag, "+.2f"),
@@ -206,7 +209,11 @@ def _make_tool_table(hold: Hold) -> doc.Table:
 
 
 def _make_worst_table(worst: WorstPostures, scales: NDArray[np.float64]) -> doc.Table:
-    """Create the table of the worst posture of each motor."""
+    """Create the table of the worst posture that was found for each motor, a row per motor.
+
+    The columns are torque and limit [N m, N], utilisation [%], and posture [deg, mm]. ``scales``,
+    shape (nu,), convert joint positions [rad, m] to these units.
+    """
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(name),
@@ -231,7 +238,11 @@ def _make_worst_table(worst: WorstPostures, scales: NDArray[np.float64]) -> doc.
 
 
 def _make_payload_table(hold: Hold) -> doc.Table:
-    """Create the table of the payload limits at the tool."""
+    """Create the table of the payload limits at the tool [kg], with the limiting joints.
+
+    The rows are the limits of the motors and of the servos in the posture, and of the motors over
+    all postures found.
+    """
     payload = hold.payload
     limits = (
         ("payload-here", payload.mass, payload.joint),
@@ -286,7 +297,10 @@ def _describe_trial(hold: Hold) -> Iterator[doc.Text]:
 
 
 def _make_force_table(hold: Hold) -> doc.Table:
-    """Create the table of the forces on the tool that the motors withstand."""
+    """Create the table of the largest forces [N] on the tool that the motors withstand.
+
+    The rows are +-x, +-y and +-z in world axes, and the weakest direction.
+    """
     force = hold.force
     limits = (
         *zip(force.directions, force.forces.tolist(), force.joints, strict=True),

@@ -189,7 +189,11 @@ def actuator_unlimited(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def forcerange_above_joint(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find actuators whose forcerange times gear exceeds actuatorfrcrange [N m, N] by 1 %."""
+    """Find actuators whose forcerange times gear exceeds actuatorfrcrange by more than 1 %.
+
+    Compared are the largest magnitudes of both ranges at the joint [N m, N]. Actuators without one
+    of the ranges are skipped.
+    """
     for model, drive in _list_robot_drives(robot):
         if not (model.actuator_forcelimited[drive.id] and model.jnt_actfrclimited[drive.joint]):
             continue

@@ -464,7 +464,11 @@ def _round_quantity(value: float, unit: str) -> Quantity:
 def _list_contacts(
     robot: MjcfModel, start: StartPose
 ) -> Iterator[tuple[tuple[int, int], tuple[int, int], float]]:
-    """Yield (ids of both bodies, ids of both geoms, penetration [m]) of each MuJoCo contact."""
+    """Yield (ids of both bodies, ids of both geoms, penetration [m]) of MuJoCo's contacts.
+
+    The contacts are those at the configuration of ``start``; flexible bodies are left out. The
+    penetration is negative if the geoms are apart, within the contact margin.
+    """
     model = robot.mj_model
     assert model is not None
     data = mujoco.MjData(model)

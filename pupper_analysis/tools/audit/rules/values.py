@@ -66,7 +66,10 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _find_impossible_sizes(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Yield the shapes of a URDF with a size or scale of at most 0, or a length below 0."""
+    """Yield the shapes of a URDF with a size <= 0, a length below 0, or a mesh scale of 0.
+
+    Negative factors of a mesh scale are no findings: they mirror the mesh (`mesh_mirrored`).
+    """
     for link, _, shape in _list_shapes(robot):
         tag = str(shape.tag)
         if tag == "box":

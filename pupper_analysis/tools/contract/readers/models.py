@@ -160,7 +160,11 @@ only numbers of joints and actuators are read from such a file."""
 
 
 def _list_servo_statements(model: MjcfModel, drive: int, joint: str) -> Iterator[Statement]:
-    """Yield the gains of a position servo at the joint, including a stated stiffness of zero."""
+    """Yield kp [N m/rad] and kd [N m s/rad] of an actuator at a joint, each with the line.
+
+    A kp of zero is yielded only if the file states kp; kd only if kp and kd are positive. ``drive``
+    is the id of the actuator.
+    """
     kp, kd = read_actuator_law(model.mj_model, drive).joint_gains
     place = _find_actuator_place(model, drive, ("kp", "kv", "biasprm", "gainprm"))
     actuator = model.mj_model.actuator(drive).name if model.mj_model else ""

@@ -116,7 +116,11 @@ def _read_constants(
 
 
 def _make_constant_table(evaluator: py.Evaluator, node: Node) -> Node:
-    """Return a class as a table {name in lower case: constant or table}; other nodes unchanged."""
+    """Return a class as a table {name in lower case: constant or table}; other nodes unchanged.
+
+    The table contains the attributes of the class, and the values that its methods assign to
+    attributes such as ``self.kp``.
+    """
     if not isinstance(node.value, py.ClassValue):
         return node
     table = dict[str, Node]()
@@ -193,7 +197,12 @@ def _iterate_instances(node: Node, seen: set[int]) -> Iterator[Node]:
 
 
 def _read_root(name: str, path: Path, root: Node) -> Iterator[Source]:
-    """Yield the source of a top-level configuration that contains a robot, actions or settings."""
+    """Yield the source of a top-level configuration ``root``, with the role of a trainer.
+
+    The source has the numbers of a robot's actuators and default angles, of the policy's actions,
+    and settings. Nothing is yielded for a configuration with neither robot nor actions, unless it
+    is a trainer's configuration (`tables.is_trainer_config`).
+    """
     settings = tuple(tables.read_settings(root))
     if tables.is_trainer_config(root):
         yield Source(name, path, Role.TRAINER, settings)
@@ -245,7 +254,11 @@ def _list_actuators(node: Node) -> list[Node]:
 
 
 def _list_robot_statements(robot: Node) -> Iterator[Statement]:
-    """Yield default angles, gains, limits and friction of a robot's configuration."""
+    """Yield default angles, gains, limits and friction of a robot's configuration, in SI units.
+
+    Joints are regular expressions of names. Joints without a stated default angle have the angle 0,
+    the default of the framework.
+    """
     angles = robot.get("init_state", "joint_pos")
     first_wins = robot.value.kind == "EntityCfg"
     if isinstance(angles.value, dict):

@@ -118,7 +118,11 @@ def _lower_keys(node: Node) -> Node:
 
 
 def read(request: Request) -> Iterator[Source]:
-    """Yield a source for each set of joint values in a YAML or JSON file (one per controller)."""
+    """Yield a source for each set of joint values in a YAML or JSON file.
+
+    A set belongs, for example, to one of several controllers, to MoveIt's joint limits, or to a
+    policy in RTNeural's format. Joint values are, for example, gains.
+    """
     documents = read_yaml_nodes(request.path, read_text(request.path))
     for document in (document for document in documents if isinstance(document.value, dict)):
         layers = document.get("layers")
@@ -235,7 +239,11 @@ def read_table(
 def _read_view(
     request: Request, name: str, view: _View, role: Role, sizes: Sequence[Statement]
 ) -> Iterator[Source]:
-    """Yield the source that the tables of ``view`` state, as `read_table` does for one table."""
+    """Yield the source that the tables of ``view`` state: joint order, numbers, observations.
+
+    Nothing is yielded if the tables state neither joint names nor a number per joint, and ``sizes``
+    is empty. The other arguments are those of `read_table`.
+    """
     root = view.tables[0]
     joint_names, motors = view.find_first("joints"), view.find_first("motors")
     indices = _read_motor_numbers(motors)
