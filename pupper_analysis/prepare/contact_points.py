@@ -39,8 +39,9 @@ _NUM_POSES = 3
 the leg may be straight."""
 
 _RANK_RTOL = 1e-2
-"""Relative tolerance of rank decisions in `can_keep_sole_flat`. Chosen, not tuned: mesh soles
-are tilted by rounding of their vertices."""
+"""Tolerance (dimensionless) of `can_keep_sole_flat`: singular values of the Jacobians below this
+fraction of the largest count as zero, and a unit velocity along the normal may be missed by this
+distance. Chosen, not tuned: mesh soles are tilted by rounding of their vertices."""
 
 _MAX_CORNERS = 8
 """Upper bound of the number of contact points at the corners of a sole. Corners with the smallest

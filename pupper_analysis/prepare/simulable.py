@@ -29,13 +29,14 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
 _MAX_SOLVER_TOLERANCE = 1e-2
-"""Upper bound of MuJoCo's solver option ``tolerance`` (dimensionless). Chosen, not tuned: with a
-tolerance of 1e9, the solver ends at once, and a robot does not fall."""
+"""Upper bound of MuJoCo's solver option ``tolerance`` (dimensionless); above, `check_simulable`
+raises an error. Chosen, not tuned: with a tolerance of 1e9, the solver ends at once, and a robot
+does not fall."""
 
 _GEAR_RANGE = 1e-6, 1e6
 """Lower and upper bound of the absolute gear ratio of an actuator at a joint [1, or rad/m at a
-slide]. A screw with a pitch of 1 mm has some thousand rad/m; outside of the range, squares exceed
-the precision of a double."""
+slide]; outside, `check_simulable` raises an error. A screw with a pitch of 1 mm has some thousand
+rad/m; outside of the range, squares exceed the precision of a double."""
 
 
 _MIN_IMPRATIO = 1e-9

@@ -261,7 +261,8 @@ def _has_mass(bodies: LinkBodies, body: str) -> bool:
 def _repair_inertia(bodies: LinkBodies, body: str) -> Repair:
     """Replace the inertia of a body by the nearest valid inertia, in place.
 
-    See `find_nearest_moments`; the principal axes are kept. A mass of zero or below becomes `ADDED_MASS`.
+    See `find_nearest_moments`; the principal axes are kept. A mass of zero or below becomes
+    `ADDED_MASS`.
     """
     stated = bodies.inertia(body)
     old = pin.Inertia.Zero() if stated is None else stated

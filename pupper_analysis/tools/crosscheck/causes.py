@@ -792,7 +792,8 @@ wrong subset of links leaves about as much as the subset removes."""
 
 
 _INERTIA_ALWAYS_FROM_GEOM = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-"""Value of ``inertiafromgeom`` with which geoms override <inertial>."""
+"""Value of the MJCF's compiler option ``inertiafromgeom`` with which geoms override <inertial>;
+`find_masses_of_geoms` reports it."""
 
 
 def find_masses_of_geoms(case: PatternCase) -> PatternFindings:

@@ -40,7 +40,8 @@ _SETTLED_FRACTION = 0.95
 limit ends. Chosen, not tuned."""
 
 TEMPERATURE_RANGE = (-60.0, 300.0)
-"""Accepted ambient and limit temperatures [degC]: insulation of windings ends at 250."""
+"""Lowest and highest accepted ambient and limit temperature [degC]; outside, `_check_request`
+raises an error. Chosen: insulation of windings ends at 250 degC."""
 
 
 @dataclass(frozen=True)

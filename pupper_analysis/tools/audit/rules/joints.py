@@ -500,7 +500,7 @@ def _is_leg(robot: RobotModel, link: Link) -> bool:
 
 
 _LEG_PATTERN = re.compile("foot|calf|shank|ankle|knee|kfe|lower_?leg|leg_|toe", re.IGNORECASE)
-"""Parts of names of legs, which distinguish legs from arms."""
+"""Parts of names of links, joints and frames by which `_is_leg` distinguishes legs from arms."""
 
 
 @rule

@@ -294,7 +294,7 @@ _CONTACTS_OFF_FLAGS = (
 
 
 FREE_JOINT = mujoco.mjtJoint.mjJNT_FREE.value
-"""MuJoCo's joint type of a free joint."""
+"""MuJoCo's joint type of a free joint, compared with ``MjModel.jnt_type``."""
 
 
 def _has_free_root(model: mujoco.MjModel, geom: int) -> bool:
