@@ -193,11 +193,14 @@ class _JointNames:
         matched: {name in the source: joint}.
         order: Joints in the order of the source's lists, "" for a name without match; empty if the
             order is not known.
+        motor_order: {quantity: joints in the order of the motors}, of quantities whose list has
+            this order instead (`_find_motor_lists`).
     """
 
     model: RobotJoints
     matched: Mapping[str, str]
     order: tuple[str, ...]
+    motor_order: Mapping[str, tuple[str, ...]]
 
     def find_joints(self, statement: Statement) -> list[str]:
         """Return the joints to which a statement applies; [""] for a setting of the whole robot.
@@ -208,7 +211,8 @@ class _JointNames:
         if statement.index is not None:
             if statement.count != len(self.order):
                 return []
-            return list(filter(None, self.order[statement.index : statement.index + 1]))
+            order = self.motor_order.get(statement.quantity, self.order)
+            return list(filter(None, order[statement.index : statement.index + 1]))
         is_name = statement.joint in self.matched
         if statement.is_part and not (is_name and statement.quantity in _QUANTITIES_BY_NAME):
             return [
@@ -246,7 +250,8 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
     names = _list_joint_names(source)
     matched = model.match_names(names)
     order, how, order_notes = _determine_order(source, model, others, matched)
-    joint_names = _JointNames(model, matched, order)
+    motor_order = _find_motor_lists(source, model, order)
+    joint_names = _JointNames(model, matched, order, motor_order)
     facts = _make_scale_facts(source)
     rest_facts = set[tuple[str, str]]()
     unread_counts: dict[str, int] = {}
@@ -291,7 +296,11 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
         if name not in matched
         and not (name in name_parts and any(name in joint for joint in model.order))
     )
-    notes = (*order_notes, *unread.values())
+    motor_notes = [
+        diagnose("contract-order-of-motors", file=source.name, what=Term(quantity))
+        for quantity in motor_order
+    ]
+    notes = (*order_notes, *motor_notes, *unread.values())
     return PlacedSource(source, facts, order, how, matched, unknown, notes, unread, unplaced)
 
 
@@ -404,8 +413,10 @@ def _determine_order(
     if trainers and all(trainer.breadth_first for trainer in trainers):
         candidates.reverse()
     # Select the order with the best left-right symmetry: a wrong order violates the symmetry.
+    # Limits of motors may have another order if the source states the motor of each joint.
+    quantities = QUANTITIES.keys() - (_MOTOR_QUANTITIES if source.motors else ())
     unlike_fractions = {
-        candidate: _compute_unlike_fraction(candidate, source, model)
+        candidate: _compute_unlike_fraction(candidate, source, model, quantities)
         for candidate in dict.fromkeys(candidates[::-1])
     }
     order = min(unlike_fractions, key=unlike_fractions.__getitem__)
@@ -414,6 +425,40 @@ def _determine_order(
     of_file = diagnose("contract-order-of-file", file=source.name, first=order[:3])
     by_depth = diagnose("contract-order-by-depth", file=source.name, first=order[:3])
     return order, "assumed", [of_file if order == model.order else by_depth]
+
+
+_MOTOR_QUANTITIES = ("effort", "velocity")
+"""Limits of motors: a deployment may list them in the order of the motors, and gains and angles in
+the order of the policy (RoboMimic_Deploy, ``tau_limit`` beside ``joint2motor_idx``)."""
+
+
+def _find_motor_lists(
+    source: Source, model: RobotJoints, order: tuple[str, ...]
+) -> dict[str, tuple[str, ...]]:
+    """Find lists of motor limits in the order of the motors, not in the order of the policy.
+
+    A list is in the order of the motors if the source states the motor of each joint of the policy,
+    more than `MAX_UNLIKE_FRACTION` of the list's left-right pairs differ in the order of the
+    policy, and no pair differs in the order of the motors.
+
+    Args:
+        source: Source.
+        model: Joints of the robot.
+        order: Joints in the order of the policy.
+
+    Returns:
+        {quantity: joints in the order of the motors}.
+    """
+    if sorted(source.motors) != list(range(len(order))):
+        return {}
+    joints_of_motors = dict(zip(source.motors, order, strict=True))
+    motor_order = tuple(joints_of_motors[motor] for motor in range(len(order)))
+    return {
+        quantity: motor_order
+        for quantity in _MOTOR_QUANTITIES
+        if _compute_unlike_fraction(order, source, model, (quantity,)) > MAX_UNLIKE_FRACTION
+        and _compute_unlike_fraction(motor_order, source, model, (quantity,)) == 0
+    }
 
 
 def _find_name_lists(
@@ -438,10 +483,19 @@ symmetry of an assumed joint order. Above, the joint order that no source states
 Chosen, not tuned."""
 
 
-def _compute_unlike_fraction(order: tuple[str, ...], source: Source, model: RobotJoints) -> float:
-    """Return the fraction of left-right pairs of values that are no mirror images.
+def _compute_unlike_fraction(
+    order: tuple[str, ...],
+    source: Source,
+    model: RobotJoints,
+    quantities: Collection[str] = QUANTITIES,
+) -> float:
+    """Return the fraction of left-right pairs of values that are no mirror images; 0 without pairs.
 
-    The values are those of a source, such as gains of joints; ``order`` states the joint of each.
+    Args:
+        order: Joint of each value in the lists of the source.
+        source: Source whose lists are evaluated.
+        model: Joints of the robot.
+        quantities: Quantities whose lists are evaluated, such as ``kp``.
     """
     values = {
         (statement.quantity, order[statement.index]): statement.value
@@ -452,7 +506,7 @@ def _compute_unlike_fraction(order: tuple[str, ...], source: Source, model: Robo
     agreements = [
         is_mirror_image(values[quantity, first], values[quantity, second], sign[kind.mirrored < 0])
         for quantity, kind in QUANTITIES.items()
-        if kind.mirrored
+        if kind.mirrored and quantity in quantities
         for (first, second), sign in signs.items()
         if (quantity, first) in values
     ]

@@ -322,6 +322,44 @@ def test_joint_orders_of_unitree_rl_lab_are_read(sources: dict[str, Path]) -> No
     assert (finding.kind, finding.joints, finding.values) == ("kp", (motors[2],), (6.0, 9.0))
 
 
+def test_motor_limits_in_the_order_of_the_motors_are_recognised(tmp_path: Path) -> None:
+    """As in RoboMimic_Deploy: gains by depth, ``tau_limit`` by motor. A single wrong value remains
+    a finding, since it does not make the order of the policy asymmetric."""
+    by_depth = [f"leg_{leg}_{number}" for number in (1, 2, 3)
+                for leg in ("front_r", "front_l", "back_r", "back_l")]  # fmt: skip
+    limits = {"1": 3.0, "2": 2.0, "3": 1.0}
+    gains = {"1": 5.0, "2": 6.0, "3": 7.0}
+    deploy = tmp_path / "walk.yaml"
+
+    def read_efforts(limits_as_listed: list[float]) -> tuple[dict[str, float], set[str]]:
+        """Return {joint: effort} of the deployment, and the codes of the notes."""
+        deploy.write_text(
+            f"joint2motor_idx: {format_list(JOINTS.index(one) for one in by_depth)}\n"
+            f"kps: {format_list(gains[one[-1]] for one in by_depth)}\n"
+            f"tau_limit: {format_list(limits_as_listed)}\n"
+        )
+        found = contract(deploy)
+        assert {one.joint: one.value for one in found.facts
+                if one.quantity == "kp" and one.source == "walk.yaml"} == {
+                    joint: gains[joint[-1]] for joint in JOINTS}  # fmt: skip
+        efforts = {one.joint: one.number for one in found.facts
+                   if one.quantity == "effort" and one.source == "walk.yaml"}  # fmt: skip
+        return efforts, {note.code for note in found.notes}
+
+    expected = {joint: limits[joint[-1]] for joint in JOINTS}
+    efforts, notes = read_efforts([limits[joint[-1]] for joint in JOINTS])
+    assert efforts == expected
+    assert "contract-order-of-motors" in notes
+    efforts, notes = read_efforts([limits[joint[-1]] for joint in by_depth])
+    assert efforts == expected
+    assert "contract-order-of-motors" not in notes
+    efforts, notes = read_efforts(
+        [9.0 if joint == by_depth[1] else limits[joint[-1]] for joint in by_depth]
+    )
+    assert efforts == expected | {by_depth[1]: 9.0}
+    assert "contract-order-of-motors" not in notes
+
+
 @pytest.mark.parametrize("given", [[1.0], [1.0] * 11, [1.0] * 13])
 def test_list_of_another_length_is_not_assigned_to_joints(
     sources: dict[str, Path], given: list[float]
