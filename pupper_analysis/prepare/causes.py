@@ -243,7 +243,7 @@ def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_joint_ids(published: PublishedModel, robot: Robot) -> NDArray[np.int64]:
-    """Return the ids of the robot's joints in the published model, (nu,), in actuator order."""
+    """Return the ids of the robot's joints in the model of its file, (nu,), in actuator order."""
     return np.array([published.model.joint(name).id for name in robot.joint_names])
 
 
@@ -257,7 +257,10 @@ def _list_actuator_ids(published: PublishedModel, robot: Robot) -> NDArray[np.in
 
 
 def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield servos with a bias, a gain unequal to the stiffness, or a delay as candidate causes."""
+    """Yield servos with a bias, a gain unequal to the stiffness, or a delay as candidate causes.
+
+    A candidate cause may explain why the model of the file deviates from the prediction.
+    """
     model, motors = published.model, _list_actuator_ids(published, robot)
     affine = mujoco.mjtBias.mjBIAS_AFFINE.value
     served = motors[model.actuator_biastype[motors] == affine]
@@ -275,7 +278,10 @@ def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield actuators with a negative gear, which is seldom intended, as a candidate cause."""
+    """Yield actuators with a negative gear as one candidate cause of a fall or a deviation.
+
+    A negative gear is seldom intended.
+    """
     model = published.model
     negative = [
         m for m in _list_actuator_ids(published, robot).tolist() if actuator_gear(model, m)[0] < 0
@@ -289,7 +295,8 @@ def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[Cause
 def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield springs, joint limits, fluid forces and tilted gravity as candidate causes.
 
-    There is one candidate per kind, for example all springs of joints and tendons together.
+    They may explain a fall or a deviation. There is one candidate per kind, for example all
+    springs of joints and tendons together.
     """
     model, joints = published.model, _list_joint_ids(published, robot)
     linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
@@ -359,10 +366,10 @@ contacts in a test simulation."""
 
 
 def _list_contact_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
-    """Yield contacts with low friction (slippery), and soft contacts, as candidate causes.
+    """Yield slippery and soft contacts as candidate causes of a fall or a deviation.
 
-    There are at most two candidates: all slippery and all soft geoms and contact pairs
-    (`_select_bad_contacts`).
+    There are at most two candidates: all slippery (low friction) and all soft geoms and contact
+    pairs, as `_select_bad_contacts` defines them.
     """
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -413,7 +420,10 @@ def _name_pairs(model: mujoco.MjModel, pairs: NDArray[np.intp]) -> tuple[str, ..
 
 
 def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield contact exclusions between the robot and static bodies as candidate causes."""
+    """Yield contact exclusions between the robot and static bodies as candidate causes.
+
+    A candidate cause may explain why the model of the file deviates from the prediction.
+    """
     fixed = {0, *np.flatnonzero(model.body_weldid == 0).tolist()}
     for number in range(model.nexclude):
         pair = divmod(int(model.exclude_signature[number]), 1 << 16)
@@ -425,7 +435,10 @@ def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_option_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield MuJoCo's flag ``override`` of contacts, and disabled actuator groups, as candidates."""
+    """Yield MuJoCo's flag ``override`` of contacts, and disabled actuator groups, as candidates.
+
+    A candidate cause may explain why the model of the file deviates from the prediction.
+    """
     flags, override = model.opt.enableflags, mujoco.mjtEnableBit.mjENBL_OVERRIDE.value
     for acts, code, element, field, value in (
         (flags & override, "override", "flag override", "enableflags", flags & ~override),
@@ -483,6 +496,7 @@ def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
     """Yield actuators at no hinge or slide, and slow actuator filters, as candidate causes.
 
+    A candidate cause may explain why the model of the file deviates from the prediction.
     Servos at tendons that drive joints without actuator are commanded, and left out.
     """
     model = published.model
@@ -506,10 +520,11 @@ def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]
 
 
 def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield joints that the prepared robot lacks, and holds at zero, as candidate causes.
+    """Yield joints of the file that the robot lacks, and holds at zero, as candidate causes.
 
-    Ball joints are one candidate; hinges and slides are the other. To test a candidate, its joints
-    are locked by damping.
+    They may explain why the model of the file deviates from the prediction. Ball joints are one
+    candidate; hinges and slides are the other. To test a candidate, its joints are locked by
+    damping.
     """
     model, unmatched = published.model, list_unmatched_joints(published, robot)
     balls = [joint for joint in unmatched if model.jnt_type[joint] == JointKind.BALL]

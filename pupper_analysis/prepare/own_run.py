@@ -159,7 +159,7 @@ def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
     """Return True if a nudged model still stands, and is at rest, after ``_SETTLING_TIME``.
 
     Args:
-        model: Published model.
+        model: Published model: compiled from the file of the robot.
         robot: Prepared robot, with the gains of the added servos.
         qpos: Configuration of the stand, shape (nq,). The joint positions are commanded.
     """
@@ -225,8 +225,8 @@ def _select_keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) ->
     """Return the number of the initial keyframe.
 
     Args:
-        model: Published model.
-        robot: Prepared robot.
+        model: Published model: compiled from the file of the robot.
+        robot: Prepared robot: with the additions of this package.
         wanted: Name of the keyframe. If None, keyframes with level feet within the joint limits
             have priority, then the keyframe ``home``, then the order in the file.
 
@@ -277,7 +277,10 @@ def _simulate_key(published: PublishedModel, robot: Robot, key: int) -> OwnRun:
 
 
 def _simulate_holding(published: PublishedModel, robot: Robot, data: mujoco.MjData) -> OwnRun:
-    """Simulate a published model from ``data``, and command the joint positions in ``data``."""
+    """Simulate a published model from ``data``, and command the joint positions in ``data``.
+
+    The published model is compiled from the file of the robot.
+    """
     pose = data.qpos[joint_qpos_addresses(published, robot)].copy()
     run = _simulate_commands(
         published, robot, data, _commands_to_hold(published, robot, data, pose)
@@ -298,9 +301,9 @@ def _xml_has_ctrl(robot: Robot, key: int) -> bool:
 
 @silence_mujoco()
 def _simulate_nominal_stand(published: PublishedModel, robot: Robot) -> OwnRun | None:
-    """Simulate a published model from the nominal stand (default `StandTask`).
+    """Simulate a published model (compiled from a file) from the nominal stand.
 
-    The joint positions of the stand are commanded.
+    The joint positions of the stand, the solution of the default `StandTask`, are commanded.
 
     Returns:
         Simulation result. None if the model has no level ground, if the base cannot be placed, or
@@ -340,7 +343,10 @@ def _commands_to_hold(
 
 
 def joint_qpos_addresses(published: PublishedModel, robot: Robot) -> NDArray[np.intp]:
-    """Return the indices of the robot's joints in ``qpos`` of the published model, shape (nu,)."""
+    """Return the indices of the robot's joints in ``qpos`` of the published model, shape (nu,).
+
+    The published model is compiled from the file of the robot.
+    """
     joints = [published.model.joint(joint).id for joint in robot.joint_names]
     return np.asarray(published.model.jnt_qposadr[joints])
 
@@ -394,8 +400,8 @@ def _simulate_commands(
     no command) and ``held`` (second run) of the result.
 
     Args:
-        published: Published model.
-        robot: Prepared robot.
+        published: Published model: compiled from the file of the robot.
+        robot: Prepared robot: with the additions of this package.
         data: Initial state; not modified.
         hold: Commands of the actuators.
     """

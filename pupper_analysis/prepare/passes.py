@@ -491,7 +491,10 @@ and 10 mm, tilted by 0.6 rad, need 2 to 5 (measured for all orders of the axes).
 
 
 def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:
-    """Return the joint positions of the nominal stand, (nu,) [rad, m]; None if there is none."""
+    """Return the joint positions of the nominal stand, (nu,) [rad, m]; None if there is none.
+
+    The nominal stand is the solution of the default `StandTask`.
+    """
     sunk = start.compute_resting_depths(draft.mjcf.model)
     stand = start.solve_nominal_stand(find_start_pose(robot, draft.keyframes, sunk)[0])
     return None if stand is None else stand.qpos[-robot.nu :]
@@ -574,7 +577,10 @@ def _choose_solver(draft: Draft) -> PassOutput:
     lambda draft: _stands_on_feet(draft) or _has_fixed_base(draft),
 )
 def _report_uncommanded_joints(draft: Draft) -> PassOutput:
-    """Add notes on the coupled joints, and on the actuators that get no command, of the robot."""
+    """Return the same draft, and notes on coupled joints and on actuators without command.
+
+    The position of a coupled joint depends on other joints, by a closed loop or a coupling.
+    """
     return draft, (
         *notes.report_coupled_joints(draft.robot),
         *notes.report_uncommanded_actuators(draft.robot),

@@ -135,7 +135,7 @@ def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedM
     servos, or if at most half of the joints lack a position servo.
 
     Args:
-        published: Published model.
+        published: Published model: compiled from the file of the robot.
         robot: Prepared robot, with the added servos.
     """
     file = None if robot.published is None else robot.published.file

@@ -271,7 +271,8 @@ def compare_with_file(
 def _simulate_prepared_robot(robot: Robot, prediction: PredictedRest) -> PublishedRun | None:
     """Simulate the model of the prepared robot from a predicted state of rest, and compare both.
 
-    None in the cases in which `simulate_prediction` returns None.
+    The prepared robot has the additions of this package. None if the base cannot be placed, or if
+    MuJoCo stops with a fatal error.
     """
     model = PublishedModel.from_model(copy.copy(robot.mj_model), robot)
     return simulate_prediction(model, robot, prediction)

@@ -199,7 +199,8 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
 def _find_start_configuration(robot: Robot) -> Array | None:
     """Return the qpos, (nq,) [m, rad], of the nominal stand, or of a fixed base's default posture.
 
-    None if the stand or posture cannot be solved.
+    The nominal stand is the solution of the default `StandTask`. None if the stand or posture
+    cannot be solved.
     """
     if robot.floating:
         stand = start.solve_nominal_stand(robot)

@@ -569,9 +569,10 @@ def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
 
 
 def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
-    """Yield a clause on the creep of the robot, if known, unless the robot collapses.
+    """Yield a clause on creep: slow motion of a standing robot at the end of the simulation.
 
-    The clause is a warning if the creep exceeds a bound (``is_notable``).
+    The clause is a warning if the creep exceeds a bound (``is_notable``). No clause if the creep
+    was not measured, or if the robot collapses.
     """
     creep = verdict.creep
     if creep is None or verdict.with_feedforward is Ending.COLLAPSES:

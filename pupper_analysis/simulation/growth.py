@@ -375,7 +375,7 @@ def _displace_state(model: mujoco.MjModel, start: Array, displacement: Array) ->
 
 
 def _doubling_time(mode: Mode) -> float:
-    """Return the doubling time of a mode [s]; infinite if the mode does not grow."""
+    """Return the time in which a mode's deviation doubles [s]; infinite if it does not grow."""
     return mode.doubling_time or math.inf
 
 
@@ -422,8 +422,8 @@ def _doubling_time_of(maxima: Array, window: float, *, lost: bool) -> float | No
 def _crossing_time(rising: Array, level: float, window: float) -> float:
     """Return the time [s] at which a rising sequence reaches a level.
 
-    The elements are ``window`` [s] apart, the first at time 0. Between two elements the logarithm
-    is interpolated linearly.
+    The elements are ``window`` [s] apart, the first at time 0, below ``level``; the last is at
+    least ``level``. Between two elements the logarithm is interpolated linearly.
     """
     after = int(np.searchsorted(rising, level))
     low, high = np.log(rising[after - 1]), np.log(rising[after])

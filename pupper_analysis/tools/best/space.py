@@ -202,7 +202,8 @@ class StanceSpace:
         """Return the signs of the directions away from the centre of the feet, for each free foot.
 
         Returns:
-            {foot: -1, 0 or 1 along x and along y of the world frame, shape (2,) [1]}.
+            {foot: -1, 0 or 1 along x and along y of the world frame, shape (2,) [1]}. The search
+            varies the positions of free feet only.
         """
         return {foot: np.sign(self._compute_foot_offset(foot)) for foot in self.free}
 

@@ -144,7 +144,10 @@ def _describe_limit(payload: float) -> doc.Words:
 
 
 def _list_limits(hold: Hold) -> Iterator[doc.Words]:
-    """Yield a line with the judged posture, its most utilised motor, and the largest payload."""
+    """Yield a line with the commanded posture, its most utilised motor, and the largest payload.
+
+    The payload is in kg. `describe_hardest_motor` specifies when the motor is left out.
+    """
     loads = tuple(describe_hardest_motor(hold.statics, hold.limits))
     posture = _describe_posture(hold)
     yield text(
@@ -450,7 +453,10 @@ def _list_warnings(hold: Hold) -> Iterator[doc.Words]:
 
 
 def _describe_unknown_limits(hold: Hold) -> doc.Text:
-    """State which motors have unknown effort limits, and the torques that they must exert."""
+    """State which motors have unknown effort limits, and their largest torque [N m, N].
+
+    The torque is stated in the posture, and in the worst posture of each motor.
+    """
     worst = np.abs(hold.worst.joint_torques)
     joints = [hold.worst.joint_names.index(name) for name in hold.payload.unknown]
     most_loaded = max(joints, key=lambda joint: float(worst[joint]))

@@ -57,8 +57,8 @@ _UNDEFINED_TORQUE = 1e300
 cannot be closed or is singular, so that the search avoids the posture."""
 
 _MIN_LOAD_FRACTION = 1e-12
-"""Motor torque per load of a joint up to which the motor counts as not bearing this load
-(rounding). Chosen, not tuned."""
+"""Motor torque per load of a joint [1, m or 1/m] up to which the motor counts as not bearing this
+load (rounding). Chosen, not tuned."""
 
 
 class TorqueSearch:
