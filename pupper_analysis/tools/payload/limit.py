@@ -440,7 +440,7 @@ def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool])
     """Return the mass bound of the servos, raised if the command `stand` passes with more mass.
 
     Masses that grow by `_MASS_GROWTH` are tested. The bound is infinite if none fails up to the
-    smaller bound of stance and motors.
+    smaller bound of stance and motors. The bound of a command that is out of range is kept.
 
     With the mass of the given bound, a deviation doubles in ``HOLD_DURATION`` directly after the
     start. `stand` measures the doubling time after 5 s, in which feet creep. Close to the bound
