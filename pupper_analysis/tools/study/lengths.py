@@ -151,7 +151,7 @@ def stretch_links(
         before scaling, and added afterwards. Unchanged for a fixed base or without feet.
 
     Raises:
-        ConfigurationError: If a link has no length.
+        ConfigurationError: If a link has no length, or does not end at exactly one joint or foot.
         ModelError: If no axis of a mesh is along the stretch.
     """
     urdf, mjcf = trees
