@@ -174,7 +174,7 @@ def _check_depth(path: Path, text: bytes) -> None:
     """Check that the brackets of a text layer, outside of strings, are nested at most `MAX_DEPTH`.
 
     Raises:
-        ModelError: If they are nested deeper.
+        ModelError: If the brackets are nested deeper.
     """
     depth = 0
     for bracket in _BRACKET_PATTERN.findall(text):

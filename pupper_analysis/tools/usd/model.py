@@ -3,8 +3,8 @@
 Body poses follow from the joint frames, as in engines with reduced coordinates. The transforms of
 the prims are a pose of the robot, at unknown joint positions.
 
-Engines derive missing masses from the collision shapes: a body without CoM or inertia takes them
-from its shapes, and a body without any mass property has the density of water. The masses of such
+Engines derive missing mass properties from the collision shapes: CoM and inertia from the shapes,
+and the mass of a body without any mass property from the density of water. The masses of such
 bodies are unknown here.
 """
 
@@ -217,7 +217,7 @@ def _read_numbers(
     Args:
         prim: Prim of the joint.
         number_kind: Kind, such as ``effort``.
-        statements: Attributes that may state it.
+        statements: Attributes that may state a number of this kind.
         axis_word: Word for the axis in the names of the attributes.
         is_hinge: Whether the joint rotates.
         units: Units of the file.

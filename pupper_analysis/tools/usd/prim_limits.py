@@ -1,8 +1,8 @@
 """Number of prims that the layers of a USD file describe, counted before USD composes a stage.
 
 A prim may contain two references to another prim, which contains two references to a third one: 30
-such prims in a file of 3 kB describe 2^31 prims, and USD composes each of them. It needs 34 s and
-0.7 GB for 65,000.
+such prims in a file of 3 kB describe 2^31 prims. USD composes each prim, and needs 34 s and 0.7 GB
+for 65,000.
 """
 
 from __future__ import annotations
