@@ -232,7 +232,9 @@ def test_unknown_frame_and_foot_are_refused_with_the_valid_names() -> None:
         config.imu(np.zeros(18), "tail")
 
 
-@pytest.mark.parametrize("name", [None, 3, 1.5, object(), [], ["FR"], np.ones(2)], ids=repr)
+@pytest.mark.parametrize(
+    "name", [None, 3, 1.5, object(), [], ["FR"], np.ones(2)], ids=lambda value: type(value).__name__
+)
 def test_names_that_are_no_texts_are_refused_as_unknown(name: object) -> None:
     """They ended in AttributeError, KeyError, StopIteration or an unhashable type."""
     robot = load("v3")
