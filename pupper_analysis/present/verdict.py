@@ -74,12 +74,17 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
 
     Statements that agree with the verdict come first. In a bad verdict, the causes (`_CAUSES`)
     follow directly after the first statement. A remark about an impossible mass or inertia is the
-    first statement of a bad verdict, because no simulation of such a file has a meaning.
+    first statement of a bad verdict, because no simulation of such a file has a meaning. Statements
+    about the published file precede the statements about the prepared robot if only the file fails.
     """
-    run_clauses, fails = (
-        tuple(make_keyframe_run_clauses(verdict.keyframe_run)),
-        verdict.code is VerdictCode.OWN_DRIVES_FAIL,
+    run_clauses = tuple(make_keyframe_run_clauses(verdict.keyframe_run))
+    published_clauses = tuple(make_published_clauses(verdict.published))
+    stands_otherwise = (
+        verdict.code is VerdictCode.FAILS
+        and verdict.with_feedforward is Ending.DISAGREES
+        and not verdict.overloaded_motors
     )
+    fails = verdict.code is VerdictCode.OWN_DRIVES_FAIL or stands_otherwise
     deciding = [
         remark
         for remark in verdict.remarks
@@ -89,6 +94,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     messages = (
         *(Clause(False, remark) for remark in deciding),
         *(run_clauses if fails else ()),
+        *(published_clauses if stands_otherwise else ()),
         *make_replaced_clauses(verdict.servos.replacement_servos),
         *_make_simulation_clauses(verdict),
         *(
@@ -98,7 +104,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
         ),
         *_make_creep_clauses(verdict),
         *(Clause(True, note) for note in verdict.notes),
-        *make_published_clauses(verdict.published),
+        *(() if stands_otherwise else published_clauses),
         *_make_limit_clauses(verdict),
         *(() if fails else run_clauses),
     )

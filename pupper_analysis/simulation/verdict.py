@@ -323,17 +323,20 @@ def _find_worst_code(
 ) -> VerdictCode:
     """Return the worst verdict code that applies to the simulations of a stance.
 
-    Codes of `UNKNOWN_CODES` are not considered. The arguments are those of `judge_stance`.
+    Codes of `UNKNOWN_CODES` are not considered. A robot that stands, but not as predicted, fails
+    if the published file does not stand from its keyframe, or collapses in the computed stance. The
+    arguments are those of `judge_stance`.
     """
-    if not fed.passed:
-        return VerdictCode.DISAGREES if fed.stays and not overloaded_motors else VerdictCode.FAILS
     user_gains = servos.source is ServoSource.GIVEN  # the servos of the file are not used then
-    if (
-        keyframe_run is not None and keyframe_run.fails and not user_gains
-    ) or servos.replacement_servos:
-        return VerdictCode.OWN_DRIVES_FAIL
+    own_run_fails = keyframe_run is not None and keyframe_run.fails and not user_gains
     differs = published is not None and published.differs
     deviation = published.worst if published is not None and differs else None
+    if not fed.passed:
+        collapses = deviation is not None and deviation.collapses
+        stands = fed.stays and not (overloaded_motors or own_run_fails or collapses)
+        return VerdictCode.DISAGREES if stands else VerdictCode.FAILS
+    if own_run_fails or servos.replacement_servos:
+        return VerdictCode.OWN_DRIVES_FAIL
     if (
         deviation is not None
         and published is not None

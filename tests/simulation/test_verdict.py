@@ -170,6 +170,31 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         False,
         "stands in MuJoCo, and not as predicted",
     ),
+    "stands otherwise, file collapses": (
+        {"fed": run(passed=False, stays=True), "keyframe_run": make_own_run(collapses=True)},
+        VerdictCode.FAILS,
+        False,
+        "COLLAPSES",
+    ),
+    "stands otherwise, collapses as published": (
+        {
+            "fed": run(passed=False, stays=True),
+            "published": make_published(0.0, collapses=True),
+        },
+        VerdictCode.FAILS,
+        False,
+        "COLLAPSES as published",
+    ),
+    "stands otherwise, on other gains than the file that collapses": (
+        {
+            "fed": run(passed=False, stays=True),
+            "keyframe_run": make_own_run(collapses=True),
+            "servos": ServosUsed(ServoSource.GIVEN, (30.0, 50.0), (2.0, 2.0)),
+        },
+        VerdictCode.DISAGREES,
+        False,
+        "stands in MuJoCo, and not as predicted",
+    ),
     "too weak": ({"overloaded_motors": ("hip",)}, VerdictCode.OVERLOADED, False, "OVERLOADED"),
     "falls": ({"fed": run(0.1, passed=False)}, VerdictCode.FAILS, False, "COLLAPSES in MuJoCo"),
 }
@@ -229,6 +254,22 @@ def test_a_robot_that_stands_otherwise_than_predicted_disagrees(
     assert not verdict.passed
     assert get_verdict_key(verdict) == english
     assert verdict_word(verdict).zh == chinese
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"keyframe_run": make_own_run(collapses=True)},
+        {"published": make_published(0.0, collapses=True)},
+    ],
+)
+def test_a_file_that_collapses_is_stated_before_a_prepared_robot_that_stands(
+    given: dict[str, Any],
+) -> None:
+    """The first statement explains the word FAILS."""
+    verdict = judge_stance(run(passed=False, stays=True), run(), FILE, **given)
+    assert get_verdict_key(verdict) == "FAILS"
+    assert "COLLAPSES" in str(verdict_clauses(verdict)[0])
 
 
 @pytest.mark.parametrize(("unit", "said"), [("rad", "0.29 deg (knee"), ("m", "5 mm (knee")])
