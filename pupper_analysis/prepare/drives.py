@@ -48,7 +48,7 @@ from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.joints import get_common_units
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos
-from pupper_analysis.simulation.settling import comes_to_rest
+from pupper_analysis.simulation.settling import calms_after_base_nudges, comes_to_rest
 from pupper_analysis.simulation.verify import (
     MAX_BALANCE_RESIDUAL_RATIO,
     StandVerification,
@@ -108,14 +108,19 @@ def add_position_servos(
     """Add position servos to the joints without one, with gains that hold a stand.
 
     Candidates of gains and time step are tried in order. A candidate is chosen if the robot comes
-    to rest in the stand with and without feed-forward, if the rest position agrees with the
-    prediction (unless both files describe different robots), and if the published MJCF with these
-    servos comes to rest, too. The MJCF is not tested with a reduced time step, which is used only
-    if no candidate with the time step of the file agrees with the prediction.
+    to rest in the stand with and without feed-forward, if the motion after nudges of the base
+    decays, if the rest position agrees with the prediction (unless both files describe different
+    robots), and if the published MJCF with these servos comes to rest, too. The MJCF is not tested
+    with a reduced time step, which is used only if no candidate with the time step of the file
+    calms down after nudges of the base and agrees with the prediction.
 
-    If no candidate meets all conditions, the choice is, in this order: the first that agrees with
-    the prediction; the first that comes to rest with and without feed-forward; the first that comes
-    to rest with feed-forward; the first candidate.
+    Contacts that chatter after a nudge of the base need a smaller time step: of a robot that has a
+    URDF alone, further candidates with the same time step are then omitted.
+
+    If no candidate meets all conditions, the choice is, in this order: the first that calms down
+    and agrees with the prediction; the first that agrees with the prediction; the first that comes
+    to rest with and without feed-forward; the first that comes to rest with feed-forward and calms
+    down; the first that comes to rest with feed-forward; the first candidate.
 
     Args:
         robot: Robot.
@@ -165,6 +170,7 @@ def add_position_servos(
     trial = rebuild_robot(robot, mjcf=first_tried.mjcf, efforts=limits)
 
     results: dict[tuple[int, bool], bool] = {}
+    chattering_divisors: set[int] = set()
 
     def rests_with(number: int, *, fed: bool) -> bool:
         """Return True if the robot comes to rest with the servo gains of a candidate.
@@ -187,15 +193,21 @@ def add_position_servos(
         """
         for number, candidate in enumerate(candidates):
             report_progress("servos", number, len(candidates))
+            if original.of_urdf and candidate[0] in chattering_divisors:
+                continue
             if all(rests_with(number, fed=fed) for fed in sorted(feedforward)):
                 yield candidate
 
-    resting = good = None
+    resting = chattering = good = None
     for parts, kp, kd in find_resting_candidates(False, True):
         if good and parts > 1:
             break  # no further candidate has the time step of the file
         resting = resting or (parts, kp, kd)
         if not _is_as_predicted(trial, stand, kp, kd):
+            continue
+        if not calms_after_base_nudges(trial, stand, kp=kp, kd=kd):
+            chattering = chattering or (parts, kp, kd)
+            chattering_divisors.add(parts)
             continue
         good = good or (parts, kp, kd)
         made = built(parts, kp, kd)
@@ -203,9 +215,35 @@ def add_position_servos(
             return made, kp, kd, 2
         if settles_in_place(file, _record_added_servos(made, kp, kd, original), stand.qpos):
             return made, kp, kd, 2
-    fed = None if resting else next(find_resting_candidates(True), None)
-    parts, kp, kd = good or resting or fed or candidates[0]
+    fed = (
+        None
+        if resting
+        else _choose_calm_candidate(
+            trial, stand, find_resting_candidates(True), chattering_divisors
+        )
+    )
+    parts, kp, kd = good or chattering or resting or fed or candidates[0]
     return built(parts, kp, kd), kp, kd, 2 if resting else int(fed is not None)
+
+
+def _choose_calm_candidate(
+    robot: Robot,
+    stand: Stand,
+    candidates: Iterator[tuple[int, Array, Array]],
+    chattering_divisors: set[int],
+) -> tuple[int, Array, Array] | None:
+    """Return the first candidate that calms down after nudges of the base, or else the first.
+
+    None without candidates. The time step divisors of rejected candidates are added to
+    ``chattering_divisors``, in place. The iterator sets the time step of ``robot``.
+    """
+    first = None
+    for parts, kp, kd in candidates:
+        if calms_after_base_nudges(robot, stand, kp=kp, kd=kd):
+            return parts, kp, kd
+        first = first or (parts, kp, kd)
+        chattering_divisors.add(parts)
+    return first
 
 
 def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:

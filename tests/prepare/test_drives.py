@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.prepare import self_check
+from pupper_analysis.prepare import drives, self_check
 from pupper_analysis.prepare.self_check import compare_as_published, compare_nominal_stand
 from pupper_analysis.pupper.variants import find_model_folder
 from pupper_analysis.robot.servos import find_servos_used, model_with_servos
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.simulation.rollout import make_stand_start
+from pupper_analysis.simulation.settling import calms_after_base_nudges
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.legged import quadruped, rewrite_file
@@ -128,6 +130,65 @@ def test_time_step_of_a_light_footed_robot_lets_it_rest(tmp_path: Path) -> None:
     mujoco.mj_step(model, data, round(10.0 / model.opt.timestep))
     assert np.abs(data.qvel).max() < 1e-5
     assert data.qpos[2] == pytest.approx(stance.stand.qpos[2], abs=1e-3)
+
+
+@pytest.mark.slow
+def test_motion_after_nudges_of_the_base_decays_at_a_smaller_time_step(tmp_path: Path) -> None:
+    """Reference: the largest speed in a plain MuJoCo loop, 5 to 6 s after a push along y."""
+    file = tmp_path / "light_feet.urdf"
+    file.write_text(_light_footed_biped())
+    robot = pa.load_robot(file)
+    stand = pa.solve_stand(robot)
+    for timestep, decays in ((2.5e-4, True), (5e-4, False)):
+        robot.mj_model.opt.timestep = timestep
+        assert calms_after_base_nudges(robot, stand) == decays
+        held = make_stand_start(robot, stand)
+        model = held.drive.model
+        assert model.opt.timestep == timestep
+        data = mujoco.MjData(model)
+        mujoco.mj_setState(model, data, held.start, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
+        data.ctrl[:] = held.ctrl
+        data.qvel[1] += 0.05
+        mujoco.mj_step(model, data, round(5.0 / timestep))
+        largest = 0.0
+        for _ in range(round(1.0 / timestep)):
+            mujoco.mj_step(model, data)
+            largest = max(largest, float(np.abs(data.qvel).max()))
+        assert (largest < 1e-3) == decays
+        assert (largest > 0.1) == (not decays)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("alone", [True, False])
+def test_time_step_is_reduced_if_contacts_chatter_after_nudges_of_the_base(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, alone: bool
+) -> None:
+    """The soles of the reduced Talos chatter at 2 and 1 ms, and with feed-forward alone it rests.
+
+    Chatter at 2 and 1 ms is simulated by a stub. Without a time step that prevents chatter, the
+    first candidate is used.
+    """
+    file, chattering = tmp_path / "robot.urdf", [2e-3, 1e-3]
+    file.write_text((find_model_folder("urdf") / "pupper_v3.urdf").read_text())
+    tried = []
+
+    def calms(robot: pa.Robot, _stand: pa.Stand, **_gains: np.ndarray) -> bool:
+        tried.append(float(robot.mj_model.opt.timestep))
+        return tried[-1] not in chattering
+
+    rests = drives.comes_to_rest
+
+    def rests_if_fed(robot: pa.Robot, stand: pa.Stand, *, feedforward: bool, **gains: Any) -> bool:
+        return (feedforward or alone) and rests(robot, stand, feedforward=feedforward, **gains)
+
+    monkeypatch.setattr(drives, "calms_after_base_nudges", calms)
+    monkeypatch.setattr(drives, "comes_to_rest", rests_if_fed)
+    assert pa.load_robot(file).mj_model.opt.timestep == 5e-4
+    assert tried == [2e-3, 1e-3, 5e-4]
+    tried.clear()
+    chattering += [5e-4, 2.5e-4]
+    assert pa.load_robot(file).mj_model.opt.timestep == 2e-3
+    assert tried == [2e-3, 1e-3, 5e-4, 2.5e-4]
 
 
 FINGERS = 12
