@@ -68,17 +68,18 @@ def has_redundant_joints(robot: Robot) -> bool:
 
 
 def can_move_com(robot: Robot) -> bool:
-    """Return True if the robot can move the CoM in x and y with planted feet.
+    """Return True if the legs can move the CoM in x and y with planted feet.
 
     The base keeps height and orientation. Legs with three joints suffice. Legs with two joints in
-    one plane cannot move the CoM sideways, unless arms or a waist do. Also True for a robot without
+    one plane cannot move the CoM sideways. Joints that move no foot (neck, arms) do not count: the
+    0.5 mm by which a turned head shifts the CoM do not centre it. Also True for a robot without
     contact points.
     """
     return robot.compute_once(_compute_com_mobility)
 
 
 def _compute_com_mobility(robot: Robot) -> bool:
-    """Return True if the joints can move the CoM horizontally (`can_move_com`, uncached)."""
+    """Return True if the legs can move the CoM horizontally (`can_move_com`, uncached)."""
     if not robot.contact_points:
         return True
     if len(robot.feet) < len(robot.contact_points):
@@ -94,12 +95,14 @@ def _compute_com_mobility(robot: Robot) -> bool:
 def _count_com_directions(robot: Robot, joints: Array) -> int:
     """Return the number (0 to 2) of independent horizontal directions in which the CoM can move.
 
-    Feet, base height and base orientation are fixed, at the joint positions ``joints`` (nu,).
+    Feet, base height, base orientation and the joints that move no foot are fixed, at the joint
+    positions ``joints`` (nu,).
     """
     config = Configuration(robot, robot.make_qpos(joints))
     held = np.eye(4, robot.nv, k=2)  # base height and orientation
     feet = np.vstack(list(config.foot_jacobians().values()))
-    free = lapack.null_space(np.vstack([held, feet]), rcond=1e-9)
+    others = np.eye(robot.nv)[~feet.any(axis=0)]
+    free = lapack.null_space(np.vstack([held, others, feet]), rcond=1e-9)
     moved = config.com_jacobian()[:2] @ free
     sizes = np.linalg.svd(moved, compute_uv=False)
     smallest = max(_MIN_COM_RATE, _MIN_COM_RATE_RATIO * float(sizes.max(initial=0.0)))

@@ -12,7 +12,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.problem import can_move_com
-from tests.support.legged import Pair, planar, quadruped
+from tests.support.legged import Pair, edit_pair, planar, quadruped, shift_base_com
 
 
 def load(pair: Pair) -> Robot:
@@ -118,6 +118,30 @@ def test_legs_of_three_joints_can_move_the_com_over_the_feet(tmp_path: Path) -> 
     robot = load(quadruped(tmp_path))
     assert can_move_com(robot)
     assert pa.solve_stand(robot).task.com == "centre"
+
+
+@pytest.mark.slow
+def test_planar_legs_stand_with_a_com_that_the_head_cannot_centre(tmp_path: Path) -> None:
+    """Closed form: 5 mm times the trunk's mass fraction; a turned head shifts the CoM by 0.7 mm.
+
+    The joint of the head does not count as a joint that can centre the CoM (Petoi's Bittle).
+    """
+    pair = planar(quadruped(tmp_path, head=True, keyframe=""))
+    pair = shift_base_com(pair, 5e-3)
+    mass = 'mass="0.3" diaginertia='
+    edits = {
+        f'pos="0 0 0" {mass}': f'pos="0.02 0 0" {mass}',
+        'name="nod" axis="0 1 0"': 'name="nod" axis="0 0 1"',
+    }
+    robot = pa.load_robot(mjcf=edit_pair(pair, {}, edits).mjcf)
+    assert not can_move_com(robot)
+    stand = verify_held_stand(robot)
+    assert stand.task.com == "inside"
+    com = pa.Configuration(robot, stand.qpos).center_of_mass()
+    middle = np.mean(list(stand.contact_points.values()), axis=0)
+    shift = 0.3 * 0.02 * np.sin(stand.joint_positions(robot)[robot.joint_names.index("nod")])
+    expected = (5e-3 * 4 + shift) / robot.total_mass
+    assert com[1] - middle[1] == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.slow
