@@ -33,7 +33,12 @@ from pupper_analysis.tools.audit.registry import (
     list_known_points,
     list_link_points,
 )
-from pupper_analysis.tools.audit.rules.mirror import find_mirror_plane, list_joint_pairs
+from pupper_analysis.tools.audit.rules.mirror import (
+    MIN_SIBLINGS,
+    find_mirror_plane,
+    list_joint_pairs,
+    select_deviating_pairs,
+)
 from pupper_analysis.tools.audit.rules.shapes import (
     MAX_DENSITY,
     MIN_DENSITY,
@@ -155,11 +160,6 @@ def _repair_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
                 new = {"effort": "" if limit is None else str(limit.get("effort"))}
                 reason = diagnose("repair-of-twin", other=twin.name)
                 yield from _make_urdf_repair(robot, "joint", joint.name, "limit", new, reason)
-
-
-MIN_SIBLINGS = 2
-"""Smallest number of further limbs whose equal value decides which of two mirrored links or joints
-has the wrong value. Chosen, not tuned."""
 
 
 def _repair_mirrored_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
@@ -408,8 +408,9 @@ def _move_decimal_points(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 def _mirror_tensor(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     """Yield a repair that replaces a link's inertia tensor by the mirrored tensor of the twin link.
 
-    Nothing, for example, if there is no twin on the other side, if the twin's tensor is physically
-    impossible, or if the masses differ by more than 1 %.
+    If the other limbs state equal tensors and inertial frames (`_find_common_attributes`), this
+    tensor is copied instead. Nothing, for example, if there is no twin on the other side, if the
+    twin's tensor is physically impossible, or if the masses differ by more than 1 %.
     """
     twin, link = _find_twin(robot, name), robot.links[name]
     if twin is None or not math.isclose(link.mass, twin.mass, rel_tol=0.01):
@@ -417,6 +418,9 @@ def _mirror_tensor(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     new = _compute_mirrored_tensor(robot, link, twin)
     if new is not None:
         reason = diagnose("repair-mirrored", other=twin.name)
+        stated = _find_common_attributes(robot, name, "inertial/inertia")
+        if stated and _find_common_attributes(robot, name, "inertial/origin", own=True):
+            reason, new = diagnose("repair-of-limb", other=twin.name), stated
         yield from _make_urdf_repair(robot, "link", name, "inertial/inertia", new, reason)
 
 
@@ -444,6 +448,39 @@ def _compute_mirrored_tensor(robot: UrdfModel, link: Link, twin: Link) -> dict[s
         word: _format_value(0.0 if abs(tensor[index]) < 1e-9 * scale else float(tensor[index]))
         for word, index in INERTIA_ENTRIES.items()
     }
+
+
+def _find_common_attributes(
+    robot: UrdfModel, name: str, child: str, *, own: bool = False
+) -> dict[str, str] | None:
+    """Return the attributes of an element that the corresponding links of all other limbs share.
+
+    On such robots the four calves, for example, are copies of one part, and no mirror images.
+
+    Args:
+        robot: Model of a URDF.
+        name: Link.
+        child: Path of the element below a link.
+        own: Whether the element of the link itself must have these attributes, too.
+
+    Returns:
+        {attribute: text}, missing poses as zeros. None if the other limbs are fewer than
+        `MIN_SIBLINGS` + 1 (the partner included), or if their numbers differ.
+    """
+    kind = strip_sides(name)
+    names = [other for other in robot.links if other != name and strip_sides(other) == kind]
+    stated = []
+    for other in [*names, *([name] if own else [])]:
+        element = _find_element(robot, "link", other, child)
+        if element is None:
+            return None
+        texts = {"xyz": "0 0 0", "rpy": "0 0 0"} if element.tag == "origin" else {}
+        stated.append(texts | {word: str(text) for word, text in element.attrib.items()})
+    if len(names) <= MIN_SIBLINGS:
+        return None
+    values = [{word: text.split() for word, text in texts.items()} for texts in stated]
+    numbers = [{word: [*map(float, parts)] for word, parts in each.items()} for each in values]
+    return stated[0] if all(each == numbers[0] for each in numbers) else None
 
 
 def _find_twin(robot: RobotModel, name: str) -> Link | None:
@@ -477,7 +514,8 @@ def _repair_exchanged_limits(robot: RobotModel, found: CheckFinding) -> Iterator
 def _repair_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a URDF link without mass: the mass of the link on the other side.
 
-    If the link has no <inertial>, it gets the mirrored CoM and tensor, too.
+    If the link has no <inertial>, it gets the CoM and tensor, too: those of the other limbs if they
+    are equal (`_find_common_attributes`), or else the mirror images.
     """
     if not isinstance(robot, UrdfModel) or found.message.code == "hardly-any-mass":
         return
@@ -492,6 +530,15 @@ def _repair_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair
     if _find_element(robot, "link", link.name, "inertial/mass") is not None:
         new = {"value": str(mass.get("value"))}
         yield from _join_changes([_make_change(robot, link.name, "inertial/mass", new, reason)])
+        return
+    children = ("inertial/origin", "inertial/mass", "inertial/inertia")
+    stated = {child: _find_common_attributes(robot, link.name, child) for child in children}
+    copied = {child: new for child, new in stated.items() if new is not None}
+    if len(copied) == len(children):
+        reason = diagnose("repair-of-limb", other=twin.name)
+        yield from _join_changes(
+            _make_change(robot, link.name, child, new, reason) for child, new in copied.items()
+        )
         return
     com, tensor = _mirror_com(robot, link, twin), _compute_mirrored_tensor(robot, link, twin)
     if com is not None and tensor is not None:
@@ -524,6 +571,8 @@ def _mirror_com(robot: RobotModel, link: Link, twin: Link) -> Array | None:
 def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a URDF link's CoM: the mirror image of the CoM on the other side.
 
+    If the other limbs state equal CoMs (`_find_common_attributes`), their CoM is copied instead.
+
     If only the difference of both CoMs is reported, and at least `MIN_SIBLINGS` equal links of
     other limbs have the same distances of the CoM from the planes of their frames, only the link
     that deviates is repaired. Otherwise both links are candidates.
@@ -535,7 +584,7 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
     wrong = [(link, twin)]
     if found.message.code == "mirror-com":
         kind = strip_sides(link.name)
-        wrong = _select_deviating_pairs(
+        wrong = select_deviating_pairs(
             [(link, twin), (twin, link)],
             {
                 name: np.abs(other.inertial.com)
@@ -544,43 +593,17 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
             },
         )
     for own, other in wrong:
+        stated = _find_common_attributes(robot, own.name, "inertial/origin")
         com = _mirror_com(robot, own, other)
-        if com is not None:
+        if stated or com is not None:
             reason = diagnose("repair-mirrored-com", other=other.name)
-            new = {"xyz": _format_vector(com)}
+            new = {"xyz": _format_vector(com)} if com is not None else {}
+            if stated:
+                reason = diagnose("repair-of-limb", other=other.name)
+                new = {"xyz": stated["xyz"]}
             yield from _join_changes(
                 [_make_change(robot, own.name, "inertial/origin", new, reason)]
             )
-
-
-def _select_deviating_pairs(
-    pairs: list[tuple[Link, Link]], values: Mapping[str, Array]
-) -> list[tuple[Link, Link]]:
-    """Return the pair whose first link deviates from the corresponding links of other limbs.
-
-    If the other limbs are fewer than `MIN_SIBLINGS`, or their values differ by more than
-    `SIBLING_ATOL`, all pairs are returned: the wrong link is unknown. If none or several of the
-    first links deviate, the result is empty.
-
-    Args:
-        pairs: (link that may be wrong, link on the other side).
-        values: {link: magnitudes of its CoM coordinates [m]} of the pairs and of other limbs.
-    """
-    names = {link.name for link, _ in pairs}
-    others = [value for name, value in values.items() if name not in names]
-    if len(others) < MIN_SIBLINGS or not np.allclose(others, others[0], atol=SIBLING_ATOL):
-        return pairs
-    wrong = [
-        pair
-        for pair in pairs
-        if not np.allclose(values[pair[0].name], others[0], atol=SIBLING_ATOL)
-    ]
-    return wrong if len(wrong) == 1 else []
-
-
-SIBLING_ATOL = 2e-3
-"""Largest difference between positions on equal links of several limbs [m] that count as equal.
-Chosen, not tuned: left and right CAD parts differ by less."""
 
 
 MAX_DENSITY_RATIO = 3.0

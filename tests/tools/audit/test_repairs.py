@@ -205,6 +205,40 @@ def test_lost_inertial_is_copied_from_the_mirrored_link(tmp_path: Path) -> None:
     assert audit_model(path).counts == audit_model(URDF).counts
 
 
+@pytest.mark.parametrize("wrong", ["FL", "FR", "RL", "RR"])
+def test_lost_shape_is_named_on_the_leg_that_deviates(wrong: str, tmp_path: Path) -> None:
+    """The calf has its foot's sphere left. The other three legs show which of the pair is wrong."""
+    text = URDF.read_text()
+    start = text.index(f'<link name="{wrong}_calf">')
+    calf = text[start : text.index("</link>", start)]
+    path = tmp_path / URDF.name
+    path.write_text(text.replace(calf, re.sub("(?s)<collision>.*?</collision>", "", calf)))
+    found = [each for each in audit_model(path).findings if each.rule == "mirror-shapes"]
+    assert [each.element for each in found] == [f"link '{wrong}_calf'"]
+
+
+def test_number_that_the_other_legs_share_is_copied_and_not_mirrored(tmp_path: Path) -> None:
+    """Four equal calves with a CoM 1.4 mm aside, as in Unitree's Go1: the original numbers."""
+    text = URDF.read_text()
+    for leg in ("FL", "FR", "RL", "RR"):
+        start = text.index(f'<link name="{leg}_calf">')
+        text = text[:start] + text[start:].replace('"0 0 -0.055"', '"0 0.0014 -0.055"', 1)
+    path = tmp_path / URDF.name
+    start = text.index('<link name="FL_calf">')
+    inertial = text[text.index("<inertial>", start) : text.index("</inertial>", start)]
+    displaced = inertial.replace('"0 0.0014 -0.055"', '"0 0.0014 0.4"')
+    path.write_text(text[:start] + text[start:].replace(inertial, displaced, 1))
+    audit = audit_model(path)
+    assert repairs_of(audit, "com-outside-shapes") == [{"xyz": "0 0.0014 -0.055"}]
+    path.write_text(text[:start] + text[start:].replace(f"{inertial}</inertial>", "", 1))
+    (repair,) = next(
+        each.repairs for each in audit_model(path).findings if each.rule == "link-without-inertial"
+    )
+    numbers = [dict(part.new) for part in (repair, *repair.further)]
+    assert numbers[0]["xyz"] == "0 0.0014 -0.055"
+    assert [part["value"] for part in numbers if "value" in part] == ["0.05"]
+
+
 @pytest.mark.slow
 def test_displaced_or_lost_collision_shape_is_that_of_another_limb(tmp_path: Path) -> None:
     """Reference: the numbers of the original collision shape."""

@@ -8,7 +8,7 @@ most comparisons.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -538,8 +538,70 @@ def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
             shape.kind != "mesh" for parts in pair for part in parts for shape in part.shapes
         )
         if gap > (SIMPLE_SHAPE_TOLERANCE if simple else SHAPE_TOLERANCE + 0.1 * size):
-            message = diagnose("mirror-shapes", gap=Quantity(gap, "m"), other=first.name)
-            yield CheckFinding(robot.link_tag, second.name, message)
+            wrong, partner = _choose_wrong_shapes(robot, first, second)
+            message = diagnose("mirror-shapes", gap=Quantity(gap, "m"), other=partner.name)
+            yield CheckFinding(robot.link_tag, wrong.name, message)
+
+
+def _choose_wrong_shapes(robot: RobotModel, first: Link, second: Link) -> tuple[Link, Link]:
+    """Return the link of a pair whose collision shapes are probably wrong, and its partner.
+
+    This is the link that deviates from equal links of other limbs (`select_deviating_pairs`), or
+    else the only one without collision shapes of its own. If neither decides, the second link.
+    """
+    pairs = [(second, first), (first, second)]
+    kind, boxes = strip_sides(first.name), dict[str, Array]()
+    for name, link in robot.links.items():
+        if strip_sides(name) == kind:
+            points, is_complete = list_known_points(_list_colliding_links(robot, link), link)
+            if not is_complete or points is None:
+                points = np.zeros((1, 3))
+            low, high = points.min(axis=0), points.max(axis=0)
+            boxes[name] = np.concatenate([high - low, np.abs(high + low) / 2])
+    deviating = select_deviating_pairs(pairs, boxes)
+    if len(deviating) != 1:
+        deviating = [
+            (wrong, partner)
+            for wrong, partner in pairs
+            if not any(shape.collides for shape in wrong.shapes)
+        ]
+    return deviating[0] if len(deviating) == 1 else pairs[0]
+
+
+MIN_SIBLINGS = 2
+"""Smallest number of further limbs whose equal value decides which of two mirrored links or joints
+has the wrong value. Chosen, not tuned."""
+
+
+def select_deviating_pairs(
+    pairs: list[tuple[Link, Link]], values: Mapping[str, Array]
+) -> list[tuple[Link, Link]]:
+    """Return the pair whose first link deviates from the corresponding links of other limbs.
+
+    If the other limbs are fewer than `MIN_SIBLINGS`, or their values differ by more than
+    `SIBLING_ATOL`, all pairs are returned: the wrong link is unknown. If none or several of the
+    first links deviate, the result is empty.
+
+    Args:
+        pairs: (link that may be wrong, link on the other side).
+        values: {link: lengths in the frame of the link that are equal on both sides [m]} of the
+            pairs and of other limbs, such as the magnitudes of CoM coordinates.
+    """
+    names = {link.name for link, _ in pairs}
+    others = [value for name, value in values.items() if name not in names]
+    if len(others) < MIN_SIBLINGS or not np.allclose(others, others[0], atol=SIBLING_ATOL):
+        return pairs
+    wrong = [
+        pair
+        for pair in pairs
+        if not np.allclose(values[pair[0].name], others[0], atol=SIBLING_ATOL)
+    ]
+    return wrong if len(wrong) == 1 else []
+
+
+SIBLING_ATOL = 2e-3
+"""Largest difference between positions on equal links of several limbs [m] that count as equal.
+Chosen, not tuned: left and right CAD parts differ by less."""
 
 
 @rule
