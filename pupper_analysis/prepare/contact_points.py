@@ -428,8 +428,9 @@ def _find_sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
 def _yield_level_normals(surface: Array, down: Array) -> Iterator[Array]:
     """Yield the outward normals (3,) of the facets of a hull with a tilt up to `_MAX_SOLE_TILT`.
 
-    If the points ``surface``, shape (n, 3), are on a line, the result is the normal of the line
-    that is nearest to the unit vector ``down``. A single point has no normal.
+    If the points ``surface``, shape (n, 3) [m], are on a line, the result is the normal of the line
+    that is nearest to the unit vector ``down``, if its tilt is as small. A single point has no
+    normal.
     """
     middle = surface.mean(axis=0)
     spread = surface - middle

@@ -126,8 +126,9 @@ def compare_as_published(
     """Compare a simulation of the unmodified model file with the prediction for a stand.
 
     If the robot was changed after loading, has welds, or stands on ground that is not level, the
-    nominal stand of the robot as loaded is compared instead of ``stand``. If the caller passed
-    gains, the model of the file gets the same gains.
+    nominal stand of the robot as loaded is compared instead of ``stand``. A posture (fixed base, no
+    stance feet) is always compared with the robot as loaded. If the caller passed gains, the model
+    of the file gets the same gains.
 
     Args:
         robot: Prepared robot.

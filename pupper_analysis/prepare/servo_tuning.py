@@ -150,9 +150,9 @@ class ServoRequirement:
     def of_fixed_base(cls, model: mujoco.MjModel) -> ServoRequirement:
         """Compute the requirements on the servos of a robot with a fixed base, such as an arm.
 
-        The design torque of a joint is the largest gravity torque in random poses. The minimum
-        stiffness is derived from the largest inertia about the joint in these poses, with the other
-        joints locked.
+        The design torque of a joint is the largest gravity torque in random poses, but at least
+        `_MIN_TORQUE_FRACTION` of that of the most loaded joint. The minimum stiffness is derived
+        from the largest inertia about the joint in these poses, with the other joints locked.
 
         Args:
             model: Model with a fixed base, or with a free base that is held.
@@ -208,7 +208,8 @@ def suggest_standing_gains(
 def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) -> Gains:
     """Compute servo gains for a fixed base, with critical damping kd = 2 sqrt(kp I).
 
-    I is the smallest inertia at the joint in random poses, with the other joints free.
+    I is the smallest inertia at the joint in random poses, with the other joints free. The gains
+    are rounded to three digits.
 
     Args:
         model: Model with a fixed base, or with a free base that is held.

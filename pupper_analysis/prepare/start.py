@@ -399,9 +399,8 @@ def _choose_middle_start(starts: Sequence[Robot]) -> Robot | None:
     """Return the first robot with a nominal stand, tried from the middle of a sequence outwards.
 
     The robots differ in the start pose, from which the nominal stand (that of the default
-    `StandTask`) is solved. A start may fail: the stand needs
-    the CoM in the centre of the feet, and straight legs move the CoM when they are bent. None if
-    all fail.
+    `StandTask`) is solved. A start may fail: the stand needs the CoM in the centre of the feet, and
+    straight legs move the CoM when they are bent. None if all fail.
     """
     middle = len(starts) // 2
     ordered = sorted(range(len(starts)), key=lambda number: abs(number - middle))
@@ -676,6 +675,7 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
     mujoco.mj_resetDataKeyframe(model, data, names.index(name))
 
     def advance(state: mujoco.MjData, seconds: float) -> None:
+        """Simulate the model for ``seconds`` [s], in place."""
         mujoco.mj_step(model, state, nstep=round(seconds / float(model.opt.timestep)))
 
     with silence_mujoco():

@@ -245,8 +245,9 @@ class UrdfBodies:
     def _add_joint(self, body: etree._Element, urdf_joint: UrdfJoint) -> None:
         """Add a joint of the URDF to a body of the MJCF; nothing is added for a fixed joint.
 
-        The effort limit is recorded in ``efforts``, the coupling of a mimic joint in ``mimics``.
-        Empty ranges and negative efforts are left out, with a note.
+        The effort limit is recorded in ``efforts``; a joint with a coupling, recorded in
+        ``mimics``, gets the limit as ``actuatorfrcrange``. Empty ranges and negative efforts are
+        left out, with a note.
 
         Raises:
             ModelError: If the joint is floating or planar, or the axis has length zero.

@@ -506,6 +506,6 @@ def read_mesh(path: Path) -> bytes:
 
 
 def _check_count(vertices: int, maximum: int) -> None:
-    """Raise `UnreadableError` for a mesh with too many vertices."""
+    """Raise `UnreadableError` for a mesh with more than ``maximum`` vertices."""
     if vertices > maximum:
         raise UnreadableError(diagnose("mesh-has-too-many-vertices", most=maximum))

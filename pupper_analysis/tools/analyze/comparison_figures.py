@@ -242,7 +242,7 @@ def _join_common_parts(names: Sequence[str]) -> str:
 
 
 def _get_leg_colour(leg: int) -> str:
-    """Return the colour of a leg, by index."""
+    """Return the colour of the leg with index ``leg``; the colours repeat after the last one."""
     return drawing.SERIES_COLOURS[leg % len(drawing.SERIES_COLOURS)]
 
 

@@ -383,7 +383,11 @@ def study_gains(
 
 
 def _check_request(error: float | None, encoder_bits: int | None) -> None:
-    """Raise a ConfigurationError if position error or encoder resolution is out of range."""
+    """Raise a ConfigurationError if position error or encoder resolution is out of range.
+
+    ``error`` must be positive and finite, and ``encoder_bits`` from `MIN_ENCODER_BITS` to
+    `MAX_ENCODER_BITS`. None is accepted for both.
+    """
     if error is not None and not 0 < error < math.inf:
         raise ConfigurationError("error", diagnose("error-not-valid", given=error))
     if encoder_bits is not None and not MIN_ENCODER_BITS <= encoder_bits <= MAX_ENCODER_BITS:
