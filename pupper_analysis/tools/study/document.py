@@ -373,7 +373,7 @@ def _make_row_table(
 
 
 def format_duration(seconds: float) -> str:
-    """Format a duration [s] in whole s below 120 s, whole min below 120 min, else h.
+    """Format a duration [s] in whole s below 120 s, whole min below 120 min, else h (one decimal).
 
     "-" if the duration is not finite.
     """
