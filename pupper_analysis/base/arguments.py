@@ -60,7 +60,7 @@ def check_finite(name: str, value: object) -> float:
 
 
 def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Return a new array of real numbers, which may be infinite or NaN.
+    """Return a new array of real numbers of any shape; infinite values and NaN are accepted.
 
     Values that NumPy would convert silently are rejected: texts, Booleans, complex numbers and
     masked elements.
@@ -186,7 +186,9 @@ def check_fields(instance: Any) -> None:
 
 
 def check_type(name: str, value: object, hint: Any) -> None:
-    """Check a value against a type hint.
+    """Check a value against a type hint; accept any value if the hint is not supported.
+
+    `check_arguments` states the types that are not supported.
 
     Args:
         name: Name of the argument, for the message.
@@ -209,7 +211,7 @@ def check_type(name: str, value: object, hint: Any) -> None:
 
 @cache
 def _get_type_hints(described: Any) -> dict[str, Any]:
-    """Return the type hints of a function or class, resolved and cached."""
+    """Return {argument or field: type} of a function or class, from resolved annotations."""
     return typing.get_type_hints(described)
 
 

@@ -26,12 +26,12 @@ that of MJCF's ``fullinertia``."""
 
 
 def inertia_entries(tensor: Array) -> Array:
-    """Return the six entries of an inertia tensor (3, 3), in the order of ``INERTIA_ENTRIES``."""
+    """Return the entries (6,) of an inertia tensor (3, 3), in the order of ``INERTIA_ENTRIES``."""
     return np.array([tensor[index] for index in INERTIA_ENTRIES.values()])
 
 
 def inertia_tensor(entries: Iterable[float]) -> Array:
-    """Return the symmetric tensor (3, 3) with six entries in the order of ``INERTIA_ENTRIES``."""
+    """Return the inertia tensor (3, 3) with six entries in the order of ``INERTIA_ENTRIES``."""
     tensor = np.zeros((3, 3))
     for value, (row, column) in zip(entries, INERTIA_ENTRIES.values(), strict=True):
         tensor[row, column] = tensor[column, row] = value

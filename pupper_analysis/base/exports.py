@@ -22,7 +22,7 @@ def make_lazy_exports(
 
     The stub contains ``from .module import name as name``, or ``from . import module as module``.
     For a module with another name, the stub contains ``from . import module as _module`` and ``name
-    = _module``. Names of a tool whose folder is missing are left out.
+    = _module``. Names of missing modules, and of tools without a folder, are left out.
 
     Args:
         package: ``__name__`` of the package.

@@ -119,7 +119,7 @@ def write_new(path: Path, data: bytes, *, like: os.stat_result | None = None) ->
             new file.
 
     Raises:
-        OSError: If the file exists or cannot be created.
+        OSError: If the file exists, or cannot be created or written.
     """
     # tempfile would ignore the umask.
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
@@ -455,7 +455,11 @@ class _StagedFile:
     stuck: bool = False
 
     def stage(self) -> None:
-        """Check the output path, and write the new content to a temporary file in its folder."""
+        """Check the output path, and write the new content to a temporary file in its folder.
+
+        Raises:
+            OutputError: If the file must not be replaced, or the temporary file is not written.
+        """
         try:
             self.target, self.existing = resolve_target(self.writing.path)
             if self.existing is not None:
@@ -494,7 +498,11 @@ class _StagedFile:
     def link_existing(self) -> None:
         """Link the existing file to a second name, so that restoring the file needs no disk space.
 
-        If the file system does not support hard links, the file is copied.
+        If the file system does not support hard links, the file is copied. A missing file is
+        ignored.
+
+        Raises:
+            OutputError: If the file can be neither linked nor copied.
         """
         if self.existing is None:
             return
@@ -511,6 +519,9 @@ class _StagedFile:
         """Copy the file that will be replaced to an unused backup name, and return its path.
 
         The name is that of the file with the suffix ``.bak``, ``.bak2``, ``.bak3`` ...
+
+        Raises:
+            OutputError: If the copy cannot be written.
         """
         number = 1
         while True:

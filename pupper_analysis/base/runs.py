@@ -136,7 +136,10 @@ def register_input(path: str | os.PathLike[str]) -> None:
 
 
 def identify_file(path: Path) -> Identity | None:
-    """Return device and inode number of a file, with links followed; None if there is no file."""
+    """Return device and inode number of a file, with links followed.
+
+    None if there is no file, or the system rejects the path.
+    """
     with suppress(OSError, ValueError):
         status = path.stat()
         return status.st_dev, status.st_ino

@@ -80,7 +80,10 @@ def select_joint_units(*, slides: bool) -> JointUnits:
 
 
 def find_joint_units(unit: str) -> JointUnits:
-    """Return the units of the kind of joint with a unit of positions or of motor efforts."""
+    """Return `SLIDE_UNITS` if the unit of a joint's position or effort is m or N.
+
+    For all other units, the result is `HINGE_UNITS`.
+    """
     return select_joint_units(slides=unit in (SLIDE_UNITS.position, SLIDE_UNITS.effort))
 
 
