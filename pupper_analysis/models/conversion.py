@@ -308,7 +308,21 @@ def _sum_actuator_values(model: mujoco.MjModel, values: Array) -> Array:
 def _add_joint(
     result: pin.Model, model: mujoco.MjModel, index: int, parent: int, placement: pin.SE3
 ) -> tuple[int, pin.SE3]:
-    """Add a joint; return its index, and the placement of the body in the frame of the joint."""
+    """Add a joint of MuJoCo's model to a Pinocchio model.
+
+    Args:
+        result: Pinocchio model; modified.
+        model: MuJoCo model.
+        index: Id of the joint in MuJoCo's model.
+        parent: Index of the parent joint in the Pinocchio model.
+        placement: Pose of the moved body in the frame of the parent joint, at ``qpos0``.
+
+    Returns:
+        Index of the new joint, and pose of the moved body in the frame of this joint.
+
+    Raises:
+        ModelError: If the joint is a ball joint.
+    """
     name = model.joint(index).name
     kind = JointKind(int(model.jnt_type[index]))
     if kind == JointKind.FREE:

@@ -383,7 +383,10 @@ def _copy_fields(
 
 
 def _with_polynomial(linear: Array, polynomial: Array, index: int) -> Array:
-    """Return the coefficients of a spring or damper in ascending order, the linear one first."""
+    """Return the coefficients (1 + n,) of a spring or damper, the linear coefficient first.
+
+    ``linear`` (m,) and ``polynomial`` (m, n) are MuJoCo's arrays, and ``index`` is the row.
+    """
     return np.concatenate([[linear[index]], polynomial[index]])
 
 

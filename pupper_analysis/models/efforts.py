@@ -187,9 +187,13 @@ class EffortLimit(Result):
         return self.code in (EffortCode.ZERO, EffortCode.NEGATIVE)
 
     def without_file(self, file: str) -> EffortLimit:
-        """Return the limit without the statements of a file; unchanged if they determine it.
+        """Return the limit without the statements of a file, if its range stays the same.
 
-        For a file that was generated from the other file, and that a reader does not know.
+        Otherwise the limit itself is returned. The function serves for a file that was generated
+        from the other file, so that reports only cite the user's own file.
+
+        Args:
+            file: ``URDF`` or ``MJCF``.
         """
         others = tuple(statement for statement in self.stated if statement.file != file)
         origin = min(others, key=lambda statement: statement.symmetric_torque, default=None)

@@ -83,13 +83,21 @@ class Reader(Protocol):
     def read_as_urdf(self, path: Path) -> UrdfFile:
         """Read a file of this format, and convert the model to a URDF with the same values.
 
-        ``stands_for`` of the result is the name of the original format, such as ``"the SDF"``.
+        ``stands_for`` of the result is the name of the original format, such as ``"the USD"``.
+
+        Raises:
+            ModelError: If the file cannot be read, or URDF cannot state the model.
+            MissingPackageError: If a package that the reader needs is not installed.
         """
 
     def read_as_mjcf(self, path: Path) -> MjcfFile:
         """Read a file of this format, and convert the model to an MJCF with the same values.
 
-        ``stands_for`` of the result is the name of the original format, such as ``"the SDF"``.
+        ``stands_for`` of the result is the name of the original format, such as ``"the USD"``.
+
+        Raises:
+            ModelError: If the file cannot be read, or MJCF cannot state the model.
+            MissingPackageError: If a package that the reader needs is not installed.
         """
 
 
@@ -157,9 +165,14 @@ def read_as_urdf(
 ) -> UrdfFile:
     """Read a URDF, a file that is converted to a URDF, or a robot in memory that is a URDF.
 
+    Args:
+        model: Path, name of a published robot, or robot in memory. The suffix of the path selects
+            the reader of another format.
+        packages: {ROS package: its folder}, for ``package://`` in a URDF.
+
     Raises:
-        ConfigurationError: If ``model`` is neither a path nor a robot in memory.
-        ModelError: If the file cannot be read, or is not a URDF.
+        ConfigurationError: If ``model`` is a ``pin.GeometryModel``, which contains shapes only.
+        ModelError: If the file or object cannot be read, or is not a URDF.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
         MissingPackageError: If a package that the reader of the format needs is not installed.
         OutputError: If the run will write the file.
@@ -180,9 +193,14 @@ def read_as_mjcf(
 ) -> MjcfFile:
     """Read an MJCF, a file that is converted to an MJCF, or a robot in memory that is an MJCF.
 
+    Args:
+        model: Path, name of a published robot, or robot in memory. The suffix of the path selects
+            the reader of another format.
+        packages: {ROS package: its folder}, for ``package://`` in a published name.
+
     Raises:
-        ConfigurationError: If ``model`` is neither a path nor a robot in memory.
-        ModelError: If the file cannot be read, or is not an MJCF.
+        ConfigurationError: If ``model`` is a ``pin.GeometryModel``, which contains shapes only.
+        ModelError: If the file or object cannot be read or compiled, or is not an MJCF.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
         MissingPackageError: If a package that the reader of the format needs is not installed.
         OutputError: If the run will write the file.
@@ -202,8 +220,9 @@ def read_as_mjcf(
 def kind_of(path: Path) -> str | None:
     """Return ``"urdf"`` or ``"mjcf"`` for a file that describes a robot; None for other files.
 
-    A URDF must have a link, unless its suffix is ``.urdf``. An MJCF must have a body of its own: a
-    scene, which only includes the robot, does not count.
+    A file with the suffix ``.urdf`` is not opened. Another URDF must have a link, and must not use
+    xacro. An MJCF must have a body of its own: a scene, which only includes the robot, does not
+    count.
     """
     if path.suffix.lower() == ".urdf":
         return "urdf"

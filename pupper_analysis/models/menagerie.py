@@ -52,7 +52,9 @@ def _exists(word: str) -> bool:
 
 
 def find_menagerie_file(word: str) -> Path:
-    """Return the MJCF of a robot; see `is_menagerie_name`.
+    """Return the MJCF of a robot of MuJoCo Menagerie, such as ``unitree_go2/go2.xml``.
+
+    `is_menagerie_name` states the valid forms of ``word``.
 
     Without a file name, the file is the default model of the package, without the scene; in a clone
     without the package, the file whose name is the longest end of the robot's name.

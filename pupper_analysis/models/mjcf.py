@@ -99,7 +99,12 @@ cm."""
 
 
 def parse_spec(path: Path) -> mujoco.MjSpec:
-    """Parse an MJCF with any suffix; MuJoCo itself only reads files ``*.xml``."""
+    """Parse an MJCF with any suffix; MuJoCo itself only reads files ``*.xml``.
+
+    Raises:
+        ValueError: If MuJoCo rejects the file.
+        InputError: If a file with another suffix than ``.xml`` cannot be read.
+    """
     if path.suffix.lower() == ".xml":
         return mujoco.MjSpec.from_file(str(path))
     contents: dict[str, bytes] = {}
@@ -329,7 +334,10 @@ def to_xml(spec: mujoco.MjSpec) -> str:
 
 
 def spec_to_data(spec: mujoco.MjSpec) -> dict[str, Any]:
-    """Return a spec as picklable data: XML, folder, and contents of the files."""
+    """Return a spec as picklable data for `spec_from_data`.
+
+    The keys are ``xml`` (text), ``folder`` (of the model's files) and ``assets`` ({name: content}).
+    """
     assets = {**_read_assets(spec), **spec.assets}
     return {"xml": to_xml(spec), "folder": spec.modelfiledir, "assets": assets}
 

@@ -56,6 +56,11 @@ def leave_out_missing(
 
     Geoms with such a mesh are removed, too.
 
+    Args:
+        spec: Spec; modified.
+        tree: Elements of the file, whose folders are searched.
+        index: {(tag or section, name): element}, from `index_of`.
+
     Raises:
         ModelError: If the mass of a body depends on a missing mesh.
     """
@@ -131,7 +136,7 @@ def leave_out_missing(
 
 
 def gives_mass(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
-    """Return True if MuJoCo computes (part of) the inertia of a body from a geom."""
+    """Return True if a geom contributes to the mass and inertia of its body, not the world."""
     body = geom.parent
     if body.name == spec.worldbody.name:
         return False
@@ -557,7 +562,7 @@ class MjcfFile:
             meshes); None otherwise.
         unknown: {kind of a joint parameter: joints with an unknown value}. Set if the MJCF was
             converted from a format in which a missing parameter is unknown, and not zero.
-        stands_for: Name of the original format, such as ``"the SDF"``; "" for an MJCF.
+        stands_for: Name of the original format, such as ``"the USD"``; "" for an MJCF.
         gains: {joint: (stiffness, damping) of the servo} (N m/rad, N m s/rad; N/m, N s/m) in a file
             of another format; None if the format has no servos.
         of_urdf: Whether the MJCF was converted from a URDF, which does not specify ground and

@@ -168,7 +168,17 @@ def _read_object(
     packages: Mapping[str, Path] | None,
     folder: Path,
 ) -> UrdfFile | MjcfFile:
-    """Return the model file of a robot in memory; meshes are written to the folder."""
+    """Return the model file of a robot in memory (object or XML text).
+
+    Args:
+        model: Robot in memory, but no ``pin.GeometryModel``.
+        geometry: Shapes of a ``pin.Model``; None without shapes.
+        packages: {ROS package: its folder}, for ``package://`` in a URDF.
+        folder: Folder to which the meshes of ``geometry`` are written.
+
+    Raises:
+        ModelError: If the robot cannot be written as a model, or the model cannot be read.
+    """
     if isinstance(model, UrdfFile | MjcfFile):
         return model
     if isinstance(model, str):

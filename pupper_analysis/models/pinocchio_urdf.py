@@ -107,7 +107,10 @@ class _Writer:
         self._joint_names = {str(name) for name in model.names}
 
     def add_links(self) -> None:
-        """Add a link per joint, root and further body frame of the Pinocchio model to the URDF."""
+        """Add the links and joints of the Pinocchio model to the URDF.
+
+        Each joint has a link, as have the root and each body frame that is not at its joint.
+        """
         model = self._model
         frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
         own: dict[int, pin.Frame] = {}

@@ -130,6 +130,8 @@ def _is_description(word: str) -> bool:
 def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> Path:
     """Return the file of a model: a path, a published name, or ``package://NAME/FILE``.
 
+    A path is returned unchanged, also if no such file exists.
+
     Args:
         model: Path or name.
         packages: {ROS package: its folder}. Without an entry, the package is searched in the
@@ -201,7 +203,14 @@ def _find_in_package(name: str, packages: Mapping[str, Path]) -> Path:
 
 
 def _import_cached_description(source: str, name: str, cache: ModuleType) -> ModuleType:
-    """Import a description without downloading: its clone function only returns cached folders."""
+    """Import a description of ``robot_descriptions`` from its local cache, without downloading.
+
+    ``source`` is the name in error messages, ``name`` the module of the description, and ``cache``
+    the module with the function that otherwise downloads.
+
+    Raises:
+        ModelError: If there is no such description, or its repository is not in the cache.
+    """
 
     def find_in_cache(repository: str, commit: str | None = None) -> str:
         """Return the cached folder of a repository; raise an error if there is none."""
@@ -244,6 +253,7 @@ def expand_xacro(
         ModelError: If xacro is not installed, the file does not exist, a package is not found, or
             the expansion fails.
         UnknownNameError: If the file declares no such argument.
+        OutputError: If the run will write an included file.
     """
     try:
         xacro = importlib.import_module("xacro")

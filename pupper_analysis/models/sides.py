@@ -98,7 +98,8 @@ def find_unlike_pairs(
     these pairs have at most one distinct value per pair: for example one value for all left and
     another for all right joints. In five published robots with identified motors, there are 1.67 to
     2 values per unequal pair. Otherwise, the motors were identified individually, and the result
-    contains the pairs whose values differ by a factor of ``_MIN_REPORTED_RATIO`` or more.
+    contains the pairs whose absolute values differ by a factor of ``_MIN_REPORTED_RATIO`` or
+    more.
 
     Args:
         pairs: Pairs (left, right) of joints.

@@ -52,7 +52,7 @@ class UrdfFile:
         notes: Diagnostics of assumptions.
         unknown: {kind of a joint parameter: joints with an unknown value}. Set if the URDF was
             converted from a format in which a missing parameter is unknown, and not zero.
-        stands_for: Name of the original format, such as ``"the SDF"``; "" for a URDF.
+        stands_for: Name of the original format, such as ``"the USD"``; "" for a URDF.
         gains: {joint: (stiffness, damping) of the servo} (N m/rad, N m s/rad; N/m, N s/m) in a file
             of another format; None if the format has no servos.
     """
@@ -87,7 +87,9 @@ class UrdfFile:
         return Place(self.path, line_of(found))
 
     def place_of_nth(self, link: str, tag: str, number: int) -> Place:
-        """Return the location of the n-th element with a tag in a link, or of the link itself.
+        """Return the location of the n-th child of a link with a tag.
+
+        If the link has fewer children with the tag, the location is that of the link.
 
         Args:
             link: Name of the link.
@@ -379,7 +381,11 @@ def _check_numbers(
     count: int,
     subject: tuple[str, str],
 ) -> None:
-    """Raise an error unless an attribute has ``count`` valid numbers."""
+    """Raise ModelError unless the text ``value`` of an attribute has ``count`` valid numbers.
+
+    ``part`` is the element with the attribute, and ``subject`` the (tag, name) of the link, joint
+    or material that contains ``part``. Except in ``<limit>``, the bound is `MAX_NUMBER`.
+    """
     values = {"tag": part.tag, "attribute": attribute, "value": quote_short(value)}
     numbers = value.split()
     if len(numbers) != count:
