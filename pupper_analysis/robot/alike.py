@@ -43,10 +43,12 @@ class Limb:
     turns: Array
 
     def is_similar_to(self, other: Limb) -> bool:
-        """Return True if two limbs have the same joint types, and similar masses or dimensions.
+        """Return True if two limbs have the same joint types, and similar dimensions or masses.
 
-        Dimensions are distances between joints and angles between axes. Similar values agree within
-        `_SIMILARITY_TOLERANCE`.
+        Dimensions are similar if no distance between joints differs by more than 0.05 times the
+        length of the limb (sum of the larger distances, which must not be 0), and no |cos| between
+        axes by more than 0.05. Masses are similar if both limbs have the same number of bodies, and
+        no mass differs by more than 0.05 times the larger mass (`_SIMILARITY_TOLERANCE`).
         """
         if self.kinds != other.kinds:
             return False
@@ -166,11 +168,12 @@ def group_joints(robot: Robot, kp: Array, kd: Array) -> list[list[int]]:
 
     Args:
         robot: Robot.
-        kp: Stiffness, shape (nu,) [N m/rad].
-        kd: Damping, shape (nu,) [N m s/rad].
+        kp: Stiffness, shape (nu,) [N m/rad, N/m].
+        kd: Damping, shape (nu,) [N m s/rad, N s/m].
 
     Returns:
-        Indices of the joints of each group, groups in the order of their first joint.
+        Indices (in actuator order) of the joints of each group. A joint without a similar joint is
+        a group of its own. The groups are in the order of their first joint.
     """
     siblings, names = sibling_joints(robot), robot.joint_names
     values = np.stack([kp, kd, robot.effort_limits])

@@ -75,9 +75,14 @@ def build_robot(
             lowest foot touches the ground in the configuration ``Robot.home``.
 
     Raises:
-        ModelError: If a model cannot be built or contains a flexible body, the joints are not
-            supported or differ from the joints of the other model, or a contact point has no geom.
-        UnknownNameError: If the frame of a foot is missing in a model.
+        ModelError: If MuJoCo or Pinocchio rejects a file, or a number of the compiled model is not
+            valid; if the MJCF has a flexible body, a ball joint or no joint; if a joint of the URDF
+            is planar, is floating within the tree or has no axis; if both files have different
+            joints; or if a contact point without an entry in ``description.foot_geoms`` is not the
+            centre of a collision sphere.
+        UnknownNameError: If a contact point has no link in the URDF, or no site, body or geom in
+            the MJCF.
+        KeyError: If ``description.foot_geoms`` names a geom that the MJCF lacks.
     """
     mj_model, keyframe, added = _compile_mujoco_model(description, fixed_base)
     _refuse_flexes(mj_model, description.mjcf_source)

@@ -260,8 +260,8 @@ class Closure:
         after closing the loops, if possible.
 
         The assembly mode counts as different (for example, crossed rods of a four-bar linkage) if
-        det(A^T A_ref) is negative for a loop. A is the Jacobian of the loop equations by the
-        dependent joints of the loop, A_ref its value in the reference configuration.
+        det(A^T A_ref) is below ``-_RANK_RTOL`` for a loop. A is the Jacobian of the loop equations
+        by the dependent joints of the loop, A_ref the value of A in the reference configuration.
         """
         rows = self.jacobian(qpos)[:, self.dependent_joints]
         return all(
@@ -322,7 +322,7 @@ class Closure:
         """Raise an error unless the loops are closed, up to their deflection under a static load.
 
         Each constraint may be violated by ``MAX_OPENING``, plus ``_MAX_COMPLIANCE_FACTOR`` times
-        the deflection of the soft constraint under its force.
+        the force of the constraint times the largest compliance that the constraint can have.
 
         Args:
             qpos: Configuration, shape (nq,).

@@ -587,10 +587,13 @@ class Configuration(Pictured):
         return result
 
     def forward_dynamics(self, force: ArrayLike) -> Array:
-        """Return the acceleration qacc (nv,) under a generalised force.
+        """Return the acceleration qacc, shape (nv,) [m/s^2, rad/s^2], under a generalised force.
+
+        The result is qacc = M^-1 (force - h), with the mass matrix M and the bias h.
 
         Args:
-            force: All generalised forces (nv,) except the bias: motors, damping, contacts.
+            force: All generalised forces, shape (nv,) [N, N m], except the bias: motors, damping,
+                contacts.
 
         Raises:
             ConfigurationError: If the vector has a wrong length, or a value is not finite.

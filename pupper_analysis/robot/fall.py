@@ -109,7 +109,10 @@ def nudge_velocity(model: mujoco.MjModel) -> Array:
 
 
 def keyframe_duration(model: mujoco.MjModel) -> float:
-    """Return the simulated time [s] of a run from a keyframe: 5 s, less for short time steps."""
+    """Return the simulated time [s] of a run from a keyframe, from 2 to 5 s.
+
+    The time is that of `_MAX_KEYFRAME_STEPS` time steps, within these bounds.
+    """
     affordable = _MAX_KEYFRAME_STEPS * float(model.opt.timestep)
     return min(MAX_KEYFRAME_DURATION, max(_MIN_KEYFRAME_DURATION, affordable))
 

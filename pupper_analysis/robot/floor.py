@@ -176,7 +176,12 @@ def _disable_geoms(geoms: list[mujoco.MjsGeom]) -> list[Diagnostic]:
 
 
 def _replace_pairs(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> list[Diagnostic]:
-    """Replace each ``<pair>`` with the floor by contact parameters of the other geom, in place."""
+    """Replace each ``<pair>`` with the floor by contact parameters of the other geom, in place.
+
+    Returns:
+        Notes on the replaced pairs, and on parameters of pairs that a geom cannot have; empty if
+        there are no such pairs.
+    """
     geoms = {geom.name: geom for geom in spec.geoms if geom.name}
     used_bits = floor.contype | floor.conaffinity
     for geom in spec.geoms:

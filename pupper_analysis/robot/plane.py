@@ -506,7 +506,7 @@ def _check_friction(name: str, value: float | None) -> float | None:
 
 
 def _check_direction(name: str, value: Any) -> Point:
-    """Return a normalised vector (x, y, z).
+    """Return a vector (x, y, z), divided by its norm.
 
     Raises:
         ConfigurationError: If the vector is zero or not valid.
@@ -519,7 +519,12 @@ def _check_direction(name: str, value: Any) -> Point:
 
 
 def _check_position(name: str, value: Any) -> Point:
-    """Return a position (x, y, z) [m] with valid coordinates."""
+    """Return a position (x, y, z) [m] as floats.
+
+    Raises:
+        ConfigurationError: If ``value`` is no vector of three finite numbers, or a coordinate
+            exceeds `MAX_LENGTH`.
+    """
     x, y, z = (
         check_length(name, coordinate) for coordinate in check_vector(name, value, 3).tolist()
     )
