@@ -509,7 +509,10 @@ class TangentialMetric:
         return self._scale_tangential(self._weights, forces)
 
     def apply_inverse(self, forces: Array) -> Array:
-        """Return W^-1 @ forces with this weighting matrix W, for shape (size,) or (size, k)."""
+        """Return W^-1 @ forces with this weighting matrix W.
+
+        ``forces`` and the result have the shape (size,) or (size, k).
+        """
         if len(forces) > self._normals.size:
             contacts, others = np.split(forces, [self._normals.size])
             return np.concatenate([self.apply_inverse(contacts), others])
@@ -564,5 +567,5 @@ def _to_csc(matrix: Array) -> SimpleNamespace:
 
 
 def _nan_or_max(values: list[float]) -> float:
-    """Return NaN if a value is NaN, otherwise the maximum; -inf for an empty list."""
+    """Return the largest of some numbers: NaN if a number is NaN, -inf for an empty list."""
     return math.nan if math.isnan(sum(values)) else max(values, default=-math.inf)

@@ -434,9 +434,10 @@ def differentiate_torques(
             penetrations of the contacts must be constant in these motions.
 
     Returns:
-        Derivatives of the motor torques, shape (nu, k) [N m per unit of the motion]. None if
-        ``forces`` are not the minimum-norm forces of the balance equations. This is the case if a
-        friction cone or a unilateral limit is active, or normal forces are prescribed.
+        Derivatives of the motor torques, shape (nu, k) [N m per unit of the motion]. None if the
+        balance equations are linearly dependent, or if ``forces`` are not the minimum-norm forces
+        of these equations, for example if a friction cone or a unilateral limit is active, or
+        normal forces are prescribed.
     """
     free, metric = carrying.free, carrying.metric
     transposed = carrying.transposed_jacobian(config)
@@ -502,7 +503,17 @@ def _solve_minimum_tangential(
     carrying: Contacts,
     friction: Array | None,
 ) -> Array | None:
-    """Compute the forces of `ForceDistribution.MIN_TANGENTIAL`, or None if infeasible."""
+    """Compute the forces of `ForceDistribution.MIN_TANGENTIAL`, or None if infeasible.
+
+    Args:
+        robot: Robot.
+        problem: Equations of balance.
+        carrying: Contacts that carry load.
+        friction: Friction coefficients, shape (n,). None removes cones and unilateral limits.
+
+    Returns:
+        Contact forces, weld wrenches and grip forces [N, N m], in the order of `Balance`.
+    """
     if carrying.fixed_parts:
         normal_only = problem.solve_normal_only()
         if normal_only is not None or not carrying.grips.size:
@@ -764,12 +775,16 @@ def _find_threshold(holds: Callable[[float], bool]) -> float:
 
 
 def _round_up(minimum: float) -> float:
-    """Round up to three decimals, so that the printed minimum suffices if a user enters it."""
+    """Round a number up to three decimals, so that a user may enter the printed minimum."""
     return math.ceil(1e3 * minimum) / 1e3
 
 
 def _explain_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:
-    """Return an error if scaling all grip limits by a common factor makes balance possible."""
+    """Return an error if larger grip limits would make balance possible, else None.
+
+    All limits are multiplied by a common factor; the message states the limits that are sufficient.
+    None also without grips.
+    """
 
     def holds(factor: float) -> bool:
         """Return True if balance is possible with ``factor`` times the grip limits."""

@@ -224,7 +224,7 @@ def force_limits_along(
         rows: Left-hand sides of the inequalities (`force_inequalities`) of n motors, shape
             (2 n, 3) [m, or 1 for a slide].
         slack: Right-hand sides, shape (2 n,) [N m, or N for a slide].
-        directions: Unit vectors, shape (k, 3).
+        directions: Unit vectors in world axes, shape (k, 3).
 
     Returns:
         Largest forces, shape (k,) [N]: NaN if a motor that bears the force has an unknown limit;
@@ -283,7 +283,10 @@ def find_vertices(rows: Array, slack: Array) -> Array | None:
 
 
 def _merge_equal_points(points: Array) -> Array:
-    """Return points (n, 3) without those that are equal to an earlier point."""
+    """Remove each point that equals an earlier point, within `_VERTEX_RTOL`.
+
+    ``points`` has the shape (n, 3) [N], and the result (k, 3) [N].
+    """
     tolerance = _VERTEX_RTOL * max(1.0, float(np.abs(points).max(initial=0.0)))
     kept: list[Array] = []
     for point in points:

@@ -62,7 +62,7 @@ def margin_of_position(place: Corner, points: tuple[Corner, ...]) -> float:
 
 
 def _corner(point: Array) -> Corner:
-    """Return the horizontal coordinates (x, y) of a position."""
+    """Return the coordinates (x, y) [m] of a position, shape (2,) or (3,) [m]."""
     x, y, *_ = point.tolist()
     return x, y
 
