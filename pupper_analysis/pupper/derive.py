@@ -159,7 +159,11 @@ def _transform_origin(element: object, matrix: Array) -> Array:
 
 
 def _find_capsule(link: yourdfpy.Link, axis: Array) -> tuple[float, float] | None:
-    """Return radius and length [m] if the collision shape of a link is a capsule along the axis."""
+    """Return (radius, length of the cylinder) [m] of a link's collision capsule along an axis.
+
+    A capsule is one cylinder along the unit vector ``axis`` (3,), in the link frame, with a sphere
+    at each end, of the same radius. None if the collision shapes are different.
+    """
     shapes = list(_yield_collision_shapes(link))
     cylinders = [(geometry.cylinder, pose) for geometry, pose in shapes if geometry.cylinder]
     spheres = [(geometry.sphere, pose) for geometry, pose in shapes if geometry.sphere]
@@ -258,21 +262,21 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
 
 
 def _normalize(vector: object) -> Array:
-    """Return a vector divided by its norm."""
+    """Return a vector of any shape (n,), divided by its norm."""
     array = np.array(vector, dtype=float)
     unit: Array = array / np.linalg.norm(array)
     return unit
 
 
 def _make_rotation(quat: object) -> Array:
-    """Return the rotation matrix of a quaternion (w, x, y, z)."""
+    """Return the rotation matrix (3, 3) of a quaternion (w, x, y, z), which is normalised first."""
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, _normalize(quat))
     return matrix.reshape(3, 3)
 
 
 def _project_in_plane(offset: Array, normal: Array) -> Array:
-    """Return the unit vector of an offset, projected into the plane of a unit normal."""
+    """Project a vector (3,) into the plane with a unit normal (3,), and normalise the result."""
     return _normalize(offset - (offset @ normal) * normal)
 
 

@@ -61,6 +61,7 @@ def describe_variant(variant: str | VariantSpec) -> Description:
         VariantError: If the name is unknown, or the scales give no valid model.
         ModelError: If the folder of the base files is missing, or a base file is missing or
             damaged.
+        OutputError: If the run will write a base file.
     """
     spec = get_variant_spec(variant)
     base = BASE_MODELS[spec.base]
@@ -87,7 +88,10 @@ def describe_variant(variant: str | VariantSpec) -> Description:
 
 
 def _read_file_stamp(file: Path) -> tuple[int, int]:
-    """Return modification time and size of a file; zeros if the file does not exist."""
+    """Return modification time [ns] and size [bytes] of a file, to detect a change of the file.
+
+    (0, 0) if the path is no regular file.
+    """
     if not file.is_file():
         return 0, 0
     found = file.stat()
@@ -104,6 +108,17 @@ def _derive_files(
     mjcf_stamp: tuple[int, int],
 ) -> tuple[str, mujoco.MjSpec]:
     """Derive the URDF and MJCF of a variant; cached until a base file changes.
+
+    Args:
+        spec: Variant.
+        _name: Name of the variant, part of the cache key: equal specs may have other names.
+        urdf_source: Base URDF.
+        mjcf_source: Base MJCF.
+        _urdf_stamp: Result of `_read_file_stamp` for the base URDF, part of the cache key.
+        mjcf_stamp: Result of `_read_file_stamp` for the base MJCF.
+
+    Returns:
+        XML text of the URDF, and spec of the MJCF; the spec is cached, so callers must copy it.
 
     Raises:
         VariantError: If the scales give no valid model.
@@ -133,8 +148,8 @@ def _derive_files(
 
 
 @lru_cache(maxsize=8)
-def _read_base(source: Path, _read_file_stamp: tuple[int, int]) -> MjcfFile:
-    """Read and compile a base MJCF; cached until the file changes."""
+def _read_base(source: Path, _stamp: tuple[int, int]) -> MjcfFile:
+    """Read and compile a base MJCF; cached while ``_stamp`` (`_read_file_stamp`) is the same."""
     return read_mjcf(source)
 
 
@@ -225,9 +240,10 @@ _PAIR_SEPARATOR: Final = "+"
 
 
 def parse_robot_word(word: str) -> str | tuple[str, ...]:
-    """Return the name of a variant, or the files of a robot, separated by plus signs.
+    """Return the name of a variant (text), or the files of a robot (tuple), that a word names.
 
-    The number of files is not checked.
+    Plus signs in the word separate the files, as in ``robot.urdf+robot.xml``. The number of files
+    is not checked.
 
     Raises:
         VariantError: If the word is neither.
