@@ -395,6 +395,9 @@ class _TemplateFormatter(Formatter):
             values: Items.
             spec: Separator, maximum number of items and item format, such as ``or3|.2f``; see
                 `_LIST_FORMAT`.
+
+        Raises:
+            ValueError: If ``spec`` has another form.
         """
         match = _LIST_FORMAT.match(spec)
         if match is None:
