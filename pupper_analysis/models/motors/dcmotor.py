@@ -58,7 +58,9 @@ def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> 
 
 
 def list_dcmotors(model: mujoco.MjModel, source: str) -> dict[str, Motor]:
-    """Return {joint: motor} of the ``dcmotor`` actuators of a model that act on a joint.
+    """Return {joint: motor} of the ``dcmotor`` actuators of a model with transmission ``joint``.
+
+    Of several motors at a joint, the last in the file is returned.
 
     Args:
         model: MuJoCo model.

@@ -240,6 +240,9 @@ class Motor:
 
         Args:
             torque: Torque at the output [N m].
+
+        Raises:
+            ModelError: As for `output_torque_per_ampere`.
         """
         return abs(torque) / self.output_torque_per_ampere
 

@@ -27,8 +27,8 @@ def compute_region_utilisation(motor: Motor, torques: ArrayLike, speeds: ArrayLi
         speeds: Speeds of the output [rad/s], shape (n,).
 
     Returns:
-        Shape (n,). Infinite if the motor exerts no torque at the speed; 0 without torque; not a
-        number if torque or speed is not.
+        Shape (n,). 0 for a torque up to `_MIN_TORQUE`, at any speed; otherwise infinite if the
+        motor exerts no torque at the speed, and not a number if torque or speed is not.
 
     Raises:
         ModelError: If a number of the motor is unknown.
