@@ -71,8 +71,9 @@ def build_robot(
         description: Contents of the URDF and the MJCF, contact points and other data.
         fixed_base: Whether to fix a free base to the world at the pose in the MJCF; contacts with
             the ground are then disabled.
-        foot_depth: Distance [m] of the feet below the hips in the nominal stand. By default, the
-            lowest foot touches the ground in the configuration ``Robot.home``.
+        foot_depth: Distance [m] of the feet below the hips in the nominal stand, the stand of the
+            default `StandTask`. By default, the lowest foot touches the ground in the configuration
+            ``Robot.home``.
 
     Raises:
         ModelError: If MuJoCo or Pinocchio rejects a file, or a number of the compiled model is not
@@ -189,8 +190,8 @@ def with_additions(robot: Robot, *additions: Addition) -> Robot:
 def copy_metadata(built: Robot, robot: Robot) -> Robot:
     """Copy data that are not part of ``Robot.description`` from a robot to the rebuilt version.
 
-    The data are the height of the nominal stand, the notes, and the published file. If the robot
-    has contacts of a task (``touching``), these and the fingerprint are copied as well.
+    The data are ``stand_height``, the notes, and the published file. If the robot has contacts of a
+    task (``touching``), these and the fingerprint are copied as well.
 
     Args:
         built: Rebuilt robot.

@@ -247,8 +247,9 @@ class Closure:
 
         Returns:
             Configuration, shape (nq,), with the base pose of ``qpos``. None if the iteration does
-            not converge, or converges to another assembly mode. Without ``give``, also None if a
-            redundant equation is violated by ``MAX_OPENING`` or more.
+            not converge, or converges to another assembly mode (`has_reference_assembly`), for
+            example with crossed rods. Without ``give``, also None if a redundant equation is
+            violated by ``MAX_OPENING`` or more.
         """
         result = self._close_by_newton(qpos, moving, give)
         return result if result is not None and self.has_reference_assembly(result) else None

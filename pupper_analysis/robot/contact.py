@@ -148,7 +148,7 @@ def foot_geom(model: mujoco.MjModel, body: int, position: Array) -> int | None:
 
 
 def find_acting_contacts(data: mujoco.MjData) -> NDArray[np.bool_]:
-    """Return a mask of MuJoCo's contacts that are closer than their margin.
+    """Return a mask, shape (ncon,), of MuJoCo's contacts that are closer than their margin.
 
     Contacts between margin and ``gap`` are detected too, but exert no force.
 
@@ -361,7 +361,7 @@ def stand_height(
     keyframe: Array,
     foot_depth: float | None,
 ) -> float:
-    """Return the height [m] of the base above the ground in the nominal (default) stand.
+    """Return the height [m] of the base above the ground in the stand of the default `StandTask`.
 
     With ``foot_depth``, the centres of the feet are this distance below the hips, the first bodies
     of their legs, with all joints at the values in qpos0. Otherwise, the lowest foot touches the

@@ -481,8 +481,8 @@ class Robot(EngineModels):
     def base_height(self) -> float:
         """Default height [m] of the origin of a free base above the world's origin.
 
-        The height in the nominal stand; for a robot without feet other than hands, the height in
-        ``home``; for a fixed base 0.
+        The height in the stand of the default `StandTask`; for a robot without feet other than
+        hands, the height in ``home``; for a fixed base 0.
         """
         if not self.floating:
             return 0.0

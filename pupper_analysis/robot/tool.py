@@ -275,7 +275,7 @@ def with_payload(
 ) -> Robot:
     """Return a robot with a point mass welded to both models.
 
-    Joints, limits, gains, feet, and the height of the nominal stand are unchanged. MuJoCo derives
+    Joints, limits, gains, feet, and the default base height are unchanged. MuJoCo derives
     the softness of a contact from the mass of the body (``body_invweight0``), so predictions and
     simulations of the result use the contacts of the loaded robot.
 

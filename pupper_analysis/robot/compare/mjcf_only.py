@@ -85,9 +85,10 @@ def make_passive_model(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
-    """Return True if an actuator exerts a force without a command.
+    """Return True if an actuator exerts a force in a comparison with the URDF, without a command.
 
-    This is so for an enabled DC motor without a controller, which the back-EMF brakes.
+    This is so for an enabled DC motor without a controller, which the back-EMF brakes. It is False
+    for servos, since `make_passive_model` disables them.
     """
     is_dc_motor = model.actuator_gaintype[motor] == mujoco.mjtGain.mjGAIN_DCMOTOR.value
     # Bits of the inputs: 1 and 2 are setpoints of a controller; 4, 8 and 16 are not.

@@ -291,8 +291,9 @@ def match_by_structure(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[
 def _match_by_position(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
     """Match unmatched joints of two trees at zero angles, from the base outwards.
 
-    Two joints match if their parents match, their axes are parallel, and each is by far the nearest
-    joint to the other: closer than half the distance of any other joint.
+    Two joints match if their parents match, their axes are parallel (`_MIN_AXIS_COSINE`), their
+    distance is small (`_MAX_RELATIVE_DISTANCE`), and each is by far the nearest joint to the other:
+    closer than half the distance of any other joint.
     """
     unmatched, candidates = set(urdf.joints) - set(pairs), set(mjcf.joints) - set(pairs.values())
     urdf_places, mjcf_places = list_joint_axes_at_zero(urdf), list_joint_axes_at_zero(mjcf)
