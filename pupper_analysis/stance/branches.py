@@ -138,8 +138,9 @@ def find_branches(
 
     Returns:
         {limb: at most `_MAX_BRANCHES` branches}, smallest foot error first; empty for a robot
-        without feet. Positions that differ by whole turns of a joint are one branch. For an
-        unreachable target, the branches are local minima of the foot error.
+        without feet. Of positions that differ by whole turns of a joint, that nearest to home is
+        kept, if it is within the limits. For an unreachable target, the branches are local minima
+        of the foot error.
 
     Raises:
         ModelError: If the lower limit of a joint is above its upper limit.

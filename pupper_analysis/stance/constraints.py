@@ -182,7 +182,8 @@ class Loops(Constraint):
     def violation(self, goal: Goal, at: Kinematics) -> float:
         """Return the largest opening of a closed loop beyond the static deflection [m, rad].
 
-        Infinite if a loop has another assembly mode than the reference configuration.
+        Infinite if a loop is assembled in another way than in the reference configuration, for
+        example with crossed rods.
         """
         if not self._closure.has_reference_assembly(at.qpos):
             return math.inf

@@ -170,7 +170,12 @@ class DemandVector:
 
 
 def _split_value(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]:
-    """Yield axis ("" for a scalar), value and nominal value [m, rad] of each number of a field."""
+    """Yield axis ("" for a scalar), value and nominal value [m, rad] of each number of a field.
+
+    Args:
+        value: Value of the task: number, point (x, y), or contact with a surface.
+        nominal: Value of the same type in the stand of the default `StandTask`.
+    """
     if isinstance(value, tuple):
         yield from zip("xy", value, nominal, strict=True)
     elif isinstance(value, Contact | Weld):  # distance or position of the surface
@@ -303,7 +308,8 @@ def round_outward(
     """Round relaxed values of a task to reporting precision, away from the requested values.
 
     The reported stand is thus at least as relaxed as the computed stand. A value changes by at most
-    0.5 % of its distance from the nominal value, and by at most 0.1 mm or 0.1 deg.
+    0.5 % of its distance from the value in the stand of the default `StandTask`, and by at most
+    0.1 mm or 0.1 deg.
 
     Args:
         robot: Robot.
@@ -321,8 +327,8 @@ def _round_number(number: float, usual: float, requested: float, *, angle: bool)
     """Round a relaxed ``number`` [m, or rad if ``angle``] away from the ``requested`` value.
 
     A number within `_ROUNDING` of ``requested`` becomes ``requested``. The number is unchanged if
-    it equals ``usual`` (the value in the nominal stand), or if the rounded number would equal or
-    pass ``usual``.
+    it equals ``usual`` (the value in the stand of the default `StandTask`), or if the rounded
+    number would equal or pass ``usual``.
     """
     unit = math.radians(1.0) if angle else 1e-3  # degrees, millimetres
     value, nominal = number / unit, usual / unit
@@ -357,7 +363,7 @@ def describe_limit(
 def _describe_demand(
     robot: Robot, task: StandTask, demand: str, requested: StandTask
 ) -> Diagnostic:
-    """Return a text with the value of a requirement (``demand``) in a relaxed task.
+    """Create the message with the value of a requirement (``demand``) in a relaxed task.
 
     Of contacts, only those that differ from the task ``requested`` are described.
     """
@@ -383,14 +389,14 @@ def _describe_demand(
 
 
 def _describe_feet(task: StandTask, field: Field) -> Iterator[Diagnostic]:
-    """Yield a text for each foot with its value in a field of a task."""
+    """Yield a message for each foot, joint or link with its value in a field of a task."""
     return (
         _describe_value(foot, field.quantity(value)) for foot, value in _list_values(task, field)
     )
 
 
 def _describe_value(name: Term | str, value: Quantity | Vector) -> Diagnostic:
-    """Return a text with the name of a requirement and its value, with unit."""
+    """Create the message with the name of a requirement or foot, and a value with its unit."""
     if isinstance(value, Vector):
         return diagnose("demanded-place", field=name, place=value)
     return diagnose("demanded-value", field=name, value=value)

@@ -270,6 +270,8 @@ class Stand(Pictured, Tabular):
 
         Raises:
             ConfigurationError: If the stand belongs to another robot.
+            UnknownNameError: As for `with_contacts`.
+            ModelError: As for `with_contacts`.
         """
         if self.robot.rpartition(" ")[2] != robot.fingerprint.rpartition(" ")[2]:
             owner = self.robot.rpartition(" ")[0]

@@ -143,11 +143,12 @@ class Goal:
     Attributes:
         task: Task, with height and CoM filled in.
         targets: {contact point: target of the sphere centre, shape (3,) [m]}.
-        depths: {stance point: penetration of the ground at the target [m]}.
-        stance_feet: Contact points that carry load.
-        contacts: Positions of the contacts, shape (n, 3) [m].
-        contact_by_foot: {stance point: position of the contact, shape (3,) [m]}.
-        normals: {stance point: unit normal out of the ground, shape (3,)}.
+        depths: {stance foot: penetration of the ground at the target [m]}.
+        stance_feet: Contact points that carry load, the keys of ``depths``, ``contact_by_foot`` and
+            ``normals``.
+        contacts: Positions of the contacts of the n stance feet, shape (n, 3) [m].
+        contact_by_foot: {stance foot: position of the contact, shape (3,) [m]}.
+        normals: {stance foot: unit normal out of the ground, shape (3,)}.
         support: Support region.
         centre: Mean of the contacts, shape (3,) [m]. Hands and steep planes are left out of the
             mean, and planes of single feet are left out of the height of the mean, unless nothing
@@ -213,8 +214,9 @@ def make_goal(
 
     Args:
         robot: Robot.
-        task: Stand task. Default: the nominal stand.
-        depths: {stance point: penetration of the ground [m]}; 0 for points that are not included.
+        task: Stand task. Default: the nominal stand, ``StandTask()``.
+        depths: {contact point that carries load: penetration of the ground [m]}; 0 for points that
+            are not included.
         like: Goal of the same robot with the same depths. Foot targets and joint limits of this
             goal are reused if the task requires equal values. Default: the goal of the nominal
             stand, if ``depths`` is empty and the robot's joint limits have not changed.
@@ -222,7 +224,8 @@ def make_goal(
             region.
 
     Raises:
-        ConfigurationError: If the base is fixed, the robot has no feet, or the task is rejected.
+        ConfigurationError: If the base is fixed, the robot has no feet, the task is rejected, or
+            its ``ik_seed`` does not have one position per joint.
         UnknownNameError: If the task contains an unknown foot or joint.
     """
     com, nominal, limits = robot.compute_once(_make_defaults)
@@ -282,8 +285,9 @@ def _build_goal(
     Args:
         robot: Robot.
         task: Task.
-        com: Mode of the horizontal CoM position if the task specifies none: "centre" or "inside".
-        depths: {stance point: penetration of the ground [m]}; 0 for other points.
+        com: CoM requirement if the task specifies none: "centre" or "inside".
+        depths: {contact point that carries load: penetration of the ground [m]}; 0 for other
+            points.
         like: Goal whose contacts and foot targets are reused if its task has equal feet.
         checked: True to reject tasks that no stand can satisfy.
     """
@@ -360,7 +364,7 @@ def feet_centre(
     Args:
         robot: Robot.
         ground: Ground.
-        contact_by_foot: {stance point: position of the contact, shape (3,) [m]}.
+        contact_by_foot: {contact point that carries load: position of the contact, shape (3,) [m]}.
         targets: {contact point: target of the sphere centre, shape (3,) [m]}.
     """
     if robot.fixed_parts:
@@ -388,8 +392,12 @@ def _compute_joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tu
     """Return the lower and upper joint limits of a task, shape (nu,) each [rad, m].
 
     The limits of the robot are narrowed by the task's joint margin. Both limits of a joint in the
-    task's posture are its position. If ``checked``, a margin without a remaining range, or a
-    position out of the range, raises a ConfigurationError.
+    task's posture are its position.
+
+    Raises:
+        ConfigurationError: As for `resolve_posture`; if ``checked``, also for a margin without a
+            remaining range, or a position out of the range.
+        UnknownNameError: As for `resolve_posture`.
     """
     lower = robot.lower_limits + task.joint_margin
     upper = robot.upper_limits - task.joint_margin
@@ -470,7 +478,13 @@ def _have_equal_feet(one: StandTask, other: StandTask) -> bool:
 
 
 def _check_support_area(robot: Robot, corners: Array, stance_feet: Sequence[str]) -> None:
-    """Reject a support region, corners (n, 2) [m], that is a line."""
+    """Raise a ConfigurationError if the support region is narrower than `_MIN_SUPPORT_WIDTH`.
+
+    Args:
+        robot: Robot.
+        corners: Corners of the region, shape (n, 2) [m].
+        stance_feet: Contact points that carry load, for the message.
+    """
     seen = corners - corners.mean(axis=0)
     if np.linalg.svd(seen, compute_uv=False)[1] < _MIN_SUPPORT_WIDTH:
         raise ConfigurationError(
@@ -480,7 +494,14 @@ def _check_support_area(robot: Robot, corners: Array, stance_feet: Sequence[str]
 
 
 def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
-    """Check robot and names of a task, and return the contact points that carry load."""
+    """Check robot and names of a task, and return the contact points that carry load.
+
+    Raises:
+        ConfigurationError: If the base is fixed, the robot has no feet, gravity does not point
+            downward, or the robot lacks the contacts of the task; for a robot without weld or grip,
+            also if fewer than three contact points carry load.
+        UnknownNameError: If the task contains an unknown foot.
+    """
     robot.check_floating()
     if not (robot.contact_points or robot.fixed_parts):
         raise ConfigurationError("robot", diagnose("no-feet", robot=robot.name))
@@ -743,16 +764,16 @@ def remove_penetration(
 ) -> Mapping[str, Array]:
     """Remove the penetration from targets, to locate the steps and planes below the feet.
 
-    If a foot has a separate plane, the target of each stance point is moved out of the ground along
-    the normal by the penetration. Otherwise the targets are returned unchanged: the horizontal
-    position of a level step does not depend on the penetration.
+    If a foot has a separate plane, the target of each contact point in ``depths`` is moved out of
+    the ground along the normal by the penetration. Otherwise the targets are returned unchanged:
+    the horizontal position of a level step does not depend on the penetration.
 
     Args:
         ground: Ground.
         targets: {contact point: target of the sphere centre, shape (3,) [m]}, which includes the
             penetration.
-        depths: {stance point: penetration [m]}.
-        normals: {stance point: unit normal out of the ground, shape (3,)}.
+        depths: {contact point that carries load: penetration [m]}.
+        normals: {contact point that carries load: unit normal out of the ground, shape (3,)}.
     """
     if not ground.planes:
         return targets

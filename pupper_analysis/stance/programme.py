@@ -382,7 +382,7 @@ class StanceProgram:
         return self._jacobian_there[1]
 
     def _derivative(self, x: Array) -> Array:
-        """Compute the derivative of all residuals by the variables.
+        """Compute the derivative of all r residuals by the v variables, shape (r, v).
 
         Derivatives by robot motion are analytic. The derivative by a relaxable value is the effect
         of the resulting base motion, plus a difference quotient of the residuals at a constant

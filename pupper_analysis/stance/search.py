@@ -245,7 +245,8 @@ class _Search:
         CoM or base, and no joints are redundant.
 
         Returns:
-            First solved stand; otherwise the best stand of the search, which may violate the goal.
+            First solved stand; if the goal puts the base into the ground, the first stand with the
+            feet at the targets; otherwise the best stand of the search, which may violate the goal.
         """
         best = self.best_stand()
         if best.solved or (self._is_base_in_ground and self.reached):

@@ -80,7 +80,7 @@ def solve_stand_on_soft_ground(
     Args:
         robot: Robot with a floating base and a ground.
         task: Stand task, or a stand that satisfies a task on rigid ground and is not solved again.
-            Default: the nominal stand.
+            Default: the nominal stand, ``StandTask()``.
         explain: If the stance is unreachable, compute the reason, as in `solve_stand`.
 
     Returns:
@@ -181,7 +181,7 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
     Args:
         robot: Robot with a floating base and a ground; for a posture, a robot with a fixed base.
         task: Stand task, or a stand that satisfies a task on rigid ground, or a posture. Default:
-            the nominal stand.
+            the nominal stand, ``StandTask()``.
 
     Raises:
         ConfigurationError: As for `solve_stand`; or if the stand belongs to another robot.

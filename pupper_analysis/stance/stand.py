@@ -63,7 +63,7 @@ def solve_stand(
 
     Args:
         robot: Robot with a floating base.
-        task: Stand task. Default: the nominal stand.
+        task: Stand task. Default: the nominal stand, ``StandTask()``.
         start: Initial guess: a stand, a ``SolvedPosture``, or a configuration, shape (nq,). The
             joint positions are used, and select the IK branch. Default: ``ik_seed`` of the task.
         explain: If the stance is unreachable, compute the smallest foot error, the requirements to
@@ -76,7 +76,8 @@ def solve_stand(
 
     Raises:
         ConfigurationError: If no stand can satisfy the task: for example, the base is fixed, the
-            robot has no feet, or the margins are too large.
+            robot has no feet, or the margins are too large; or if ``start`` is no valid
+            configuration of the robot.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
         ModelError: If the mass or inertia of a body is invalid.
         StanceUnreachableError: If the stance is unreachable. The error contains the foot errors [m]
@@ -271,6 +272,6 @@ def _depends_on_start(goal: Goal) -> bool:
 
 
 def _joint_distance(one: Array, other: Array) -> float:
-    """Return the norm of the joint displacement between two configurations [rad]."""
+    """Return the norm of the joint displacement between two configurations, (nq,) each [rad, m]."""
     between = (one - other)[7:]
     return math.sqrt(between.dot(between))

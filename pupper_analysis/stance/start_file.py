@@ -43,6 +43,7 @@ def read_start(path: str | Path, robot: Robot) -> Array:
             number that is not finite, or a configuration without joint names that has another
             length or belongs to another robot.
         UnknownNameError: If the robot has no joint of a name in the file.
+        OutputError: If the run will write this file.
     """
     path = Path(path)
     try:

@@ -97,7 +97,7 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
 
     Args:
         robot: Robot.
-        task: Task at whose height the search starts. Default: the nominal stand.
+        task: Task at whose height the search starts. Default: the nominal stand, ``StandTask()``.
 
     Raises:
         StanceUnreachableError: If the task is unreachable.
@@ -125,8 +125,7 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
 
     Args:
         robot: Robot.
-        task: Task at which the search starts. Default: the nominal stand, the robot's default
-            stance.
+        task: Task at which the search starts. Default: the nominal stand, ``StandTask()``.
 
     Raises:
         StanceUnreachableError: If the task is unreachable.

@@ -354,7 +354,10 @@ class _StiffnessSearch:
         return self.problem is None
 
     def stands_at_first(self, value: float) -> bool:
-        """Return True if the robot stands with kp [N m/rad] before the feet creep."""
+        """Return True if the robot stands with kp [N m/rad] before the feet creep.
+
+        If no equilibrium is known yet, or a contact opens or closes, the creep is included.
+        """
         if self._path is None:
             return self.follow(value)
         if value in self._poses or value in self._durations:
