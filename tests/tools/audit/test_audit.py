@@ -129,6 +129,8 @@ SLIPS: list[tuple[Any, ...]] = [
      r'<geom class="calf"/>(\s*)<geom name="FR_foot"',
      rf'<geom class="calf" {OTHER}/>\1<geom name="FR_foot" {OTHER}'),
     ("mirror-contacts", "mjcf body FR_calf", '',
+     '<geom name="FR_foot"', '<geom name="FR_foot" contype="0" conaffinity="0"'),
+    ("mirror-contacts", "mjcf body FR_calf", '',
      '<geom name="FR_foot"', '<geom name="FR_foot" friction="0.1" priority="1"'),
     ("mirror-contacts", "mjcf body FR_calf", '',
      '<geom name="FR_foot"', '<geom name="FR_foot" solref="0.1 1"'),

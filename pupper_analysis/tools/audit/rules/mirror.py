@@ -611,8 +611,9 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
     MuJoCo combines the parameters of each geom with the parameters of the ground: condim, friction,
     solref, solimp and margin. If both links have the same number of geoms that can touch the
     ground, each combined parameter that differs is a finding. If only one link has such geoms, the
-    other link is a finding. Links without collision geoms are not compared. If the file has no
-    ground, a plane with MuJoCo's defaults is assumed.
+    other link is a finding. If both links have the same number of geoms, and different numbers of
+    these can touch the ground, the link with fewer is a finding. Links without collision geoms are
+    not compared. If the file has no ground, a plane with MuJoCo's defaults is assumed.
     """
     model = robot.mj_model
     if model is None:
@@ -630,6 +631,17 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
                 "mirror-contacts", other=touching.name, word=None, own=None, its=None
             )
             yield CheckFinding(robot.link_tag, bare.name, message)
+        elif len(first_contacts) != len(second_contacts) and len(
+            _list_geoms(robot, model, first)
+        ) == len(_list_geoms(robot, model, second)):
+            sides = sorted(
+                ((first_contacts, first), (second_contacts, second)), key=lambda side: len(side[0])
+            )
+            (fewer, link), (more, partner) = sides
+            message = diagnose(
+                "mirror-contacts-fewer", number=len(fewer), other=partner.name, its=len(more)
+            )
+            yield CheckFinding(robot.link_tag, link.name, message)
         for word in (
             _CONTACT_PARAMETERS
             if second_contacts and len(first_contacts) == len(second_contacts)
@@ -662,12 +674,18 @@ def _list_contacts(
 
     Geoms of links that are fixed to the link are included.
     """
-    bodies = [robot.body_names.index(part.name) for part in robot.fixed_group(link.name)]
     return [
         combine_geoms(model, geom, ground)
-        for geom in np.flatnonzero(np.isin(model.geom_bodyid, bodies)).tolist()
+        for geom in _list_geoms(robot, model, link)
         if may_touch(model, geom, ground)
     ]
+
+
+def _list_geoms(robot: MjcfModel, model: mujoco.MjModel, link: Link) -> list[int]:
+    """Return the indices of the geoms of a link and of the links that are fixed to it."""
+    bodies = [robot.body_names.index(part.name) for part in robot.fixed_group(link.name)]
+    indices: list[int] = np.flatnonzero(np.isin(model.geom_bodyid, bodies)).tolist()
+    return indices
 
 
 def _list_colliding_links(robot: RobotModel, link: Link) -> list[Link]:
