@@ -228,6 +228,7 @@ class _SweepTrial:
         force[0, :, 2] = amplitude * np.sin(phase)
 
         def place(kp: float) -> None:
+            """Store the initial state and the state of rest of a stiffness ``kp`` [N m/rad]."""
             # The start is a static pose, so that kd has no effect on it.
             drive = model_with_servos(robot, kp, 0.0, self.integrator)
             starts[kp] = place_on_ground(robot, drive, stand, self.torques)
@@ -237,6 +238,7 @@ class _SweepTrial:
                 rests[kp] = None if pose.failures else start
 
         def simulate(cell: GainPair) -> tuple[float, bool]:
+            """Return (height deviation [m], rest) of a pair of gains, as `run` defines them."""
             drive, start = model_with_servos(robot, *cell, self.integrator), starts[cell[0]]
             watcher = monitor.ContactSampler(robot, drive.model)
             states = roll_out(

@@ -288,6 +288,10 @@ class StanceSearch:
         Returns:
             Level [1], the smallest number that satisfies a + b level >= 0 for all rows (a, b); and
             the rows, shape (k, 2).
+
+        Raises:
+            NoEquilibriumError: As `evaluate_stand`.
+            StaticsInfeasibleError: As `evaluate_stand`.
         """
         if self.objective is Objective.PAYLOAD:
             return self._compute_payload_level(stand)
@@ -339,6 +343,10 @@ class StanceSearch:
 
         Returns:
             Level; constraints a + b level >= 0 that limit the payload, rows (a, b).
+
+        Raises:
+            NoEquilibriumError: If the servos do not hold the stand without payload.
+            StaticsInfeasibleError: If no contact forces balance the stand.
         """
         rows = self.payload.compute_rows(stand)
         if rows is None:

@@ -483,7 +483,8 @@ def mark_known_remarks(
 ) -> tuple[tuple[Remark, ...], tuple[BaselineEntry, ...]]:
     """Mark the remarks of a check that the baseline (list of accepted remarks) contains.
 
-    Each entry of the baseline matches at most one remark.
+    Each entry of the baseline matches at most one remark. A remark about a file that cannot be read
+    is never known.
 
     Returns:
         All remarks with ``known`` set, and the stale entries, which match no remark.
@@ -512,8 +513,8 @@ def count_findings(remarks: Iterable[Remark]) -> int:
 def values_agree(first: Any, second: Any) -> bool:
     """Return True if the values of two remarks agree, for example of a finding and the baseline.
 
-    Numbers may differ by `_VALUE_RTOL`, relative to the largest number of their list. Tables need
-    the same keys, lists the same structure.
+    Numbers may differ by `_VALUE_RTOL`, relative to the largest number of their list (in a list
+    with texts, of the pair). Tables need the same keys, lists the same structure.
     """
     if isinstance(first, Mapping) and isinstance(second, Mapping):
         return first.keys() == second.keys() and all(

@@ -304,6 +304,9 @@ def _add_stand(
     Returns:
         Notes; the reason if the robot does not stand, otherwise None; the joints whose feet were
         replaced by balls.
+
+    Raises:
+        ModelError: If the robot cannot be built with the feet that the caller named.
     """
     mjcf, meshes, bodies = NewMjcf(bare.mjcf.root), bare.meshes, bare.bodies
     try:

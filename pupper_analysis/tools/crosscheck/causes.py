@@ -1123,7 +1123,8 @@ def find_moved_axes(case: PatternCase) -> PatternFindings:
     """Find joints whose axis differs between the files, although no body is elsewhere.
 
     At zero angles all bodies are at the same places. Nevertheless the values of CoM, children and
-    frames differ as well, because they are expressed in the frame of the joint.
+    frames differ as well, because they are expressed in the frame of the joint. Nothing is searched
+    if more than `_MAX_MOVED_JOINTS` joints have different positions.
     """
     names = [element for kind, element in case.keys if kind == "position"]
     for name in names if len(names) <= _MAX_MOVED_JOINTS else ():

@@ -330,8 +330,8 @@ def open_revision(revision: str, folder: Path) -> Iterator[Callable[[Path], Path
         folder: Folder in the repository.
 
     Raises:
-        ModelError: If git is not installed or does not contain the revision, with git's message; or
-            if the revision begins with a hyphen.
+        ModelError: If git is not installed, the folder is in no repository, or the repository does
+            not contain the revision, with git's message; or if the revision begins with a hyphen.
     """
     if revision.startswith("-"):
         raise ModelError(revision, diagnose("no-revision", revision=revision))
@@ -477,6 +477,9 @@ def _read_git_objects(
 
     Submodules and missing objects are skipped. ``given`` is the argument of the user, which errors
     name; ``folder`` is in the repository (None: the current folder).
+
+    Raises:
+        ModelError: If git is not installed.
     """
     command = _git_command(given, "cat-file", "--batch")
     with subprocess.Popen(

@@ -251,9 +251,9 @@ def _maximize_sampled(
     """Return the argument of the maximum of a function on the interval of ``samples``.
 
     Argument and samples are displacements [rad, m] in ascending order. The function is evaluated at
-    `samples`. With `fine`, a bounded scalar minimisation (scipy) follows around the largest value,
-    or, with `everywhere`, around each local maximum: between samples of a closed loop the global
-    maximum need not be next to the largest sample.
+    ``samples``. With ``fine``, a bounded scalar minimisation (scipy) follows around the largest
+    value, or, with ``everywhere``, around each local maximum: between samples of a closed loop the
+    global maximum need not be next to the largest sample.
     """
     from scipy import optimize  # slow to import
 
@@ -358,8 +358,8 @@ def worst_postures(
     A search maximises the torque over one joint after another, until a sweep over all joints gains
     nothing. The maximum over the angle q of a joint that moves no other joint has a closed form,
     since the torque of gravity and joint springs is a + b cos q + c sin q + k q; otherwise, the
-    torque is sampled. Searches start from random postures until several end at the same torque. The
-    result is not proven, but none of 20,000 random postures of each of seven arms and hands
+    torque is sampled. Searches start from random postures until several end at the same torque.
+    Torques up to `_MIN_TORQUE_PER_WEIGHT` times the weight are rounded to zero. The result is not proven, but none of 20,000 random postures of each of seven arms and hands
     required a larger torque.
 
     Args:
