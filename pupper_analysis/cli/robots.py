@@ -289,6 +289,11 @@ def load_selected_robot(
         meant: Variant, or files.
         fixed_base: True to fix the base.
         **more: Further arguments of ``load_robot``, ignored for a variant.
+
+    Raises:
+        ConfigurationError: See ``load_robot``.
+        ModelError: See ``load_robot``.
+        UnknownNameError: See ``load_robot``.
     """
     if isinstance(meant, RobotFiles):
         return load_files(meant, fixed_base=fixed_base, **more)

@@ -1238,6 +1238,9 @@ def change_tolerances(tolerances: Tolerances, changes: tuple[str, ...]) -> Toler
     Args:
         tolerances: Tolerances of the comparison of two models.
         changes: Texts ``KIND=VALUE``.
+
+    Raises:
+        ConfigurationError: If a text has another form, or a kind or value is not valid.
     """
     return tolerances.with_values(
         dict(parse_number_assignment("tolerance", text) for text in changes)

@@ -209,6 +209,11 @@ class RobotAndTask:
             words: Words that name the robots.
             visuals: False if the robots are not drawn; see ``load_robot``.
             default: Names of variants that are loaded if no robot is selected.
+
+        Raises:
+            ConfigurationError: As `robot`.
+            VariantError: As `robot`.
+            ModelError: As `robot`.
         """
         if not self.payload:
             refuse_alone(("--payload",), "payload_at")
@@ -295,6 +300,11 @@ class RobotAndTask:
 
         Each is a number for all joints, or a vector (nu,) in the order of the joints, or None if
         the option was not typed, so that the model's gains apply.
+
+        Raises:
+            ConfigurationError: As `parse_gain`.
+            UnknownNameError: As `parse_gain`.
+            ModelError: As `parse_gain`.
         """
         return parse_gain("kp", self.kp, robot), parse_gain("kd", self.kd, robot)
 

@@ -148,6 +148,9 @@ def describe_scene(
         robot: Robot.
         stand: Stand.
         statics: Static equilibrium; None to omit forces and torques.
+
+    Raises:
+        ConfigurationError: If the stand belongs to another robot.
     """
     robot = stand.check(robot)
     config = Configuration(robot, stand.qpos)

@@ -359,8 +359,9 @@ def worst_postures(
     nothing. The maximum over the angle q of a joint that moves no other joint has a closed form,
     since the torque of gravity and joint springs is a + b cos q + c sin q + k q; otherwise, the
     torque is sampled. Searches start from random postures until several end at the same torque.
-    Torques up to `_MIN_TORQUE_PER_WEIGHT` times the weight are rounded to zero. The result is not proven, but none of 20,000 random postures of each of seven arms and hands
-    required a larger torque.
+    Torques up to `_MIN_TORQUE_PER_WEIGHT` times the weight are rounded to zero. The result is not
+    proven, but none of 20,000 random postures of each of seven arms and hands required a larger
+    torque.
 
     Args:
         robot: Robot with a fixed base.

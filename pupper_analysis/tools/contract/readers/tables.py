@@ -391,7 +391,7 @@ def _list_position_tables(node: Node) -> list[Node]:
 
 
 def list_observation_terms(terms: Node) -> Iterator[ObservedTerm]:
-    """Yield each observation term that is a table or has a function.
+    """Yield each observation term that is a table or has a function: name, scales, history, clip.
 
     The name is the name of the term's function if listed in `OBSERVATION_ALIASES`, otherwise the
     key. The scale is 1 for a function without a stated scale, and None if the scale is unknown. The
