@@ -192,6 +192,9 @@ class ControlledStand:
 
         Returns:
             F, shape (n, n), L and P, shape (n, number of driven joints).
+
+        Raises:
+            ConfigurationError: If a derivative is not finite.
         """
         model = copy.copy(self.model)
         model.dof_frictionloss[:] = 0.0
