@@ -513,7 +513,7 @@ class MovingBodies:
 
 
 def _find_root_body(model: mujoco.MjModel, body: int) -> int:
-    """Return the first moving body on the path from the world to a body."""
+    """Return the id of the first moving body on the path from the world to the body ``body``."""
     while model.body_weldid[model.body_parentid[body]] != 0:
         body = int(model.body_parentid[body])
     return int(model.body_weldid[body])

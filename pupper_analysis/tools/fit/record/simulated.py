@@ -101,7 +101,10 @@ class SimulatedRobot:
         return self._time
 
     def read(self) -> tuple[float, Array]:
-        """Return the simulated time [s] and the rounded encoder positions, shape (nu,) [rad]."""
+        """Return the simulated time [s] and the encoder positions, shape (nu,) [rad].
+
+        The positions contain the encoder offsets, and are rounded to `_ENCODER_STEP`.
+        """
         index = self._loaded.mj_convention.qpos_index
         positions = self._data.qpos[index][7:] + self.offset
         return self._time, np.round(positions / _ENCODER_STEP) * _ENCODER_STEP

@@ -974,7 +974,7 @@ def _get_encoder_offsets(
 ) -> tuple[Array, Array]:
     """Return mean and standard deviation of the encoder offsets, shape (nu,) [rad] each.
 
-    Without a posterior, the values are taken from the prior.
+    They are those of the posterior; without a posterior, those of the prior.
     """
     mean, std = (
         (table.stated, table.width) if posterior is None else (posterior.mean, posterior.std)
