@@ -396,7 +396,7 @@ class JointSliders:
         self._initial_values = {name: slider.value for name, slider in self.sliders.items()}
 
     def _on_moved(self, joint: str, event: Any) -> None:
-        """Report a joint position [rad or m] that the user has set with a slider."""
+        """Pass a joint and the position [rad or m] that the user has set to the page's callback."""
         if event.client is not None:  # not a change by the program
             value = float(self.sliders[joint].value) / self._scales[joint]
             self._moved(joint, round(value, _POSITION_DIGITS) + 0.0)  # never -0

@@ -294,7 +294,7 @@ def render_hint(words: Words, translator: Translator) -> str:
 
 
 def _render_heading(words: Words, translator: Translator) -> str:
-    """Render a heading; empty for an empty text."""
+    """Render a heading as HTML; the result is empty for an empty text."""
     message = translator.translate(words)
     return f"<h4>{_escape_text(message)}</h4>" if message else ""
 

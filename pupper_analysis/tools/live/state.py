@@ -300,7 +300,10 @@ def _list_options(state: State) -> Iterator[tuple[str, str, str]]:
 
 
 def _format_value(field: Field, value: Any) -> str:
-    """Return a value (page units) as text for an option of the command line, in SI or degrees."""
+    """Return a value (page units) as text for an option of the command line.
+
+    A single angle is in degrees (``deg``), other numbers are in SI units without a unit.
+    """
     if field.kind == "angle":
         return f"{value!r}deg"
     if isinstance(value, tuple):
