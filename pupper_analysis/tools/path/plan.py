@@ -231,7 +231,10 @@ class StancePath(Tabular):
     motors: dict[str, str] = field(default_factory=dict)
 
     def _columns(self) -> dict[str, Array]:
-        """Return {column: values, shape (n,)}: time, joint positions, motor torques and margins."""
+        """Return {column: values, shape (n,)} of the samples, in SI units.
+
+        Columns: time, joint positions, motor torques, and the margins of zero-moment point and CoM.
+        """
         angles = dict(zip(self.joint_names, self.joint_positions().T, strict=True))
         torques = dict(zip(self.joint_names, self.torques.T, strict=True))
         return {
