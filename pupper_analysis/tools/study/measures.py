@@ -398,9 +398,9 @@ def _bind_file(metric: Metric, requested: str) -> Metric:
 
 
 def resolve_metric_file(folder: Path, requested: object) -> object:
-    """Resolve the file of a requested metric ``METRIC:FILE``, if relative, in a folder.
+    """Return a requested metric ``METRIC:FILE`` with the path of the file in a folder.
 
-    Other requests are returned unchanged.
+    An absolute path, and a request without a file, are unchanged.
     """
     name, _, file = requested.partition(":") if isinstance(requested, str) else ("", "", "")
     metric = METRICS.get(name)

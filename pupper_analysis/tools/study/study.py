@@ -512,9 +512,10 @@ def _resolve_files(path: Path, word: str) -> str:
 
 
 def _resolve_motor_files(folder: Path, data: dict[str, Any]) -> None:
-    """Prepend the folder of the study file to the files of motors, in place.
+    """Prepend the folder of the study file to the files of motors.
 
-    Names of known motors are unchanged.
+    The content ``data`` of the study file is changed in place: the present motor, and the values of
+    motor variables. Names of known motors are unchanged.
     """
 
     def resolve(text: Any) -> Any:

@@ -120,7 +120,7 @@ tuned."""
 
 
 def linspace(low: float, high: float, count: int) -> Variable:
-    """Create a variable with evenly spaced values.
+    """Create a variable of a study with evenly spaced values, in the unit of the variable.
 
     Args:
         low: First value.
@@ -185,11 +185,11 @@ def log_uniform(low: float, high: float) -> Variable:
 
 
 def normal(mean: float, deviation: float) -> Variable:
-    """Create a variable with a normal distribution.
+    """Create a variable of a study with a normal distribution.
 
     Args:
-        mean: Mean.
-        deviation: Standard deviation.
+        mean: Mean, in the unit of the variable.
+        deviation: Standard deviation, in the unit of the variable.
 
     Raises:
         ConfigurationError: If the standard deviation is not positive, or a number is not finite.
@@ -250,7 +250,10 @@ def make_variable(name: str, requested: object) -> Variable:
 
 
 def _diagnose_grid(numbers: Any) -> Diagnostic:
-    """Return the message that ``grid`` may mean a list of values or evenly spaced values."""
+    """Return the message for a variable ``{grid: numbers}``, a form that does not exist.
+
+    The message asks whether a list of values or evenly spaced values are meant.
+    """
     listed = ", ".join(map(str, numbers)) if isinstance(numbers, list | tuple) else str(numbers)
     return diagnose("grid-is-ambiguous", listed=listed)
 
