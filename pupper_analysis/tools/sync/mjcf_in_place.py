@@ -125,7 +125,10 @@ class EditableMjcf:
         return bodies
 
     def _read_file(self, path: Path) -> Element:
-        """Return the root element of a file; an <include> of an existing file is replaced."""
+        """Return the root element of a file, with the contents of included files in place.
+
+        An <include> of a missing file is kept.
+        """
         if path not in self.documents:
             self.documents[path] = read_document(path)
         document = self.documents[path]

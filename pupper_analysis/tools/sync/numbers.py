@@ -275,8 +275,8 @@ def try_files(
     Args:
         contents: {path in the folder: content}.
         changes: Requested numbers.
-        urdf: Old URDF, and the path of the new URDF, or None.
-        mjcf: Old MJCF, and the path of the new MJCF, or None.
+        urdf: Old URDF; and the path of the new URDF in the folder, None if there is no new URDF.
+        mjcf: Old MJCF; and the path of the new MJCF in the folder, None if there is no new MJCF.
         names: Names with which the files were matched.
 
     Raises:
