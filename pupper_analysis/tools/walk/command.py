@@ -263,7 +263,11 @@ def _write_first_contract(policy: Path, robot: Robot, deployment: Deployment | N
 def _refuse_idle_options(
     *, init: bool, orders: bool, response: bool, trace: bool, vary: bool
 ) -> None:
-    """Refuse typed options that have no effect in the selected mode."""
+    """Refuse typed options that have no effect in the selected mode.
+
+    Raises:
+        ConfigurationError: If such an option was typed.
+    """
     if init:
         idle = (
             "command_text",

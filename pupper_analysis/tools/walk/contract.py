@@ -731,7 +731,8 @@ def _put_known_layout(
 ) -> None:
     """State the observation of the first of `KNOWN_LAYOUTS` that has the network's size.
 
-    Nothing is stated unless the files contain scales as in legged_gym.
+    The observation is stated by calls of ``put``. Nothing is stated unless the files contain scales
+    as in legged_gym.
 
     Args:
         deployment: Numbers of a deployment.

@@ -412,7 +412,10 @@ _NUM_DRAWN_MOTORS = 4
 
 
 def torque_plot(walk: Walk) -> doc.LinePlot:
-    """Create the plot of the largest motor torques in the last second of the first run."""
+    """Create the plot of motor torques [N m] in the last second of the first run.
+
+    The motors with the largest rms torques are drawn (`_NUM_DRAWN_MOTORS`).
+    """
     gait = walk.gaits[0]
     hardest = np.argsort(-gait.torque_rms, kind="stable")[:_NUM_DRAWN_MOTORS]
     lines = [

@@ -166,7 +166,7 @@ foot, at constant mass. ``payload`` is a fraction of the robot's mass, at the Co
 push lasts one action; its value is impulse / mass of the robot."""
 
 _PUSH_DIRECTIONS = {"push-forward": (1.0, 0.0), "push-left": (0.0, 1.0)}
-"""Direction of each push in the world frame."""
+"""{name of a push: unit vector (x, y) in the world frame}."""
 
 
 @dataclass(frozen=True, eq=False)
