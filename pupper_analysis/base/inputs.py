@@ -92,6 +92,18 @@ def check_input(path: Path, most: int, *, rewritten: bool = False) -> None:
         register_input(path)
 
 
+def read_change_time(path: Path) -> int:
+    """Return the modification time of a file [ns], a cache key of its content.
+
+    The value is -1 if the file does not exist, for example because another program has deleted the
+    file since this run found it: the function that reads the file then reports the problem.
+    """
+    try:
+        return path.stat().st_mtime_ns
+    except (OSError, ValueError):
+        return -1
+
+
 def describe_missing_file(path: Path) -> Diagnostic:
     """Return the message about a missing file, with similar names of files in its folder.
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.inputs import read_change_time
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, UNSTATED, known_limit
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.shapes import Mesh, Pose, Shape
@@ -195,7 +196,7 @@ def _read_solid(file: UrdfFile, tag: etree._Element) -> pin.Inertia | None:
     path = file.resolve_mesh(tag.get("filename", ""))
     if path is None or path.suffix.lower() not in MESH_SUFFIXES or not path.is_file():
         return None
-    integrals = read_mesh_integrals(path, path.stat().st_mtime_ns)
+    integrals = read_mesh_integrals(path, read_change_time(path))
     if integrals is None:
         return None
     volume, com, second = integrals
@@ -211,14 +212,14 @@ and are not supported."""
 
 
 def mesh_hull(path: Path) -> Mesh | None:
-    """Return the convex hull of an existing STL or OBJ file; None for other or invalid files.
+    """Return the convex hull of an STL or OBJ file; None for missing, other or invalid files.
 
     The vertices are in the file's unit of length, which a URDF takes as metres, without the scale
     of a ``<mesh>``.
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
         return None
-    result = read_mesh_file(path, path.stat().st_mtime_ns)
+    result = read_mesh_file(path, read_change_time(path))
     return None if isinstance(result, Diagnostic) else result
 
 
@@ -234,7 +235,7 @@ def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
 
     Args:
         path: The file.
-        _changed: Modification time [ns]; only a part of the cache key.
+        _changed: Result of ``read_change_time`` [ns]; only a part of the cache key.
     """
     try:
         mesh = _read_binary_stl(path) or _load_mesh(path, merge=False)

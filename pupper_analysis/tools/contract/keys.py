@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError, ModelError
-from pupper_analysis.base.inputs import CONFIG_NAME, is_input, read_toml
+from pupper_analysis.base.inputs import CONFIG_NAME, is_input, read_change_time, read_toml
 from pupper_analysis.models.places import Place, make_file_error, make_input_error
 from pupper_analysis.tools.contract.facts import (
     QUANTITIES,
@@ -153,7 +153,7 @@ def _load_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
         paths = (parent / CONFIG_NAME for parent in (folder, *folder.parents))
         path = next((path for path in paths if is_input(path)), None)
         if path is not None:
-            rules += _read_user_rules(path, path.stat().st_mtime_ns)
+            rules += _read_user_rules(path, read_change_time(path))
             break
     return tuple(rule for rule in rules if rule.form == form)
 

@@ -10,8 +10,9 @@ import pytest
 import trimesh
 
 from pupper_analysis.models.shapes import Mesh
-from pupper_analysis.models.stated.urdf import read_mesh_file, read_urdf_model
+from pupper_analysis.models.stated.urdf import mesh_hull, read_mesh_file, read_urdf_model
 from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.tools.audit.rules.files import find_mesh_problem
 
 URDF = """<robot name="robot"><link name="base">
   <visual name="seen"><geometry><mesh filename="a.obj"/></geometry></visual>
@@ -57,3 +58,19 @@ def test_stl_files_without_the_stated_triangles_are_refused(tmp_path: Path, cont
     path = tmp_path / "a.stl"
     path.write_bytes(content)
     assert not isinstance(read_mesh_file(path, 0), Mesh)
+
+
+def test_a_mesh_that_vanishes_after_its_path_was_found_is_no_mesh(tmp_path: Path) -> None:
+    """Another program may delete the file while a command runs."""
+    path = tmp_path / "a.stl"
+    trimesh.creation.icosphere(subdivisions=1, radius=0.1).export(path)
+    assert mesh_hull(path) is not None
+    assert find_mesh_problem(path) is None
+    path.unlink()
+    assert mesh_hull(path) is None
+    problem = find_mesh_problem(path)
+    assert problem is not None
+    assert "No such file" in str(problem)
+    dae = find_mesh_problem(tmp_path / "a.dae")
+    assert dae is not None
+    assert "No such file" in str(dae)

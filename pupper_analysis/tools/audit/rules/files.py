@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
+from pupper_analysis.base.files import describe_os_error
+from pupper_analysis.base.inputs import read_change_time
 from pupper_analysis.base.tools import find_format
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -126,15 +128,20 @@ def find_mesh_problem(path: Path) -> Diagnostic | None:
     ending = path.suffix.lower()
     if ending not in _MESH_SUFFIXES and find_format(path) is None:
         return diagnose("mesh-of-no-format", ending=ending)
-    if path.stat().st_size > MAX_MESH_BYTES:
-        return None
+    try:
+        if path.stat().st_size > MAX_MESH_BYTES:
+            return None
+        start = b""
+        if ending == ".dae":
+            with path.open("rb") as file:
+                start = file.read(_PROLOGUE_BYTES)
+    except OSError as error:  # for example deleted since the path was found
+        return diagnose("no-mesh", problem=describe_os_error(error))
     if ending == ".dae":
-        with path.open("rb") as file:
-            start = file.read(_PROLOGUE_BYTES)
         return None if b"COLLADA" in start else diagnose("mesh-no-collada")
     if ending not in MESH_SUFFIXES:
         return None
-    found = read_mesh_file(path, path.stat().st_mtime_ns)
+    found = read_mesh_file(path, read_change_time(path))
     return found if isinstance(found, Diagnostic) else None
 
 
