@@ -16,6 +16,7 @@ import numpy as np
 
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Severity
+from pupper_analysis.base.units import find_common_units
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import limit_cell
@@ -256,9 +257,10 @@ def _max_over_runs(walk: Walk, name: str) -> Array:
 def _make_motor_table(walk: Walk) -> doc.Table:
     """Create the table of motors, with a row per joint and the worst value of all runs.
 
-    Columns: rms and peak torque, static torque of standing, limit [N m], time at the limit [%],
-    largest speed [rad/s].
+    Columns: rms and peak torque, static torque of standing, limit [N m, N for a slide], time at the
+    limit [%], largest speed [rad/s, m/s].
     """
+    units = find_common_units(walk.torque_units)
     rms, peak, share, speed = (
         _max_over_runs(walk, name)
         for name in ("torque_rms", "torque_peak", "at_limit", "speed_peak")
@@ -282,12 +284,12 @@ def _make_motor_table(walk: Walk) -> doc.Table:
     )
     columns = (
         doc.Column(text("walk-joint"), left=True),
-        doc.Column(text("walk-rms"), "N m"),
-        doc.Column(text("walk-peak"), "N m"),
-        doc.Column(text("walk-standing"), "N m"),
-        doc.Column(text("walk-limit"), "N m"),
+        doc.Column(text("walk-rms"), units.effort),
+        doc.Column(text("walk-peak"), units.effort),
+        doc.Column(text("walk-standing"), units.effort),
+        doc.Column(text("walk-limit"), units.effort),
         doc.Column(text("walk-share"), "%"),
-        doc.Column(text("walk-fastest"), "rad/s"),
+        doc.Column(text("walk-fastest"), units.velocity),
     )
     notes = (text("walk-statics-how"),)
     return doc.Table(text("walk-joints"), columns, rows, notes, (_describe_simulation(walk),))
@@ -423,7 +425,8 @@ def torque_plot(walk: Walk) -> doc.LinePlot:
         for index in hardest
     ]
     time = doc.Axis(text("walk-time"), "s", ".1f")
-    torque = doc.Axis(text("walk-torque"), "N m", ".1f")
+    unit = find_common_units(walk.torque_units[index] for index in hardest).effort
+    torque = doc.Axis(text("walk-torque"), unit, ".1f")
     return doc.LinePlot(text("walk-torques"), time, torque, lines)
 
 

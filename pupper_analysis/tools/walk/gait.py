@@ -22,11 +22,13 @@ from pupper_analysis.base.arrays import rotations_from_quaternions
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import EFFORT_UNIT, VELOCITY_UNIT
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.region import compute_motor_utilisation
 from pupper_analysis.prepare.judge import describe_missing_masses, list_file_remarks
 from pupper_analysis.robot.contact import bodies_on_ground, find_acting_contacts
 from pupper_analysis.robot.fall import FALLEN_TILT
+from pupper_analysis.robot.joints import list_force_units
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.monitor import FALLEN_HEIGHT_RATIO
 from pupper_analysis.simulation.rollout import STATE_SPEC
@@ -132,17 +134,17 @@ class Gait(Result):
     velocity: Array = field(metadata={"unit": "m/s"})
     turning: float = field(metadata={"unit": "rad/s"})
     tracks: bool
-    torque_rms: Array = field(metadata={"unit": "N m"})
-    torque_peak: Array = field(metadata={"unit": "N m"})
+    torque_rms: Array = field(metadata={"unit": EFFORT_UNIT})
+    torque_peak: Array = field(metadata={"unit": EFFORT_UNIT})
     at_limit: Array = field(metadata={"unit": "1"})
     region_peak: Array = field(metadata={"unit": "1"})
     beyond_region: Array = field(metadata={"unit": "1"})
-    speed_peak: Array = field(metadata={"unit": "rad/s"})
+    speed_peak: Array = field(metadata={"unit": VELOCITY_UNIT})
     power: float = field(metadata={"unit": "W"})
     transport: float | None = field(metadata={"unit": "1"})
     duty: Mapping[str, float] = field(metadata={"unit": "1"})
     touching: tuple[str, ...]
-    static: Array | None = field(metadata={"unit": "N m"})
+    static: Array | None = field(metadata={"unit": EFFORT_UNIT})
     roll: float = field(metadata={"unit": "rad"})
     pitch: float = field(metadata={"unit": "rad"})
     bounce: float = field(metadata={"unit": "m"})
@@ -150,7 +152,7 @@ class Gait(Result):
     motion_time: Array = field(metadata={"unit": "s"})
     motion: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})
     torque_time: Array = field(metadata={"unit": "s"})
-    torques: Array = field(metadata={"unit": "N m"})
+    torques: Array = field(metadata={"unit": EFFORT_UNIT})
 
 
 @dataclass(frozen=True)
@@ -180,6 +182,7 @@ class Walk(Result):
         contract: Contract of the policy.
         joints: Joint names, in actuator order.
         limits: Torque limit of each motor, shape (nu,); infinite without a limit.
+        torque_units: (nu,) unit of the torque of each motor: N m for a hinge, N for a slide.
         mass: Mass of the robot.
         gaits: A gait per seed; the first starts in the default pose at rest.
         integrator: MuJoCo's integrator.
@@ -198,7 +201,8 @@ class Walk(Result):
     policy: str
     contract: Contract
     joints: tuple[str, ...]
-    limits: Array = field(metadata={"unit": "N m"})
+    limits: Array = field(metadata={"unit": EFFORT_UNIT})
+    torque_units: tuple[str, ...]
     mass: float = field(metadata={"unit": "kg"})
     gaits: tuple[Gait, ...]
     integrator: str
@@ -349,6 +353,7 @@ def simulate_walk(
         contract=policy.contract,
         joints=robot.joint_names,
         limits=stage.robot.effort_limits,
+        torque_units=robot.compute_once(list_force_units),
         mass=robot.total_mass,
         gaits=gaits,
         integrator=mujoco.mjtIntegrator(int(stage.model.opt.integrator)).name[6:],

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pupper_analysis.present.document import text
+from pupper_analysis.tools.walk import document
 from pupper_analysis.tools.walk.document import _max_over_runs, orders_document
 from pupper_analysis.tools.walk.orders import Candidate, Orders
 from tests.support.printing import printed
@@ -17,6 +19,30 @@ def test_motor_table_contains_the_largest_value_of_all_runs_per_motor() -> None:
     runs = [SimpleNamespace(torque_peak=np.array(peak)) for peak in ([1.0, 5.0], [3.0, 2.0])]
     walk: Any = SimpleNamespace(gaits=runs)
     np.testing.assert_array_equal(_max_over_runs(walk, "torque_peak"), [3.0, 5.0])
+
+
+@pytest.mark.parametrize(
+    ("units", "torque", "speed"),
+    [
+        (("N m", "N m"), "N m", "rad/s"),
+        (("N", "N"), "N", "m/s"),
+        (("N m", "N"), "N m or N", "rad/s or m/s"),
+    ],
+)
+def test_units_of_the_motor_table_are_those_of_hinges_and_slides(
+    monkeypatch: pytest.MonkeyPatch, units: tuple[str, str], torque: str, speed: str
+) -> None:
+    """The units of the columns and of the torque plot follow from the kinds of the joints."""
+    values = np.array([1.0, 2.0])
+    names = ("torque_rms", "torque_peak", "at_limit", "speed_peak", "static", "torque_time")
+    gait = SimpleNamespace(**dict.fromkeys(names, values), torques=np.ones((2, 2)))
+    joints = ("hip", "lift")
+    walk: Any = SimpleNamespace(gaits=[gait], joints=joints, limits=values, torque_units=units)
+    monkeypatch.setattr(document, "_describe_simulation", lambda _: text("walk-own-gains"))
+    table = document._make_motor_table(walk)
+    expected = ["", *[torque] * 4, "%", speed]
+    assert [column.unit for column in table.columns] == expected
+    assert document.torque_plot(walk).y.unit == torque
 
 
 def make_orders(tracked: tuple[int, int]) -> Orders:
