@@ -32,7 +32,10 @@ from pupper_analysis.tools.push.recovery import PushedStance, PushRecovery
 
 @build_document.register(PushedStance)
 def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Document:
-    """Create the document of the largest pushes of a stance; see ``build_document``."""
+    """Create the report of the largest pushes of a stance.
+
+    `build_document` calls this function for a `PushedStance`.
+    """
     unpushed = pushed.recovery.failures_without_push
     number, *limit = _describe_weakest_push(pushed)
     answer = (text("it-does-not-stand-so"), number) if unpushed else (number,)
@@ -225,7 +228,10 @@ def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.
 
 @build_document.register(PushTrial)
 def trial_document(trial: PushTrial, _: Robot | None = None) -> doc.Document:
-    """Create the document of a simulated push; see ``build_document``."""
+    """Create the report of a simulated push.
+
+    `build_document` calls this function for a `PushTrial`.
+    """
     columns = quantity_columns()
     rows = (
         (text("change-of-velocity"), doc.number_cell(trial.velocity_step, ".2f"), doc.Name("m/s")),
