@@ -145,10 +145,12 @@ def _make_view(walk: Walk, robot: Robot | None) -> doc.View:
 
 
 def _list_figures(walk: Walk) -> Iterable[doc.Words]:
-    """Yield four texts, in this order: velocity, torque, power, and duty factors of the feet.
+    """Yield four texts with the key figures of a walk.
 
-    Velocity, power and duty factors (fraction of the time in contact [%]) are those of the first
-    run; the margin of the pose and the torque are the worst of all runs.
+    1. Velocity and command of the first run [m/s, rad/s].
+    2. Largest motor torque of all runs (`_describe_largest_torque`).
+    3. Power [W] and cost of transport [1] of the first run; smallest `Gait.margin` of all runs.
+    4. Duty factor of each foot in the first run: fraction of the time in contact [%].
     """
     first, gaits = walk.gaits[0], walk.gaits
     yield text(
@@ -189,7 +191,11 @@ def _list_warnings(walk: Walk) -> Iterable[doc.Words]:
 
 
 def _describe_largest_torque(walk: Walk) -> doc.Words:
-    """Describe the motor with the largest rms torque, relative to the limit if known."""
+    """Return the text of the motor with the largest rms torque / torque limit.
+
+    It states rms and peak torque [N m], and the time at the limit [%]. For a motor without a limit,
+    the largest rms torque of all motors takes the place of the limit.
+    """
     rms, peak = _max_over_runs(walk, "torque_rms"), _max_over_runs(walk, "torque_peak")
     limited = np.isfinite(walk.limits) & (walk.limits > 0)
     limits = np.where(limited, walk.limits, rms.max(initial=_MIN_TORQUE))

@@ -296,7 +296,7 @@ def _describe_delay(detail: str, period: float) -> str:
 
 
 def _check_network(policy: Policy, trace: Trace) -> TermCheck:
-    """Compare the actions of the network for the recorded observations with recorded actions."""
+    """Compare the network's actions for the recorded observations with the recorded actions."""
     network, memory = policy.network, policy.network.initial_memory(1)
     actions = []
     for row in trace.arrays["observations"]:
@@ -506,6 +506,9 @@ def _search_elsewhere(
     found: tuple[float, str, str],
 ) -> tuple[float, str, str]:
     """Return another explanation if a term is elsewhere in the observation, or frames are reversed.
+
+    The result has the entries of `_explain_difference`. Without another explanation it is
+    ``found``.
 
     Args:
         contract: Contract of the policy.
