@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from itertools import filterfalse
 from pathlib import Path
 
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import text
 from pupper_analysis.present.documents.registry import build_document
@@ -41,9 +43,14 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
         findings=tuple(_describe_checks(conversion)),
         details=tuple(_describe_recovery(conversion)),
         brief=True,
-        notes=tuple(map(doc.diagnostic_text, conversion.notes)),
+        notes=tuple(map(doc.diagnostic_text, filterfalse(_is_servo_note, conversion.notes))),
         next_step=_select_next_step(conversion),
     )
+
+
+def _is_servo_note(note: Diagnostic) -> bool:
+    """Return True for the note that the new file has other servos than the converted variant."""
+    return note.code == "servos-of-variant-not-used"
 
 
 def _select_next_step(conversion: Conversion) -> doc.NextStep:
@@ -89,6 +96,7 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
     if repairs := len(conversion.repairs):
         deviation = text("near-repaired-inertials-count", near=deviation, count=repairs)
     yield deviation
+    yield from map(doc.diagnostic_text, filter(_is_servo_note, conversion.notes))
     run = conversion.verification
     if run is not None:
         yield text(

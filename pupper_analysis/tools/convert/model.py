@@ -37,15 +37,18 @@ from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare.convert.from_urdf import MjcfOptions
 from pupper_analysis.prepare.convert.repair import Repair
 from pupper_analysis.prepare.judge import list_file_remarks
+from pupper_analysis.prepare.notes import describe_span
 from pupper_analysis.prepare.passes import Feet, make_robot
 from pupper_analysis.prepare.simulable import check_simulable
-from pupper_analysis.pupper.named_robots import find_model
+from pupper_analysis.pupper.named_robots import find_model, is_variant
+from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.alike import report_limbs_without_feet
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import INERTIAL_KINDS
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.robot.stability import HOLD_DURATION, Stability
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.rollout import full_state
@@ -64,7 +67,7 @@ from pupper_analysis.tools.convert.draft import ConversionDraft, draft_mjcf, dra
 @check_arguments
 @silence_mujoco()
 @ensure_run()
-def convert_model(
+def convert_model(  # noqa: PLR0915
     source: str | Path | ModelObject | VariantSpec,
     output: str | Path,
     *,
@@ -119,7 +122,11 @@ def convert_model(
     """
     output = Path(output)
     name = _name_source(source)
-    source = find_model(source, "mjcf" if output.suffix.lower() == ".urdf" else "urdf")
+    to_mjcf = output.suffix.lower() != ".urdf"
+    variant = None
+    if to_mjcf and is_variant(source):
+        variant = source if isinstance(source, VariantSpec) else str(source)
+    source = find_model(source, "urdf" if to_mjcf else "mjcf")
     if not is_object(source):
         source = find_file(cast(str | Path, source), packages)
         register_input(source)
@@ -173,6 +180,7 @@ def convert_model(
         output=str(output),
         written=tuple(map(str, contents)),
         notes=(
+            *_list_changed_servos(variant, robot),
             *(remark for remark in remarks if remark.severity is not Severity.ERROR),
             *draft.notes,
         ),
@@ -193,6 +201,30 @@ def _name_source(source: str | Path | ModelObject | VariantSpec) -> str:
     if isinstance(source, VariantSpec):
         return source.name
     return "" if is_object(source) else str(source)
+
+
+def _list_changed_servos(
+    variant: str | VariantSpec | None, robot: Robot | None
+) -> Iterator[Diagnostic]:
+    """Yield a note if the servos of a new MJCF differ from the servos of the variant's own MJCF.
+
+    Args:
+        variant: Variant whose URDF was converted; None for another source.
+        robot: Robot of the new MJCF; None if the new file has no robot.
+    """
+    if variant is None or robot is None:
+        return
+    own, new = list_position_servos(load_variant(variant)), list_position_servos(robot)
+    if not own or not new or own == new:
+        return
+    spans = {
+        f"{owner}_{name}": describe_span([gains[index] for gains in servos.values()], unit)
+        for owner, servos in (("new", new), ("own", own))
+        for index, (name, unit) in enumerate((("kp", "N m/rad"), ("kd", "N m s/rad")))
+    }
+    yield diagnose(
+        "servos-of-variant-not-used", variant=str(getattr(variant, "name", variant)), **spans
+    )
 
 
 def _check_output(output: Path, *, force: bool) -> None:

@@ -593,6 +593,20 @@ def test_losses_without_a_message_are_found(tmp_path: Path) -> None:
     assert "condim" not in silent_losses(before, after, said)
 
 
+@pytest.mark.slow
+def test_servos_of_a_variant_that_are_not_converted_are_reported(tmp_path: Path) -> None:
+    """References: kp and kd of MuJoCo's compiled models; the note is about variants only."""
+    done = pa.convert_model("v3", tmp_path / "new.xml")
+    (note,) = [note for note in done.notes if note.code == "servos-of-variant-not-used"]
+    new, own = (compile_file(path) for path in (tmp_path / "new.xml", ROOT / "mjcf/pupper_v3.xml"))
+    gains = [-model.actuator_biasprm[0, 1:3] for model in (new, own)]
+    assert gains[0] != pytest.approx(gains[1])
+    for kp, kd in gains:
+        assert f"kp {kp:.3g} N m/rad, kd {kd:.3g} N m s/rad" in str(note)
+    file = pa.convert_model(ROOT / "urdf/pupper_v3.urdf", tmp_path / "file.xml")
+    assert all(note.code != "servos-of-variant-not-used" for note in file.notes)
+
+
 # ------------------------------------------------------------------------------------- details
 
 
