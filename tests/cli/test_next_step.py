@@ -170,6 +170,13 @@ TESTED = {"audit", "contract", "crosscheck", "sync", "check", "hold"}
 
 
 @pytest.mark.slow
+def test_check_with_known_differences_names_a_command_that_compares_the_pair() -> None:
+    """`stand` refuses the hopper of the example: it has a single foot."""
+    done = answer("check", folder=ROOT / "examples" / "guarded")
+    assert list_next_lines(done.stdout) == [["crosscheck", "hopper.urdf", "hopper.xml"]]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("line", PRINTED)
 def test_printed_next_command_is_accepted(line: str, tmp_path: Path) -> None:
     """Reference: exit status of the next command, or click's parser for slow commands."""

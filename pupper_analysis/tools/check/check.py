@@ -128,6 +128,8 @@ class PairCheck(Result):
             cause or the same values count once.
         known: Number of findings in the baseline.
         notes: Assumptions, and content that was left out.
+        floating: Whether the MJCF has a free base, or a base with at least two limbs; None if the
+            files were not compared.
     """
 
     name: str
@@ -136,6 +138,7 @@ class PairCheck(Result):
     failures: int
     known: int
     notes: tuple[Diagnostic, ...]
+    floating: bool | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,7 +284,7 @@ def _check_pair_files(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[
     files = [file for file in (pair.urdf, pair.mjcf) if file is not None]
     remarks: list[Remark] = []
     notes: tuple[Diagnostic, ...] = ()
-    agree = None
+    agree = floating = None
     for file in files:
         try:
             audit = audit_model(file, packages=pair.packages, disabled=tuple(pair.disabled))
@@ -306,7 +309,7 @@ def _check_pair_files(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[
         except PupperAnalysisError as error:
             remarks.append(make_error_remark(error, "crosscheck", pair, pair.urdf, folder))
         else:
-            agree, notes = comparison.agree, comparison.notes
+            agree, notes, floating = comparison.agree, comparison.notes, comparison.floating
             remarks = [*list_comparison_remarks(comparison, pair, folder), *remarks]
     packages = find_tool_modules("guard")
     for tool, sources in pair.guards.items() if not _has_refusal(remarks) else ():
@@ -317,7 +320,7 @@ def _check_pair_files(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[
         else:
             remarks += list_guard_remarks(tool, found, pair, folder)
     names = tuple(relative_path(file, folder) for file in files)
-    return PairCheck(pair.name, names, agree, 0, 0, notes), remarks
+    return PairCheck(pair.name, names, agree, 0, 0, notes, floating), remarks
 
 
 def _has_refusal(remarks: Iterable[Remark]) -> bool:

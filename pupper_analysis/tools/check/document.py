@@ -82,15 +82,20 @@ def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
 def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
     """Return the command that details the first failing finding, or simulates the first pair.
 
-    If nothing fails and the baseline has stale entries, the command updates the baseline. None for
-    a failing change or finding of another tool, and if no pair has two files.
+    If nothing fails and the baseline has stale entries, the command updates the baseline. A pair
+    whose differences are known is compared by ``crosscheck``; a pair that agrees is simulated by
+    ``stand``, or by ``hold`` if its base is fixed. None for a failing change or finding of another
+    tool, and if no pair has two files.
     """
     if check.stale and not check.updated and not check.failures:
         return doc.NextStep("check", ("--update-baseline",))
     folder = Path(check.config).parent
     if not check.failures:
         pair = next((pair for pair in check.pairs if len(pair.files) == 2), None)
-        return None if pair is None else _run_on_files("stand", folder, pair.files)
+        if pair is None:
+            return None
+        command = "crosscheck" if not pair.agree else "stand" if pair.floating else "hold"
+        return _run_on_files(command, folder, pair.files)
     first = check.remarks[0]
     if first.kind == REFUSED_KIND or _is_audit_rule(first):
         return _run_on_files("audit", folder, (first.file,))
