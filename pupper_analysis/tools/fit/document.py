@@ -292,6 +292,9 @@ def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
         text("plan-of-stands"),
         doc.Name(plan.name),
         (_make_stand_table(plan), expected),
+        passed=True,
+        verdict=text("fit-planned"),
+        warned=not num_determined,
         findings=(
             text(
                 "planned-stands",
@@ -313,8 +316,15 @@ def _describe_known_mass(plan: StandPlan) -> Iterator[doc.Words]:
         loaded = [stand for stand in plan.stands if stand.added]
         x, y, z = (f"{1e3 * value:.1f}" for value in place.offset)
         mass = f"{max((stand.added for stand in loaded), default=0.0):.4g}"
-        on = str(len(loaded))
-        yield text("put-it-there", mass=mass, link=doc.Name(place.link), x=x, y=y, z=z, stands=on)
+        yield text(
+            "put-it-there",
+            mass=mass,
+            link=doc.Name(place.link),
+            x=x,
+            y=y,
+            z=z,
+            stands=len(loaded),
+        )
 
 
 def _make_stand_table(plan: StandPlan) -> doc.Table:
