@@ -203,7 +203,7 @@ def make_pose_figure(
         create: Creates an empty figure: ``Figure``, or ``pyplot.figure`` for notebooks.
     """
     lines, seen = compute_skeleton(robot, stand.qpos), describe_scene(robot, stand, statics)
-    title, height = f"{robot.name}: how it stands", 0.6 * drawing.PAGE_WIDTH
+    title, height = f"{robot.name}: stance", 0.6 * drawing.PAGE_WIDTH
     figure = drawing.make_page_figure(title, height, create=create)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
     figure.text(0.012, 0.925, textwrap.fill(text, 120), size=drawing.FONT_SIZE, va="top",
@@ -231,8 +231,8 @@ def make_pose_figure(
             ms=9,
             label="contact force",
         ),
-        Line2D([], [], **_COM_STYLE, label="com"),
-        Line2D([], [], **_COM_PROJECTION_STYLE, label="com's projection"),
+        Line2D([], [], **_COM_STYLE, label="CoM"),
+        Line2D([], [], **_COM_PROJECTION_STYLE, label="projection of the CoM"),
         Patch(
             facecolor=_SUPPORT_COLOUR,
             edgecolor=drawing.BLUE_COLOUR,
