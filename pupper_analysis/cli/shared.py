@@ -701,8 +701,8 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
 
         Raises:
             click.BadParameter: If the text is no such quantity, or a length without unit is
-                probably in millimetres, an angle that is probably in degrees, or a time that is
-                probably in milliseconds.
+                probably in millimetres, an angle that is probably in degrees, a time that is
+                probably in milliseconds, or a mass that is probably in grams.
         """
         if isinstance(value, float | int):
             value = repr(float(value)) if self.name == "length" else value
@@ -729,8 +729,8 @@ def parse_quantity(kind: str, text: str) -> float:
 
     Raises:
         ValueError: If the text is no number, has an unknown unit, or has no unit and is a length
-            that is probably in mm, an angle that is probably in degrees, or a time that is probably
-            in milliseconds.
+            that is probably in mm, an angle that is probably in degrees, a time that is probably in
+            milliseconds, or a mass that is probably in grams.
     """
     for unit, size in sorted(UNIT_FACTORS[kind].items(), key=lambda item: -len(item[0])):
         if text.endswith(unit):
@@ -739,7 +739,8 @@ def parse_quantity(kind: str, text: str) -> float:
                 return Position(value, "rad" if unit in UNIT_FACTORS["angle"] else "m")
             return value
     value = float(text)
-    if is_millimetres(kind, value) or is_degrees(kind, value) or is_milliseconds(kind, value):
+    suspicious = (is_millimetres, is_degrees, is_milliseconds, is_grams)
+    if any(is_suspicious(kind, value) for is_suspicious in suspicious):
         raise ValueError(text)
     return value
 
@@ -792,6 +793,23 @@ def is_milliseconds(kind: str, value: float) -> bool:
         value: Number, taken as seconds.
     """
     return kind == "time" and MAX_BARE_TIME < abs(value) < math.inf
+
+
+MAX_BARE_MASS: Final = 200.0
+"""Mass [kg] from which on a mass without a unit is refused. Such a value is probably in g: no
+published legged robot carries so much (chosen, not tuned)."""
+
+
+def is_grams(kind: str, value: float) -> bool:
+    """Return True if a number without a unit is a mass of at least `MAX_BARE_MASS` [kg].
+
+    Such a mass is probably in grams.
+
+    Args:
+        kind: Quantity, a key of ``base.units.UNIT_FACTORS``; the result is False unless "mass".
+        value: Number, taken as kilograms.
+    """
+    return kind == "mass" and MAX_BARE_MASS <= abs(value) < math.inf
 
 
 def parse_assignment(option: str, text: str) -> tuple[str, str]:
@@ -920,6 +938,8 @@ def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnos
             return diagnose("angle-without-unit", angle=text)
         if is_milliseconds(kind, float(text)):
             return diagnose("time-without-unit", time=text)
+        if is_grams(kind, float(text)):
+            return diagnose("mass-without-unit", mass=text)
     return diagnose(
         "part-is-no-quantity",
         part=text,

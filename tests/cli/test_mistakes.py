@@ -59,6 +59,11 @@ def test_error_of_a_time_without_unit_suggests_milliseconds(command: str, option
     assert "4 without a unit is in seconds, which is too long; write 4ms" in message
 
 
+def test_error_of_a_mass_without_unit_suggests_grams() -> None:
+    message = run_refused("stand", "v3", "--payload", "500")
+    assert "500 without a unit is in kg, which is too heavy; write 500g or 500kg" in message
+
+
 def test_a_direction_may_have_any_length() -> None:
     """Reference: distance of a point at 1 m height from a plane at 45 mm, 0.955 m."""
     for z in ("10", "1"):
