@@ -140,7 +140,7 @@ USED: dict[str, set[str]] = {
     "live": {*("language", "host", "no_browser", "viewer", "dropped"), *_POLICY} - {"seeds"},
     "path": _SERVO | _LOAD | {"seconds", "motors"},
     "payload": _SERVO | _LOAD | {"continuous", "payload_at"},
-    "push": _SERVO | _LOAD | {"directions", "resolution"},
+    "push": _SERVO | _LOAD | {"directions", "resolution", "motors"},
     "stand": _SERVO | _LOAD | {"minimum_stiffness", "explain", "start"},
     "study": {"folder", "workers", "dask", "minimise", "maximise", "numbers"},
     "sync": {"dry_run", "changes"},

@@ -245,7 +245,8 @@ def pushes(shift: float) -> Stub:
 
 
 KNOWN = {"joint_names": ("hip", "knee"), "unknown_limits": (), "peak_torques": None,
-         "torque_units": ("N m", "N m")}  # fmt: skip
+         "torque_units": ("N m", "N m"), "motors": {}, "region_peaks": None, "beyond_times": None,
+         "within_region": True}  # fmt: skip
 """Fields of a push result with known torque limits."""
 
 

@@ -11,7 +11,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -66,8 +66,7 @@ therefore the eigenvalues of the linearised motion (spectrum) are evaluated then
 mode of the fall. Chosen, not tuned."""
 
 _SAMPLE_TIME = 0.004
-"""Time between the states whose ground contacts or motor torques are evaluated [s]. Chosen, not
-tuned."""
+"""Time between the states whose ground contacts are evaluated [s]. Chosen, not tuned."""
 
 _NUM_SAMPLES_NEAR_GROUND = 25
 """Number of successive samples whose contacts are searched after a part was found near the ground.
@@ -112,6 +111,20 @@ class PushSettings(SimulationSettings):
 
     point: Array = field(metadata={"unit": "m"})
     pulse: float = field(metadata={"unit": "s"})
+
+
+class MotorSamples(NamedTuple):
+    """Samples of a simulated push.
+
+    Attributes:
+        torques: Motor torques at the joints, shape (n, nu) [N m; N of a slide].
+        speeds: Speeds of the joints, shape (n, nu) [rad/s; m/s of a slide].
+        period: Time between two samples [s].
+    """
+
+    torques: Array
+    speeds: Array
+    period: float
 
 
 @dataclass(eq=False)
@@ -435,10 +448,8 @@ class PushBench:
         spectrum = evaluate_spectrum(self.drive, end, self.ctrl, settle=0.0)
         return spectrum.is_stable_for() and self._will_rest(states, spectrum)
 
-    def simulate_peak_torques(self, direction: int, impulse: float) -> Array:
-        """Simulate a push, and return the largest |torque| of each motor, shape (nu,) [N m].
-
-        Torques are evaluated every `_SAMPLE_TIME`.
+    def simulate_motors(self, direction: int, impulse: float) -> MotorSamples:
+        """Simulate a push, and return torques and speeds of the joints at all time steps.
 
         Args:
             direction: Index of the push direction in ``axes``.
@@ -446,11 +457,12 @@ class PushBench:
         """
         (states,) = self.simulate_pushes(np.array([direction]), np.array([impulse]))
         dofs = self.robot.mj_convention.qvel_index[-self.robot.nu :]
-        peaks = np.zeros(self.robot.nu)
-        for state in states[:: max(1, round(_SAMPLE_TIME / self.timestep))]:
+        torques, speeds = [], []
+        for state in states:
             self.watcher.sample(state, self.ctrl)
-            peaks = np.maximum(peaks, np.abs(self.watcher.data.qfrc_actuator[dofs]))
-        return peaks
+            torques.append(self.watcher.data.qfrc_actuator[dofs])
+            speeds.append(self.watcher.data.qvel[dofs])
+        return MotorSamples(np.array(torques), np.array(speeds), self.timestep)
 
     def find_push_point(self) -> Array:
         """Return the world point at which pushes act: CoM of the base body, shape (3,) [m]."""

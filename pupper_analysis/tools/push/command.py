@@ -8,7 +8,12 @@ import click
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import robots_argument
-from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
+from pupper_analysis.cli.stance_options import (
+    MOTOR_OPTION,
+    RobotAndTask,
+    apply_motors,
+    robot_and_task,
+)
 
 
 @shared.command("push")
@@ -26,6 +31,7 @@ from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
     metavar="NS",
     help="Resolution of the impulses (N s); e.g. 0.1.",
 )
+@MOTOR_OPTION
 @robot_and_task
 @shared.figure_option
 @shared.json_option
@@ -35,6 +41,7 @@ def command(
     words: tuple[str, ...],
     directions: int,
     resolution: float,
+    motors: tuple[str, ...],
     figure: Path | None,
     json_path: Path | None,
     report_path: Path | None,
@@ -54,14 +61,18 @@ def command(
       pupper-analysis push original --height 0.14 --directions 4 --resolution 0.1
       pupper-analysis push v3 --swing FL=2cm --com inside --com-margin 1cm
       pupper-analysis push --base v3 --torso-mass-scale 1.5 --kp 20 --kd 0.5
+      pupper-analysis push v3 --motor steadywin-gim4305-10
 
-    Exit status: 0 done, 1 a robot falls even without a push, 2 bad input.
+    Exit status: 0 done, 1 a robot falls even without a push, or a motor cannot exert the
+    torques at its speed, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.pupper.variants import VARIANTS
     from pupper_analysis.tools.push.recovery import study_pushes
 
     task = request.task()
     robots = request.robots(words, default=tuple(VARIANTS), visuals=report_path is not None)
+    fitted = [apply_motors(motors, robot, request.effort) for robot in robots]
+    robots = [robot for robot, _ in fitted]
     kp, kd = request.gains(robots[0])
     with shared.show_progress(
         f"pushing {', '.join(robot.name for robot in robots)}: some three seconds each"
@@ -73,6 +84,7 @@ def command(
             kd=kd,
             directions=directions,
             resolution=resolution,
+            motors={robot.name: assigned for robot, assigned in fitted},
         )
     shared.show_results(
         results.items(), request.style, robots=robots, everything=request.everything

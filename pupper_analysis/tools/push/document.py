@@ -39,6 +39,7 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
     unpushed = pushed.recovery.failures_without_push
     number, *limit = _describe_weakest_push(pushed)
     answer = (text("it-does-not-stand-so"), number) if unpushed else (number,)
+    region = tuple(_describe_region(pushed))
     return judged_document(
         text("pushes"),
         pushed,
@@ -49,8 +50,11 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
         ),
         answer,
         limit=limit[0] if limit else None,
-        number_first=bool(unpushed),
+        leading=region,
+        word=text("push-beyond") if pushed.verdict.passed and not pushed.passed else None,
+        number_first=bool(unpushed) or not pushed.within_region,
         details=(
+            *(region if pushed.within_region else ()),
             task_text(pushed.stand.task),
             ground_text(pushed.stand.depths.values()),
         ),
@@ -106,6 +110,30 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
         failure=doc.diagnostic_text(recovery.weakest_failure),
         tipping=f"{float(min(recovery.tipping_estimate)):.2f}",
     )
+
+
+def _describe_region(pushed: PushedStance) -> Iterable[doc.Words]:
+    """Yield the motor that is longest beyond its torque-speed region, or closest to its edge.
+
+    Nothing is yielded without assigned motors.
+    """
+    peaks, times = pushed.region_peaks, pushed.beyond_times
+    if peaks is None or times is None:
+        return
+    joint = int(np.nanargmax(peaks if pushed.within_region else times))
+    peak = float(peaks[joint])
+    yield text(
+        "push-within-motors" if pushed.within_region else "push-beyond-motors",
+        joint=doc.Name(pushed.joint_names[joint]),
+        motor=doc.Name(pushed.motors[pushed.joint_names[joint]]),
+        peak=f"{100 * peak:.0f}" if peak < _MAX_PRINTED_SHARE else "> 1000",
+        time=f"{1e3 * float(times[joint]):.0f}",
+    )
+
+
+_MAX_PRINTED_SHARE = 10.0
+"""Utilisation of a torque-speed region from which only "> 1000 %" is printed: at the no-load speed
+it is infinite."""
 
 
 def _make_push_table(pushed: PushedStance) -> doc.Table:

@@ -8,7 +8,7 @@ stance.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -24,6 +24,8 @@ from pupper_analysis.base.progress import report_progress
 from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.base.units import EFFORT_UNIT
 from pupper_analysis.models.efforts import EffortCode
+from pupper_analysis.models.motors.motor import Motor
+from pupper_analysis.models.motors.region import compute_motor_utilisation
 from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.prepare.limits import list_driven_limits
 from pupper_analysis.robot.configuration import UP, Configuration
@@ -39,7 +41,13 @@ from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.tools.push.bench import MAX_IMPULSE, PushBench, PushSettings, make_push_bench
+from pupper_analysis.tools.push.bench import (
+    MAX_IMPULSE,
+    MotorSamples,
+    PushBench,
+    PushSettings,
+    make_push_bench,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +72,12 @@ class PushedStance(Result):
         torque_units: (nu,) unit of the torque of each motor: N m for a hinge, N for a slide.
         verdict: Verdict of the stance without a push, with feed-forward. A robot that stays on the
             feet although the verdict fails is pushed as well.
+        motors: {joint: name of the assigned motor}.
+        region_peaks: (nu,) largest torque of each motor during the weakest push of ``recovery``,
+            relative to the torque that the motor exerts at its speed; not a number for a joint
+            without motor. None without motors, or if the robot does not stand without a push.
+        beyond_times: (nu,) time of the weakest push in which each motor is beyond its torque-speed
+            region [s]; None if ``region_peaks`` is.
     """
 
     name: str
@@ -76,11 +90,27 @@ class PushedStance(Result):
     peak_torques: Array | None = field(metadata={"unit": EFFORT_UNIT})
     torque_units: tuple[str, ...]
     verdict: Verdict
+    motors: dict[str, str] = field(default_factory=dict)
+    region_peaks: Array | None = field(default=None, metadata={"unit": "1"})
+    beyond_times: Array | None = field(default=None, metadata={"unit": "s"})
+
+    @property
+    def within_region(self) -> bool:
+        """Whether no motor is beyond its torque-speed region for more than `MAX_BEYOND_TIME`."""
+        return self.beyond_times is None or bool((self.beyond_times <= MAX_BEYOND_TIME).all())
 
     @property
     def passed(self) -> bool:
-        """Whether the robot stands without a push. The sizes of survived pushes are not judged."""
-        return self.verdict.passed
+        """Whether the robot stands without a push, and the motors exert the torques of the push.
+
+        The sizes of survived pushes are not judged.
+        """
+        return self.verdict.passed and self.within_region
+
+
+MAX_BEYOND_TIME = 0.01
+"""Longest time for which a motor may be beyond its torque-speed region during a push [s]: single
+steps of an impact are permitted. Chosen, not tuned."""
 
 
 def study_pushes(
@@ -91,6 +121,7 @@ def study_pushes(
     kd: ArrayLike | None = None,
     directions: int = 12,
     resolution: float = 0.02,
+    motors: Mapping[str, Mapping[str, Motor]] | None = None,
 ) -> dict[str, PushedStance]:
     """Find the largest pushes of robots in a stance (about three seconds per robot).
 
@@ -103,6 +134,9 @@ def study_pushes(
         kd: Servo damping [N m s/rad], a scalar or (nu,); the model's own by default.
         directions: Number of directions, evenly spaced, the first direction forward; 3 to 360.
         resolution: Resolution of the impulses [N s].
+        motors: {name of the robot: {joint: motor}}, whose torque-speed regions the torques of the
+            weakest push are compared with. The simulation limits torques by the effort limits of
+            the robots only.
 
     Returns:
         {name of the robot: result}.
@@ -139,21 +173,27 @@ def study_pushes(
         peaks, impulse, code = None, recovery.weakest_impulse, EffortCode.STATED
         if any(limit.without_torque for limit in list_driven_limits(robot)):
             code = EffortCode.ZERO
+        assigned = (motors or {}).get(robot.name, {})
+        region_peaks, beyond_times = None, None
         if unknown_limits:
             code, impulse = EffortCode.UNKNOWN, math.nan
-            if not recovery.failures_without_push:
-                bench = make_push_bench(
-                    robot,
-                    stand,
-                    np.array([recovery.weakest_direction]),
-                    duration=recovery.duration,
-                    kp=kp,
-                    kd=kd,
-                    feedforward=True,
-                    integrator=None,
-                    verification=verification,
-                )
-                peaks = bench.simulate_peak_torques(0, recovery.weakest_impulse)
+        if (unknown_limits or assigned) and not recovery.failures_without_push:
+            bench = make_push_bench(
+                robot,
+                stand,
+                np.array([recovery.weakest_direction]),
+                duration=recovery.duration,
+                kp=kp,
+                kd=kd,
+                feedforward=True,
+                integrator=None,
+                verification=verification,
+            )
+            samples = bench.simulate_motors(0, recovery.weakest_impulse)
+            if unknown_limits:
+                peaks = np.abs(samples.torques).max(axis=0)
+            if assigned:
+                region_peaks, beyond_times = _compare_with_regions(robot, samples, assigned)
         results[robot.name] = PushedStance(
             name=robot.name,
             joint_names=robot.joint_names,
@@ -165,8 +205,31 @@ def study_pushes(
             peak_torques=peaks,
             torque_units=robot.compute_once(list_force_units),
             verdict=verdict,
+            motors={joint: motor.name for joint, motor in assigned.items()},
+            region_peaks=region_peaks,
+            beyond_times=beyond_times,
         )
     return results
+
+
+def _compare_with_regions(
+    robot: Robot, samples: MotorSamples, motors: Mapping[str, Motor]
+) -> tuple[Array, Array]:
+    """Compare the torques of a push with the torque-speed regions of motors.
+
+    Returns:
+        Largest torque relative to the torque that the motor exerts at its speed, NaN without motor,
+        and time beyond the region [s], shape (nu,) each.
+    """
+    shares = compute_motor_utilisation(motors, robot.joint_names, samples.torques, samples.speeds)
+    peaks: Array = shares.max(axis=0)
+    times: Array = samples.period * (shares > 1 + _REGION_RTOL).sum(axis=0)
+    return peaks, times
+
+
+_REGION_RTOL = 1e-9
+"""Relative tolerance of the edge of a torque-speed region: covers rounding of torques that the
+simulation has limited to the largest torque of the motor. Chosen, not tuned."""
 
 
 def unknown_push_limits(robot: Robot) -> tuple[str, ...]:

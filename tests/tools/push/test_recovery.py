@@ -14,11 +14,14 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.models.motors.reading import find_motor
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground
 from pupper_analysis.tools.push import recovery as push
 from pupper_analysis.tools.push.bench import make_push_bench
+from pupper_analysis.tools.push.document import push_document
 from pupper_analysis.tools.push.recovery import PushRecovery, push_recovery, tipping_impulses
+from tests.present.test_printed import print_words
 from tests.support.engines import change_model, evaluate_mujoco, with_efforts
 from tests.support.legged import quadruped
 from tests.support.variants import load, stand_of
@@ -35,6 +38,17 @@ def plain_push(name: str, angle: float, impulse: float, duration: float) -> bool
     """Return whether the robot stands after a push [N s], by a plain MuJoCo loop and its last
     state.
     """
+    return simulate_plainly(name, angle, impulse, duration)[0]
+
+
+def simulate_plainly(
+    name: str, angle: float, impulse: float, duration: float
+) -> tuple[bool, np.ndarray, np.ndarray]:
+    """Push a robot in a plain MuJoCo loop.
+
+    Return whether the robot stands at the end, and torques and speeds of the joints after each
+    step.
+    """
     robot, stand = load(name), stand_of(name)
     drive, model = model_with_servos(robot), robot.description.mjcf.copy().compile()
     torques = pa.gravity_compensation(
@@ -45,17 +59,21 @@ def plain_push(name: str, angle: float, impulse: float, duration: float) -> bool
     start = place_on_ground(robot, drive, stand, torques)
     mujoco.mj_setState(model, data, start, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
     data.ctrl[:] = stand.qpos[7:] + torques / drive.kp
-    fell = False
+    fell, torques, speeds = False, [], []
     while data.time < duration - model.opt.timestep / 2:
         on = data.time < 0.02 - model.opt.timestep / 2
         data.xfrc_applied[1, :2] = (
             on * impulse / 0.02 * np.array([math.cos(angle), math.sin(angle)])
         )
         mujoco.mj_step(model, data)
+        mujoco.mj_forward(model, data)
+        torques.append(data.qfrc_actuator[6:].copy())
+        speeds.append(data.qvel[6:].copy())
         for one, two in data.contact.geom:
             pair = {model.geom(one).type[0], model.geom(two).type[0]}
             fell |= pair not in ({mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_SPHERE},)
-    return not fell and data.xmat[1, 8] > 0.9 and float(np.abs(data.qvel[:6]).max()) < 0.05
+    stands = not fell and data.xmat[1, 8] > 0.9 and float(np.abs(data.qvel[:6]).max()) < 0.05
+    return stands, np.array(torques), np.array(speeds)
 
 
 @pytest.mark.slow
@@ -428,3 +446,45 @@ def test_single_push_at_the_limit_recovers_and_a_larger_push_fails() -> None:
         assert not bad.recovered
         assert bad.failure
         assert good.velocity_step == pytest.approx(good.impulse / robot.total_mass)
+
+
+MOTOR = """name = "weak"
+source = "bench"
+output_torque_constant = "0.4 N m/A"
+resistance = "2 ohm"
+supply_voltage = "{volt} V"
+no_load_speed = "{speed} rad/s"
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("volt", "passes"), [(3.0, False), (48.0, True)])
+def test_motors_of_a_push_are_compared_with_torques_at_their_speeds(
+    volt: float, passes: bool, tmp_path: Path
+) -> None:
+    """References: torques and speeds of a plain MuJoCo loop; at the speed w of the output, a motor
+    exerts (V - K w) K / R, with K = 0.4 N m/A, and V K / R at most.
+    """
+    path = tmp_path / "weak.toml"
+    path.write_text(MOTOR.format(volt=volt, speed=volt / 0.4))
+    robot, motor = load("v3"), find_motor(str(path))
+    motors = {robot.name: dict.fromkeys(robot.joint_names, motor)}
+    task = pa.StandTask()
+    found = push.study_pushes([robot], task, directions=3, resolution=0.5, motors=motors)
+    pushed = found[robot.name]
+    assert pushed.region_peaks is not None
+    assert pushed.beyond_times is not None
+    recovery = pushed.recovery
+    _, torques, speeds = simulate_plainly(
+        "v3", recovery.weakest_direction, recovery.weakest_impulse, recovery.duration
+    )
+    driving = np.where(torques < 0, -speeds, speeds)
+    available = np.minimum((volt - 0.4 * driving) * 0.4 / 2, volt * 0.4 / 2)
+    shares = np.abs(torques) / available
+    assert pushed.region_peaks == pytest.approx(shares.max(axis=0), rel=0.05)
+    times = robot.mj_model.opt.timestep * (shares > 1).sum(axis=0)
+    assert pushed.beyond_times == pytest.approx(times, abs=0.012)
+    assert (pushed.within_region, pushed.passed) == (passes, passes)
+    text = " ".join(print_words(push_document(pushed)))
+    assert ("BEYOND THE MOTORS" in text) is not passes
+    assert "of the torque that weak exerts at its speed" in text
