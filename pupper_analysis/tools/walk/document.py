@@ -420,7 +420,7 @@ _NUM_DRAWN_MOTORS = 4
 
 
 def torque_plot(walk: Walk) -> doc.LinePlot:
-    """Create the plot of motor torques [N m] in the last second of the first run.
+    """Create the plot of motor torques [N m, N for slides] in the last second of the first run.
 
     The motors with the largest rms torques are drawn (`_NUM_DRAWN_MOTORS`).
     """
