@@ -319,7 +319,12 @@ def _standard_stream(status: os.stat_result) -> int | None:
 
 
 def _write_output(writing: Writing) -> None:
-    """Write to standard output, to a pipe or device in place, or replace a file atomically."""
+    """Write to standard output, to a pipe or device in place, or replace a file atomically.
+
+    Raises:
+        OutputError: If an existing file must not be replaced, or a file cannot be written.
+        OSError: If a pipe or device cannot be written.
+    """
     path, data = writing.path, writing.content
     if path == STANDARD_OUTPUT:
         _write_bytes(_result_stream(), data)

@@ -134,7 +134,7 @@ def _is_empty_plan(file: BinaryIO) -> bool:
 
 
 def _has_measurements(file: BinaryIO) -> bool:
-    """Return True for a plan of stands with measurements."""
+    """Return True if a file is a CSV plan of stands with at least one measurement."""
     return bool(_read_measured_cells(file))
 
 

@@ -374,7 +374,16 @@ class _TemplateFormatter(Formatter):
         return super().convert_field(value, conversion)
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        """Return a value as text in the language of the formatter."""
+        """Return a value as text in the language of the formatter.
+
+        Args:
+            value: Value of a placeholder: number, text, term, diagnostic, subject, pair or tuple.
+            format_spec: Format specification in the template; ignored for terms, diagnostics and
+                subjects.
+
+        Raises:
+            ValueError: If the specification is not valid.
+        """
         if isinstance(value, _Compared):
             return format_pair(value.value, value.other, format_spec)[0]
         if isinstance(value, tuple):
