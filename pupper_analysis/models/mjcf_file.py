@@ -813,7 +813,11 @@ def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] 
     index = index_of(tree.root)
 
     def copy_spec() -> tuple[mujoco.MjSpec, list[Diagnostic]]:
-        """Return a copy of the spec without elements whose files are missing, and the notes."""
+        """Return a copy of the spec without elements whose files are missing, and the notes.
+
+        Raises:
+            ModelError: As for `leave_out_missing`.
+        """
         copy = spec.copy()
         _disable_unset_ranges(copy, index)
         return copy, [*notes, *leave_out_missing(copy, tree, index)]
@@ -952,6 +956,6 @@ def _locate_message(
 
 
 def _find_child(node: XmlNode, tag: str) -> XmlNode | None:
-    """Return the first child of a node with a tag; for ``joint``, also a ``freejoint``."""
+    """Return the first child with a tag, None without; for ``joint``, also a ``freejoint``."""
     tags = ("joint", "freejoint") if tag == "joint" else (tag,)
     return next((child for child in node.children if child.tag in tags), None)

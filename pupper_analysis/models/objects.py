@@ -245,7 +245,11 @@ def _make_memory_note(name: str) -> Diagnostic:
 
 
 def _read_text(text: str, name: str, packages: Mapping[str, Path] | None) -> UrdfFile | MjcfFile:
-    """Return the model file of an XML text. Relative paths start at the current folder."""
+    """Return the model file of an XML text. Relative paths start at the current folder.
+
+    Raises:
+        ModelError: If the text is no valid URDF or MJCF.
+    """
     path = Path(f"<{name}>")
     text = text.lstrip("\ufeff \t\r\n")
     root = parse_file_text(path, text)
@@ -267,6 +271,9 @@ def _read_urdf(
     """Read a URDF from a text without a file; the elements get no line numbers.
 
     ``note`` is put in front of the notes of the URDF.
+
+    Raises:
+        ModelError: If the text is no valid URDF.
     """
     root = parse_file_text(path, text)
     forget_lines(root)

@@ -61,7 +61,12 @@ def write_urdf_of_model(
 
 
 def _check_joints(model: pin.Model, source: str) -> bool:
-    """Return True if the first joint is a free flyer; raise an error for unsupported joints."""
+    """Return True if the first joint is a free flyer, and False if the model has none.
+
+    Raises:
+        ModelError: If another joint is a free flyer or has no URDF type (neither hinge nor slide),
+            or a link besides the free base is connected to the world.
+    """
     flyers = [
         index for index in range(1, model.njoints) if model.joints[index].shortname() == _FREE_FLYER
     ]
@@ -191,6 +196,9 @@ class _Writer:
 
         Meshes are written to ``folder`` as ``shape_INDEX.stl``. A shape without such a link, for
         example an obstacle in the world, is skipped.
+
+        Raises:
+            ModelError: If a shape has no counterpart in a URDF.
         """
         link = self._links.get(int(item.parentJoint))
         if link is None:  # an obstacle in the world

@@ -56,7 +56,10 @@ a factor of at most 13."""
 
 
 def mirror_name(name: str) -> str:
-    """Return a name with left and right exchanged; abbreviations only if no side is written out."""
+    """Return a name with left and right exchanged; abbreviations only if no side is written out.
+
+    A name without a side is returned unchanged.
+    """
     pattern = _FULL_WORD if _FULL_WORD.search(name) else _SIDE_PATTERN
     return pattern.sub(lambda match: _OPPOSITE_SIDE[match[0]], name)
 

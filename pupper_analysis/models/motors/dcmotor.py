@@ -65,6 +65,9 @@ def list_dcmotors(model: mujoco.MjModel, source: str) -> dict[str, Motor]:
     Args:
         model: MuJoCo model.
         source: Name of the file, for messages.
+
+    Raises:
+        ModelError: If the numbers of a motor contradict each other.
     """
     found = {}
     for actuator in range(model.nu):

@@ -160,8 +160,9 @@ class Motor:
     def _check_conventions(self) -> None:
         """Raise a ModelError if two stated numbers for the same constant contradict each other.
 
-        Compared are the output torque constant with Kt N, and the speed without load with
-        V / (Kt N). Their ratio must be in [`MIN_STALL_RATIO`, `MAX_CONVENTION_RATIO`].
+        Compared are the output torque constant with Kt N (torque constant x gear ratio), and the
+        speed without load with V / (Kt N), with the supply voltage V. Their ratio must be in
+        [`MIN_STALL_RATIO`, `MAX_CONVENTION_RATIO`].
         """
         if self.torque_constant is None or self.gear_ratio is None:
             return

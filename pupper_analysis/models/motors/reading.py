@@ -68,8 +68,9 @@ def read_motor(path: Path) -> Motor:
         path: File.
 
     Raises:
-        ModelError: If the file cannot be read, a key is unknown, a number is not valid, or numbers
-            contradict each other.
+        ModelError: If the file cannot be read, a number is not valid, or numbers contradict each
+            other.
+        UnknownNameError: If a key is unknown.
     """
     try:
         _, stated = read_toml(path)
@@ -134,7 +135,18 @@ def read_bam_parameters(path: Path) -> Motor:
 def _make_motor(
     path: Path, name: str, source: str, stated: dict[str, Any], sources: dict[str, str]
 ) -> Motor:
-    """Create a motor from numbers with units; errors name the file."""
+    """Create a motor from numbers with units.
+
+    Args:
+        path: File with the numbers, for messages.
+        name: Name of the motor.
+        source: Source of all numbers.
+        stated: {number of the motor: text with unit}.
+        sources: {number of the motor: its own source}.
+
+    Raises:
+        ModelError: If a number is not valid, or numbers contradict each other.
+    """
     try:
         numbers = {
             key: parse_quantity(key, text, KINDS[NUMBERS[key]]) for key, text in stated.items()
