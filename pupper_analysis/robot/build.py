@@ -182,7 +182,12 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
 
 
 def with_additions(robot: Robot, *additions: Addition) -> Robot:
-    """Build a robot with additions to the MJCF; stand height, notes and contacts are kept."""
+    """Build a robot with additions to the MJCF; stand height, notes and contacts are kept.
+
+    Raises:
+        ModelError: As for `build_robot`.
+        UnknownNameError: As for `build_robot`.
+    """
     description = robot.description.with_additions(*additions)
     return rebuild_robot(robot, mjcf=description.mjcf, added=description.added)
 

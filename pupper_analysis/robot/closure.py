@@ -150,6 +150,9 @@ class Closure:
             qpos: Configuration, shape (nq,), with closed loops.
             load: Joint torques and forces that motors and constraints must exert together, shape
                 (nu,) [N m, N].
+
+        Raises:
+            ConfigurationError: If the configuration is singular.
         """
         forces = self._force_distribution(qpos) @ load[self.dependent_joints]
         return -self._evaluate_compliance(qpos).solve_violations(forces)

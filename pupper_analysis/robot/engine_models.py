@@ -272,7 +272,11 @@ class EngineModels:
 
 
 def _check_columns(name: str, values: ArrayLike, count: int) -> Array:
-    """Return a finite matrix (n, count); a vector (count,) becomes a matrix of one row."""
+    """Return a finite matrix (n, count); a vector (count,) becomes a matrix of one row.
+
+    Raises:
+        ConfigurationError: If the values have another shape, or are not finite real numbers.
+    """
     matrix = np.atleast_2d(real_array(name, values))
     if matrix.ndim != 2 or matrix.shape[1] != count:
         problem = diagnose("array-of-another-shape", size=count, shape=str(matrix.shape))

@@ -292,6 +292,9 @@ class Contact:
 
         Args:
             numbers: Angle of a slope [rad], position of another plane [m], or point of a bar [m].
+
+        Raises:
+            ConfigurationError: If the plane is a bar, and ``numbers`` are not three finite numbers.
         """
         if isinstance(self.plane, Bar):
             return replace(self, plane=replace(self.plane, point=_check_position("point", numbers)))
@@ -361,7 +364,11 @@ class Weld:
         return self.place or ()
 
     def with_parameters(self, numbers: Sequence[float]) -> Weld:
-        """Return a copy of this weld at another position (x, y, z) [m]."""
+        """Return a copy of this weld at another position (x, y, z) [m].
+
+        Raises:
+            ConfigurationError: If ``numbers`` are not three finite numbers.
+        """
         return replace(self, place=_check_position("place", numbers))
 
     def __str__(self) -> str:

@@ -66,7 +66,11 @@ class Tool(Result):
     chain: tuple[str, ...]
 
     def translated(self, way: ArrayLike) -> Tool:
-        """Return a copy of this point, translated by ``way``, shape (3,) [m], in link axes."""
+        """Return a copy of this point, translated by ``way``, shape (3,) [m], in link axes.
+
+        Raises:
+            ConfigurationError: If ``way`` is no finite vector (3,).
+        """
         return replace(self, offset=self.offset + check_point(way))
 
     def position(self, config: Configuration) -> Array:

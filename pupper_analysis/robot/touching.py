@@ -135,6 +135,11 @@ def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) ->
     """Build a robot with the hands, welds and grips of a task; cached for `_CACHE_SIZE` robots.
 
     A hand is a part of the robot that touches a surface of the task and is not a foot.
+
+    Raises:
+        UnknownNameError: If the robot has no frame of a name.
+        ConfigurationError: If two contacts fix one link, one of them as a weld or grip; if a part
+            that is fixed to the base is welded with an offset; or if the base cannot be free.
     """
     tools = {
         name: _find_frame(robot, name)
@@ -166,7 +171,11 @@ def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) ->
 
 
 def _find_frame(robot: Robot, name: str) -> Tool:
-    """Return the frame with a name; ``base`` is the base, unless another frame has this name."""
+    """Return the frame with a name; ``base`` is the base, unless another frame has this name.
+
+    Raises:
+        UnknownNameError: If the robot has no such frame.
+    """
     try:
         return find_tool(robot, name)
     except UnknownNameError as error:

@@ -463,6 +463,11 @@ def _check_names(
         wanted: {name in the URDF: name in the MJCF}.
         urdf: Joints, root element and file of the URDF.
         mjcf: Joints, spec and file of the MJCF.
+
+    Raises:
+        UnknownNameError: If a file has no joint or link (MJCF: joint, site, body or geom) with a
+            name, or a joint is mapped to no joint.
+        ModelError: If two names are mapped to one.
     """
     (urdf_joints, root, source), (mjcf_joints, spec, target) = urdf, mjcf
     links = UrdfTree(root).links
@@ -782,6 +787,9 @@ def _refuse_loops(spec: mujoco.MjSpec, fixed_joints: Collection[str], source: Pa
 
     The fixed joints are joints that the URDF lacks. For example, a fixed rod would block the ankle
     that it drives. Refused are loops, and couplings between a fixed joint and another joint.
+
+    Raises:
+        ModelError: If the MJCF has such an active constraint, and joints are fixed.
     """
     for equality in spec.equalities if fixed_joints else ():
         names = {equality.name1, equality.name2} - {""}
