@@ -112,6 +112,9 @@ class ForcePolytope(Tabular):
         """Return the largest force [N] along a direction, and the index of the limiting motor.
 
         The index refers to ``joints``; it is -1 if the force is infinite or NaN.
+
+        Raises:
+            ConfigurationError: If the direction is no finite vector (3,), or zero.
         """
         vector = real_array("direction", direction)
         if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
