@@ -364,7 +364,7 @@ class _Descent:
         }
 
     def _all_joints(self, joints: Array) -> Array:
-        """Insert the positions of limb joints (k, n) into the positions of all joints (k, nu)."""
+        """Return positions of all joints (k, nu): of limbs from (k, n), of others from ``qpos``."""
         every = np.tile(self._rest, (len(joints), 1))
         every[:, self._joints] = joints
         return every

@@ -179,7 +179,11 @@ class Field:
         return self._check_single_value(self.name, value)
 
     def _check_single_value(self, name: str, value: Any) -> Any:
-        """Check and convert the value of a foot or joint, or the only value of the field."""
+        """Check and convert the value of a foot or joint, or the only value of the field.
+
+        Raises:
+            ConfigurationError: If the value has another type, or is out of range.
+        """
         if self.choices and isinstance(value, str):
             if value not in self.choices:
                 message = diagnose("neither-word-nor-point", given=value, known=self.choices)

@@ -289,7 +289,9 @@ class Stand(Pictured, Tabular):
         `solve_stand` returns such a stand. A stand from another process references no robot.
 
         Raises:
-            ConfigurationError: If the stand belongs to another robot.
+            ConfigurationError: As for `check`.
+            UnknownNameError: As for `check`.
+            ModelError: As for `check`.
         """
         self.check(robot)
         copy = replace(self)
@@ -303,7 +305,13 @@ class Stand(Pictured, Tabular):
         return robot
 
     def _require_robot(self) -> Robot:
-        """Return the robot that this stand references, with the task's contacts; raise if none."""
+        """Return the robot that this stand references, with the contacts of the task.
+
+        Raises:
+            ConfigurationError: If the stand references no robot, or as for `check`.
+            UnknownNameError: As for `check`.
+            ModelError: As for `check`.
+        """
         robot = self.own_robot
         if robot is None:
             owner = self.robot.rpartition(" ")[0]

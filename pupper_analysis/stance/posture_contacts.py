@@ -69,6 +69,9 @@ def keep_contacts(robot: Robot, stand: Stand) -> tuple[KeptContact, ...]:
     Args:
         robot: Robot with the contacts of the stand.
         stand: Stand.
+
+    Raises:
+        UnknownNameError: As for `keep_points`.
     """
     kept = [*keep_points(robot, {foot: stand.foot_targets[foot] for foot in stand.stance_feet})]
     at = Configuration(robot, stand.qpos) if robot.fixed_parts else None

@@ -97,7 +97,10 @@ class PostureTask(ABC):
 
     @abstractmethod
     def add_to(self, solver: placo.KinematicsSolver, weight: float) -> PlacoTask:
-        """Add this posture task to a PlaCo solver, with a weight of the squared error."""
+        """Add this task to a PlaCo solver, and return PlaCo's task.
+
+        ``weight`` is the weight of the squared error.
+        """
 
 
 @dataclass(frozen=True, eq=False)

@@ -251,6 +251,9 @@ def _check_lifted_contact(foot: str, contact: Contact | Weld) -> None:
     """Refuse the contact of a lifted foot if the contact exerts a force: a weld, grip or press.
 
     A lifted foot may have a plane: the foot is lifted along the normal of the plane.
+
+    Raises:
+        ConfigurationError: If the contact exerts a force.
     """
     if isinstance(contact, Weld):
         bearing = "weld"

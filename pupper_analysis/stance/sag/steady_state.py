@@ -423,6 +423,9 @@ class HomotopyPath:
 
         ``when`` describes the moment for the error message, for example a creep time; ``exact`` is
         an argument of `SagEquilibrium.solve`.
+
+        Raises:
+            NoEquilibriumError: If Newton's method fails, or contacts change too often.
         """
         self.solution = guess
         while True:

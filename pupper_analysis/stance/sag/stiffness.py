@@ -279,7 +279,12 @@ def _bisect_stiffness(
 
 
 def _check_ratios(robot: Robot, ratios: ArrayLike | None) -> Array:
-    """Return ratios of the stiffness, shape (nu,): finite, not negative, at least one positive."""
+    """Return ratios of the stiffness, shape (nu,); ones by default (None).
+
+    Raises:
+        ConfigurationError: If the ratios have another shape, are negative or not finite, or are all
+            zero.
+    """
     if ratios is None:
         return np.ones(robot.nu)
     values = real_array("ratios", ratios)
