@@ -113,6 +113,10 @@ def _stretch_link(
         normal: Knee axis in the link frame, shape (3,). The direction is projected into the plane
             with this normal.
         variant: Variant.
+
+    Raises:
+        ModelError: If no axis of a mesh is parallel to the stretched direction, so that scale
+            factors cannot stretch the mesh.
     """
     factor = variant.leg_scale
     in_plane = end[:3, 3] - normal * (normal @ end[:3, 3]) / (normal @ normal)
@@ -313,6 +317,9 @@ def _stretch_geom(
         matrix: Stretch I + (factor - 1) axis axis^T, shape (3, 3).
         meshes: {mesh: scale factors (3,) along the axes of the mesh}; the mesh of the geom is
             added.
+
+    Raises:
+        ModelError: If the geom is a mesh of which no axis is parallel to ``axis``.
     """
     ends = np.array(geom.fromto)
     rotation = _make_rotation(geom.quat)

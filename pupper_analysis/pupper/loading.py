@@ -25,7 +25,12 @@ def _accept_variants(load_files: Callable[P, Robot]) -> Callable[P, Robot]:
 
     @wraps(load_files)
     def load_named(*models: P.args, **options: P.kwargs) -> Robot:
-        """Load a Pupper variant if a single variant is given, else a robot from files."""
+        """Load a Pupper variant if a single variant is given, else a robot from files.
+
+        Raises:
+            ConfigurationError: If options other than ``fixed_base`` and ``visuals`` are given for a
+                variant.
+        """
         for model in models:
             if isinstance(model, str | Path) and not is_object(model):
                 refuse_unknown_variant(str(model))

@@ -214,6 +214,7 @@ def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Rob
         VariantError: If the name is unknown, or the scales give no valid model.
         ConfigurationError: If ``fixed_base`` is not a bool.
         ModelError: If the folder of the base files, or a base file, is missing or damaged.
+        OutputError: If the run will write a base file.
     """
     spec = get_variant_spec(variant)
     check_type("fixed_base", fixed_base, bool)
