@@ -10,7 +10,8 @@ verdict is first requested.
 from __future__ import annotations
 
 import copy
-from dataclasses import asdict, replace
+import itertools
+from dataclasses import asdict, dataclass, replace
 
 import mujoco
 import numpy as np
@@ -50,6 +51,7 @@ from pupper_analysis.robot.as_published import (
 )
 from pupper_analysis.robot.fall import (
     initial_height,
+    keyframe_duration,
     measure_motion,
     nudge_velocity,
     simulate_held_keyframe,
@@ -110,7 +112,7 @@ def get_published_model(robot: Robot) -> mujoco.MjModel | None:
     if robot.published.is_unchanged:
         return robot.mj_model
     if robot.published.file is None:
-        found = robot.compute_once(_import_urdf)
+        found, _ = robot.compute_once(_import_urdf)
         model = None if isinstance(found, Diagnostic) else found
     else:
         model = compile_published_model(robot.published.file, robot)
@@ -126,62 +128,159 @@ def describe_import_failure(robot: Robot) -> tuple[Diagnostic, ...]:
 
     Also empty for a robot with an MJCF, whose URDF is not imported.
     """
-    found = get_loaded_robot(robot).compute_once(_import_urdf)
+    found, _ = get_loaded_robot(robot).compute_once(_import_urdf)
     return (diagnose("own-import-refused", problem=found),) if isinstance(found, Diagnostic) else ()
 
 
-def _import_urdf(robot: Robot) -> mujoco.MjModel | Diagnostic | None:
+@dataclass(frozen=True, eq=False)
+class _NudgedRun:
+    """States of the nudged simulation of a published model by `_simulate_settling`.
+
+    Attributes:
+        model: Published model.
+        hold: Commands.
+        initial: Initial state (mjSTATE_INTEGRATION).
+        reached: States at increasing times.
+    """
+
+    model: mujoco.MjModel
+    hold: HoldCommands
+    initial: Array
+    reached: tuple[mujoco.MjData, ...]
+
+    def advance(
+        self, model: mujoco.MjModel, state: mujoco.MjData, hold: HoldCommands, seconds: float
+    ) -> float:
+        """Replace a state by the last known state of the same simulation; return the rest [s].
+
+        Args:
+            model: Published model of the simulation.
+            state: State, the initial one or one of ``reached``; changed in place.
+            hold: Commands of the simulation.
+            seconds: Time [s] by which the caller advances the state.
+
+        Returns:
+            Time [s] by which the state remains to be advanced: ``seconds`` for another simulation.
+        """
+        if model is not self.model or not _are_equal_commands(hold, self.hold):
+            return seconds
+        known = (self.initial, *(_integration_state(model, data) for data in self.reached))
+        current = _integration_state(model, state)
+        if not any(np.array_equal(current, values) for values in known):
+            return seconds
+        begin, timestep = state.time, float(model.opt.timestep)
+        for data in self.reached:
+            if begin < data.time <= begin + seconds + timestep / 2:
+                mujoco.mj_copyData(state, model, data)
+        return seconds - float(state.time - begin)
+
+
+def _find_nudged_run(robot: Robot) -> _NudgedRun | None:
+    """Return the simulation in which the imported URDF of a robot settles; None for an MJCF."""
+    published = robot.published
+    if published is None or published.is_unchanged or published.file is not None:
+        return None
+    _, run = get_loaded_robot(robot).compute_once(_import_urdf)
+    return run
+
+
+def _integration_state(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """Return all numbers that determine the next steps of MuJoCo, shape (n,)."""
+    kind = mujoco.mjtState.mjSTATE_INTEGRATION
+    values = np.empty(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, data, values, kind)
+    return values
+
+
+def _are_equal_commands(first: HoldCommands, second: HoldCommands) -> bool:
+    """Return True if two commands of the same model are equal."""
+    pairs = zip(
+        (first.ctrl, first.act, *first.external),
+        (second.ctrl, second.act, *second.external),
+        strict=True,
+    )
+    return first.motor_laws == second.motor_laws and all(
+        np.array_equal(one, other) for one, other in pairs
+    )
+
+
+def _import_urdf(
+    robot: Robot,
+) -> tuple[mujoco.MjModel | Diagnostic | None, _NudgedRun | None]:
     """Import the URDF of a robot without MJCF by MuJoCo's own importer.
 
     The time step of a robot on feet is reduced if the robot does not settle otherwise.
 
     Returns:
-        Model; the error message if MuJoCo refuses the URDF; None if the robot has an MJCF.
+        Model; the error message if MuJoCo refuses the URDF; None if the robot has an MJCF. And the
+        simulation in which the robot settles; None without such a simulation.
     """
     if robot.published is None or robot.published.imported is None:
-        return None
+        return None, None
     try:
         model = compile_urdf_import(robot.published.imported, robot)
     except ModelError as error:
-        return error.cause
+        return error.cause, None
     # Servos and time step were tuned for the collision shapes of the prepared robot. The shapes of
     # the file may have more contact points, and may then need a smaller time step.
     step = float(model.opt.timestep)
     for divisor in TIMESTEP_DIVISORS if robot.floating and robot.feet else ():
         model.opt.timestep = step / divisor
-        if settles_in_place(model, robot, robot.home):
-            return model
+        settles, run = _simulate_settling(model, robot, robot.home)
+        if settles:
+            return model, run
     model.opt.timestep = step
-    return model
+    return model, None
 
 
 def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
     """Return True if a nudged model still stands, and is at rest, after ``_SETTLING_TIME``.
 
     Args:
-        model: Published model: compiled from the file of the robot.
+        model: Published model.
         robot: Prepared robot, with the gains of the added servos.
         qpos: Configuration of the stand, shape (nq,). The joint positions are commanded.
+    """
+    return _simulate_settling(model, robot, qpos)[0]
+
+
+def _simulate_settling(
+    model: mujoco.MjModel, robot: Robot, qpos: Array
+) -> tuple[bool, _NudgedRun | None]:
+    """Simulate a nudged model for ``_SETTLING_TIME``; see `settles_in_place` for the arguments.
+
+    Returns:
+        Whether the robot still stands, and is at rest; and the simulation, with the state halfway
+        through the run from the keyframe, which starts alike. None if the base cannot be placed.
     """
     published = with_unstated_options(PublishedModel.from_model(model, robot), robot)
     start = place_published(published, robot, qpos)
     if start is None:
-        return False
+        return False, None
     data = copy.copy(start)
     data.qvel[:] = nudge_velocity(published.model)
     hold = compute_hold_commands(
         published, robot, data, None, data.qpos[joint_qpos_addresses(published, robot)]
     )
-    simulate_published(published, data, hold, _SETTLING_TIME, record_forces=False)
+    data.ctrl[:], data.act[:] = hold.ctrl, hold.act
+    initial, reached = _integration_state(model, data), []
+    timestep = float(model.opt.timestep)
+    halfway = round(keyframe_duration(model) / timestep) // 2 * timestep
+    times = (halfway, _SETTLING_TIME) if halfway < _SETTLING_TIME else (_SETTLING_TIME,)
+    for begin, end in itertools.pairwise((0.0, *times)):
+        if not was_reset_by_mujoco(data):  # a reset ends the simulation
+            simulate_published(published, data, hold, end - begin, record_forces=False)
+            reached.append(copy.copy(data))
+    run = _NudgedRun(published.model, hold, initial, tuple(reached))
     if not np.abs(data.qvel).max() < _MAX_RESTING_SPEED:
-        return False
-    initial = initial_height(
+        return False, run
+    height = initial_height(
         published.model, start, published.base_body, published.ground_height or 0.0
     )
     motion = measure_motion(
-        published.model, start, data, published.base_body, _SETTLING_TIME, initial
+        published.model, start, data, published.base_body, _SETTLING_TIME, height
     )
-    return not motion.collapses
+    return not motion.collapses, run
 
 
 def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
@@ -407,11 +506,16 @@ def _simulate_commands(
     """
     start = copy.copy(data)
     start.ctrl[:], start.act[:] = hold.ctrl, hold.act
+    known = _find_nudged_run(robot)
 
     def advance(state: mujoco.MjData, seconds: float) -> None:
         """Simulate the published model for ``seconds`` [s], in place; no effect after a reset."""
         if not was_reset_by_mujoco(state):  # a reset ends the simulation
-            simulate_published(published, state, hold, seconds, record_forces=False)
+            rest = (
+                seconds if known is None else known.advance(published.model, state, hold, seconds)
+            )
+            if rest > 0.5 * float(published.model.opt.timestep):
+                simulate_published(published, state, hold, rest, record_forces=False)
 
     if robot.floating:
         motion, end = simulate_keyframe(

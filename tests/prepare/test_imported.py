@@ -5,6 +5,7 @@ it.
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,8 +15,10 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
+from pupper_analysis.prepare import own_run as own_run_module
 from pupper_analysis.prepare.own_run import get_published_model, own_run
 from pupper_analysis.present.verdict import format_verdict, verdict_clauses
+from pupper_analysis.robot import fall
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from tests.support.legged import biped, quadruped, rewrite_file
 
@@ -88,6 +91,36 @@ def test_imported_model_has_a_free_joint_a_ground_and_servos(tmp_path: Path) -> 
     assert model.body_mass.sum() == pytest.approx(robot.total_mass, rel=1e-12)
     again = pickle.loads(pickle.dumps(robot))
     assert own_run(again) == own_run(robot)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [four_legs, two_legs])
+@pytest.mark.parametrize("steps", [5000, 1500])
+def test_own_run_continues_the_settling_simulation_with_the_same_result(
+    make: Callable[[Path], Path], steps: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reference: the run without the states of the settling simulation, to the last bit.
+
+    With 1500 steps, the state halfway lies before the end of the settling simulation.
+    """
+    monkeypatch.setattr(fall, "_MAX_KEYFRAME_STEPS", steps)
+    robot = pa.load_robot(make(tmp_path))
+    assert get_published_model(robot) is not None  # has settled
+    num_steps, step = 0, mujoco.mj_step
+
+    def count_step(model: mujoco.MjModel, data: mujoco.MjData, nstep: int = 1) -> None:
+        nonlocal num_steps
+        num_steps += nstep
+        step(model, data, nstep=nstep)
+
+    monkeypatch.setattr(mujoco, "mj_step", count_step)
+    continued = own_run_module._simulate_from_keyframe(robot)
+    num_continued, num_steps = num_steps, 0
+    monkeypatch.setattr(own_run_module, "_find_nudged_run", lambda _: None)
+    assert own_run_module._simulate_from_keyframe(robot) == continued
+    model = get_published_model(robot)
+    assert model is not None
+    assert num_steps - num_continued == round(2.0 / model.opt.timestep)
 
 
 @pytest.mark.slow
