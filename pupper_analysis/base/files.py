@@ -477,7 +477,7 @@ class _StagedFile:
             raise self._make_error(describe_os_error(error)) from error
 
     def _check_replacement(self, existing: os.stat_result) -> None:
-        """Raise an error if the existing file with this status cannot or must not be replaced."""
+        """Raise OutputError if the file with this status cannot or must not be replaced."""
         if not is_replaceable(existing):
             raise self._make_error(diagnose("output-no-regular-file"))
         if not os.access(self.target, os.W_OK):
@@ -495,7 +495,7 @@ class _StagedFile:
         )
 
     def _check_unchanged(self) -> None:
-        """Raise an error if the existing file does not have the expected content ``before``."""
+        """Raise OutputError if the existing file has not the content ``before``; nothing if None."""
         before = self.writing.before
         if before is not None and self.target.read_bytes() != before:
             raise self._make_error(diagnose("output-changed-meanwhile"))

@@ -275,7 +275,8 @@ _LIST_FORMAT = re.compile(r"(,or|or|and|,|;|)(\d*)(?:\|(.*))?$")
 of each item; each part may be missing."""
 
 _MAX_LISTED_ITEMS = 8
-"""Default of the maximum number of items in a list. Longer lists hide the rest of the message."""
+"""Default of the maximum number of items in a list. Longer lists hide the rest of the message.
+Chosen, not tuned."""
 
 _SEPARATORS = {
     "en": {",": ", ", ";": "; ", "or": " or ", ",or": ", or ", "and": " and "},
