@@ -424,7 +424,7 @@ _HEXADECIMAL_NUMBER: Final = re.compile("0[xX][0-9a-fA-F]+")
 
 
 def _check_sizes(path: Path, element: etree._Element) -> None:
-    """Raise an error if the product of the sizes of an element exceeds that of `_MAX_PRODUCTS`."""
+    """Raise a ModelError if a product of sizes of an element exceeds that in `_MAX_PRODUCTS`."""
     for tag, attributes, limit in _MAX_PRODUCTS:
         if tag in ("*", element.tag):
             text = " ".join(element.get(attribute, "") for attribute in attributes)
@@ -444,7 +444,7 @@ strings."""
 
 
 def _check_formats(path: Path, element: etree._Element) -> None:
-    """Raise an error for texts that crash MuJoCo's reader when used as format strings."""
+    """Raise a ModelError for texts that crash MuJoCo's reader when used as format strings."""
     for attribute, value in element.attrib.items():
         if attribute not in _TEXT_ATTRIBUTES and _FORMAT_DIRECTIVE.search(str(value)):
             values = {"tag": element.tag, "attribute": attribute, "value": quote_short(str(value))}

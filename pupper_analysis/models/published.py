@@ -213,7 +213,7 @@ def _import_cached_description(source: str, name: str, cache: ModuleType) -> Mod
     """
 
     def find_in_cache(repository: str, commit: str | None = None) -> str:
-        """Return the cached folder of a repository; raise an error if there is none."""
+        """Return the cached folder of a repository; raise `_NotCachedError` if there is none."""
         del commit
         repositories = importlib.import_module("robot_descriptions._repositories").REPOSITORIES
         default = Path.home() / ".cache" / "robot_descriptions"

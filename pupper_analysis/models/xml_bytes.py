@@ -241,5 +241,5 @@ def _render_element(element: Element, indent: bytes) -> bytes:
 
 
 def _escape_value(value: str) -> bytes:
-    """Escape an attribute value."""
+    """Return an attribute value in UTF-8, with &, <, > and both quotation marks as entities."""
     return escape(value, {'"': "&quot;", "'": "&apos;"}).encode()
