@@ -384,9 +384,9 @@ class Balance:
     ) -> Array | None:
         """Return z with the smallest peak ``max |cost @ z - target|``, and then least squares.
 
-        z are null-space coordinates: the contact forces, ``particular + free @ z``, must be inside
-        the friction cones. The second program, which minimises the sum of squares, may exceed the
-        peak by `_PEAK_SLACK` (relative). None if infeasible.
+        z (k,) are null-space coordinates: the forces (size,), ``particular + free @ z``, must be
+        inside the friction cones. The second program, which minimises the sum of squares, may
+        exceed the peak by `_PEAK_SLACK` (relative). None if infeasible.
         """
         size = len(target)
         scale = float(np.abs(cost @ np.linalg.lstsq(cost, target)[0] - target).max(initial=0.0))
@@ -420,8 +420,8 @@ class Balance:
     ) -> Array | None:
         """Minimise |cost @ z - target|^2 with the forces in the cones, and A z <= b.
 
-        z are null-space coordinates: the forces are particular + free @ z; ``bounds`` is (A, b).
-        None if infeasible.
+        z (k,), which is returned, are null-space coordinates: the forces (size,) are
+        particular + free @ z. ``bounds`` is (A, b). None if infeasible.
         """
         quadratic = cost.T @ cost
         # In singular leg configurations some forces need no torque: select the smallest of them.
@@ -441,10 +441,10 @@ class Balance:
     ) -> Array | None:
         """Minimise z^T quadratic z / 2 + linear z with ``particular + free @ z`` in the cones.
 
-        ``bounds`` contains A and b of the inequality A z <= b. Returns None if Clarabel finds the
-        problem infeasible or unbounded, or if the solution violates a friction cone or grip limit
-        by more than 1e-9 times the norm of the first three elements of the base load (1e-9 N if
-        that is zero). A violation of ``bounds`` is not checked.
+        ``bounds`` contains A and b of the inequality A z <= b. Returns z (k,). None if Clarabel
+        finds the problem infeasible or unbounded, or if the solution violates a friction cone or
+        grip limit by more than 1e-9 times the norm of the first three elements of the base load
+        (1e-9 N if that is zero). A violation of ``bounds`` is not checked.
         """
         scale = np.linalg.norm(self.base_load[:3]) or 1.0  # a robot in free fall has no weight
         rows = self._cone_rows(friction)
