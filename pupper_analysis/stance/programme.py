@@ -163,8 +163,9 @@ class _Progress:
 class StanceProgram:
     """Nonlinear program of a goal.
 
-    Of the variables, the base position and the relaxations of lengths are in stand heights. Height
-    and orientation of the base equal those of the relaxed goal at each point.
+    The v variables ``x`` are the horizontal base position and the relaxations of lengths, in stand
+    heights, and the joint positions and relaxations of angles [rad, m]. Height and orientation of
+    the base equal those of the relaxed goal at each point.
 
     Args:
         shapes: Robot with collision shapes.
@@ -253,7 +254,10 @@ class StanceProgram:
         return self._point(x).qpos
 
     def _squared_distances(self, x: Array, scale: float = 1.0) -> tuple[float, Array]:
-        """Return ``scale`` times the sum of squared foot distances [m^2], and the gradient."""
+        """Return ``scale`` times the sum of squared foot distances [m^2], and the gradient (v,).
+
+        ``x`` are the variables, shape (v,); the gradient is the derivative by ``x``.
+        """
         at = self._configuration(x)
         feet, jacobians = at.foot_positions(), at.foot_jacobians()
         total, gradient = 0.0, np.zeros(self._robot.nv)
@@ -276,11 +280,15 @@ class StanceProgram:
         """Minimise a function under the constraints by SLSQP; the result is within the bounds.
 
         Args:
-            function: Returns value and gradient.
-            start: Initial guess of the variables.
+            function: Returns value and gradient, shape (v,), at the variables.
+            start: Initial guess of the variables, shape (v,).
             tolerance: Tolerance of the function value (``ftol`` of SLSQP).
             iterations: Upper bound of iterations.
             progress: Monitor that ends the solve early.
+
+        Returns:
+            Variables, shape (v,); if ``progress`` ends the solve, those with the smallest violation
+            so far.
         """
         from scipy import optimize  # slow to import
 
@@ -325,7 +333,10 @@ class StanceProgram:
         return float(max(off, -left[equal:].min(initial=0.0)))
 
     def _make_start(self, qpos: Array, task: StandTask | None) -> Array:
-        """Return the variables of an initial configuration (nq,) and an initial relaxed task."""
+        """Return the variables (v,) of an initial configuration (nq,) and an initial relaxed task.
+
+        Without a task (None), nothing is relaxed.
+        """
         numbers = self._numbers
         had = numbers.values if task is None else numbers.read_task(task)
         given = (had - numbers.values) / numbers.units
@@ -340,7 +351,7 @@ class StanceProgram:
         return numbers.clip(numbers.values + numbers.units * (more - less))
 
     def _evaluate(self, x: Array) -> _Point:
-        """Evaluate goal, configuration and residuals at the variables of the program."""
+        """Evaluate goal, configuration and residuals at the variables ``x`` (v,)."""
         goal = self._make_goal(self._demand_values(x), self._goal)
         qpos = np.empty(self._robot.nq)
         qpos[:2], qpos[2], qpos[3:7] = self._unit * x[:2], goal.height, goal.base_quaternion

@@ -944,7 +944,7 @@ class Welds:
 
 
 def independent_rows(rows: Array) -> NDArray[np.intp]:
-    """Return the ascending indices of a largest set of linearly independent rows of a matrix."""
+    """Return the ascending indices of a largest set of linearly independent rows, (m, n)."""
     triangle, order = lapack.pivoted_qr(rows.T)
     sizes = np.abs(np.diag(triangle))
     tolerance = max(rows.shape) * np.finfo(float).eps * sizes.max(initial=0.0)
