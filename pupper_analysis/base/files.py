@@ -495,7 +495,7 @@ class _StagedFile:
         )
 
     def _check_unchanged(self) -> None:
-        """Raise OutputError if the existing file has not the content ``before``; nothing if None."""
+        """Raise OutputError if ``before`` is specified, and not the existing file's content."""
         before = self.writing.before
         if before is not None and self.target.read_bytes() != before:
             raise self._make_error(diagnose("output-changed-meanwhile"))
