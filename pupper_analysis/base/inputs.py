@@ -40,7 +40,7 @@ MAX_FILE_BYTES: Final = 500_000_000
 """Maximum size of an input file that is no text, such as a mesh or a texture. Chosen, not tuned."""
 
 _CHUNK_BYTES: Final = 1 << 20
-"""Number of bytes per read operation."""
+"""Number of bytes per read operation. Chosen, not tuned."""
 
 _MAX_COMPARED_NAMES: Final = 2000
 """Maximum number of files of a folder whose names are compared with that of a missing file. Chosen,
@@ -51,7 +51,7 @@ _MIN_SIMILARITY: Final = 0.75
 missing file. Chosen: one wrong letter of four, or two exchanged letters of five."""
 
 _MAX_KEY_LENGTH: Final = 500
-"""Maximum number of characters of a TOML key. Error messages contain the key."""
+"""Maximum number of characters of a TOML key. Error messages contain the key. Chosen, not tuned."""
 
 _MAX_VALUE_LENGTH: Final = 4096
 """Maximum number of characters of a text in a TOML file, the longest path of Linux. Error messages

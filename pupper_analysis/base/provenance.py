@@ -29,7 +29,8 @@ RECORDED_LIBRARIES = ("pupper-analysis", "mujoco", "pin", "placo", "numpy", "cla
 
 
 _MAX_LISTED_FILES = 12
-"""Maximum number of input files listed on a page. A robot with meshes may have a hundred."""
+"""Maximum number of input files listed on a page. A robot with meshes may have a hundred.
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
