@@ -110,7 +110,14 @@ def _structure_key(parameters: MultibodyTree) -> tuple[object, ...]:
 
 
 def _compile_structure(parameters: MultibodyTree, base: str) -> mujoco.MjModel:
-    """Compile a MuJoCo model with the structure of a tree and arbitrary parameters."""
+    """Compile a MuJoCo model with the structure of a tree and arbitrary parameters.
+
+    Masses, inertias, axes and positions are nonzero placeholders, which the caller overwrites.
+
+    Args:
+        parameters: Tree with the joints, their types, and the frames (sites of the model).
+        base: Name of the base body in the model.
+    """
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     bodies = {parameters.base: spec.worldbody.add_body(name=base)}

@@ -283,7 +283,12 @@ def expand_xacro(
 
 @contextmanager
 def _find_xacro_packages(path: Path, packages: Mapping[str, Path]) -> Iterator[None]:
-    """Resolve ``$(find NAME)`` of xacro by `find_packages`, then by ROS."""
+    """Resolve ``$(find NAME)`` of xacro by `find_packages`, then by ROS, in a ``with`` block.
+
+    Args:
+        path: Xacro file, above whose folder packages are searched.
+        packages: {ROS package: its folder}.
+    """
     try:
         substitution = importlib.import_module("xacro.substitution_args")
     except ImportError:  # another package with the name xacro

@@ -281,7 +281,18 @@ class SpecTree:
     def add_coupling(
         self, follower: str, leader: str, multiplier: Number, offset: Number
     ) -> mujoco.MjsEquality:
-        """Couple a joint to another: q_follower = offset + multiplier q_leader."""
+        """Couple a joint to another: q_follower = offset + multiplier q_leader.
+
+        Args:
+            follower: Joint that is coupled.
+            leader: Joint that it follows.
+            multiplier: Factor of the leader's position.
+            offset: Position of the follower with the leader at zero [rad, m].
+
+        Returns:
+            The new equality constraint, which is stiffer than by MuJoCo's defaults
+            (`COUPLING_TIME_CONSTANT`).
+        """
         # MuJoCo's polynomial uses coordinates relative to ``ref``.
         follower_ref, leader_ref = (
             _reference_position(self.spec.joint(name)) for name in (follower, leader)
@@ -487,7 +498,7 @@ def _reference_position(joint: mujoco.MjsJoint) -> float:
 
 
 def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
-    """Delete a joint and the joint's actuators, joint equalities and sensors."""
+    """Delete a joint of a spec, and its actuators, joint equalities and sensors, in place."""
     name = joint.name
     for actuator in list(spec.actuators):
         if actuator.target == name:

@@ -176,9 +176,13 @@ def _find_value_spans(data: bytes, element: Element) -> dict[str, tuple[int, int
 
 
 def splice_attributes(data: bytes, element: Element) -> Iterator[tuple[int, int, bytes]]:
-    """Yield the splices of changed attributes: start, end and new bytes.
+    """Yield the splices of changed attributes: first byte, byte after the last, and new bytes.
 
-    New attributes follow the last attribute.
+    Attributes are renamed and changed in place; new attributes follow the last attribute.
+
+    Args:
+        data: Bytes of the file.
+        element: Element with the changes.
     """
     if not element.changes:
         return
