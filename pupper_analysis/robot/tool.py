@@ -251,7 +251,11 @@ def _find_chain(robot: Robot, link: str) -> tuple[str, ...]:
 
 
 def _find_end_link(robot: Robot) -> str:
-    """Return the last link of the longest chain of joints, or the link that carries its fingers."""
+    """Return the last link of the longest chain of joints, or the link that carries its fingers.
+
+    Fingers are branches of at most `_MAX_FINGER_JOINTS` joints, which begin at the same link of the
+    chain, behind the first `_MIN_ARM_JOINTS` joints.
+    """
     model = robot.structure.model
     lengths = [len(support) - 1 for support in model.supports]
     last = int(np.argmax(lengths))  # the first of equals

@@ -156,7 +156,18 @@ def _collect_limb_shapes(
     of_mjcf: tuple[RobotModel, MjcfFile],
     data: mujoco.MjData,
 ) -> Limb | None:
-    """Return the collision shapes that move with a joint; None if a link or extent is unknown."""
+    """Return the collision shapes that move with a joint; None if a link or extent is unknown.
+
+    Args:
+        name: Joint.
+        matched: Matched files.
+        of_urdf: Model and file of the URDF.
+        of_mjcf: Model and file of the MJCF.
+        data: MuJoCo data with kinematics, in whose world frame the shapes are placed.
+
+    Returns:
+        Shapes of the URDF, and shapes of the MJCF, each with its place in the file.
+    """
     (urdf_model, urdf_file), (mjcf_model, mjcf_file) = of_urdf, of_mjcf
     body, link, base = matched.mjcf_body[name], matched.urdf_link[name], matched.robot.base
     bases = matched.mjcf_body.get(base), matched.urdf_link.get(base)

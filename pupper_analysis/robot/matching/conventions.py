@@ -324,7 +324,12 @@ def _is_axis_permutation(rotation: Array) -> bool:
 
 
 def _candidate_base_poses(first: MultibodyTree, second: MultibodyTree) -> Iterator[pin.SE3]:
-    """Yield candidate poses of the base frame of the first tree in that of the second tree."""
+    """Yield candidate poses of the base frame of the first tree in that of the second tree.
+
+    First the poses with which a joint of the base has the same placement in both trees, for the
+    first `_MAX_JOINTS_TRIED` joints; then the 24 rotations by quarter turns, each without
+    translation, and with the translation that makes the mean joint position equal.
+    """
     names = first.children(first.base)
     for name in names[:_MAX_JOINTS_TRIED]:
         first_joint, second_joint = first.joints[name], second.joints[name]

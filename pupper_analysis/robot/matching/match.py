@@ -423,7 +423,11 @@ def _build_in_mjcf_convention(
 def _compare_conventions(
     robot: Robot, tolerances: Tolerances
 ) -> tuple[Conventions, list[Diagnostic]]:
-    """Find differences of base frame and joint zeros in both files; report a fixed base's pose."""
+    """Find differences of base frame and joint zeros in both files; report a fixed base's pose.
+
+    Returns:
+        The differences; diagnostics of the pose of a fixed base, empty for a free base.
+    """
     urdf, mjcf = kinematic_trees(robot)
     if robot.floating:
         return find_conventions(urdf, mjcf, tolerances, fixed=False), []
