@@ -25,7 +25,7 @@ from pupper_analysis.robot.tool import Place, Tool, find_place, find_tool
 
 MIN_LEVER_ARM = 1e-9
 """Lever arm of a force about a hinge [m], or force component along a slide [1], below which the
-motor does not bear the force (rounding)."""
+motor does not bear the force. Chosen as the size of rounding errors."""
 
 _PARALLEL_TOLERANCE = 1e-9
 """Smallest triple product [1] of the unit normals of three faces with which the faces meet in one
