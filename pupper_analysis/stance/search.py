@@ -279,7 +279,12 @@ class _Search:
         return sum(error <= bound for error in self.misses) >= _MIN_AGREEING_GUESSES
 
     def _generate_initial_configurations(self, best: Stand) -> Iterator[Array]:
-        """Yield initial configurations (nq,) of the nonlinear program, first that of ``best``."""
+        """Yield initial configurations (nq,) of the nonlinear program, first that of ``best``.
+
+        Without a free CoM, the other stands with the feet in place follow. With a free CoM: the
+        default guesses, random postures (only for a sole on a leg with fewer than six joints), and
+        guesses with a displaced base, if the feet are nearly in place.
+        """
         robot, goal = self.robot, self.goal
         yield best.qpos
         if not goal.com_is_free:
@@ -320,7 +325,10 @@ class _Search:
         return min(self.points, key=lambda point: point.foot_error)
 
     def add(self, point: SolverResult) -> Stand | None:
-        """Register an IK result in this search; return its stand if it is solved, else None."""
+        """Register an IK result in this search; return its stand if it is solved, else None.
+
+        A stand with the feet in place is added to ``reached``, also if it is not solved.
+        """
         self.points.append(point)
         self.iterations += point.iterations
         goal = self.goal

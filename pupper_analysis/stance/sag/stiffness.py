@@ -340,7 +340,12 @@ class _StiffnessSearch:
         return self._durations[value]
 
     def follow(self, value: float) -> bool:
-        """Test kp [N m/rad] by removing feed-forward; keep the equilibrium if the robot stands."""
+        """Test kp [N m/rad] by removing feed-forward, then simulating creep.
+
+        Returns:
+            True if the robot stands; its equilibrium is then the initial guess of the next tests.
+            False with the reason in ``problem`` otherwise.
+        """
         try:
             path = make_homotopy_path(self._robot, self._stand, value * self._ratios, self._feet)
             path.follow(1.0)
