@@ -370,7 +370,15 @@ class _Writer:
 def _copy_fields(
     element: Any, model: mujoco.MjModel, prefix: str, index: int, names: Mapping[str, str]
 ) -> None:
-    """Copy numbers of an element from the arrays of a model, in place."""
+    """Copy numbers of an element from the arrays of a model, in place.
+
+    Args:
+        element: Element of the new spec, modified.
+        model: Compiled model.
+        prefix: Prefix of the arrays, such as ``geom``.
+        index: Id of the element in the model.
+        names: {field of the element: suffix of the array}.
+    """
     for name, source in names.items():
         value = getattr(model, f"{prefix}_{source}")[index]
         own = getattr(element, name)

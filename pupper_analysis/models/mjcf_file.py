@@ -932,7 +932,13 @@ def _locate_message(
     """Return MuJoCo's message, and the location of the element that the message concerns.
 
     MuJoCo reports the line in the main file, or in an unspecified file, and 0 for included
-    elements. The reported name may be that of a missing element.
+    elements. The reported name may be that of a missing element. The location is the main file
+    without line if no element is found.
+
+    Args:
+        tree: Elements of the file.
+        index: {(tag, name): element}.
+        error: Error of MuJoCo.
     """
     message = one_line(error)
     line_match = re.search(r"(?:, line |Line number=)([1-9][0-9]*)", message)

@@ -211,6 +211,11 @@ def _read_spec(path: Path, spec: mujoco.MjSpec, name: str) -> MjcfFile:
     MuJoCo cannot write the XML of a spec to which a model with other compiler settings is attached,
     and does not state the folder of the files of an attached model. Such a spec is read from its
     compiled model, with a note.
+
+    Args:
+        path: Path in place of a file's, for messages.
+        spec: Spec.
+        name: Kind of the robot in memory, for the note, such as ``MjSpec``.
     """
     note, file = _make_memory_note(name), None
     problem: Exception | None = None
@@ -246,6 +251,11 @@ def _make_memory_note(name: str) -> Diagnostic:
 
 def _read_text(text: str, name: str, packages: Mapping[str, Path] | None) -> UrdfFile | MjcfFile:
     """Return the model file of an XML text. Relative paths start at the current folder.
+
+    Args:
+        text: URDF or MJCF.
+        name: Kind of the robot in memory, for messages, such as ``XML text``.
+        packages: {ROS package: its folder}, for ``package://`` in a URDF.
 
     Raises:
         ModelError: If the text is no valid URDF or MJCF.

@@ -232,7 +232,8 @@ def _stated_values(
 
     Infinite limits are omitted. A parameter other than a limit is omitted if its value is 0 and
     neither the joint nor a default class contains the attribute. ``limits`` is
-    {field of `TreeJoint`: limit}. Without ``spec_joint``, only the limits are returned.
+    {field of `TreeJoint`: limit}. Without ``spec_joint``, only the limits are returned. ``joint``
+    is the id of the joint in the compiled model, ``body`` the name of its body.
     """
     values = {
         attribute.kind: limits[attribute.field]
