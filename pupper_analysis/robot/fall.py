@@ -421,7 +421,7 @@ def _lies_on_trunk(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> boo
     """Return True if the robot lies on its trunk instead of standing on its feet.
 
     Either the base or a child of the base with children (hip) touches the world, or bodies touch
-    the world, but no limb end is among them.
+    the world, but no limb end is among them. ``base`` is the id of the base body.
     """
     own, above = int(model.body_weldid[base]), model.body_weldid[model.body_parentid]
     moving = [body for body in range(1, model.nbody) if model.body_weldid[body] == body]

@@ -136,6 +136,11 @@ def close_welds(
 def weld_forces(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, Array]:
     """Return the force of the world on each part that a task welds to the world or lets grip.
 
+    Args:
+        robot: Robot with the contacts of the task.
+        model: Model with the ground and the welds of the task (`build_on_ground`).
+        data: Data after ``mj_forward`` or a step.
+
     Returns:
         {foot, link or base: force, shape (3,) [N], in world axes}.
     """
