@@ -536,6 +536,12 @@ def _iterate_viscosities(
     `_MAX_VISCOSITY_ITERATIONS`. If the viscosity of a contact is zero, the last forces are
     returned. On level ground the viscosities have no influence, and ``forces`` is returned. None if
     an iteration finds no feasible forces.
+
+    Args:
+        robot: Robot.
+        problem: Equations of balance.
+        forces: Forces with equal viscosities, in the order of `Balance` [N, N m].
+        carrying: Contacts that carry load.
     """
     if carrying.is_level:
         return forces
