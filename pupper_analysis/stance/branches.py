@@ -175,7 +175,8 @@ def _sort_branches(
 ) -> tuple[Branch, ...]:
     """Sort branches by foot error, then by the limb's joint origins along base x, rearmost first.
 
-    Legs with equivalent branches thus all bend in the same direction.
+    Legs with equivalent branches thus all bend in the same direction. ``qpos`` (nq,) determines the
+    positions of the other joints.
     """
     model, data = robot.pin_model, robot.pin_model.createData()
     numbers = [model.getJointId(robot.joint_names[joint]) for joint in limb.joints]
@@ -265,7 +266,8 @@ def _remove_turns(robot: Robot, positions: Array, lower: Array, upper: Array) ->
     """Subtract whole turns from joint positions (k, nu) [rad], to be within half a turn of home.
 
     Joints with a range of more than a turn reach the same leg posture several times. Slides,
-    continuous joints, and positions whose result would be out of range are not changed.
+    continuous joints, and positions whose result would be out of range are not changed. ``lower``
+    and ``upper`` are the joint limits, shape (nu,) [rad, m].
     """
     model, convention = robot.pin_model, robot.pin_convention
     sliding = [
@@ -380,6 +382,12 @@ class _Descent:
         """Return Levenberg-Marquardt steps of n limb joints in k configurations, (k, n) [rad, m].
 
         Joints at a bound with an outward gradient stay.
+
+        Args:
+            errors: Position errors of the f contact points, shape (k, f, 3) [m].
+            jacobians: Their derivative by the limb joints, shape (k, f, 3, n).
+            joints: Positions of the limb joints, shape (k, n) [rad, m].
+            damping: Damping of each joint, shape (k, n).
         """
         low, high = self._lower[self._joints], self._upper[self._joints]
         rows = jacobians.reshape(len(joints), -1, joints.shape[1])

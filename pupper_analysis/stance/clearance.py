@@ -374,6 +374,12 @@ class ClearanceShapes:
         """Yield the smallest distance [m] of each shape of ``parts`` to the slope and all steps.
 
         The surface that a hand touches does not count for parts on the link of this hand.
+
+        Args:
+            at: Kinematics of the configuration.
+            ground: Ground with steps.
+            targets: {contact point: target of the sphere centre, shape (3,) [m]}, which determines
+                the positions of the steps.
         """
         where = self._shape_poses(at)
         floor = coal.Halfspace(ground.normal(), 0.0 if self._has_floor else -_NO_FLOOR)

@@ -448,7 +448,10 @@ def _check_com_place(task: StandTask, place: Array, corners: tuple[Corner, ...])
 
 
 def _fill_task(robot: Robot, task: StandTask, com: str) -> StandTask:
-    """Fill in the robot's default height and CoM, and the units of the posture."""
+    """Return a task with the default height and CoM (``com``), and the units of the posture.
+
+    The CoM of a task with an ``offset`` of the base is "centre" by default.
+    """
     if task.posture:
         task = replace(task, posture=with_units(robot, task.posture)).replace_unchecked(
             ground=task.ground
