@@ -317,7 +317,12 @@ if they differ but have the same text."""
 
 @dataclass(frozen=True)
 class _Compared:
-    """Value of a placeholder, and the value with which the message compares it."""
+    """Value of a placeholder, and the value with which the message compares it.
+
+    Attributes:
+        value: Number, quantity or vector.
+        other: Value of the same type and unit, from which the text of ``value`` must differ.
+    """
 
     value: Any
     other: Any
