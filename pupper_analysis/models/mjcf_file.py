@@ -278,6 +278,12 @@ so that an actuator, for example, is found without its tag."""
 class IncludeTree:
     """Elements of an MJCF with expanded includes.
 
+    Args:
+        path: The file.
+        root: Root element of the file.
+        within: Files that attach this file, the outermost first; empty for the main file.
+        includes: Counter of the includes, shared by attached files; a new counter by default.
+
     Attributes:
         files: The file, and all files that this file includes or attaches.
         attached: Root elements of directly and indirectly attached models.

@@ -100,6 +100,11 @@ def _read_motion(model: pin.Model, index: int) -> Array:
 class _Writer:
     """URDF in preparation.
 
+    Args:
+        model: Pinocchio model that is written.
+        floating: Whether the first joint is a free flyer, which a URDF does not contain.
+        source: Name of the model, for messages.
+
     Attributes:
         root: Root element.
     """
