@@ -31,7 +31,7 @@ class Limb:
     Attributes:
         bodies: Ids of the moving bodies.
         kinds: Types of the joints.
-        masses: Masses [kg] of the bodies, including fixed bodies.
+        masses: Masses [kg] of the n bodies, including fixed bodies, shape (n,).
         lengths: Distances [m] between successive joints, invariant under mirroring.
         turns: |cos| of the angles between successive joint axes, invariant under mirroring.
     """

@@ -125,6 +125,12 @@ def _is_part_of_base(model: mujoco.MjModel, geom: int, base: int) -> bool:
 class _LinkFinder:
     """Assignment of MuJoCo bodies to links of the URDF, at zero angles.
 
+    Args:
+        model: MuJoCo model.
+        structure: Pinocchio model with the indices of joints and links.
+        bases: Names of the base link and of the base body.
+        neutral: Configuration with all joints at zero, shape (nq,).
+
     Attributes:
         joints: {moving body: joint that moves the body}; the joint of the base is "". A fixed base
             is represented by the world body, 0.

@@ -26,6 +26,10 @@ some 10 kB each. Chosen, not tuned."""
 class Workspace:
     """Pinocchio data with a single owner; returned to the pool when the workspace is deleted.
 
+    Args:
+        data: Pinocchio data.
+        spare: Pool of unused data.
+
     Attributes:
         data: Pinocchio data.
     """
@@ -42,6 +46,12 @@ class Workspace:
 
 class Structure:
     """Model and indices of a robot.
+
+    Args:
+        model: Pinocchio model of the URDF; a free base is a free flyer.
+        convention: Maps between public coordinates and coordinates of the model.
+        joint_names: Joints in actuator order.
+        contact_frames: {contact point: link with this frame}.
 
     Attributes:
         model: Pinocchio model in public coordinates; see ``in_public_coordinates``.

@@ -126,7 +126,11 @@ _DISABLING_FLAGS = {
 
 
 class NamedModel:
-    """Reference model with names, values and flags of the elements."""
+    """Reference model with names, values and flags of the elements.
+
+    Args:
+        reference: Compiled MJCF, and element names.
+    """
 
     def __init__(self, reference: Reference) -> None:
         self.reference, self.model, self.names = reference, reference.model, reference.names
