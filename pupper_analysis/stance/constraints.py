@@ -157,7 +157,13 @@ class Footholds(Constraint):
 
 
 class Loops(Constraint):
-    """Closed loops and joint couplings, closed or open by the static deflection."""
+    """Closed loops and joint couplings, closed or open by the static deflection.
+
+    Args:
+        shapes: Robot with collision shapes.
+        goal: Goal.
+        closure: Closed loops and couplings of the robot.
+    """
 
     name, is_equality = "loops", True
 

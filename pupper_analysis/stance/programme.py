@@ -101,10 +101,10 @@ class _Point:
     """Evaluated point of the program.
 
     Attributes:
-        x: Variables.
+        x: Variables, shape (v,).
         qpos: Configuration, shape (nq,).
         goal: Goal with the relaxed numbers.
-        residuals: Residual of each constraint.
+        residuals: Residual of each constraint, shape (n,) [m, rad].
     """
 
     x: Array
@@ -125,7 +125,7 @@ class _Progress:
         patience: Largest number of successive iterations without progress; one more ends the solve.
 
     Attributes:
-        x: Variables with the smallest violation so far.
+        x: Variables with the smallest violation so far, shape (v,).
     """
 
     x: Array

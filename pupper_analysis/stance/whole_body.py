@@ -555,7 +555,13 @@ class _LazyShapes:
 
 
 class _PinocchioBody:
-    """Poses of links by Pinocchio's kinematics of the URDF."""
+    """Poses of links by Pinocchio's kinematics of the URDF.
+
+    Args:
+        robot: Robot.
+        qpos: Configuration, shape (nq,).
+        collision: Collision shapes of the robot, created at first use.
+    """
 
     def __init__(self, robot: Robot, qpos: Array, collision: _LazyShapes) -> None:
         self._config, self._collision = Configuration(robot, qpos), collision
@@ -598,7 +604,7 @@ class _MujocoBody(_PinocchioBody):
     """Poses of links by MuJoCo's kinematics of the MJCF.
 
     The constant pose of a link in its body is that of the neutral configuration, because the frames
-    of a URDF and an MJCF may differ.
+    of a URDF and an MJCF may differ. The arguments are those of `_PinocchioBody`.
     """
 
     def __init__(self, robot: Robot, qpos: Array, collision: _LazyShapes) -> None:
