@@ -50,9 +50,9 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
         ),
         answer,
         limit=limit[0] if limit else None,
-        leading=region,
+        failures=() if pushed.within_region else region,
         word=text("push-beyond") if pushed.verdict.passed and not pushed.passed else None,
-        number_first=bool(unpushed) or not pushed.within_region,
+        number_first=bool(unpushed),
         details=(
             *(region if pushed.within_region else ()),
             task_text(pushed.stand.task),
