@@ -249,6 +249,9 @@ def _add_ground(
         ground: Ground.
         places: {contact point: centre (3,) [m] of its sphere on rigid ground, in the world frame},
             from which the steps are computed.
+
+    Raises:
+        ModelError: If the MJCF has not enough unused bits of ``contype``.
     """
     floor = find_floor(spec) or SpecTree(spec).add_floor()
     rotate_floor(floor, quaternion_from_rotation(ground.rotation()))

@@ -191,6 +191,10 @@ def _free_base(robot: Robot) -> Robot:
     Without feet, ``home`` has the default posture of the fixed robot (`default_positions`), with
     loops closed if possible. If the file has no floor, the added floor does not collide, because
     the robot with a fixed base has no floor.
+
+    Raises:
+        ConfigurationError: If the file has no base body to make free, or a base without mass or
+            moment of inertia.
     """
     description, model = robot.description, robot.mj_model
     spec, base = description.mjcf.copy(), model.body(robot.mj_base).id
@@ -236,6 +240,10 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
     """Return a robot with a contact point for each hand, in the URDF and in the MJCF.
 
     A hand is a part of the robot that touches a surface of the task and is not a foot.
+
+    Raises:
+        UnknownNameError: If the robot has no frame of a name.
+        ConfigurationError: If a hand moves with a foot, or with the base.
     """
     (urdf, mjcf), description = robot.description.trees(), robot.description
     model, frames = robot.pin_model.copy(), dict[str, tuple[str, str]]()
