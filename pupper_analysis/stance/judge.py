@@ -324,6 +324,8 @@ class Stand(Pictured, Tabular):
 
         Raises:
             ConfigurationError: If the stand has no robot; see `with_robot`.
+            UnknownNameError: As for `check`.
+            ModelError: As for `check`.
         """
         return self._require_robot().to_pinocchio(self.qpos)
 
