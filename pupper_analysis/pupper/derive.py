@@ -295,6 +295,9 @@ def _stretch_body(
         factor: Factor of lengths along the axis, and of the mass.
         meshes: {mesh: scale factors (3,) along the axes of the mesh}; the meshes of the body are
             added, and the caller scales the meshes.
+
+    Raises:
+        ModelError: If no axis of a mesh is parallel to ``axis``.
     """
     matrix = np.eye(3) + (factor - 1.0) * np.outer(axis, axis)
     for part in (*body.bodies, *body.sites, *body.joints):
