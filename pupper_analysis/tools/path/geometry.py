@@ -541,6 +541,9 @@ def _differentiate(
 
 
 def clearance(place: PathPlace, foot: str) -> float:
-    """Return the planned height [m] of a foot above the ground at a path sample; 0 in contact."""
+    """Return the planned height [m] of a foot above the ground at a path sample; 0 in contact.
+
+    ``foot`` is the name of the foot, not of one of its contact points.
+    """
     height = place.stand.task.swing.get(foot, 0.0)
     return 0.0 if height <= UNLOADED_HEIGHT else height

@@ -127,7 +127,7 @@ def compute_path_sample(
         "friction_utilisation": np.array(utilisations),
         "zero_moment_point": whole.zero_moment_point,
         "zmp_margin": np.array(com_margin(whole.zero_moment_point, points)),
-        "clearance": np.array([clearance(place, foot) for foot in feet]),
+        "clearance": np.array([clearance(place, robot.foot_of(point)) for point in feet]),
         "com_margin": np.array(com_margin(config.center_of_mass(), points)),
     }
 

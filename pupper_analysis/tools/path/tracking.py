@@ -591,7 +591,7 @@ def _check_states(
             if (load > MIN_LOADED_FRACTION or load < 0) and parent in idle:
                 found.append(diagnose("foot-idle", subject=("foot", foot), time=None))
             if path.clearance[sample, column] > MIN_LIFTED_HEIGHT and parent in sight.forces:
-                found.append(diagnose("lifted-foot-touches", subject=("foot", foot), time=None))
+                found.append(diagnose("lifted-foot-touches", subject=("foot", parent), time=None))
             if path.stance_feet[sample, column]:
                 along_ground = np.cross(normals[foot], centres[foot] - targets[foot])
                 slip[foot] = max(slip[foot], float(np.linalg.norm(along_ground)))

@@ -228,6 +228,21 @@ def test_a_biped_on_flat_feet_tracks_a_squat(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_every_point_of_a_lifted_sole_has_the_planned_clearance(tmp_path: Path) -> None:
+    """Reference: the height that the task states for the foot. A foot has four points."""
+    robot = pa.load_robot(*biped(tmp_path))
+    [foot] = [name for name in robot.feet if name.startswith("left")]
+    shifted = pa.StandTask(com=(0.0, -0.07))  # above the right foot
+    lifted = pa.StandTask(com=(0.0, -0.07), swing={foot: 0.02})
+    path = stance_path(robot, [shifted, lifted], 3.0)
+    points = [column for column, name in enumerate(path.feet) if robot.foot_of(name) == foot]
+    assert len(points) == 4
+    assert path.clearance[-1, points] == pytest.approx([0.02] * 4)
+    others = [column for column in range(len(path.feet)) if column not in points]
+    assert not path.clearance[:, others].any()
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("mass", "passes"), [(5.0, True), (7.0, False)])
 def test_path_passes_only_if_its_last_stand_holds(mass: float, passes: bool) -> None:
     """With 7 kg, v3 follows the path for a second because of the dry friction of the joints, and
