@@ -205,6 +205,7 @@ def _describe_largest_torque(walk: Walk) -> doc.Words:
         joint=doc.Name(walk.joints[hardest]),
         rms=f"{rms[hardest]:.2f}",
         peak=f"{peak[hardest]:.2f}",
+        unit=walk.torque_units[hardest],
         limit=f"{walk.limits[hardest]:.3g}" if np.isfinite(walk.limits[hardest]) else "",
         share=f"{100 * _max_over_runs(walk, 'at_limit')[hardest]:.1f}",
     )

@@ -47,6 +47,10 @@ velocities [m/s, rad/s]. Chosen to resemble a robot put down by hand."""
 PUSH_TIME = 2.0
 """Start of the push of a run [s]. Chosen so that the robot walks by then."""
 
+_STEP_RTOL = 1e-6
+"""Relative tolerance of the check that an action lasts at least one time step, for rounding of the
+rate and the time step. Chosen, not tuned."""
+
 _CHECKED_FALL_FRACTION = 0.9
 """Fraction of the tilt and height loss of a fall above which the exact fall criterion, which is
 slower, is evaluated. Chosen, not tuned."""
@@ -178,8 +182,8 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
     if contract.feet and contract.feet != len(robot.feet):
         problem = diagnose("contacts-of-feet", stated=contract.feet, feet=len(robot.feet))
         raise ModelError(policy.name, problem)
-    substeps = round(1.0 / (contract.rate * model.opt.timestep))
-    if substeps < 1:
+    steps_per_action = 1.0 / (contract.rate * model.opt.timestep)
+    if steps_per_action < 1.0 - _STEP_RTOL:
         problem = diagnose("rate-above-steps", rate=contract.rate, timestep=model.opt.timestep)
         raise ConfigurationError("rate", problem)
     default = robot.home.copy()
@@ -197,7 +201,7 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
         gear=servos.gear[joints],
         ctrl=servos.command(robot, default[7:]),
         default=default,
-        substeps=substeps,
+        substeps=round(steps_per_action),
         upright=StandReference.from_configuration(robot, default),
     )
 

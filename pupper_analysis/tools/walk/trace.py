@@ -177,7 +177,8 @@ def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
         if not columns:
             continue
         is_of_joints = prefix in ("q", "v", "target")
-        order = list(joints if is_of_joints else sorted(columns, key=int))
+        numbers = [name for name in columns if name.isdecimal()]
+        order = list(joints if is_of_joints else sorted(numbers, key=int))
         if set(order) != set(columns):
             raise ModelError(path, diagnose("trace-lacks", name=f"{prefix}_..."))
         arrays[signal] = table[:, [columns[key] for key in order]]

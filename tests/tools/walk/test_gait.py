@@ -184,6 +184,14 @@ def test_gait_of_a_run_with_a_single_state_has_no_torques(still: Policy) -> None
     assert len(gait.torques) == len(gait.torque_time) == 0
 
 
+def test_rate_above_the_rate_of_time_steps_is_refused(still: Policy) -> None:
+    """The model has 500 time steps per second. 700 actions would be simulated as 500."""
+    assert prepare_stage(load("v3"), still.with_contract(rate=500.0)).substeps == 1
+    for rate in (501.0, 700.0, 2000.0):
+        with pytest.raises(pa.ConfigurationError, match=f"runs at {rate:g}"):
+            prepare_stage(load("v3"), still.with_contract(rate=rate))
+
+
 @pytest.mark.parametrize(("gain", "text"), [({"kp": None}, "kp"), ({"kd": None}, "kd")])
 def test_single_gain_of_a_policy_is_refused(
     still: Policy, gain: dict[str, object], text: str

@@ -265,7 +265,12 @@ def test_invalid_trace_is_refused(
 
 
 def test_file_that_is_no_trace_is_refused(tmp_path: Path) -> None:
-    for name, data in (("a.npz", b"PK\x03\x04"), ("a.csv", b"time,obs_0\n1,x\n"), ("b.csv", b"")):
+    for name, data in (
+        ("a.npz", b"PK\x03\x04"),
+        ("a.csv", b"time,obs_0\n1,x\n"),
+        ("b.csv", b""),
+        ("c.csv", b"time,obs_0,gyro_x,gyro_y,gyro_z\n0,1,0,0,0\n"),
+    ):
         (tmp_path / name).write_bytes(data)
         with pytest.raises(ModelError, match="trace"):
             read_trace(tmp_path / name)
