@@ -158,14 +158,20 @@ class UrdfSide(Side):
     def _complete_limit(self, key: Key, joint: UrdfJoint) -> None:
         """Add missing attributes that a <limit> requires, with the values of `UNKNOWN_LIMITS`.
 
-        `notes` of the difference ``key`` then contains the last added attribute. Nothing is done if
-        the joint has no <limit>.
+        `notes` of the difference ``key`` then names the added attributes. Nothing is done if the
+        joint has no <limit>.
         """
         limit = joint.element.find("limit")
-        for word, value in UNKNOWN_LIMITS.items() if limit is not None else ():
-            if limit.get(word) is None:
-                limit.set(word, value)
-                self.notes[key] = diagnose("limit-completed", attribute=word, value=value)
+        missing = {
+            word: value
+            for word, value in UNKNOWN_LIMITS.items()
+            if limit is not None and limit.get(word) is None
+        }
+        for word, value in missing.items():
+            limit.set(word, value)
+        if missing:
+            written = " ".join(f'{word}="{value}"' for word, value in missing.items())
+            self.notes[key] = diagnose("limit-completed", written=written)
 
     def _list_members(self, mover: str) -> list[str]:
         """Return the compared links that move with ``mover``, a joint or the base.
