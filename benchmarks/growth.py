@@ -182,7 +182,9 @@ def draw_growth(found: dict[str, list[tuple[int, float]]], path: Path) -> None:
     for name, points in found.items():
         counts, seconds = zip(*points, strict=True)
         axes.loglog(counts, seconds, "o-", label=name, markersize=4)
-    axes.set(xlabel="how many", ylabel="time (s)")
+    axes.set(
+        xlabel="number of variants, configurations, stands or cells", ylabel="processor time (s)"
+    )
     axes.grid(True, which="major", alpha=0.3)
     axes.legend(fontsize="small")
     figure.savefig(path, dpi=120)

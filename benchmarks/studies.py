@@ -180,15 +180,15 @@ def find_largest_robots() -> None:
     print(stands.groupby("kp")[["peak_utilisation", "rest_utilisation", "sag"]].max().to_string())
     heaviest = stands.groupby(["kp", "leg_scale"])["torso_mass_scale"].max()
     print(heaviest.unstack(0).to_string())
-    said = "The longest legs and the heaviest v3 that stay up on their servos"
+    said = "Longest legs and largest mass of a v3 that stands on its servos"
     figure = drawing.make_page_figure(said, 3.4, layout="constrained")
     axes = figure.add_subplot()
-    axes.set(xlabel="length of the legs / v3's", ylabel="mass of the robot (kg)")
+    axes.set(xlabel="leg length relative to v3", ylabel="mass of the robot (kg)")
     for kp, part in stands.groupby("kp"):
         front = pareto_front(part, {"leg_scale": "max", "total_mass": "max"})
         dots = axes.scatter(part["leg_scale"], part["total_mass"], s=4, alpha=0.35)
         look = {"color": dots.get_facecolor()[0, :3], "marker": "o", "ms": 3.5}
-        label = f"kp {kp:g} N m/rad: no other design beats these"
+        label = f"kp = {kp:g} N m/rad: Pareto front (dots: other designs that stand)"
         axes.plot(front["leg_scale"], front["total_mass"], label=label, **look)
     drawing.title_panel(axes, "")
     axes.legend(fontsize=drawing.FONT_SIZE, frameon=False)
