@@ -292,9 +292,10 @@ class Motor:
         """Return the largest torques at the output at speeds [N m], at least 0.
 
         The supply voltage less the back-EMF drives the current through the cold winding; current
-        limit, stall torque and peak torque cut it off. tau = min(I_max, (V - Ke w) / R) Kt N eta.
-        The constant Ke of the back-EMF is the larger of Kt N and supply voltage / speed without
-        load, as far as these are known.
+        limit, stall torque and peak torque cut it off. tau = min(I_max, (V - Ke w) / R) Kt N eta,
+        with speed w, current limit I_max, supply voltage V, resistance R, torque constant Kt, gear
+        ratio N and gear efficiency eta. The constant Ke of the back-EMF is the larger of Kt N and
+        V / speed without load, as far as these are known.
 
         Args:
             speeds: Speeds of the output, in the direction of the torques [rad/s].
