@@ -193,7 +193,7 @@ def with_additions(robot: Robot, *additions: Addition) -> Robot:
 
 
 def copy_metadata(built: Robot, robot: Robot) -> Robot:
-    """Copy data that are not part of ``Robot.description`` from a robot to the rebuilt version.
+    """Return a rebuilt robot with the data of the original that ``Robot.description`` lacks.
 
     The data are ``stand_height``, the notes, and the published file. If the robot has contacts of a
     task (``touching``), these and the fingerprint are copied as well.

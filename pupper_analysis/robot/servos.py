@@ -57,8 +57,8 @@ class Servos:
 
     Attributes:
         model: MuJoCo model, a copy of the robot's.
-        kp: Stiffness at the joints, shape (nu,) [N m/rad]; 0 for dependent joints of loops.
-        kd: Damping at the joints, shape (nu,) [N m s/rad]; 0 for dependent joints of loops.
+        kp: Stiffness at the joints, shape (nu,) [N m/rad, N/m]; 0 for dependent joints of loops.
+        kd: Damping at the joints, shape (nu,) [N m s/rad, N s/m]; 0 for dependent joints of loops.
         gear: Actuator length per joint angle, shape (nu,).
         integrator: Name of MuJoCo's integrator.
     """
@@ -183,8 +183,8 @@ def model_with_servos(
 
     Args:
         robot: Robot.
-        kp: Stiffness at the joints [N m/rad], scalar or shape (nu,). Default: the model's.
-        kd: Damping at the joints [N m s/rad], scalar or shape (nu,). Default: the model's.
+        kp: Stiffness at the joints [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
+        kd: Damping at the joints [N m s/rad, N s/m], scalar or shape (nu,). Default: the model's.
         integrator: ``Euler``, ``implicitfast``, ``implicit`` or ``RK4``. Default: the model's.
 
     Raises:
@@ -240,8 +240,8 @@ class Gains:
     Dependent joints of loops and couplings have gains of 0, and need no motor.
 
     Attributes:
-        kp: Stiffness at the joints, shape (nu,) [N m/rad].
-        kd: Damping at the joints, shape (nu,) [N m s/rad].
+        kp: Stiffness at the joints, shape (nu,) [N m/rad, N/m].
+        kd: Damping at the joints, shape (nu,) [N m s/rad, N s/m].
         gear: Actuator length per joint angle, shape (nu,).
         servo: Mask, shape (nu,): the motor is a position servo in the robot's model, or the joint
             is dependent.
@@ -285,12 +285,12 @@ def _narrow_force_ranges(
 
 
 MAX_GAIN = 1e9
-"""Largest accepted kp [N m/rad] and kd [N m s/rad]. Chosen: far above the gains of machines, and
-small enough that simulations do not overflow."""
+"""Largest accepted kp [N m/rad, N/m] and kd [N m s/rad, N s/m]. Chosen: far above the gains of
+machines, and small enough that simulations do not overflow."""
 
 MIN_STIFFNESS = 1e-9
-"""Smallest accepted kp [N m/rad] of a motor. Commands contain the quotient torque / kp, which would
-overflow for much smaller values. Chosen, not tuned."""
+"""Smallest accepted kp [N m/rad, N/m] of a motor. Commands contain the quotient torque / kp, which
+would overflow for much smaller values. Chosen, not tuned."""
 
 
 def resolve_servo_gains(
@@ -300,8 +300,8 @@ def resolve_servo_gains(
 
     Args:
         robot: Robot.
-        kp: Stiffness [N m/rad], scalar or shape (nu,). Default: that of the MJCF's servos.
-        kd: Damping [N m s/rad], scalar or shape (nu,). Default: that of the MJCF's servos.
+        kp: Stiffness [N m/rad, N/m], scalar or shape (nu,). Default: that of the MJCF's servos.
+        kd: Damping [N m s/rad, N s/m], scalar or shape (nu,). Default: that of the MJCF's servos.
 
     Returns:
         Gains of each joint; 0 for the dependent joints of loops and couplings.
@@ -361,7 +361,8 @@ def list_position_servos(robot: Robot) -> dict[str, tuple[float, float]]:
     """Return the gains of the position servos in the robot's MuJoCo model.
 
     Returns:
-        {joint: (kp [N m/rad], kd [N m s/rad])} of the joints whose motor is a position servo.
+        {joint: (kp [N m/rad, N/m], kd [N m s/rad, N s/m])} of the joints whose motor is a position
+        servo.
     """
     actuators = robot.mj_convention.actuator_index
     driven = np.flatnonzero(actuators >= 0)
@@ -380,8 +381,8 @@ def find_servos_used(
 
     Args:
         robot: Robot.
-        kp: Stiffness at the joints [N m/rad], scalar or shape (nu,). Default: the model's.
-        kd: Damping at the joints [N m s/rad], scalar or shape (nu,). Default: the model's.
+        kp: Stiffness at the joints [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
+        kd: Damping at the joints [N m s/rad, N s/m], scalar or shape (nu,). Default: the model's.
 
     Raises:
         ConfigurationError: As for `model_with_servos`.

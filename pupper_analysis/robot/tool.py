@@ -253,8 +253,8 @@ def _find_chain(robot: Robot, link: str) -> tuple[str, ...]:
 def _find_end_link(robot: Robot) -> str:
     """Return the last link of the longest chain of joints, or the link that carries its fingers.
 
-    Fingers are branches of at most `_MAX_FINGER_JOINTS` joints, which begin at the same link of the
-    chain, behind the first `_MIN_ARM_JOINTS` joints.
+    Fingers are two or more branches of at most `_MAX_FINGER_JOINTS` joints on the same link of the
+    chain, which at least `_MIN_ARM_JOINTS` joints move.
     """
     model = robot.structure.model
     lengths = [len(support) - 1 for support in model.supports]
