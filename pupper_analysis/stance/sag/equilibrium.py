@@ -348,7 +348,7 @@ class SagEquilibrium:
     Args:
         robot: Robot.
         stand: Stand that defines contacts, ground and initial target.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
         feet: Slip law.
 
     Attributes:

@@ -541,7 +541,7 @@ def steady_state(
     Args:
         robot: Robot.
         stand: Stand from which the robot sags.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         feet: ``pinned``: the feet do not slip (as of rubber, or in MuJoCo for some seconds).
             ``sliding``: no tangential forces, the final state of MuJoCo's creep.
@@ -580,7 +580,7 @@ def make_homotopy_path(
     Args:
         robot: Robot, with the contacts of the stand.
         stand: Stand.
-        kp: Stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
+        kp: Stiffness [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
         feet: Slip law, as in `steady_state`.
         exact: Argument of `SagEquilibrium.solve` for the first equilibrium.
 
@@ -719,7 +719,7 @@ def find_sag_failure(
     Args:
         robot: Robot, with the contacts of the stand (``touching``).
         stand: Stand.
-        kp: Stiffness [N m/rad], scalar or shape (nu,). Default: the model's.
+        kp: Stiffness [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
         feet: Slip law, as in `steady_state`.
     """
     try:
