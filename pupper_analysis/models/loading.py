@@ -83,7 +83,7 @@ class Reader(Protocol):
     def read_as_urdf(self, path: Path) -> UrdfFile:
         """Read a file of this format, and convert the model to a URDF with the same values.
 
-        ``stands_for`` of the result is the name of the original format, such as ``"the USD"``.
+        ``stands_for`` of the result is the catalogue's word for a file of the original format.
 
         Raises:
             ModelError: If the file cannot be read, or URDF cannot state the model.
@@ -93,7 +93,7 @@ class Reader(Protocol):
     def read_as_mjcf(self, path: Path) -> MjcfFile:
         """Read a file of this format, and convert the model to an MJCF with the same values.
 
-        ``stands_for`` of the result is the name of the original format, such as ``"the USD"``.
+        ``stands_for`` of the result is the catalogue's word for a file of the original format.
 
         Raises:
             ModelError: If the file cannot be read, or MJCF cannot state the model.

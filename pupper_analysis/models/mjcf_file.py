@@ -568,7 +568,7 @@ class MjcfFile:
             meshes); None otherwise.
         unknown: {kind of a joint parameter: joints with an unknown value}. Set if the MJCF was
             converted from a format in which a missing parameter is unknown, and not zero.
-        stands_for: Name of the original format, such as ``"the USD"``; "" for an MJCF.
+        stands_for: Word for the original file of a converted robot; "" for an MJCF.
         gains: {joint: (stiffness, damping) of the servo} (N m/rad, N m s/rad; N/m, N s/m) in a file
             of another format; None if the format has no servos.
         of_urdf: Whether the MJCF was converted from a URDF, which does not specify ground and

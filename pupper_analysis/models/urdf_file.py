@@ -52,7 +52,7 @@ class UrdfFile:
         notes: Diagnostics of assumptions.
         unknown: {kind of a joint parameter: joints with an unknown value}. Set if the URDF was
             converted from a format in which a missing parameter is unknown, and not zero.
-        stands_for: Name of the original format, such as ``"the USD"``; "" for a URDF.
+        stands_for: Word for the original file of a converted robot; "" for a URDF.
         gains: {joint: (stiffness, damping) of the servo} (N m/rad, N m s/rad; N/m, N s/m) in a file
             of another format; None if the format has no servos.
     """
