@@ -207,9 +207,11 @@ def loads_motor_without_torque(robot: Robot, statics: GravityCompensation) -> bo
 
 
 def springs_replace_motors(robot: Robot, statics: GravityCompensation) -> bool:
-    """Return True if the MJCF has a spring at each joint whose loaded motor exerts no torque.
+    """Return True if the MJCF has a spring at each joint that needs torque but cannot exert any.
 
-    A simulation then shows whether the springs hold the stance.
+    These are the joints whose motor has a torque limit of zero, and that must hold a torque in the
+    stance. A simulation then shows whether the springs hold the stance. Also True without such
+    joints.
     """
     model = robot.mj_model
     joints = [model.joint(name).id for name in _list_loaded_zero_motors(robot, statics)]

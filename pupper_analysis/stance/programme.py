@@ -161,7 +161,7 @@ class _Progress:
 
 
 class StanceProgram:
-    """Nonlinear program of a goal.
+    """Nonlinear program that finds a configuration for a goal, with the smallest relaxations.
 
     The v variables ``x`` are the horizontal base position and the relaxations of lengths, in stand
     heights, and the joint positions and relaxations of angles [rad, m]. Height and orientation of
@@ -333,9 +333,10 @@ class StanceProgram:
         return float(max(off, -left[equal:].min(initial=0.0)))
 
     def _make_start(self, qpos: Array, task: StandTask | None) -> Array:
-        """Return the variables (v,) of an initial configuration (nq,) and an initial relaxed task.
+        """Return the variables (v,) of an initial configuration (nq,) and initial relaxations.
 
-        Without a task (None), nothing is relaxed.
+        The relaxations are the differences of ``task`` from the requirements of the goal, such as
+        another height; zero without a task.
         """
         numbers = self._numbers
         had = numbers.values if task is None else numbers.read_task(task)

@@ -185,8 +185,9 @@ class PushBench:
         falls, up to ``MAX_DURATION_RATIO`` times the duration.
 
         Args:
-            directions: Indices of the axes, shape (n,).
-            impulses: Impulses, shape (n,) [N s].
+            directions: Index of each push's direction in ``axes`` (horizontal unit vectors in the
+                world frame), shape (n,).
+            impulses: Impulses along these directions, shape (n,) [N s].
         """
         return self._simulate_intervals(directions, impulses, may_rest=False)
 

@@ -217,7 +217,10 @@ class Walk(Result):
 
     @property
     def beyond_region(self) -> Array:
-        """Largest `Gait.beyond_region` over all runs, shape (nu,); NaN without motor."""
+        """Largest fraction of a run in which each motor is outside its torque-speed region.
+
+        Shape (nu,); NaN for a joint without motor file.
+        """
         largest: Array = np.fmax.reduce([gait.beyond_region for gait in self.gaits])
         return largest
 

@@ -504,8 +504,9 @@ COPY_RTOL = 1e-3
 differ by less. Chosen, not tuned."""
 
 DENSITY_RTOL = 0.01
-"""Relative difference of two densities that count as equal. Chosen, not tuned: CAD programs write
-masses with three digits or more."""
+"""Relative difference up to which two links have the same density in the rule `one_density`, which
+reports masses that are volumes times one density. Chosen, not tuned: CAD programs write masses with
+three digits or more."""
 
 
 def _compute_link_volume(body: Link) -> float | None:

@@ -1261,7 +1261,8 @@ def estimate_noise(
     Args:
         equations: Equations of the stands, with the expected noise.
         posterior: Distribution with the expected noise; the residuals are linearised at the mean.
-        scale_residual: Function of the parameters that returns further residuals.
+        scale_residual: Function of the parameters, shape (n,), that returns the residual of the
+            robot's mass from the weighed mass (`_make_scale_residual`).
         friction_ratio: Expected factor on the stated dry friction.
     """
     from scipy import optimize  # slow to import
