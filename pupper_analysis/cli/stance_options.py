@@ -224,7 +224,7 @@ class RobotAndTask:
         return name_uniquely(selections, robots)
 
     def _refuse_idle_direction(self) -> None:
-        """Refuse ``--uphill`` on level ground: the ground's slope is 0."""
+        """Raise a ConfigurationError for ``--uphill`` on level ground: the ground's slope is 0."""
         if self.stance and not self.task().ground.slope:
             refuse_alone(("--slope",), "uphill")
 

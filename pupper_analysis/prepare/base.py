@@ -106,7 +106,7 @@ def place_base_frame(
 ) -> list[Diagnostic]:
     """Raise the frame of a free base to the base's CoM height, if the frame is at ground level.
 
-    The frame is at ground level if no geom of a limb's last body reaches below it. Roll, pitch
+    The frame is at ground level if no geom of a limb's last body is below the frame. Roll, pitch
     and height of a stand refer to the base frame with z up. The frame is not raised if it is
     tilted, if the base is in a ``<frame>`` of the MJCF, or if the limbs do not hang below the CoM.
     The CoM is that of the base and the bodies fixed to it. If the frame is tilted by more than 45

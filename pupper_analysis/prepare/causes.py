@@ -243,7 +243,7 @@ def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_joint_ids(published: PublishedModel, robot: Robot) -> NDArray[np.int64]:
-    """Return the ids of the robot's joints in the model of its file, (nu,), in actuator order."""
+    """Return the ids of the robot's joints in the model of the file, (nu,), in actuator order."""
     return np.array([published.model.joint(name).id for name in robot.joint_names])
 
 
@@ -295,7 +295,7 @@ def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[Cause
 def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield springs, joint limits, fluid forces and tilted gravity as candidate causes.
 
-    They may explain a fall or a deviation. There is one candidate per kind, for example all
+    A candidate may explain a fall or a deviation. There is a candidate per kind, for example all
     springs of joints and tendons together.
     """
     model, joints = published.model, _list_joint_ids(published, robot)
@@ -522,8 +522,8 @@ def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]
 def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield joints of the file that the robot lacks, and holds at zero, as candidate causes.
 
-    They may explain why the model of the file deviates from the prediction. Ball joints are one
-    candidate; hinges and slides are the other. To test a candidate, its joints are locked by
+    A candidate may explain why the model of the file deviates from the prediction. Ball joints are
+    one candidate; hinges and slides are the other. To test a candidate, the joints are locked by
     damping.
     """
     model, unmatched = published.model, list_unmatched_joints(published, robot)

@@ -201,9 +201,10 @@ def _find_lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
 def _name_feet(
     model: mujoco.MjModel, feet: Sequence[tuple[int, tuple[ContactPoint, ...]]]
 ) -> list[str]:
-    """Return a name for each foot: the name of its only geom, otherwise the name of the body.
+    """Return a name for each foot: the name of the only geom, otherwise the name of the body.
 
-    If two feet would have the same name, all feet have the names of their bodies.
+    If two feet would have the same name, all feet have the names of the bodies. ``feet`` are pairs:
+    id of the foot's body, and contact points.
     """
     names = []
     for body, points in feet:
@@ -469,7 +470,10 @@ def _name_geoms(spec: mujoco.MjSpec) -> None:
 
 
 def _find_moved_link(robot: Robot, body: int) -> str:
-    """Return the link moved by the last joint between base and body; else the base link."""
+    """Return the URDF link that the last joint between base and ``body`` moves; else the base link.
+
+    ``body`` is the id of a MuJoCo body.
+    """
     joint = _find_last_joint(robot, body)
     return robot.base if joint is None else UrdfTree.of(robot.description.urdf).moved_links[joint]
 

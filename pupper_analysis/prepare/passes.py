@@ -449,6 +449,10 @@ def _find_feet(draft: Draft) -> PassOutput:
 
     The spheres of ellipsoids are fitted again at the joint positions of the nominal stand, until
     the contact points remain in place.
+
+    Raises:
+        ModelError: If no feet are found, or a named foot touches nothing.
+        UnknownNameError: If a named foot does not exist.
     """
     footless, names = draft.robot, draft.request.feet
     poses = [start.clip_to_limits(footless, pose) for pose in (*draft.keyframes.values(), None)]

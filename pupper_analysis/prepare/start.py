@@ -298,9 +298,9 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
 def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
     """Find a nominal stand (default `StandTask`) with level feet at free horizontal positions.
 
-    Bending a leg with fewer than six joints, and with axes that are not parallel, moves the sole
-    sideways and tilts it. The sole may then not be level at the horizontal positions of straight
-    legs. The stand is searched near ``pose``, joint positions of shape (nu,) [rad, m].
+    Bending a leg with fewer than six joints, and with axes that are not parallel, moves and tilts
+    the sole sideways. The sole may then not be level at the horizontal positions of straight legs.
+    The stand is searched near ``pose``, joint positions of shape (nu,) [rad, m].
 
     Returns:
         Robot with this nominal stand. None if there is none, or if no joint moves a contact point
@@ -335,7 +335,7 @@ of 1e-8 m; chosen, not tuned."""
 
 
 def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Array | None:
-    """Bend the joints until all contact points are on the ground, with their centre below the CoM.
+    """Bend the joints until all contact points are on the ground, with the centre below the CoM.
 
     Least squares over the joint positions with a level base; the distance from the pose is a small
     regularisation. The horizontal positions and the yaw of the feet are free.
@@ -400,7 +400,7 @@ def _choose_middle_start(starts: Sequence[Robot]) -> Robot | None:
 
     The robots differ in the start pose, from which the nominal stand (that of the default
     `StandTask`) is solved. A start may fail: the stand needs the CoM in the centre of the feet, and
-    straight legs move the CoM when they are bent. None if all fail.
+    bending straight legs moves the CoM. None if all fail.
     """
     middle = len(starts) // 2
     ordered = sorted(range(len(starts)), key=lambda number: abs(number - middle))

@@ -139,7 +139,11 @@ class Animation:
         return buffer.getvalue()
 
     def _to_mp4(self) -> bytes:
-        """Return the animation as the content of an MP4 file."""
+        """Return the animation as the content of an MP4 file.
+
+        Raises:
+            MissingPackageError: If ``imageio[ffmpeg]`` is not installed.
+        """
         try:
             imageio = import_module("imageio.v2")
             import_module("imageio_ffmpeg")

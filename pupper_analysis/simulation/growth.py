@@ -323,8 +323,8 @@ def _make_displacement(
     The displacement is the scaled sum of the modes that were found with both steps of the finite
     differences (``repeated_at_second_step``). Each mode is first scaled to the bounds ``angle``
     [rad, m] and ``speed`` [rad/s, m/s]: the velocities of a fast mode would otherwise leave almost
-    no displacement along a slow one.
-    Without such modes, the displacement is a velocity of all coordinates, and no position changes.
+    no displacement along a slow one. Without such modes, the displacement is a velocity of all
+    coordinates, and no position changes.
     """
     nv = model.nv
     repeated = [mode for mode in modes if mode.repeated_at_second_step]

@@ -199,7 +199,7 @@ def _pair_files(
 ) -> ModelPair:
     """Read the files of keyword arguments; convert one if the URDF or MJCF is missing.
 
-    The arguments are those of `read_pair`.
+    The arguments and errors are those of `read_pair`.
     """
     for path, kind, read in ((urdf, UrdfFile, read_urdf), (mjcf, MjcfFile, read_mjcf)):
         if path is not None:

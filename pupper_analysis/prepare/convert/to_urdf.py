@@ -117,6 +117,9 @@ class UrdfLinks:
             name: Name of the link.
             parent: Name of the parent link.
             inside: Pose of the parent body's frame in the parent link's frame.
+
+        Raises:
+            ModelError: If the body has a free joint, or a ball joint that is not fixed.
         """
         model = self.model
         placement = inside * make_placement(model.body_quat[body], model.body_pos[body])

@@ -196,7 +196,11 @@ _COLOUR_MAP = "viridis"
 def _make_panels(
     analyses: Sequence[Analysis], title: str, aspect: float
 ) -> tuple[Figure, list[tuple[Analysis, Axes]]]:
-    """Return a titled figure and a panel for each analysis; ``aspect`` is height by width."""
+    """Return a titled figure and a panel for each analysis; ``aspect`` is height by width.
+
+    Raises:
+        ConfigurationError: If there is no analysis.
+    """
     if not analyses:
         raise ConfigurationError("plots", diagnose("no-robot-to-draw"))
     columns = min(len(analyses), NUM_COLUMNS)

@@ -288,7 +288,13 @@ def _quiet_attempt() -> Iterator[None]:
 
 
 def _render_with(backend: str, tiles: Sequence[Tile]) -> list[Pixels]:
-    """Render the picture of each robot with an OpenGL backend of MuJoCo, such as ``egl``."""
+    """Render the picture of each robot with an OpenGL backend of MuJoCo, such as ``egl``.
+
+    An exception of any type is raised if the backend does not work.
+
+    Returns:
+        Pixels of each tile, shape (height, width, 3).
+    """
     size = tiles[0].width, max(tile.height for tile in tiles)
     window: Any = import_module(f"mujoco.{backend}").GLContext(*size)
     try:

@@ -63,9 +63,8 @@ def _select_next_step(audit: Audit) -> doc.NextStep | None:
     """Return the command to run next.
 
     If a file has errors and a finding with a single repair, the command is `audit --fix`, which
-    shows the patch. If it has no errors, the command simulates the robot. None if errors have no
-    single repair, or if the model is neither a URDF nor an MJCF by its suffix, nor a published
-    name.
+    shows the patch. Without errors, the command simulates the robot. None if errors have no single
+    repair, or if the model is neither a URDF nor an MJCF by the suffix, nor a published name.
     """
     simulated = Path(audit.file).suffix in (".urdf", ".xml")
     if not audit.passed:

@@ -292,8 +292,8 @@ def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
 def _repair_implausible_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield another tensor for a link of a URDF whose tensor is possible, but implausible.
 
-    This is the mirror image of the tensor on the other side, if it differs, or else the tensor of
-    the solid shapes (`_fill_shapes`). Impossible tensors are repaired by the rules that name them.
+    This is the mirror image of the tensor on the other side, if different, or else the tensor of
+    the solid shapes (`_fill_shapes`). Impossible tensors are repaired by other rules.
     Nothing is proposed if the masses of both sides differ: then the mass may be wrong.
     """
     link, twin = robot.links[found.name], _find_twin(robot, found.name)
@@ -514,8 +514,8 @@ def _repair_exchanged_limits(robot: RobotModel, found: CheckFinding) -> Iterator
 def _repair_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a URDF link without mass: the mass of the link on the other side.
 
-    If the link has no <inertial>, it gets the CoM and tensor, too: those of the other limbs if they
-    are equal (`_find_common_attributes`), or else the mirror images.
+    A link without <inertial> gets the CoM and tensor, too: equal values of all other limbs
+    (`_find_common_attributes`), or else the mirror images.
     """
     if not isinstance(robot, UrdfModel) or found.message.code == "hardly-any-mass":
         return
@@ -571,7 +571,7 @@ def _mirror_com(robot: RobotModel, link: Link, twin: Link) -> Array | None:
 def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a URDF link's CoM: the mirror image of the CoM on the other side.
 
-    If the other limbs state equal CoMs (`_find_common_attributes`), their CoM is copied instead.
+    If the other limbs state equal CoMs (`_find_common_attributes`), this CoM is copied instead.
 
     If only the difference of both CoMs is reported, and at least `MIN_SIBLINGS` equal links of
     other limbs have the same distances of the CoM from the planes of their frames, only the link

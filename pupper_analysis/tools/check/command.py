@@ -136,7 +136,13 @@ def _find_typed_config(config: Path | None, folder: Path | None) -> Path:
 
 
 def _write_first_config(config: Path | None, folder: Path) -> None:
-    """Write a first configuration of a folder, and print the next steps."""
+    """Write a first configuration of a folder, and print the next steps.
+
+    Raises:
+        ConfigurationError: If ``config`` was typed, the folder is missing, contains a configuration
+            or no model.
+        OutputError: If the file cannot be written.
+    """
     from pupper_analysis.base.diagnostics import diagnose
     from pupper_analysis.base.errors import ConfigurationError
     from pupper_analysis.tools.check.config import write_config

@@ -151,7 +151,10 @@ def read_contract(
 def _compare_sources(
     sources: Sequence[str | Path], names: Mapping[str, str], *, stand: bool, fail_on: str
 ) -> Contract:
-    """Read the joint numbers in files and folders, and compare them; see `read_contract`."""
+    """Read and compare the joint numbers in files and folders.
+
+    Arguments and errors are those of `read_contract`.
+    """
     requests, folders = split_arguments(sources)
     read, errors = read_sources(requests)
     models = [source for source in read if source.role is Role.MODEL]

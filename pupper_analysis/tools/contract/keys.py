@@ -160,7 +160,11 @@ def _load_rules(form: str, source: Path) -> tuple[KeyRule, ...]:
 
 @lru_cache(maxsize=8)
 def _read_user_rules(path: Path, _time: int) -> tuple[KeyRule, ...]:
-    """Return the rules of a user's file; the time of its change is part of the cache's key."""
+    """Return the rules of a user's file; the time of its change is part of the cache's key.
+
+    Raises:
+        ModelError: If the file cannot be read, or an entry is not valid.
+    """
     try:
         _, values = read_toml(path)
     except InputError as error:

@@ -607,7 +607,11 @@ class Evaluator:
         return node.value
 
     def _to_plain(self, node: Node) -> Any:
-        """Return the value of a node as plain data, without the places in the source."""
+        """Return the value of a node as plain data, without the places in the source.
+
+        Raises:
+            NotConstantError: If a value is unknown, or more than `MAX_VALUES` steps were needed.
+        """
         self.steps += 1
         if isinstance(node.value, UnknownValue) or self.steps > MAX_VALUES:
             raise NotConstantError
@@ -627,7 +631,11 @@ class Evaluator:
         ]
 
     def _make_key(self, expression: ast.expr, scope: Scope) -> Any:
-        """Return a key of a table; for an unknown value, the text of the expression."""
+        """Return a key of a table; for an unknown value, the text of the expression.
+
+        Raises:
+            NotConstantError: If the value is no text, number or truth value.
+        """
         value = self.evaluate(expression, scope).value
         if not isinstance(value, str | int | float | bool | UnknownValue):
             raise NotConstantError
@@ -676,7 +684,11 @@ class Evaluator:
         return result
 
     def _evaluate_subscript(self, expression: ast.Subscript, scope: Scope) -> Any:
-        """Return an element or slice of a list or table."""
+        """Return an element or slice of a list or table.
+
+        Raises:
+            NotConstantError: If the owner is neither, or has no such element.
+        """
         owner = self.evaluate(expression.value, scope).value
         if not isinstance(owner, list | dict):
             raise NotConstantError
@@ -689,7 +701,11 @@ class Evaluator:
         return self._apply_function(operator.getitem, owner, part)
 
     def _evaluate_binop(self, expression: ast.BinOp, scope: Scope) -> Any:
-        """Return the result of a binary operation on numbers, lists or texts."""
+        """Return the result of a binary operation on numbers, lists or texts.
+
+        Raises:
+            NotConstantError: If an operand is unknown, or the operation is not supported.
+        """
         left, right = (
             self.evaluate(operand, scope).value for operand in (expression.left, expression.right)
         )
@@ -706,7 +722,11 @@ class Evaluator:
         )
 
     def _evaluate_unaryop(self, expression: ast.UnaryOp, scope: Scope) -> Any:
-        """Return the result of ``not``, or a number with sign."""
+        """Return the result of ``not``, or a number with sign.
+
+        Raises:
+            NotConstantError: If the operand is unknown, or the operator is ``~``.
+        """
         if isinstance(expression.op, ast.Not):
             return not self._is_true(self.evaluate(expression.operand, scope))
         operand = self.evaluate(expression.operand, scope)
@@ -724,7 +744,11 @@ class Evaluator:
         return result
 
     def _evaluate_compare(self, expression: ast.Compare, scope: Scope) -> Any:
-        """Return the result of a single comparison; chains are not evaluated."""
+        """Return the result of a single comparison.
+
+        Raises:
+            NotConstantError: If a value is unknown, or several comparisons are chained.
+        """
         if len(expression.ops) > 1:
             raise NotConstantError
         both = (

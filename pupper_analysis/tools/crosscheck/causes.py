@@ -223,7 +223,7 @@ class PatternCase:
     def find_explained(self, second: MultibodyTree) -> set[Key]:
         """Return the differences between the files that disappear if the MJCF's tree is modified.
 
-        A modification that explains several differences is a common cause of them.
+        A modification that explains several differences is a common cause.
 
         Args:
             second: Modified tree of the MJCF, in the body frames of the URDF.
@@ -581,7 +581,7 @@ def find_dropped_products(case: PatternCase, lacking: str) -> PatternFindings:
 
 
 def _get_own_inertia(link: ComparedLink) -> Array:
-    """Return the inertia of a link about its CoM, (3, 3) [kg m^2], in the axes of the link."""
+    """Return the inertia of a link about the CoM, (3, 3) [kg m^2], in the axes of the link."""
     return link.axes.T @ link.body.inertia @ link.axes
 
 
@@ -666,7 +666,7 @@ def _list_tensor_pairs(case: PatternCase) -> Iterator[_TensorPair]:
 
 
 def _compute_origin_shift(link: ComparedLink, offset: Array) -> Array:
-    """Compute a link's tensor about its origin minus that about its CoM, shape (3, 3) [kg m^2].
+    """Compute a link's tensor about the origin minus that about the CoM, shape (3, 3) [kg m^2].
 
     This is m (c.c E - c c^T), with the mass m, the identity E, and the CoM c relative to the origin
     of the link: ``offset``, shape (3,) [m], in the body axes.
@@ -1123,8 +1123,8 @@ def find_moved_axes(case: PatternCase) -> PatternFindings:
     """Find joints whose axis differs between the files, although no body is elsewhere.
 
     At zero angles all bodies are at the same places. Nevertheless the values of CoM, children and
-    frames differ as well, because they are expressed in the frame of the joint. Nothing is searched
-    if more than `_MAX_MOVED_JOINTS` joints have different positions.
+    frames, expressed in the frame of the joint, differ as well. Nothing is searched if more than
+    `_MAX_MOVED_JOINTS` joints have different positions.
     """
     names = [element for kind, element in case.keys if kind == "position"]
     for name in names if len(names) <= _MAX_MOVED_JOINTS else ():

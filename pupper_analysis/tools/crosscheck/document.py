@@ -318,7 +318,7 @@ def _format_effects(difference: Difference) -> doc.Text:
 
 
 def _tabulate_differences(comparison: Comparison) -> doc.Table:
-    """Create the table of all differences, a row each, in the order of their urgency.
+    """Create the table of all differences, a row each, the most urgent first.
 
     The columns are, for example, kind, element, values in both files, largest relative effect on
     the dynamics [%], and lines.

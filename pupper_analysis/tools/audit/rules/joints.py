@@ -247,7 +247,7 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
 def _equals_other_limb(joint: Joint, hinges: Sequence[Joint]) -> bool:
     """Return True if limits, converted from degrees to radians, are those of another limb's joint.
 
-    The joint of the other limb has the same name except for the side; its limits may have the
+    The joint of the other limb has the same name except for the side; the limits may have the
     opposite sign. The relative tolerance is 1 %.
     """
     lower, upper = np.deg2rad((joint.lower, joint.upper))
@@ -351,8 +351,8 @@ def effort_negative(robot: UrdfModel) -> Iterator[CheckFinding]:
 def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find effort limits [N m] that are probably placeholders.
 
-    They are too large for the mass of the two bodies that the joint connects, for the armature, or
-    for the mass of the robot (`placeholder_efforts`).
+    Such limits are too large for the mass of the two bodies that the joint connects, for the
+    armature, or for the mass of the robot (`placeholder_efforts`).
     """
     motors = []
     for joint in robot.joints.values():
@@ -488,7 +488,7 @@ def _find_shank_end(robot: RobotModel, shank: Link) -> Array | None:
 
 
 def _is_leg(robot: RobotModel, link: Link) -> bool:
-    """Return True if a link or descendant, or one of their frames or joints, is named like a leg.
+    """Return True if a link or descendant, or a frame or joint of either, is named like a leg.
 
     `_LEG_PATTERN` defines such names.
     """

@@ -390,7 +390,7 @@ exception; iCub has two in 34 pairs."""
 def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
     """Yield a finding if the axes of exactly one left-right pair have another sense than the rest.
 
-    In published robots, the axes of all pairs are parallel, or they are all mirror images. The
+    In published robots, the axes of all pairs are parallel, or all are mirror images. The
     finding is about the joint whose axis points against those of the equal joints of other limbs,
     or else against those of all other joints with a parallel axis.
     """

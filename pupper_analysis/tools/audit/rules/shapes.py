@@ -226,7 +226,7 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
     The foot's sphere is the collision sphere nearest to the frame. The sphere is searched on the
     link of the frame and on the links fixed below. If these have no sphere, or if the frame is
     that of the foot link itself, it is searched on all links that move with this link. Spheres
-    with "foot" in their name or in the name of their link have precedence.
+    with "foot" in the name of the sphere or link have precedence.
 
     There is no finding if the sphere is farther away than five radii. The severity is NOTE if the
     frame is inside the sphere, which some models use for a flat sole.

@@ -36,8 +36,8 @@ def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find an MJCF whose gravity differs by more than 0.02 m/s^2 from (0, 0, -9.80665) m/s^2.
 
     The values 9.8 and 9.81 are accepted. The finding has the rule's severity if gravity points up,
-    is zero, or points at least as much sideways as down. Otherwise it is a NOTE, since a tilted
-    gravity may simulate a slope.
+    is zero, or points at least as much sideways as down. Otherwise the severity is NOTE, since a
+    tilted gravity may simulate a slope.
     """
     gravity = np.array(robot.file.spec.option.gravity)
     if np.linalg.norm(gravity - (0.0, 0.0, -standard_gravity)) > 0.02:
@@ -100,8 +100,8 @@ def _make_geom_finding(robot: MjcfModel, geom: int, message: Diagnostic) -> Chec
 def list_foot_geoms(robot: MjcfModel) -> list[int]:
     """Return the indices of the collision geoms of feet in MuJoCo's model.
 
-    A foot is a geom with "foot" in its name or the name of its body, or within 1 mm of a site of
-    its body with "foot" in its name. Empty if the model does not compile.
+    A foot is a geom with "foot" in the name of the geom or body, or within 1 mm of a site of the
+    same body with "foot" in the name. Empty if the model does not compile.
     """
     model = robot.mj_model
     if model is None:
@@ -125,9 +125,9 @@ def list_foot_geoms(robot: MjcfModel) -> list[int]:
 def foot_softer_than_its_size(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find spherical feet whose ground contact reaches full impedance deeper than half the radius.
 
-    The width of ``solimp`` [m] is that of the contact with the ground, combined as in MuJoCo. It
-    has an effect only if the impedance rises over the width (``solimp[0] < solimp[1]``). One
-    finding for all feet with equal radius and width.
+    The width of ``solimp`` [m] is that of the contact with the ground, combined as in MuJoCo. The
+    width has an effect only if the impedance rises (``solimp[0] < solimp[1]``). Feet with equal
+    radius and width are a single finding.
     """
     model = robot.mj_model
     if model is None:

@@ -188,7 +188,12 @@ def _read_tensor_shape(data: int | memoryview) -> tuple[str, list[int]]:
 
 
 def _decode_varint(data: memoryview, position: int) -> tuple[int, int]:
-    """Return the variable-length integer at a position, and the position after the integer."""
+    """Return the variable-length integer at a position, and the position after the integer.
+
+    Raises:
+        ValueError: If the integer has more than ten bytes.
+        IndexError: If the data ends inside the integer.
+    """
     value = 0
     for shift in range(0, 70, 7):  # at most ten bytes
         value |= (data[position] & 0x7F) << shift
