@@ -266,7 +266,7 @@ class JointLimits(Constraint):
     name = "joint-limits"
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """Return the distances of the joints to finite lower, then to upper limits [rad, m].
+        """Return the distances of the joints to finite lower, then to upper limits, (n,) [rad, m].
 
         Distances are negative beyond a limit.
         """
