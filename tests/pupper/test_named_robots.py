@@ -145,6 +145,11 @@ def test_contract_reads_the_files_of_a_scaled_variant(tmp_path: Path) -> None:
     )
 
 
+def test_contract_names_a_variant_by_the_name_that_was_given() -> None:
+    """The next command is typed with this name, not with the path of the variant's file."""
+    assert read_contract("v3", stand=False).model == "v3"
+
+
 def test_crosscheck_of_one_file_names_the_missing_argument() -> None:
     done = answer("crosscheck", "robot.urdf")
     assert done.returncode == 2

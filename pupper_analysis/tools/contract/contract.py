@@ -140,11 +140,10 @@ def read_contract(
     # Scaled variants are written to files, because every source is read from a file.
     with TemporaryDirectory() as name:
         folder = Path(name).resolve()
-        found = _find_model_files(sources, folder)
+        found, variants = _find_model_files(sources, folder)
         contract = _compare_sources(found, names or {}, stand=stand, fail_on=fail_on)
-        model = Path(contract.model)
-        if model.is_relative_to(folder):
-            contract = replace(contract, model=model.stem)  # other commands accept this name
+        # Other commands accept the name of a variant, which is shorter than the path of its file.
+        contract = replace(contract, model=variants.get(contract.model, contract.model))
         return shorten_paths(contract, f"{folder}{os.sep}")
 
 
@@ -222,20 +221,27 @@ def _compare_sources(
 
 def _find_model_files(
     sources: Sequence[str | Path | VariantSpec], folder: Path
-) -> list[str | Path]:
+) -> tuple[list[str | Path], dict[str, str]]:
     """Return the sources, with the files of variants and published robots instead of names.
 
     The files of scaled variants are written to ``folder``.
+
+    Returns:
+        Sources; {file of a variant: name of the variant}.
     """
     found: list[str | Path] = []
+    variants: dict[str, str] = {}
     for source in sources:
         if is_variant(source):
-            found += find_files(source, folder)
+            files = find_files(source, folder)
+            found += files
+            name = source.name if isinstance(source, VariantSpec) else str(source)
+            variants |= {str(file): name for file in files}
         else:
             refuse_unknown_variant(str(source), is_robot=False)
             named = is_published_name(str(source)) or str(source).startswith(PACKAGE_PREFIX)
             found.append(find_file(str(source)) if named else cast(str | Path, source))
-    return found
+    return found, variants
 
 
 def _summarise_source(placed_source: PlacedSource) -> SourceRead:
