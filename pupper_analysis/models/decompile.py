@@ -135,9 +135,9 @@ relative tolerance, 1e-5, is added. Chosen."""
 def make_spec_of_model(model: mujoco.MjModel, source: str) -> mujoco.MjSpec:
     """Return a new spec that compiles to a model with the same dynamics as a given model.
 
-    Bodies, joints, geoms, sites, tendons and actuators without a name get a name such as
-    ``body_3``, except free joints, and geoms to which no contact pair or tendon refers. The given
-    model is not modified.
+    Bodies, joints, geoms, sites, tendons, actuators, meshes and height fields without a name get a
+    name such as ``body_3``, except free joints, and geoms to which no contact pair or tendon
+    refers. The given model is not modified.
 
     Args:
         model: Compiled model.

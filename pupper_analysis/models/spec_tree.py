@@ -245,7 +245,10 @@ class SpecTree:
         element.springdamper = (0.0, 0.0)
 
     def set_options(self, values: Mapping[str, Number]) -> None:
-        """Set attributes of the MJCF's ``<option>``, for example ``{"cone": "elliptic"}``."""
+        """Set attributes of the MJCF's ``<option>``, for example ``{"cone": "elliptic"}``.
+
+        Texts must be in `_OPTION_VALUES`; numbers are set as they are.
+        """
         for name, value in values.items():
             setattr(self.spec.option, name, _OPTION_VALUES.get((name, value), value))
 

@@ -201,8 +201,8 @@ _MAX_SOLE_TILT = math.radians(25.0)
 touches the ground with an edge. Chosen, not tuned."""
 
 _MIN_SOLE_LENGTH = 0.015
-"""Lower bound of the length of a flat part [m] that counts as a sole. Chosen, not tuned: the facets
-on the mesh of a round foot have a length of millimetres."""
+"""Largest extent of a flat part along a coordinate axis [m], above which the part counts as a sole.
+Chosen, not tuned: facets on the mesh of a round foot have a few millimetres."""
 
 _TEST_PENETRATION = 1e-4
 """Penetration [m] at which MuJoCo's contacts of a sole are evaluated. Chosen, not tuned."""

@@ -83,7 +83,9 @@ zero. Chosen, not tuned."""
 
 
 def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
-    """Report the axis of the base frame along which the limbs point, if not downwards.
+    """Report the axis of the world frame along which the limbs point, if not downwards.
+
+    With a free base the world frame is that of the base, which is not rotated.
 
     The direction of a limb is the unit vector from the origin of its first body to the mean CoM of
     its last bodies, at joint positions of zero, clipped to the limits. The reported axis is the

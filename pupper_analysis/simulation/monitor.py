@@ -401,8 +401,8 @@ unequal slopes with 5e-5 to 1.05e-3 of the weight, and a nudge lifts these feet.
 (``trial._MIN_LOAD_RATIO``) of the mean load of four feet."""
 
 MIN_PUSH_RATIO = 1e-3
-"""Smallest normal force between two bodies, relative to the robot's weight, that is reported as a
-contact. Chosen, not tuned."""
+"""Smallest normal force of a single contact, relative to the robot's weight, with which its bodies
+are reported as touching. Chosen, not tuned."""
 
 MEASURING_TIME = 1.0
 """Duration directly before the nudge over which settled torques, forces and foot positions are

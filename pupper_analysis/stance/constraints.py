@@ -24,8 +24,8 @@ from pupper_analysis.stance.problem import Goal
 from pupper_analysis.statics.support_polygon import SIDES, margin_of_position, polygon_sides
 
 TASK_TOLERANCE = 1e-9
-"""Largest residual [m, rad] with which a requirement of a task counts as satisfied. Chosen, not
-tuned: far below any manufacturing tolerance."""
+"""Residual [m, rad] below which a requirement of a task counts as satisfied, except clearances
+(`CLEARANCE_TOLERANCE`). Chosen, not tuned: far below any manufacturing tolerance."""
 
 CLEARANCE_TOLERANCE = 1e-6
 """Violation of a required clearance [m] that counts as rounding and is accepted. The nonlinear

@@ -336,7 +336,7 @@ class StanceProgram:
         """Return the variables (v,) of an initial configuration (nq,) and initial relaxations.
 
         The relaxations are the differences of ``task`` from the requirements of the goal, such as
-        another height; zero without a task.
+        another height; zero without a task. The result is clipped to the bounds of the variables.
         """
         numbers = self._numbers
         had = numbers.values if task is None else numbers.read_task(task)

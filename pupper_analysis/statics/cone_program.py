@@ -220,7 +220,8 @@ class Balance:
 
         Returns:
             Forces f, shape (size,) [N, N m]. None if no forces satisfy balance, friction and the
-            inequality, or if the maximum is unbounded.
+            inequality, if the maximum is unbounded, or if the solver's result violates its
+            tolerances.
         """
         particular, free = self._particular_and_null_space
         if not self._is_balanced(particular):

@@ -55,7 +55,8 @@ _UNIT_FACTORS = {
 def format_number(value: float, spec: str) -> str:
     """Format a number by a format specification of Python, such as ``".3g"``.
 
-    Absolute values from 1e-6 to below 1e9 are written without exponent, except by the format ``e``.
+    Absolute values from 1e-6 to below 1e9 are written without exponent, except by the
+    formats ``e``, ``E`` and ``G``.
     With ``%`` the number is shown in percent: 0.039 by ``".1%"`` or ``".2g%"`` is ``"3.9 %"``.
     """
     if spec.endswith("%"):

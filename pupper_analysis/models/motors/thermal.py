@@ -166,7 +166,9 @@ class ThermalNetwork:
 
 
 def list_unknown_thermal_numbers(motor: Motor, ambient: float | None = None) -> tuple[str, ...]:
-    """Return the unknown numbers of a motor without which no temperature can be computed.
+    """Return the unknown thermal numbers of a motor without which no temperature can be computed.
+
+    The electrical resistance of the winding is not one of these numbers.
 
     Args:
         motor: Motor.

@@ -979,8 +979,9 @@ def _compute_deviation(
 ) -> tuple[float, float, float, tuple[int, ...]]:
     """Return the largest relative deviation of two arrays of equal shape, element by element.
 
-    The absolute deviation is divided by a scale: the largest magnitude in both arrays, or in the
-    same row of both if ``per_row``; at least ``least``.
+    The absolute deviation is divided by a scale: the largest finite magnitude in both arrays, or in
+    the same row of both if ``per_row``; at least ``least``. Equal infinities have no deviation; any
+    other pair with a number that is not finite has an infinite one.
 
     Returns:
         Relative deviation; absolute deviation, scale and indices of the same element.

@@ -187,7 +187,8 @@ def _make_bound_table(study: GainStudy) -> doc.Table:
     """Create the table of three bounds: smallest kp, largest kp and largest kd.
 
     A row has the factor on the present gains of all joints [1] by the linear model and by
-    simulation, the frequency of the growing mode [Hz], and its joints.
+    simulation, the frequency of the growing mode [Hz], and the two joints that move most in
+    the mode.
     """
     bounds = (
         ("gains-least-kp", study.least_kp),

@@ -136,7 +136,7 @@ def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
 
 
 def _describe_losses(study: HeatStudy) -> Iterable[doc.Words]:
-    """Yield the copper loss of all motors, and current and time of the battery if known.
+    """Yield the copper loss of all motors, and current and time of the battery if known and finite.
 
     If the loss is unknown, since motors are too weak, the number of weak motors is yielded.
     """

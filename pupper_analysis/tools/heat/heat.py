@@ -175,7 +175,7 @@ class HeatStudy(Result):
 
     @property
     def overheats(self) -> bool:
-        """Whether a motor reaches its limit, or grows hotter without bound."""
+        """Whether `MotorHeat.overheats` holds for a motor; False for motors that are too weak."""
         return any(motor.overheats for motor in self.motors)
 
     @property

@@ -499,10 +499,10 @@ def make_slider_ranges(robot: Robot) -> dict[str, Range]:
     """Return {name of a slider: range}, in mm, degrees, kg, N m/rad and N m s/rad.
 
     The ends of the range of a length are multiples of the height of the nominal stand, of a mass
-    multiples of the robot's mass, of a gain multiples of the median gain; their magnitudes are
-    rounded up (`round_up_slider_end`); a lower end of 0 that is not allowed becomes one step.
-    Ranges of angles do not depend on the robot. Initial values are not rounded. Sliders of joints
-    are not included.
+    multiples of the robot's mass, of a gain multiples of the median gain (without servos, of the
+    slider's initial value); their magnitudes are rounded up (`round_up_slider_end`); a lower end of
+    0 that is not allowed becomes one step. Ranges of angles do not depend on the robot. Initial
+    values are not rounded. Sliders of joints are not included.
     """
     ranges = {}
     for name, control in CONTROL_BY_NAME.items():

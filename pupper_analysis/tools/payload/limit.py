@@ -89,7 +89,7 @@ def simulate_payload(
             ``with_payload``.
         kp: Servo stiffness [N m/rad]; the model's own by default.
         kd: Servo damping [N m s/rad]; the model's own by default.
-        duration: Time after each nudge for which the outcome is decided [s], at least 2.
+        duration: Time after each nudge for which the outcome is decided [s], 2 to 600.
         until_failure: End all simulations once the earliest failure is known.
 
     Returns:
@@ -97,7 +97,8 @@ def simulate_payload(
 
     Raises:
         ConfigurationError: If an argument is out of range, or the robot cannot stand.
-        ModelError: If the model has no position servos, and kp and kd are not both given.
+        ModelError: If a joint has no motor, a joint has no position servo and kp and kd are not
+            both given, or the loaded model or the ground cannot be built.
         UnknownNameError: If the task names a foot or joint, or ``point`` a frame, that the robot
             does not have.
         StanceUnreachableError: If the loaded stance is out of reach.

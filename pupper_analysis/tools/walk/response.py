@@ -108,7 +108,7 @@ class ResponseMap(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether no run falls, no command is ignored, and the files state all masses."""
+        """Whether no run falls, no axis has a dead zone, and the files state all masses."""
         sound = all(not axis.fallen.any() and not any(axis.dead_zone) for axis in self.axes)
         return sound and not has_unknown_masses(self.remarks)
 

@@ -308,8 +308,8 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
 SIGN_RTOL, MIN_PRODUCT_FRACTION = 0.02, 0.01
 """Bounds of the check for a wrong sign of a product of inertia. `SIGN_RTOL`: largest difference
 between the magnitudes of two entries, relative to the entry, with which the entries count as equal
-up to sign. `MIN_PRODUCT_FRACTION`: product of inertia, relative to the largest entry, above which
-its sign is compared. Chosen, not tuned."""
+up to sign. `MIN_PRODUCT_FRACTION`: lower bound of all products of inertia, relative to the largest
+entry; with a smaller product no sign is compared. Chosen, not tuned."""
 
 _PRODUCTS = np.array([name[1] != name[2] for name in INERTIA_ENTRIES])
 """Mask of the products among the entries of an inertia, in the order of `INERTIA_ENTRIES`."""

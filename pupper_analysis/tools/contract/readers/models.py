@@ -116,6 +116,7 @@ def read_model_file(path: Path) -> RobotModel:
 
     Raises:
         ModelError: If the file cannot be read.
+        MissingPackageError: If the reader of the format needs a package that is not installed.
     """
     reader = reader_of(path)
     with silence_mujoco():

@@ -61,7 +61,10 @@ class _View:
         return self.tables[0].place
 
     def get(self, *path: str) -> Node:
-        """Return the value of a path of keys in the first table that has it; None without."""
+        """Return the value of a path of keys in the first table that has it.
+
+        Without such a table, the node has the value None and the place of the first table.
+        """
         found = (table.get(*path) for table in self.tables)
         return next((node for node in found if node.is_present), Node(None, self.place))
 
