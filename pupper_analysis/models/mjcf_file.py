@@ -430,7 +430,11 @@ _HEXADECIMAL_NUMBER: Final = re.compile("0[xX][0-9a-fA-F]+")
 
 
 def _check_sizes(path: Path, element: etree._Element) -> None:
-    """Raise a ModelError if a product of sizes of an element exceeds that in `_MAX_PRODUCTS`."""
+    """Raise a ModelError if MuJoCo would create too many objects or values from an element.
+
+    The number is a product of sizes, for example nrow x ncol of a height field; its upper bounds
+    are in `_MAX_PRODUCTS`.
+    """
     for tag, attributes, limit in _MAX_PRODUCTS:
         if tag in ("*", element.tag):
             text = " ".join(element.get(attribute, "") for attribute in attributes)

@@ -24,7 +24,8 @@ _DECLARATIONS: Final = ("property", "arg", "macro")
 expression that uses their names has an effect."""
 
 _HARMLESS_TAGS: Final = ("material", "transmission", "gazebo", "ros2_control")
-"""Children of an included file's root that change neither links nor joints."""
+"""Children of an included file's root that change neither links nor joints. An included file with
+only these and declarations has no effect."""
 
 _HARMLESS_NAMES: Final = re.compile(r"materials?|colou?rs?|transmissions?|gazebo|ros2_control")
 """Pattern of the names of included files that are assumed to contain no links or joints, if the

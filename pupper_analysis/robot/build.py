@@ -261,8 +261,9 @@ def _copy_armature(
 ) -> list[Diagnostic]:
     """Copy the armature of MuJoCo's model to Pinocchio's, in place.
 
-    Returns notes about armature and effort limits. ``null`` contains the empty force ranges of the
-    MJCF, {joint: statement of the range}.
+    Returns notes about armature, and about torque limits that MuJoCo does not apply. ``null`` is
+    {joint: statement of an empty force range of the MJCF, such as ``forcerange="0 0"``}, which
+    MuJoCo ignores.
     """
     limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {}, null)
     notes = report_efforts(limits)

@@ -72,9 +72,9 @@ _CHUNK_DURATION = 2.0
 decayed. Chosen, not tuned."""
 
 _DECAYED_RATIO = 1e-2
-"""Ratio of the deviation D to the bound of the initial deviation, and to its maximum in the first
-window, below which a growth test ends: the motion has decayed, which refutes the growing modes of
-the linear model. Chosen, not tuned."""
+"""Bound of the deviation D (module docstring, step 2), relative to the bound of its initial value
+and to its maximum in the first window. Below both, a growth test ends: the motion has decayed,
+which refutes the growing modes of the linear model. Chosen, not tuned."""
 
 _HALF_TIME, _HALF_GROWTH = 1.5 * HOLD_DURATION, 1.5
 """Simulated time [s], since the start or the end of the last transient, after which a growth test

@@ -44,10 +44,12 @@ class LinearStep:
         self._power, self._total = power, total
 
     def predict(self, before: Array, state: Array, duration: float) -> Array:
-        """Return the displacements from a state at times up to a duration, shape (n, 2 nv + na).
+        """Return the displacements from a state at n later times, shape (n, 2 nv + na).
 
-        Columns are positions [m, rad], velocities [m/s, rad/s] and activations, in the tangent
-        space. Values may be infinite or not a number if a mode grows without bound.
+        The times are equally spaced, up to ``duration`` or the first time after it. ``before``
+        gives the initial displacement. Columns are positions [m, rad], velocities [m/s, rad/s] and
+        activations, in the tangent space. Values may be infinite or not a number if a mode grows
+        without bound.
 
         Args:
             before: State one step earlier (mjSTATE_FULLPHYSICS).

@@ -203,8 +203,8 @@ class Stand(Pictured, Tabular):
 
         {contact point: target of the sphere centre, shape (3,) [m], in the world frame}. If feet
         have separate planes, the ``foot_targets`` are moved out of the ground by the penetration
-        (`remove_penetration`). Otherwise these are the ``foot_targets``: the position of a level
-        step does not depend on the penetration.
+        (`remove_penetration`). Otherwise these are the ``foot_targets``: only their horizontal
+        positions place a level step under a foot, and penetration is vertical.
         """
         return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)
 

@@ -157,8 +157,9 @@ def _list_lifted_points(robot: Robot, stand: Stand) -> tuple[str, ...]:
 def _place_lifted_feet(robot: Robot, stand: Stand, task: StandTask, at: Configuration) -> StandTask:
     """Return a task in which lifted feet have the positions and heights of a configuration.
 
-    The lifted feet are those of ``stand``; the configuration is ``at``. Hands, and feet whose
-    contact states a place, keep their places in the task, but not their heights.
+    The lifted feet are those of ``stand``; the configuration is ``at``. A lifted hand, and a
+    lifted foot whose contact states a place, keep their horizontal positions in the task; their
+    heights are those of ``at``.
 
     Raises:
         ConfigurationError: If a lifted foot is not above its ground.

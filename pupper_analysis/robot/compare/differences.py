@@ -200,10 +200,11 @@ class Difference(Stated, Result):
 
     @property
     def relative_effects(self) -> tuple[float, float]:
-        """Largest relative effects of the difference on the dynamics [1].
+        """Largest effects of the difference on the dynamics, as fractions of each quantity [1].
 
-        First element: on mass matrix, gravity, and positions of joints and feet; second element:
-        on any quantity. 0 without an effect.
+        First element: the largest effect on mass matrix, gravity, and positions of joints and feet;
+        second element: the largest effect on any compared quantity. 0 without an effect. The
+        fractions are those of `effects`.
         """
         main = [self.effects[name].relative for name in _MAIN_QUANTITIES if name in self.effects]
         all_effects = [effect.relative for effect in self.effects.values()]

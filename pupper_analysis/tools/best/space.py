@@ -74,8 +74,9 @@ tuned."""
 
 MAX_MOTION_RESIDUAL = 1e-9
 """Largest error of the velocity of a contact point, per unit velocity of a coordinate [m/m or
-m/rad], with which `StanceSpace.compute_motions` returns motions. The equations of soles are
-redundant, and are satisfied to rounding. Chosen, not tuned."""
+m/rad], with which `StanceSpace.compute_motions` returns joint motions for the shifts of the contact
+points; None above. The equations of soles are redundant, and are satisfied to rounding. Chosen, not
+tuned."""
 
 
 @dataclass(frozen=True, eq=False)

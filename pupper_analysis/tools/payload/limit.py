@@ -260,7 +260,9 @@ class PayloadLimit(Result):
     def bounds(self) -> dict[str, Bound]:
         """Bounds of the payload, ``{name: bound with mass in kg}``, the smallest mass first.
 
-        The names are ``stance``, ``motors``, ``servos`` and ``simulation``.
+        ``stance``: largest mass for which a stance with contact forces exists; ``motors``: largest
+        mass within the torque limits; ``servos``: largest mass that is statically stable with the
+        servo stiffness; ``simulation``: largest mass that held in simulation.
         """
         names = ("stance", "motors", "servos", "simulation")
         bounds: dict[str, Bound] = {name: getattr(self, name) for name in names}

@@ -449,7 +449,8 @@ def fingerprint_metric(metric: Metric) -> str:
     """Return a text that identifies a metric in the hash of a study.
 
     The text is the fingerprint of the function for a metric that the user wrote; otherwise the
-    name and the hash of the file, if there is one. Changes of the package's own metrics increase
+    name, and for a metric that reads a file (``NAME:FILE``, such as a policy) also the hash of this
+    file. Changes of the package's own metrics increase
     `METRICS_REVISION` instead.
     """
     function = metric.function

@@ -78,7 +78,12 @@ others: term}."""
 
 
 def find_term_name(name: str) -> str:
-    """Return the term of an observation for its name in a library; the name itself if unknown."""
+    """Return this package's name of an observation term, for example ``gravity``.
+
+    Args:
+        name: Name of the term in a training library, for example ``projected_gravity``; an unknown
+            name is returned unchanged.
+    """
     common = OBSERVATION_ALIASES.get(name, name)
     return _TERM_ALIASES.get(common, name)
 

@@ -343,7 +343,11 @@ def _fold(function: Callable[..., Any]) -> Operation:
 
 
 def skip_missing_inputs(operation: Operation, names: Sequence[str]) -> Operation:
-    """Return an operation of the stated inputs; optional inputs without a name are None."""
+    """Return an operation whose arguments are only the inputs that an ONNX node names.
+
+    ``names`` are the node's inputs; the name of an omitted optional input is empty, and
+    ``operation`` gets None for it.
+    """
     if all(names):
         return operation
 
