@@ -540,7 +540,7 @@ def limit_by_peak(robot: Robot, torques: Mapping[str, float]) -> dict[str, float
 
 
 def _names_motor(text: str) -> bool:
-    """Return True if a text is the name of a known motor, or a TOML or JSON file."""
+    """Return True if a text is the name of a known motor, or ends with ``.toml`` or ``.json``."""
     if text.lower().endswith((".toml", ".json")):
         return True
     if not any(letter.isalpha() for letter in text):

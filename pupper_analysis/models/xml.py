@@ -254,8 +254,9 @@ def new_file_text(root: etree._Element, header: str) -> str:
     """Return the text of a new model file, indented, with blank lines between sections.
 
     Args:
-        root: Root element.
-        header: Text of the comment at the top. Characters that would end the comment are escaped.
+        root: Root element; its elements are indented in place.
+        header: Text of the comment at the top. Characters that would end the comment, or that XML
+            does not permit, are escaped.
     """
     etree.indent(root, space="  ")
     text = etree.tostring(root, encoding="unicode")

@@ -651,7 +651,10 @@ def name_remaining_cause(
 
 
 def list_ball_joints(robot: Robot) -> tuple[Cause, ...]:
-    """Return the ball joints of the file as a cause of a failure; empty without ball joints."""
+    """Return the ball joints that the robot lacks and its published MJCF has, as causes.
+
+    Empty without such joints, or without a published model.
+    """
     loaded = get_loaded_robot(robot)
     model = loaded.compute_once(get_published_model)
     if model is None:

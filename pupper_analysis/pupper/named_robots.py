@@ -60,6 +60,7 @@ def find_model(
         VariantError: If a word without suffix is probably a misspelled variant name, or the scales
             give no valid model.
         ModelError: If a base file is missing or damaged.
+        OutputError: If the run will also write a base file of a scaled variant.
     """
     if not is_variant(model):
         if isinstance(model, str | Path):

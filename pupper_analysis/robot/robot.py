@@ -548,7 +548,11 @@ class Robot(EngineModels):
 
     @cached_property
     def shapes(self) -> tuple[CarriedShape, ...]:
-        """Collision shapes of the robot's MuJoCo model, including feet and a fixed base."""
+        """Collision shapes of the robot's MuJoCo model, including feet and a fixed base.
+
+        Raises:
+            ModelError: If a collision geom has a type without distance computation.
+        """
         return shapes_of(
             self.mj_model,
             self.mj_convention,

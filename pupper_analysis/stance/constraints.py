@@ -304,7 +304,8 @@ class GroundClearance(Constraint):
 
         The shapes are the collision shapes in ``ClearanceShapes.parts``, in that order; n is 0
         without ground. Half of `CLEARANCE_TOLERANCE` is added, so that a search with small errors
-        still finds an accepted stand.
+        still finds an accepted stand. The height of a part that intersects the sphere of a foot
+        includes the penetration of this foot.
         """
         heights = self._shapes.measure_part_heights(
             at, goal.task.ground, goal.rigid_targets, goal.depths

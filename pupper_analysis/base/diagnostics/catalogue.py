@@ -111,7 +111,7 @@ def phrase(key: str, language: str) -> str:
 
     Args:
         key: Key in ``texts.toml``, in ``terms.toml`` or in a table ``[texts]`` of a tool.
-        language: ``"en"`` or ``"zh"``, or `SHORT_FORM`.
+        language: ``"en"`` or ``"zh"``, or `SHORT_FORM`; a missing text is taken from English.
 
     Returns:
         Text, in which ``fill_template`` replaces the placeholders. Empty for the short form of a

@@ -444,7 +444,7 @@ def with_names_of_models(message: Diagnostic, names: Mapping[str, Term]) -> Diag
 def number_pair(first: float, second: float, unit: str) -> dict[str, Any]:
     """Return the values {"one": first, "two": second} of a message, numbers with their unit.
 
-    An infinite number is replaced by the term "unlimited".
+    A number that is not finite is replaced by the term "unlimited".
     """
     return {"one": describe_bound(first, unit), "two": describe_bound(second, unit)}
 

@@ -193,7 +193,8 @@ _TABLE_VALUES: Final = {
 }
 """{key of a table: required kind of the values in this table}."""
 _TABLE_KEYS: Final = {"tolerances": [kind.name for kind in fields(Tolerances)], "disable": [*RULES]}
-"""{table of ``pupper-analysis.toml``: valid keys in this table}. Other tables accept any key."""
+"""{table of ``pupper-analysis.toml``: valid keys in this table}. The tables ``packages`` and
+``map`` accept any key."""
 
 
 Key = tuple[str | int, ...]

@@ -687,7 +687,8 @@ class Evaluator:
         """Return an element or slice of a list or table.
 
         Raises:
-            NotConstantError: If the owner is neither, or has no such element.
+            NotConstantError: If the owner is neither or has no such element, an index is not
+                constant or not valid, or the result is too large.
         """
         owner = self.evaluate(expression.value, scope).value
         if not isinstance(owner, list | dict):

@@ -915,7 +915,7 @@ def _find_min_friction(model: mujoco.MjModel, data: mujoco.MjData) -> float | No
 def _compare_runs(
     before: _SimulatedRun, after: _SimulatedRun, where: Mapping[str, Any]
 ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-    """Compare the recorded motions of two simulations.
+    """Compare the recorded motions of two simulations; empty if their states have different sizes.
 
     Args:
         before: Simulation of the old model.

@@ -234,6 +234,7 @@ def _name_first_joints(bound: GainBound) -> doc.Words:
 def gain_plot(study: GainStudy) -> doc.LinePlot:
     """Create the plot of the largest stable damping over the stiffness, with present gains.
 
+    Recommended gains are marked, too, if there are any; points without a finite bound are left out.
     Axes are absolute if all joints have equal gains, otherwise factors on the present gains.
     """
     kp, kd = (study.classes[0].kp, study.classes[0].kd) if study.uniform else (1.0, 1.0)

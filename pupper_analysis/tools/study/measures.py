@@ -150,7 +150,11 @@ class Design:
 
     @cached_property
     def simulated_stand(self) -> Stand:
-        """Stand on MuJoCo's soft ground, the initial state of simulations."""
+        """Stand on MuJoCo's soft ground, the initial state of simulations.
+
+        The stand is on rigid ground if the soft-ground stand is out of reach. The errors are those
+        of ``solve_stand_as_simulated``.
+        """
         return solve_stand_as_simulated(self.robot, self.stand)
 
     @cached_property

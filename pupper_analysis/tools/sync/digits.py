@@ -14,7 +14,8 @@ from pupper_analysis.models.xml import NUMBER_PATTERN
 NUMBER_RTOL: Final = 1e-12
 """Largest deviation of a number in a file from the requested number with which the text in the file
 is kept. Relative to the largest number of the vector, or to a larger scale that the caller passes.
-Chosen, not tuned: far below the tolerances of comparisons."""
+Also the magnitude below which 0 is written, relative to the same scale. Chosen, not tuned: far
+below the tolerances of comparisons."""
 
 
 _ROUNDING_STEPS: Final = ((10, 1e-13), (16, 4e-16))

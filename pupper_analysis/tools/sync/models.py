@@ -165,8 +165,14 @@ def _find_paths(
 ) -> tuple[str | Path, str | Path]:
     """Return the paths of the URDF and the MJCF.
 
-    The files of a scaled variant are written to ``folder``. A name of a published robot is returned
-    as it is.
+    The files of a scaled variant are written to ``folder``. Any other name or
+    path is returned as it is.
+
+    Raises:
+        ConfigurationError: If a model is an object in memory, or ``mjcf`` is missing and ``urdf``
+            is no variant.
+        VariantError: As for `find_files`.
+        ModelError: As for `find_files`.
     """
     paths = list[str | Path]()
     given = (urdf, urdf if mjcf is None else mjcf)
