@@ -10,7 +10,7 @@ import contextlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import mujoco
 import pinocchio as pin
@@ -217,7 +217,7 @@ def _list_changed_servos(
     own, new = list_position_servos(load_variant(variant)), list_position_servos(robot)
     if not own or not new or own == new:
         return
-    spans = {
+    spans: dict[str, Any] = {
         f"{owner}_{name}": describe_span([gains[index] for gains in servos.values()], unit)
         for owner, servos in (("new", new), ("own", own))
         for index, (name, unit) in enumerate((("kp", "N m/rad"), ("kd", "N m s/rad")))
