@@ -32,6 +32,7 @@ from pupper_analysis.tools.fit.record.bridge import open_bridge
 from pupper_analysis.tools.fit.record.recorder import (
     MAX_JOINT_SPEED,
     _compute_com_margin,
+    _RecordingEndedError,
     _RecordingSession,
     record_stands,
 )
@@ -122,13 +123,15 @@ class Reversed:
 
     def __init__(self, robot: Robot) -> None:
         self._first = robot.joint_names[0]
-        self._position = np.zeros(robot.nu)
+        self._position = self.command = np.zeros(robot.nu)
         self._time = 0.0
+        self.lifted = False
 
     def read(self) -> tuple[float, Array]:
         return self._time, self._position
 
     def send(self, command: Array) -> None:
+        self.command = command
         self._position = command * np.where(np.arange(len(command)) == 0, -0.7, 1.0)
 
     def wait(self, seconds: float) -> None:
@@ -141,16 +144,45 @@ class Reversed:
         pass
 
 
-def test_joint_that_moves_against_its_command_is_not_accepted(robot: Robot) -> None:
-    """The joints move by 0.7 of the command, above the threshold of 0.6 for a working servo, but
-    one moves backwards."""
-    person = SimpleNamespace(stops=lambda: False)
-    session = _RecordingSession(robot, Reversed(robot), person)  # type: ignore[arg-type]
+def take_stand_at(robot: Robot, bridge: Reversed, angle: float) -> _RecordingSession:
+    """Take a stand with all joints at an angle [rad] from zero, after three recorded stands."""
+
+    def lift(*_: Any) -> bool:
+        bridge.lifted = True
+        bridge.send(bridge.command)
+        return True
+
+    person = SimpleNamespace(stops=lambda: False, prepare=lift, feet_up=lambda *_: ())
+    session = _RecordingSession(robot, bridge, person)  # type: ignore[arg-type]
+    bridge.send(np.zeros(robot.nu))
     session._command = np.zeros(robot.nu)
-    target = np.full(robot.nu, 0.27)
-    named = dict(zip(robot.joint_names, target.tolist(), strict=True))
-    session._ramp_commands(PlannedStand("s0", (), named, None), target, 3)
-    assert session._last_live_rows.tolist() == [0] + [3] * (robot.nu - 1)
+    named = dict.fromkeys(robot.joint_names, angle)
+    session.take_stand(PlannedStand("s0", (), named, None), {}, [], 3)
+    return session
+
+
+def test_joint_that_moves_against_its_command_ends_the_recording(robot: Robot) -> None:
+    """The first joint moves backwards, by 0.7 of its command."""
+    with pytest.raises(
+        _RecordingEndedError, match=f"{robot.joint_names[0]} is 26.3 deg from its"
+    ) as caught:
+        take_stand_at(robot, Reversed(robot), 0.27)
+    assert math.degrees(1.7 * 0.27) == pytest.approx(26.3, abs=0.05)
+    assert caught.value.rows == 0  # no recorded row is reliable
+
+
+class Planted(Reversed):
+    """Bridge of a robot whose first joint is held by its foot on the ground until it is lifted."""
+
+    def send(self, command: Array) -> None:
+        self.command = command
+        held = np.where(np.arange(len(command)) == 0, 1.0 if self.lifted else 0.1, 1.0)
+        self._position = command * held
+
+
+def test_joint_that_the_ground_holds_counts_as_following_once_it_is_lifted(robot: Robot) -> None:
+    session = take_stand_at(robot, Planted(robot), 0.27)
+    assert session._last_live_rows.tolist() == [3] * robot.nu
 
 
 class Sticky(Reversed):
@@ -187,7 +219,7 @@ def test_stand_is_approached_from_both_sides_so_that_friction_cancels(
     bridge.send(session._command)
     target = np.full(robot.nu, 0.3)
     named = dict(zip(robot.joint_names, target.tolist(), strict=True))
-    session._ramp_commands(PlannedStand("s0", (), named, None), target, 0)
+    session._ramp_commands(PlannedStand("s0", (), named, None), target)
     single = bridge.read()[1] - 0.2
     np.testing.assert_allclose(np.abs(single), bridge.band, atol=1e-12)
     position, _ = session.take_stand(PlannedStand("s1", (), named, None), {}, (), 0)

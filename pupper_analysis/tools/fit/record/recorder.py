@@ -58,11 +58,13 @@ _MAX_TRACKING_ERROR = 0.5
 servo without torque. Chosen, not tuned."""
 
 _MIN_COMMANDED_TRAVEL = 0.25
-"""Commanded travel [rad] from which the response of a joint is checked. Chosen, not tuned."""
+"""Commanded travel [rad] from one stand to the next from which the response of a joint is checked.
+Chosen, not tuned."""
 
 _MIN_TRAVEL_RATIO = 0.25
-"""Ratio of measured to commanded travel below which a joint counts as not following, and the
-recording stops. Chosen, not tuned."""
+"""Ratio of measured to commanded travel, from one stand to the next, below which a joint counts as
+not following, and the recording stops. Positions are compared after the robot was lifted: feet that
+stick to the ground can hold a joint of a working leg at 0.1 of its travel. Chosen, not tuned."""
 
 _LIVE_TRAVEL_RATIO = 0.6
 """Ratio of measured to commanded travel above which a servo counts as working: gravity and the
@@ -310,14 +312,16 @@ class _RecordingSession:
         """
         target = np.array([stand.command[name] for name in self._robot.joint_names])
         if self._bridge.ramps:
-            self._ramp_commands(stand, target, rows)
+            start, first_position = self._ramp_commands(stand, target)
         else:
             self._bridge.send(target)
         if not self._operator.prepare(stand, loads, instructions):
             raise _StandSkippedError(diagnose("recording-left-out", stand=stand.name))
         half_difference: Array | None = None
         if self._bridge.ramps:
-            position, half_difference = self._average_from_both_sides(stand, target)
+            rest = self._average_at_rest(stand)
+            self._check_travel(stand, target - start, rest - first_position, rows)
+            position, half_difference = self._average_from_both_sides(stand, target, rest)
         else:
             position = self._bridge.read()[1]
         swing = self._operator.feet_up(tuple(self._robot.feet), stand.swing)
@@ -327,12 +331,58 @@ class _RecordingSession:
             self._half_differences.append(half_difference)
         return position, swing
 
-    def _average_from_both_sides(self, stand: PlannedStand, target: Array) -> tuple[Array, Array]:
+    def _check_travel(
+        self, stand: PlannedStand, commanded_travel: Array, travel: Array, rows: int
+    ) -> None:
+        """Check that each joint followed its command from the previous stand to this one.
+
+        For each servo that followed, the number of stands recorded so far (``rows``) is stored: if
+        the servo stops later, this number limits the rows that are kept.
+
+        Args:
+            stand: Stand, which the robot has reached; it was lifted and set down there.
+            commanded_travel: Differences of the commands of both stands, shape (nu,) [rad].
+            travel: Differences of the joint positions at rest, shape (nu,) [rad].
+            rows: Number of rows recorded before.
+
+        Raises:
+            _RecordingEndedError: If a joint moved by less than `_MIN_TRAVEL_RATIO` of its commanded
+                travel, which was larger than `_MIN_COMMANDED_TRAVEL`.
+        """
+        is_commanded = np.abs(commanded_travel) > _MIN_COMMANDED_TRAVEL
+        ratio = np.divide(travel, commanded_travel, out=np.ones(self._robot.nu), where=is_commanded)
+        if ratio.min() < _MIN_TRAVEL_RATIO:
+            joint = int(ratio.argmin())
+            raise self._make_tracking_error(stand, joint, abs(commanded_travel - travel)[joint])
+        self._last_live_rows[is_commanded & (ratio > _LIVE_TRAVEL_RATIO)] = rows
+
+    def _make_tracking_error(
+        self, stand: PlannedStand, joint: int, error: float
+    ) -> _RecordingEndedError:
+        """Return the end of the recording by a servo that does not follow.
+
+        Args:
+            stand: Stand to which the robot moves.
+            joint: Index of the joint, in actuator order.
+            error: Difference between position and command [rad].
+        """
+        finding = diagnose(
+            "servo-does-not-follow",
+            joint=self._robot.joint_names[joint],
+            stand=stand.name,
+            off=Quantity(float(error), "rad"),
+        )
+        return _RecordingEndedError(finding, int(self._last_live_rows[joint]))
+
+    def _average_from_both_sides(
+        self, stand: PlannedStand, target: Array, rest: Array
+    ) -> tuple[Array, Array]:
         """Return the mean joint positions at rest after approaches from both sides.
 
         Args:
             stand: Stand, which the robot has reached.
             target: Commands of the stand, shape (nu,) [rad].
+            rest: Joint positions at rest with these commands, shape (nu,) [rad].
 
         Returns:
             Mean positions, and half the difference of both positions, shape (nu,) [rad] each.
@@ -342,49 +392,38 @@ class _RecordingSession:
             _RecordingEndedError: If a servo does not follow, positions are lost, or the operator
                 stops the recording.
         """
-        rest = self._average_at_rest(stand)
         lower, upper = self._robot.lower_limits, self._robot.upper_limits
         readings = []
         for ratio in LEAD_RATIOS:
             beyond = np.clip(rest + ratio * (target - rest), lower, upper)
-            self._move_command(stand, beyond, self._read_positions(stand))
-            self._move_command(stand, target, self._read_positions(stand), _RETURN_SECONDS)
+            self._move_command(stand, beyond)
+            self._move_command(stand, target, _RETURN_SECONDS)
             readings.append(self._average_at_rest(stand))
         first, second = readings
         return (first + second) / 2, (first - second) / 2
 
-    def _ramp_commands(self, stand: PlannedStand, target: Array, rows: int) -> None:
+    def _ramp_commands(self, stand: PlannedStand, target: Array) -> tuple[Array, Array]:
         """Ramp the command to the joint positions ``target`` of a stand, shape (nu,) [rad].
 
-        The ramp to the first stand starts at the measured positions. For each servo that follows
-        the ramp, the number of stands recorded so far (``rows``) is stored: if the servo stops
-        later, this number limits the rows that are kept.
+        The ramp to the first stand starts at the measured positions.
+
+        Returns:
+            Commands and joint positions before the ramp, shape (nu,) [rad] each.
         """
         if self._command is None:  # start at the measured positions
             self._command = self._read_positions(stand)
             self._bridge.send(self._command)
             self._average_at_rest(stand)  # the previous command is unknown
         start, first_position = self._command, self._read_positions(stand)
-        self._move_command(stand, target, first_position)
-        commanded_travel, travel = target - start, self._read_positions(stand) - first_position
-        works = (np.abs(commanded_travel) > _MIN_COMMANDED_TRAVEL) & (
-            travel * np.sign(commanded_travel) > _LIVE_TRAVEL_RATIO * np.abs(commanded_travel)
-        )
-        self._last_live_rows[works] = rows
+        self._move_command(stand, target)
+        return start, first_position
 
-    def _move_command(
-        self,
-        stand: PlannedStand,
-        target: Array,
-        first_position: Array,
-        min_seconds: float = 0.0,
-    ) -> None:
+    def _move_command(self, stand: PlannedStand, target: Array, min_seconds: float = 0.0) -> None:
         """Ramp the command to ``target``, at most at `MAX_JOINT_SPEED`, and check the servos.
 
         Args:
             stand: Stand, for messages.
             target: Commands at the end of the ramp, shape (nu,) [rad].
-            first_position: Joint positions at the start of the ramp, shape (nu,) [rad].
             min_seconds: Least duration of the ramp [s].
 
         Raises:
@@ -399,33 +438,20 @@ class _RecordingSession:
             self._command = start + step / steps * (target - start)
             self._bridge.send(self._command)
             self._bridge.wait(_COMMAND_INTERVAL)
-            self._check_tracking(stand, start, first_position)
+            self._check_tracking(stand)
 
-    def _check_tracking(self, stand: PlannedStand, start: Array, first_position: Array) -> None:
-        """Check that all servos follow their commands, and that the operator does not stop.
-
-        ``start`` are the commands, ``first_position`` the positions at the start of the ramp, shape
-        (nu,) [rad].
+    def _check_tracking(self, stand: PlannedStand) -> None:
+        """Check that all servos are near their commands, and that the operator does not stop.
 
         Raises:
-            _RecordingEndedError: If a servo does not follow, positions are lost, or the operator
-                stops the recording.
+            _RecordingEndedError: If a position differs from its command by more than
+                `_MAX_TRACKING_ERROR`, positions are lost, or the operator stops the recording.
         """
         assert self._command is not None
-        position = self._read_positions(stand)
-        error, commanded_travel = np.abs(position - self._command), np.abs(self._command - start)
-        is_idle = (commanded_travel > _MIN_COMMANDED_TRAVEL) & (
-            np.abs(position - first_position) < _MIN_TRAVEL_RATIO * commanded_travel
-        )
-        if (is_idle | (error > _MAX_TRACKING_ERROR)).any():
-            joint = int(np.where(is_idle | (error > _MAX_TRACKING_ERROR), error, 0.0).argmax())
-            finding = diagnose(
-                "servo-does-not-follow",
-                joint=self._robot.joint_names[joint],
-                stand=stand.name,
-                off=Quantity(float(error[joint]), "rad"),
-            )
-            raise _RecordingEndedError(finding, int(self._last_live_rows[joint]))
+        error = np.abs(self._read_positions(stand) - self._command)
+        if error.max() > _MAX_TRACKING_ERROR:
+            joint = int(error.argmax())
+            raise self._make_tracking_error(stand, joint, error[joint])
         if self._operator.stops():
             raise _RecordingEndedError(diagnose("recording-stopped"))
 
@@ -468,7 +494,7 @@ class _RecordingSession:
         while self._bridge.now() < deadline:
             self._bridge.wait(_COMMAND_INTERVAL)
             window = [*window[-count + 1 :], self._read_positions(stand)]
-            self._check_tracking(stand, self._command, window[-1])
+            self._check_tracking(stand)
             if len(window) == count and np.ptp(window, axis=0).max() < _REST_RANGE:
                 return np.asarray(np.mean(window, axis=0))
         moving_joint = int(np.ptp(window, axis=0).argmax())
