@@ -14,6 +14,7 @@ from subprocess import PIPE, Popen, run
 from types import SimpleNamespace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -34,6 +35,7 @@ from pupper_analysis.tools.fit.record.recorder import (
     _compute_com_margin,
     _RecordingEndedError,
     _RecordingSession,
+    _StandSkippedError,
     record_stands,
 )
 from pupper_analysis.tools.fit.record.simulated import SimulatedRobot
@@ -229,6 +231,42 @@ def test_stand_is_approached_from_both_sides_so_that_friction_cancels(
     assert session.compute_friction_angles(0) == {}
 
 
+@pytest.mark.parametrize(
+    ("height", "turn", "reason"),
+    [
+        (1.0, (1, 0, 0, 0), "no foot carries weight, three feet are needed"),
+        (0.06, (0, 1, 0, 0), "base_link touches the ground"),
+        (None, (1, 0, 0, 0), "only FR and FL carry weight, three feet are needed"),
+    ],
+)
+def test_skipped_stand_names_the_part_that_touches_or_the_feet_that_carry(
+    robot: Robot, height: float | None, turn: tuple[int, ...], reason: str
+) -> None:
+    """Reference: poses of the base in the air, upside down, and pitched onto the front feet."""
+    one = SimulatedRobot(robot, 3)
+    qpos = one._data.qpos
+    qpos[3:7] = turn
+    if height is not None:
+        qpos[2] = height
+    else:
+        qpos[3:7] = math.cos(0.05), 0, math.sin(0.05), 0
+        mujoco.mj_kinematics(one._drive.model, one._data)
+        front = [geom for geom, foot in one._loaded.foot_geoms.items() if foot in ("FR", "FL")]
+        bottoms = one._data.geom_xpos[front, 2] - one._drive.model.geom_size[front, 0]
+        qpos[2] -= bottoms.max() + 1e-4
+    mujoco.mj_forward(one._drive.model, one._data)
+    found = one.feet_up(tuple(robot.feet), ())
+    assert str(found) == reason
+    bridge = Reversed(robot)
+    bridge.ramps = False
+    person = SimpleNamespace(prepare=lambda *_: True, feet_up=lambda *_: found)
+    session = _RecordingSession(robot, bridge, person)  # type: ignore[arg-type]
+    named = dict.fromkeys(robot.joint_names, 0.0)
+    with pytest.raises(_StandSkippedError) as caught:
+        session.take_stand(PlannedStand("s0", (), named, None), {}, (), 0)
+    assert str(caught.value.finding) == f"stand s0 was left out: {reason}"
+
+
 class Faulty(SimulatedRobot):
     """Simulated robot with faults at given times [s]: a servo that stops following or has no
     torque, lost messages, a push, and a pressed key.
@@ -394,7 +432,10 @@ def test_a_person_at_a_terminal_types_positions_and_any_key_stops(
     bridge, person = open_bridge("typed", robot)
     found = record_stands(robot, plan, tmp_path / "stands.csv", bridge, person)
     assert found.recorded_stands == ("s0", "s2")
-    assert [one.code for one in found.findings] == ["recording-left-out"] * 2
+    assert [str(one) for one in found.findings] == [
+        "stand s1 was left out by the operator",
+        "stand s3 was left out by the operator",
+    ]
     read = read_stands(tmp_path / "stands.csv").order_joints(robot)
     np.testing.assert_allclose(
         read.position, np.radians([[0.5 * n for n in range(12)]] * 2), atol=1e-6

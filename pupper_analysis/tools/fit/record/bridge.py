@@ -14,7 +14,7 @@ from importlib.metadata import entry_points
 from typing import Any, Protocol
 
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.stands.plan import PlannedStand
@@ -42,8 +42,12 @@ class Operator(Protocol):
             False if the operator skips the stand.
         """
 
-    def feet_up(self, feet: Sequence[str], planned: Sequence[str]) -> tuple[str, ...] | None:
-        """Return the feet that the operator sees in the air; None if the operator skips the stand.
+    def feet_up(
+        self, feet: Sequence[str], planned: Sequence[str]
+    ) -> tuple[str, ...] | Diagnostic | None:
+        """Return the feet that the operator sees in the air.
+
+        If the operator skips the stand, return the reason, or None if no reason is known.
 
         Args:
             feet: All feet of the robot.

@@ -316,7 +316,7 @@ class _RecordingSession:
         else:
             self._bridge.send(target)
         if not self._operator.prepare(stand, loads, instructions):
-            raise _StandSkippedError(diagnose("recording-left-out", stand=stand.name))
+            raise _StandSkippedError(diagnose("recording-left-out", stand=stand.name, reason=None))
         half_difference: Array | None = None
         if self._bridge.ramps:
             rest = self._average_at_rest(stand)
@@ -325,8 +325,8 @@ class _RecordingSession:
         else:
             position = self._bridge.read()[1]
         swing = self._operator.feet_up(tuple(self._robot.feet), stand.swing)
-        if swing is None:
-            raise _StandSkippedError(diagnose("recording-left-out", stand=stand.name))
+        if swing is None or isinstance(swing, Diagnostic):
+            raise _StandSkippedError(diagnose("recording-left-out", stand=stand.name, reason=swing))
         if half_difference is not None:
             self._half_differences.append(half_difference)
         return position, swing

@@ -14,10 +14,10 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.contact import find_acting_contacts
+from pupper_analysis.robot.contact import find_acting_contacts, list_contact_bodies
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, resolve_servo_gains
 from pupper_analysis.robot.tool import with_payload
@@ -167,28 +167,34 @@ class SimulatedRobot:
         self,
         feet: Sequence[str],
         planned: Sequence[str],  # noqa: ARG002 - evaluates the contacts
-    ) -> tuple[str, ...] | None:
+    ) -> tuple[str, ...] | Diagnostic:
         """Return the feet with hardly any normal force (`_MIN_LOAD_RATIO`) in the simulation.
 
-        None, so that the stand is skipped, if another part touches the ground or the robot, or if
-        fewer than three feet carry.
+        A diagnostic, the reason for skipping the stand, if another part touches the ground or the
+        robot, or if fewer than three feet carry.
 
         Args:
             feet: All feet of the robot.
             planned: Ignored.
         """
+        model, data = self._drive.model, self._data
         carried, force = dict.fromkeys(feet, 0.0), np.zeros(6)
-        for number in np.flatnonzero(find_acting_contacts(self._data)).tolist():
-            contact = self._data.contact[number]
-            mujoco.mj_contactForce(self._drive.model, self._data, number, force)
-            feet_of = self._loaded.foot_geoms
-            touching_feet = [feet_of[int(geom)] for geom in contact.geom if int(geom) in feet_of]
+        bodies = list_contact_bodies(model, data)
+        feet_of = self._loaded.foot_geoms
+        for number in np.flatnonzero(find_acting_contacts(data)).tolist():
+            geoms = data.contact[number].geom
+            touching_feet = [feet_of[int(geom)] for geom in geoms if int(geom) in feet_of]
             if not touching_feet:
-                return None
+                names = [model.body(body).name for body in bodies[number].tolist() if body]
+                return diagnose("part-touches", link=names[0], other=next(iter(names[1:]), None))
+            mujoco.mj_contactForce(model, data, number, force)
             carried[touching_feet[0]] += float(force[0])
         min_load = _MIN_LOAD_RATIO * self.total_mass * float(np.linalg.norm(self.robot.gravity))
         swing = tuple(foot for foot in feet if carried[foot] < min_load)
-        return swing if len(feet) - len(swing) >= 3 else None
+        if len(feet) - len(swing) >= 3:
+            return swing
+        carrying = tuple(foot for foot in feet if foot not in swing)
+        return diagnose("stand-on-few-feet", feet=carrying)
 
     def stops(self) -> bool:
         """Return False: the simulated operator does not stop the recording."""
