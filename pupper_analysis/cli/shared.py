@@ -739,77 +739,47 @@ def parse_quantity(kind: str, text: str) -> float:
                 return Position(value, "rad" if unit in UNIT_FACTORS["angle"] else "m")
             return value
     value = float(text)
-    suspicious = (is_millimetres, is_degrees, is_milliseconds, is_grams)
-    if any(is_suspicious(kind, value) for is_suspicious in suspicious):
+    if lacks_unit(kind, value):
         raise ValueError(text)
     return value
 
 
-MAX_BARE_LENGTH: Final = 5.0
-"""Length [m] from which on a length without a unit is refused. Such a value is probably in mm or
-cm: no two parts of a legged robot are so far apart (chosen, not tuned)."""
+MAX_BARE_NUMBERS: Final[Mapping[str, float]] = {
+    # Probably mm or cm: no two parts of a legged robot are 5 m apart (chosen, not tuned).
+    "length": math.nextafter(5.0, 0.0),  # 5 m itself is refused
+    # Probably degrees: no option needs more than a turn.
+    "angle": 2 * math.pi,
+    # Probably milliseconds: the largest delay of a controller that is accepted is 0.5 s
+    # (`simulation.controlled_stand.MAX_DELAY`), and time steps are shorter.
+    "time": 0.5,
+    # Probably grams: no published legged robot carries 200 kg (chosen, not tuned).
+    "mass": math.nextafter(200.0, 0.0),  # 200 kg itself is refused
+}
+"""{quantity: largest absolute value [SI unit] that is accepted without a unit}. Other quantities
+have no bound."""
+
+_MISSING_UNIT_CODES = {
+    "length": "length-without-unit",
+    "angle": "angle-without-unit",
+    "time": "time-without-unit",
+    "mass": "mass-without-unit",
+}
+"""{quantity of `MAX_BARE_NUMBERS`: code of the message about a larger number without a unit}. The
+message has the number as value, under the name of the quantity."""
 
 
-def is_millimetres(kind: str, value: float) -> bool:
-    """Return True if a number without a unit is a length that is probably in mm.
+def lacks_unit(kind: str, value: float) -> bool:
+    """Return True if a number without a unit is probably not in the SI unit.
 
-    Args:
-        kind: Quantity, a key of ``base.units.UNIT_FACTORS``; the result is False unless "length".
-        value: Number, taken as metres.
-    """
-    return kind == "length" and MAX_BARE_LENGTH <= abs(value) < math.inf
-
-
-MAX_BARE_ANGLE: Final = 2 * math.pi
-"""Upper bound of angles that are accepted without a unit [rad]. Larger values are probably in
-degrees: no option needs more than a turn."""
-
-
-def is_degrees(kind: str, value: float) -> bool:
-    """Return True if a number without a unit is an angle above `MAX_BARE_ANGLE` [rad].
-
-    Such an angle is probably in degrees.
-
-    Args:
-        kind: Quantity, a key of ``base.units.UNIT_FACTORS``; the result is False unless "angle".
-        value: Number, taken as radians.
-    """
-    return kind == "angle" and MAX_BARE_ANGLE < abs(value) < math.inf
-
-
-MAX_BARE_TIME: Final = 0.5
-"""Upper bound of times that are accepted without a unit [s]. Larger values are probably in
-milliseconds: it is the largest delay of a controller that is accepted
-(`simulation.controlled_stand.MAX_DELAY`), and time steps are shorter."""
-
-
-def is_milliseconds(kind: str, value: float) -> bool:
-    """Return True if a number without a unit is a time above `MAX_BARE_TIME` [s].
-
-    Such a time is probably in milliseconds.
+    Such a number is finite, and its absolute value is above the bound of its quantity in
+    `MAX_BARE_NUMBERS`.
 
     Args:
-        kind: Quantity, a key of ``base.units.UNIT_FACTORS``; the result is False unless "time".
-        value: Number, taken as seconds.
+        kind: Quantity, a key of ``base.units.UNIT_FACTORS``; the result is False for a quantity
+            without a bound.
+        value: Number, taken in the SI unit of the quantity.
     """
-    return kind == "time" and MAX_BARE_TIME < abs(value) < math.inf
-
-
-MAX_BARE_MASS: Final = 200.0
-"""Mass [kg] from which on a mass without a unit is refused. Such a value is probably in g: no
-published legged robot carries so much (chosen, not tuned)."""
-
-
-def is_grams(kind: str, value: float) -> bool:
-    """Return True if a number without a unit is a mass of at least `MAX_BARE_MASS` [kg].
-
-    Such a mass is probably in grams.
-
-    Args:
-        kind: Quantity, a key of ``base.units.UNIT_FACTORS``; the result is False unless "mass".
-        value: Number, taken as kilograms.
-    """
-    return kind == "mass" and MAX_BARE_MASS <= abs(value) < math.inf
+    return MAX_BARE_NUMBERS.get(kind, math.inf) < abs(value) < math.inf
 
 
 def parse_assignment(option: str, text: str) -> tuple[str, str]:
@@ -932,14 +902,9 @@ def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnos
     """
     units = tuple(UNIT_FACTORS[kind])
     with suppress(ValueError):
-        if is_millimetres(kind, float(text)):
-            return diagnose("length-without-unit", length=text)
-        if is_degrees(kind, float(text)):
-            return diagnose("angle-without-unit", angle=text)
-        if is_milliseconds(kind, float(text)):
-            return diagnose("time-without-unit", time=text)
-        if is_grams(kind, float(text)):
-            return diagnose("mass-without-unit", mass=text)
+        if lacks_unit(kind, float(text)):
+            number: dict[str, Any] = {kind: text}
+            return diagnose(_MISSING_UNIT_CODES[kind], **number)
     return diagnose(
         "part-is-no-quantity",
         part=text,
@@ -1172,7 +1137,7 @@ def parse_point(
         numbers = ()
         for part in text.split(","):
             with suppress(ValueError):
-                if is_millimetres("length", float(part)):
+                if lacks_unit("length", float(part)):
                     problem = diagnose("length-without-unit", length=part.strip())
                     raise ConfigurationError(option, problem) from None
     if len(numbers) != size:
