@@ -1,7 +1,7 @@
 """Pictures and animations of robots by MuJoCo's renderer: ``show`` and ``animate`` of results.
 
 A process of its own draws the frames (`offscreen`), so that a missing OpenGL ends no notebook. A
-type of results registers its configurations with ``@list_views.register``.
+type of results registers its view with ``@make_view.register``.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ def show_result(
             out of range.
         DisplayError: If there is no OpenGL.
     """
-    view = list_views(result, robot)
+    view = make_view(result, robot)
     if not in_notebook() and _can_open_window():
         data = mujoco.MjData(view.robot.mj_model)
         view.robot.mj_convention.set_state(data, view.qpos[-1])
@@ -226,7 +226,7 @@ def animate_result(
             out of range.
         DisplayError: If there is no OpenGL.
     """
-    view = list_views(result, robot)
+    view = make_view(result, robot)
     if len(view.qpos) == 1:
         count = round(_TURN_SECONDS * _FRAMES_PER_SECOND)
         qpos = np.repeat(view.qpos, count, axis=0)
@@ -243,8 +243,8 @@ def animate_result(
 
 
 @singledispatch
-def list_views(result: Any, robot: Robot | None = None) -> View:
-    """Return the configurations that a picture of a result shows, in MuJoCo's coordinates.
+def make_view(result: Any, robot: Robot | None = None) -> View:
+    """Return the view of a result: its robot, and the configurations that a picture shows.
 
     Raises:
         ConfigurationError: If the type has no pictures, or the robot is missing.
@@ -254,26 +254,26 @@ def list_views(result: Any, robot: Robot | None = None) -> View:
     raise ConfigurationError("result", diagnose("result-without-picture", kind=kind))
 
 
-@list_views.register(Configuration)
+@make_view.register(Configuration)
 def _make_configuration_view(config: Configuration, robot: Robot | None = None) -> View:
     """Return the view of a robot in a configuration."""
-    return _make_view(robot or config.robot, config.qpos)
+    return _make_still_view(robot or config.robot, config.qpos)
 
 
-@list_views.register(SolvedPosture)
+@make_view.register(SolvedPosture)
 def _make_posture_view(posture: SolvedPosture, robot: Robot | None = None) -> View:
     """Return the view of a solved posture."""
-    return _make_view(_require_robot(posture, robot or posture.robot), posture.qpos)
+    return _make_still_view(_require_robot(posture, robot or posture.robot), posture.qpos)
 
 
-@list_views.register(Stand)
+@make_view.register(Stand)
 def _make_stand_view(stand: Stand, robot: Robot | None = None) -> View:
     """Return the view of a stand, on the ground of the stand."""
     owner = _require_robot(stand, robot or stand.own_robot)
-    return _make_view(_place_on_ground(owner, stand), stand.qpos)
+    return _make_still_view(_place_on_ground(owner, stand), stand.qpos)
 
 
-@list_views.register(StandVerification)
+@make_view.register(StandVerification)
 def _make_verification_view(run: StandVerification, robot: Robot | None = None) -> View:
     """Return the view of the motion in a simulated stand."""
     stand = run.stand
@@ -282,7 +282,7 @@ def _make_verification_view(run: StandVerification, robot: Robot | None = None) 
     return View(on_ground, run.motion_time, run.motion)
 
 
-def _make_view(robot: Robot, qpos: Array) -> View:
+def _make_still_view(robot: Robot, qpos: Array) -> View:
     """Return the view of a robot in one configuration ``qpos``, shape (nq,), at time 0."""
     return View(robot, np.zeros(1), np.asarray(qpos, dtype=float)[None])
 

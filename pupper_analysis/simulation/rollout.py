@@ -329,33 +329,21 @@ def make_forced_controls(
     return control, control[:, :, column : column + 3]
 
 
-def check_stand(robot: Robot, stand: Stand, duration: float) -> Robot:
-    """Check the arguments of a simulation of a stand; return the robot with the stand's contacts.
-
-    Args:
-        robot: The robot.
-        stand: The stand.
-        duration: Simulated time [s].
-
-    Raises:
-        ConfigurationError: If the base is fixed and the stand has stance feet, the stand belongs to
-            another robot, or the duration [s] is not between 2 and 600.
-    """
-    robot = check_stand_base(robot, stand)
+def check_duration(duration: float) -> None:
+    """Raise ``ConfigurationError`` if a simulated time [s] is not between 2 and 600."""
     if not math.isfinite(duration) or not 2.0 <= duration <= 600.0:
         problem = diagnose("not-between", given=f"{duration} s", low=2, high=Quantity(600, "s"))
         raise ConfigurationError("duration", problem)
-    return robot
 
 
-def check_stand_base(robot: Robot, stand: Stand) -> Robot:
-    """Check that a stand belongs to the robot and that a standing base is free; return the robot.
-
-    The returned robot has the contacts of the stand.
+def with_stand_contacts(robot: Robot, stand: Stand) -> Robot:
+    """Return the robot that is simulated in a stand: with the contacts of the stand.
 
     Raises:
         ConfigurationError: If the stand belongs to another robot, or the base is fixed and the
-            stand has stance feet.
+            stand has stance feet; further as for `with_contacts`.
+        UnknownNameError: As for `with_contacts`.
+        ModelError: As for `with_contacts`.
     """
     if stand.stance_feet and not stand.task.contacts:  # a weld frees the base
         robot.check_floating()

@@ -27,10 +27,10 @@ from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.growth import confirm_growth
 from pupper_analysis.simulation.rollout import (
     STATE_SPEC,
-    check_stand_base,
     make_stand_start,
     rest_state,
     simulate_commands,
+    with_stand_contacts,
 )
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.stand import Stand
@@ -77,7 +77,7 @@ def stand_stability(
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoEquilibriumError: If there is no equilibrium near the stand without feed-forward.
     """
-    robot = check_stand_base(robot, stand)
+    robot = with_stand_contacts(robot, stand)
     if not feedforward:
         pose = steady_state(robot, stand, kp=kp)
         return rest_stability(robot, stand, pose, kp=kp, kd=kd, integrator=integrator)

@@ -30,9 +30,10 @@ from pupper_analysis.simulation.linear import LinearStep
 from pupper_analysis.simulation.rollout import (
     STATE_SPEC,
     StandStart,
-    check_stand,
+    check_duration,
     make_stand_start,
     roll_out,
+    with_stand_contacts,
 )
 from pupper_analysis.simulation.stability import evaluate_spectrum
 from pupper_analysis.stance.stand import Stand
@@ -201,7 +202,8 @@ def simulate_nudges(
             both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
-    robot = check_stand(robot, stand, duration)
+    robot = with_stand_contacts(robot, stand)
+    check_duration(duration)
     held = make_stand_start(robot, stand, kp=kp, kd=kd)
     robot, model, ctrl = held.robot, held.drive.model, held.ctrl
     starts = np.tile(held.start, (_HORIZONTAL_NUDGES + 4, 1))

@@ -44,10 +44,11 @@ from pupper_analysis.simulation.monitor import (
 )
 from pupper_analysis.simulation.rollout import (
     STATE_SPEC,
-    check_stand,
+    check_duration,
     make_stand_start,
     simulate_commands,
     weld_generalized_forces,
+    with_stand_contacts,
 )
 from pupper_analysis.simulation.stability import (
     BOUNCING_TIME,
@@ -286,7 +287,8 @@ def verify_stand(
             both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
-    given, robot = robot, check_stand(robot, stand, duration)
+    given, robot = robot, with_stand_contacts(robot, stand)
+    check_duration(duration)
     simulated = stand if stand.own_robot is given else stand.with_robot(given)
     nudge_duration = _nudge_duration(duration, nudged)
     held = make_stand_start(

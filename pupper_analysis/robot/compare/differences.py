@@ -55,6 +55,10 @@ LIMIT_KINDS = ("lower limit", "upper limit", "effort")
 SERVO_GAIN_KINDS = ("servo stiffness", "servo damping")
 """Kinds of differences in servo gains: kp, kd."""
 
+PropertyKey = tuple[str, str]
+"""Kind and element of a property of a robot, as in `Stated`. The element is for example the name of
+a joint, or of the base: ("mass", joint) is the mass of the bodies that the joint moves as one."""
+
 KIND_ORDER = (
     "compiler",
     "joint",

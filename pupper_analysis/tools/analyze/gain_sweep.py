@@ -32,11 +32,12 @@ from pupper_analysis.robot.terrain import build_on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
     FORCED_CONTROL_SPEC,
-    check_stand,
+    check_duration,
     make_forced_controls,
     place_on_ground,
     rest_state,
     roll_out,
+    with_stand_contacts,
 )
 from pupper_analysis.simulation.stability import (
     CONTACT_SETTLING_TIME,
@@ -143,7 +144,8 @@ def sweep_gains(
         ModelError: If the model has no servos, and kp or kd is not passed.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
-    robot = check_stand(robot, stand, duration)
+    robot = with_stand_contacts(robot, stand)
+    check_duration(duration)
     if not (math.isfinite(amplitude) and math.isfinite(frequency)):
         raise ConfigurationError("amplitude, frequency", diagnose("must-be-finite"))
     own = None if kp is not None and kd is not None else model_with_servos(robot)

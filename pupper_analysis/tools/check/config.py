@@ -197,11 +197,11 @@ _TABLE_KEYS: Final = {"tolerances": [kind.name for kind in fields(Tolerances)], 
 ``map`` accept any key."""
 
 
-Key = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 """Path of a value in a TOML file: names of keys, and indices (from 0) in arrays of tables."""
 
 
-def find_key_line(text: str, key: Key) -> int | None:
+def find_key_line(text: str, key: KeyPath) -> int | None:
     """Return the line, from 1, of the TOML statement that defines a key; None if none does.
 
     The file is parsed from its beginning to the end of each line that ends a statement. The first
@@ -222,7 +222,7 @@ def find_key_line(text: str, key: Key) -> int | None:
     return None
 
 
-def _contains_path(values: Any, key: Key) -> bool:
+def _contains_path(values: Any, key: KeyPath) -> bool:
     """Return True if nested tables and arrays have a value at the path ``key``."""
     for part in key:
         if isinstance(part, int):
@@ -241,17 +241,17 @@ class _ConfigReader:
         self.path, self.folder, self.top = path, path.parent, values
         self._text, self._entry = text, 0  # index of the current [[pair]]
 
-    def make_error(self, key: Key, message: Diagnostic) -> ModelError:
+    def make_error(self, key: KeyPath, message: Diagnostic) -> ModelError:
         """Return the error for a key of the configuration, with the line of the key."""
         return ModelError(source_name(self.path, find_key_line(self._text, key)), message)
 
-    def locate_key(self, *key: str) -> Key:
+    def locate_key(self, *key: str) -> KeyPath:
         """Return the full path of a key in the configuration, for a message.
 
         The path starts with the current ``[[pair]]`` if this table contains the key. Otherwise the
         key belongs to the top-level table, whose settings apply to all pairs.
         """
-        own: Key = ("pair", self._entry, *key)
+        own: KeyPath = ("pair", self._entry, *key)
         return own if _contains_path(self.top, own) else key
 
     def read(self) -> GuardConfig:
@@ -404,7 +404,7 @@ class _ConfigReader:
         return self.folder / folder
 
     def check_table(
-        self, table: dict[str, Any], within: Key, valid: Mapping[str, _ValueKind]
+        self, table: dict[str, Any], within: KeyPath, valid: Mapping[str, _ValueKind]
     ) -> None:
         """Raise an error for an invalid key or value of a table or a nested table.
 
@@ -428,7 +428,9 @@ class _ConfigReader:
                         (*within, key, name), item, _TABLE_VALUES[key].valid
                     )
 
-    def make_key_error(self, key: Key, valid: Iterable[str], *, rule: bool = False) -> ModelError:
+    def make_key_error(
+        self, key: KeyPath, valid: Iterable[str], *, rule: bool = False
+    ) -> ModelError:
         """Return the error for a key of the configuration that its table does not allow.
 
         Args:
@@ -440,7 +442,7 @@ class _ConfigReader:
         code = "rule-unknown" if rule else "key-unknown"
         return self.make_error(key, diagnose(code, key=key[-1], within=within, known=tuple(valid)))
 
-    def make_value_error(self, key: Key, value: object, valid: Term | Diagnostic) -> ModelError:
+    def make_value_error(self, key: KeyPath, value: object, valid: Term | Diagnostic) -> ModelError:
         """Return the error for an invalid value of a key, with the valid values."""
         message = diagnose("setting-not-valid", key=key[-1], value=repr(value), valid=valid)
         return self.make_error(key, message)

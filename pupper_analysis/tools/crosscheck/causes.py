@@ -35,6 +35,7 @@ from pupper_analysis.robot.compare.differences import (
     INERTIAL_KINDS,
     Difference,
     PatternCause,
+    PropertyKey,
     body_changes,
     changes_between,
 )
@@ -159,10 +160,6 @@ def body_from_moments(values: Array) -> TreeBody:
     return TreeBody(mass, com, inertia_tensor(values[4:]) - shift)
 
 
-Key = tuple[str, str]
-"""Kind and element of a difference."""
-
-
 @dataclass(frozen=True, eq=False)
 class PatternCase:
     """Two different trees and the differences between both.
@@ -185,21 +182,21 @@ class PatternCase:
     first: MultibodyTree
     raw: MultibodyTree
     second: MultibodyTree
-    keys: Sequence[Key]
+    keys: Sequence[PropertyKey]
     tolerances: Tolerances
     urdf: Links
     mjcf: Links
     from_geoms: Collection[str] = ()
-    explained: Collection[Key] = ()
+    explained: Collection[PropertyKey] = ()
 
     @property
-    def unexplained(self) -> list[Key]:
+    def unexplained(self) -> list[PropertyKey]:
         """(kind, element) of each difference that no cause found so far explains."""
         return [key for key in self.keys if key not in self.explained]
 
     def find_remaining(
         self, second: MultibodyTree, only: Collection[str] | None = None
-    ) -> set[Key]:
+    ) -> set[PropertyKey]:
         """Return the differences between the URDF's tree and a modified tree of the MJCF.
 
         Args:
@@ -220,7 +217,7 @@ class PatternCase:
             return set(self.keys)
         return differences
 
-    def find_explained(self, second: MultibodyTree) -> set[Key]:
+    def find_explained(self, second: MultibodyTree) -> set[PropertyKey]:
         """Return the differences between the files that disappear if the MJCF's tree is modified.
 
         A modification that explains several differences is a common cause.
@@ -249,7 +246,7 @@ class PatternFinding:
 
     kind: str
     diagnostic: Diagnostic
-    explained: set[Key]
+    explained: set[PropertyKey]
 
 
 PatternFindings = Iterator[PatternFinding]
@@ -284,7 +281,7 @@ def find_angle_settings(case: PatternCase) -> PatternFindings:
     ]
     if _has_euler(spec) or {"lower limit", "upper limit"} & {kind for kind, _ in case.keys}:
         candidates.append((("angle", other_unit, unit), "degree", not degree))
-    best: tuple[tuple[str, str, str], set[Key]] = (("", "", ""), set())
+    best: tuple[tuple[str, str, str], set[PropertyKey]] = (("", "", ""), set())
     for setting, name, new in candidates:
         other = spec.copy()
         setattr(other.compiler, name, new)
@@ -334,7 +331,7 @@ def find_exchanged(case: PatternCase) -> PatternFindings:
     }
     concerned_limbs = [top for top, names in limbs.items() if concerned & set(names)]
     pairs: list[tuple[str, str]] = []
-    second, vanished = case.raw, set[Key]()
+    second, vanished = case.raw, set[PropertyKey]()
     candidates = (
         (a, b) for a, b in combinations(concerned_limbs, 2) if len(limbs[a]) == len(limbs[b])
     )

@@ -49,7 +49,7 @@ from pupper_analysis.models.stated.model import UrdfModel
 from pupper_analysis.robot.compare.differences import VERSION_NAMES, Difference, Effect
 from pupper_analysis.robot.contact import find_acting_contacts, list_contact_bodies
 
-Key = tuple[str, str]
+ElementKey = tuple[str, str]
 """Tag and name of an element."""
 
 
@@ -79,7 +79,7 @@ _NUM_FRICTION_COEFFICIENTS: Final = {1: 0, 3: 1, 4: 2, 6: 3}
 larger condim of both geoms; a default ground has 3. Further coefficients are not compared."""
 
 
-def list_elements(file: MjcfFile) -> dict[Key, Element]:
+def list_elements(file: MjcfFile) -> dict[ElementKey, Element]:
     """Return the elements of an MJCF whose values are compared: {(tag, name): element}.
 
     These are geoms, contact pairs and exclusions, options, flags, keyframes, joints, actuators,
@@ -89,7 +89,7 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
         file: File that MuJoCo compiles.
     """
     model = file.model
-    found: dict[Key, Element] = {}
+    found: dict[ElementKey, Element] = {}
     names = list_geom_names(model)
     touching = find_collidable_geoms(model)
     condim = max((3, *model.geom_condim.tolist()))
@@ -128,12 +128,12 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
     return found
 
 
-def _list_tree_elements(file: MjcfFile) -> dict[Key, Element]:
+def _list_tree_elements(file: MjcfFile) -> dict[ElementKey, Element]:
     """Return {(tag, name): element} of joints, actuators, tendons and equalities of an MJCF.
 
     The elements have the values that a `MultibodyTree` lacks.
     """
-    model, found = file.model, dict[Key, Element]()
+    model, found = file.model, dict[ElementKey, Element]()
     counts = {
         "joint": model.njnt,
         "actuator": model.nactuator,
@@ -190,9 +190,9 @@ def list_geom_names(model: mujoco.MjModel) -> list[str]:
     return names
 
 
-def list_collisions(model: UrdfModel) -> dict[Key, Element]:
+def list_collisions(model: UrdfModel) -> dict[ElementKey, Element]:
     """Return the collision shapes of a URDF: {("collision", link or "link #2"): element}."""
-    found: dict[Key, Element] = {}
+    found: dict[ElementKey, Element] = {}
     for link in model.links.values():
         touching = [shape for shape in link.shapes if shape.collides]
         for number, shape in enumerate(touching, 1):
@@ -327,11 +327,11 @@ def measure_surface_distance(first_shape: Shape, second_shape: Shape) -> float:
 
 
 def match_elements(
-    old: Mapping[Key, Element],
-    new: Mapping[Key, Element],
+    old: Mapping[ElementKey, Element],
+    new: Mapping[ElementKey, Element],
     bodies: Mapping[str, str],
     joints: Mapping[str, str],
-) -> dict[Key, Element]:
+) -> dict[ElementKey, Element]:
     """Return the new elements under the names of the old elements to which they correspond.
 
     Geoms with equal names correspond. Other geoms of a body are matched if they agree in all
@@ -344,7 +344,7 @@ def match_elements(
         bodies: {body of the new file: name in the old file}.
         joints: {joint of the new file: name in the old file}.
     """
-    matched: dict[Key, Element] = {}
+    matched: dict[ElementKey, Element] = {}
     new_names: dict[str, str] = {}
     taken = {name for _, name in (*old, *new)}
     for (kind, body), (old_keys, new_keys) in _list_unnamed_shapes(old, new, bodies).items():
@@ -368,14 +368,14 @@ def match_elements(
 
 
 def _list_unnamed_shapes(
-    old: Mapping[Key, Element], new: Mapping[Key, Element], bodies: Mapping[str, str]
-) -> dict[Key, tuple[list[Key], list[Key]]]:
+    old: Mapping[ElementKey, Element], new: Mapping[ElementKey, Element], bodies: Mapping[str, str]
+) -> dict[ElementKey, tuple[list[ElementKey], list[ElementKey]]]:
     """Return {(tag, body): keys of old and of new shapes that cannot be matched by name}.
 
     These are the shapes without a name, and shapes whose name only one version has. Bodies have the
     names of the old version; ``bodies`` is {body of the new file: name in the old file}.
     """
-    shapes_by_body: dict[Key, tuple[list[Key], list[Key]]] = {}
+    shapes_by_body: dict[ElementKey, tuple[list[ElementKey], list[ElementKey]]] = {}
     for number, elements in enumerate((old, new)):
         for key, element in elements.items():
             names = {
@@ -392,8 +392,11 @@ def _list_unnamed_shapes(
 
 
 def _match_similar_shapes(
-    old_keys: list[Key], new_keys: list[Key], old: Mapping[Key, Element], new: Mapping[Key, Element]
-) -> dict[Key, Key]:
+    old_keys: list[ElementKey],
+    new_keys: list[ElementKey],
+    old: Mapping[ElementKey, Element],
+    new: Mapping[ElementKey, Element],
+) -> dict[ElementKey, ElementKey]:
     """Return {new shape: matching old shape}: equal in all values, else in shape, else by order.
 
     Shapes that are matched by order either both can collide, or both cannot.
@@ -417,7 +420,7 @@ def _match_similar_shapes(
         """Return True if both elements can collide, or both cannot."""
         return first.touches == second.touches
 
-    matches: dict[Key, Key] = {}
+    matches: dict[ElementKey, ElementKey] = {}
     remaining = list(old_keys)
     for test in (is_alike, is_of_one_shape, touches_alike):
         for key in new_keys:
@@ -447,8 +450,8 @@ def _pair_numbers(first: Element, second: Element) -> dict[str, tuple[Value, Val
 
 
 def find_changed_elements(
-    old: Mapping[Key, Element],
-    new: Mapping[Key, Element],
+    old: Mapping[ElementKey, Element],
+    new: Mapping[ElementKey, Element],
 ) -> Iterator[ElementDifference]:
     """Yield the changes of elements between two versions, for elements with equal names.
 
@@ -456,7 +459,7 @@ def find_changed_elements(
     version, and added or removed joints, actuators, tendons and equalities, which other functions
     report.
     """
-    alike: dict[tuple[Any, ...], list[Key]] = {}
+    alike: dict[tuple[Any, ...], list[ElementKey]] = {}
     for key in dict.fromkeys((*old, *new)):
         old_element, new_element = old.get(key), new.get(key)
         if not any(
@@ -578,9 +581,9 @@ def _numbers_agree(first: Value, second: Value) -> bool:
 def _make_difference(
     kind: str,
     word: str,
-    keys: list[Key],
-    old: Mapping[Key, Element],
-    new: Mapping[Key, Element],
+    keys: list[ElementKey],
+    old: Mapping[ElementKey, Element],
+    new: Mapping[ElementKey, Element],
 ) -> ElementDifference:
     """Create the difference of elements with an equal change of an attribute.
 

@@ -25,6 +25,7 @@ from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.kinds import FIT_FOLDER
 from pupper_analysis.base.provenance import to_marked_json
+from pupper_analysis.robot.compare.differences import PropertyKey
 from pupper_analysis.robot.matching.sources import BODY_KINDS
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos
@@ -32,7 +33,6 @@ from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import AXES as COMPONENTS
 from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTable
 from pupper_analysis.tools.fit.result import PARAMETER_FIELDS
-from pupper_analysis.tools.sync.frames import Key
 from pupper_analysis.tools.sync.numbers import (
     JOINT_KINDS,
     SERVO_KINDS,
@@ -88,14 +88,14 @@ def _round_parameters(vector: Array, posterior: Posterior) -> Array:
 
 def _collect_numbers(
     robot: Robot, posterior: Posterior, vector: Array
-) -> tuple[dict[Key, float | Array], list[Diagnostic]]:
+) -> tuple[dict[PropertyKey, float | Array], list[Diagnostic]]:
     """Return {(kind, link or joint): fitted value} to write to the files, and notes.
 
     The fitted values ``vector``, shape (n,), are those of the parameters of ``posterior``. Values
     within `_UNCHANGED_STDS` standard deviations of the stated value are left out. A note names each
     value that no file can state.
     """
-    numbers: dict[Key, float | Array] = {}
+    numbers: dict[PropertyKey, float | Array] = {}
     notes: list[Diagnostic] = []
     servos, added_servos = (
         list_position_servos(robot),
@@ -126,7 +126,7 @@ def _collect_numbers(
 
 
 def _set_com_component(
-    numbers: dict[Key, float | Array], robot: Robot, parameter: Parameter, value: float
+    numbers: dict[PropertyKey, float | Array], robot: Robot, parameter: Parameter, value: float
 ) -> None:
     """Set a component of a link's CoM [m] in ``numbers``, the values that the new files get.
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.files import write_all
+from pupper_analysis.robot.compare.differences import PropertyKey
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.gains.gains import GainStudy
-from pupper_analysis.tools.sync.frames import Key
 from pupper_analysis.tools.sync.numbers import WrittenNumbers, write_numbers
 
 _NUM_DIGITS = 3
@@ -40,7 +40,7 @@ def write_gains(
             at a joint.
         OutputError: If a file cannot be written.
     """
-    numbers: dict[Key, float] = {}
+    numbers: dict[PropertyKey, float] = {}
     for one in study.classes:
         if one.recommended_kp is None or one.recommended_kd is None:
             raise ConfigurationError("write", diagnose("no-recommended-gains"))

@@ -47,8 +47,8 @@ height marks a foot as not carrying. Chosen smaller than any geometric tolerance
 
 
 @dataclass(frozen=True, eq=False)
-class Key:
-    """A solved stance, in world coordinates.
+class PathStance:
+    """A solved stance of the path, in world coordinates.
 
     Attributes:
         task: Stand task with the height of the solution.
@@ -87,8 +87,8 @@ class Segment:
         after: Contact points that carry load during the next segment.
     """
 
-    start: Key
-    end: Key
+    start: PathStance
+    end: PathStance
     stance_feet: tuple[str, ...]
     before: tuple[str, ...]
     after: tuple[str, ...]
@@ -135,7 +135,7 @@ def solve_segments(
             raise error.with_location(diagnose("of-stance", number=number)) from None
         com = Configuration(robot, solved[-1].qpos).center_of_mass()
         base, joints = solved[-1].qpos[:3], solved[-1].joint_positions(robot)
-        keys.append(Key(solved[-1].task, base, com, solved[-1].foot_targets, joints))
+        keys.append(PathStance(solved[-1].task, base, com, solved[-1].foot_targets, joints))
     sets = []
     for number, (start, end) in enumerate(pairwise(keys), 1):
         swinging = start.task.swing.keys() | end.task.swing.keys()

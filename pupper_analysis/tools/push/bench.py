@@ -30,10 +30,11 @@ from pupper_analysis.simulation.monitor import SimulationSettings
 from pupper_analysis.simulation.rollout import (
     FORCED_CONTROL_SPEC,
     StandStart,
-    check_stand,
+    check_duration,
     make_forced_controls,
     make_stand_start,
     roll_out,
+    with_stand_contacts,
 )
 from pupper_analysis.simulation.stability import evaluate_spectrum
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
@@ -616,7 +617,8 @@ def simulate_push(
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
-    robot = check_stand(robot, stand, duration)
+    robot = with_stand_contacts(robot, stand)
+    check_duration(duration)
     robot.check_not_welded("how hard it can be pushed")
     impulse, direction = check_finite("impulse", impulse), check_finite("direction", direction)
     if not 0 <= impulse <= MAX_IMPULSE:

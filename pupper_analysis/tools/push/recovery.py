@@ -35,7 +35,7 @@ from pupper_analysis.robot.joints import (
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION
-from pupper_analysis.simulation.rollout import check_stand
+from pupper_analysis.simulation.rollout import check_duration, with_stand_contacts
 from pupper_analysis.simulation.verdict import Question, Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
@@ -370,7 +370,8 @@ def push_recovery(
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
-    robot = check_stand(robot, stand, duration)
+    robot = with_stand_contacts(robot, stand)
+    check_duration(duration)
     robot.check_not_welded("how hard it can be pushed")
     if not 3 <= directions <= 360:
         problem = diagnose("not-between", given=directions, low=3, high=360)

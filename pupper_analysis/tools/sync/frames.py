@@ -17,6 +17,7 @@ import pinocchio as pin
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.multibody import MultibodyTree, copy_value
+from pupper_analysis.robot.compare.differences import PropertyKey
 from pupper_analysis.robot.matching.alignment import Alignment
 from pupper_analysis.robot.matching.conventions import with_zero
 from pupper_analysis.robot.matching.match import Match
@@ -79,11 +80,6 @@ def is_same_body(first: pin.Inertia, second: pin.Inertia, tolerance: float = 1e-
     )
 
 
-Key = tuple[str, str]
-"""Kind and element of a difference between two files. The element is the name of a joint, or of the
-base: ("mass", joint) is the mass of the bodies that the joint moves as one."""
-
-
 @dataclass(frozen=True, eq=False)
 class MatchedRobots:
     """Both robots, in the URDF's link frames and the MJCF's conventions.
@@ -107,7 +103,7 @@ class MatchedRobots:
     mjcf_frames: Mapping[str, pin.SE3]
     bodies: Mapping[str, pin.SE3]
 
-    def merge_values(self, side: str, taken: Collection[Key]) -> MultibodyTree:
+    def merge_values(self, side: str, taken: Collection[PropertyKey]) -> MultibodyTree:
         """Return the multibody tree of a file, with selected values of the other file.
 
         Args:
@@ -179,5 +175,5 @@ class Side:
 
     sides: MatchedRobots
     target: MultibodyTree
-    unwritten: dict[Key, Diagnostic] = field(default_factory=dict)
-    notes: dict[Key, Diagnostic] = field(default_factory=dict)
+    unwritten: dict[PropertyKey, Diagnostic] = field(default_factory=dict)
+    notes: dict[PropertyKey, Diagnostic] = field(default_factory=dict)

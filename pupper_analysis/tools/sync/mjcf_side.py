@@ -33,12 +33,13 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import actuator_gear, list_joint_actuators
 from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.models.xml_bytes import Element
+from pupper_analysis.robot.compare.differences import PropertyKey
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.tools.sync.digits import (
     NUMBER_RTOL,
     format_numbers,
 )
-from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, list_single_part_changes
+from pupper_analysis.tools.sync.frames import Side, is_same_body, list_single_part_changes
 from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 
 _NEW_INERTIAL_COST = 100
@@ -51,7 +52,7 @@ _ORIENTATION_ATTRIBUTES = ("axisangle", "euler", "xyaxes", "zaxis")
 of them is not changed."""
 
 
-def plan_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
+def plan_inertial(side: MjcfSide, mover: str, keys: list[PropertyKey]) -> None:
     """Plan the changes of <inertial> that give a group of bodies the target inertia.
 
     The group moves together. One of its bodies is changed, with as few changed attributes as
@@ -166,13 +167,13 @@ class MjcfSide(Side):
 
     file: MjcfFile
     elements: EditableMjcf
-    gains: Mapping[Key, float] = field(default_factory=dict)
+    gains: Mapping[PropertyKey, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.robot = self.sides.matched.robot
         self.model: mujoco.MjModel = self.robot.mj_model
 
-    def plan(self, taken: Collection[Key]) -> None:
+    def plan(self, taken: Collection[PropertyKey]) -> None:
         """Plan the changes of the MJCF for selected differences (kind, element), and its `gains`.
 
         Changes of positions are planned first, because children move with the parent body.
@@ -203,7 +204,7 @@ class MjcfSide(Side):
         name = str(self.model.body(body).name)
         return pin.SE3.Identity() if body == 0 else self.sides.bodies[name]
 
-    def _plan_position(self, key: Key) -> None:
+    def _plan_position(self, key: PropertyKey) -> None:
         """Plan to move the body of a joint, with the child bodies, to the URDF's joint position.
 
         ``key`` is the difference (kind, joint). The position is not written if the joint is not the
@@ -241,7 +242,7 @@ class MjcfSide(Side):
         body = int(self.model.jnt_bodyid[self.model.joint(name).id])
         return self.elements.find_joint(name, str(self.model.body(body).name))
 
-    def _plan_limits(self, key: Key) -> None:
+    def _plan_limits(self, key: PropertyKey) -> None:
         """Plan to set a joint's range in the MJCF to the limits of the URDF, in the file's unit.
 
         ``key`` is the difference (kind, joint). A joint with an infinite limit is not written.
@@ -263,7 +264,7 @@ class MjcfSide(Side):
             self.elements.write(element, "limited", "true")
         self.elements.write(element, "range", values, 1.0)
 
-    def _plan_damping(self, key: Key) -> None:
+    def _plan_damping(self, key: PropertyKey) -> None:
         """Plan to set the damping of a joint to the target less that of the joint's actuators.
 
         Higher polynomial coefficients are kept. ``key`` is the difference (kind, joint); it is not
@@ -286,7 +287,7 @@ class MjcfSide(Side):
         higher = [float(word) for word in stated_higher]
         self._plan_number(key, "damping", [target, *higher])
 
-    def _plan_armature(self, key: Key) -> None:
+    def _plan_armature(self, key: PropertyKey) -> None:
         """Plan to set the armature of a joint to the target less that of the joint's actuators.
 
         ``key`` is the difference (kind, joint); it is not written if the result would be negative.
@@ -301,7 +302,7 @@ class MjcfSide(Side):
             return
         self._plan_number(key, "armature", [target])
 
-    def _plan_number(self, key: Key, attribute: str, values: list[float]) -> None:
+    def _plan_number(self, key: PropertyKey, attribute: str, values: list[float]) -> None:
         """Plan to set an attribute of a joint's element in the MJCF to ``values`` in SI units.
 
         ``key`` is the difference (kind, joint); it is not written if the element is a copy of
@@ -317,7 +318,7 @@ class MjcfSide(Side):
 # Gains of position servos, in the attributes that the MJCF uses.
 
 
-def plan_gains(side: MjcfSide, name: str, target_gains: dict[Key, float]) -> None:
+def plan_gains(side: MjcfSide, name: str, target_gains: dict[PropertyKey, float]) -> None:
     """Plan the changes of the MJCF that give a joint's servo the target gains.
 
     Gains that cannot be written are recorded in ``side.unwritten``, with the reason.
@@ -361,7 +362,7 @@ def _plan_position_servo(
     side: MjcfSide,
     element: Element,
     name: str,
-    target_gains: dict[Key, float],
+    target_gains: dict[PropertyKey, float],
     stiffness: float,
     damping: float,
 ) -> None:
@@ -395,7 +396,7 @@ def _keep_trailing_parameters(element: Element, attribute: str, values: list[flo
 # Torque limit of a joint, in the attributes that state it.
 
 
-def plan_effort(side: MjcfSide, key: Key) -> None:
+def plan_effort(side: MjcfSide, key: PropertyKey) -> None:
     """Plan the changes of the MJCF that give a joint the target torque limit.
 
     The limit is the smallest of ``actuatorfrcrange`` of the joint, ``forcerange`` of the actuator,

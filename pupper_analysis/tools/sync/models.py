@@ -31,10 +31,9 @@ from pupper_analysis.models.published import find_file
 from pupper_analysis.pupper.named_robots import find_files, find_model_pair, is_variant
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
-from pupper_analysis.robot.compare.differences import SERVO_GAIN_KINDS, Difference
+from pupper_analysis.robot.compare.differences import SERVO_GAIN_KINDS, Difference, PropertyKey
 from pupper_analysis.robot.matching.sources import BODY_KINDS
 from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.tools.sync.frames import Key
 from pupper_analysis.tools.sync.plan import (
     Edit,
     Files,
@@ -244,14 +243,14 @@ def _compare_files(files: Files, tolerances: Tolerances) -> FilesCompared:
 
 
 def _make_verified_plan(
-    files: Files, tolerances: Tolerances, comparison: FilesCompared, keys: Mapping[Key, str]
+    files: Files, tolerances: Tolerances, comparison: FilesCompared, keys: Mapping[PropertyKey, str]
 ) -> tuple[Plan, FilesCompared]:
     """Return a plan whose changes remove the differences, and the comparison after these changes.
 
     The plan is applied to copies, which are compared. Changes that do not remove their difference
     are removed from the plan; if an engine refuses a copy, all changes are removed.
     """
-    refused: dict[Key, Diagnostic] = {}
+    refused: dict[PropertyKey, Diagnostic] = {}
     while True:
         remaining = {key: side for key, side in keys.items() if key not in refused}
         plan = make_plan(files, tolerances, remaining)
@@ -316,8 +315,8 @@ def _list_unmended(
     plan: Plan,
     before: FilesCompared,
     after: FilesCompared,
-    keys: Mapping[Key, str],
-    labels: Mapping[Key, str],
+    keys: Mapping[PropertyKey, str],
+    labels: Mapping[PropertyKey, str],
 ) -> Iterable[Unmended]:
     """Yield the differences that remain after the changes of a plan, each with the reason.
 

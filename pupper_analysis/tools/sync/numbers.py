@@ -34,13 +34,14 @@ from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.models.xml_bytes import XmlDocument, read_document
 from pupper_analysis.robot.compare.attribution import align_robot
+from pupper_analysis.robot.compare.differences import PropertyKey
 from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.sources import BODY_KINDS
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos
-from pupper_analysis.tools.sync.frames import Key, MatchedRobots, is_same_body, pair_robots
+from pupper_analysis.tools.sync.frames import MatchedRobots, is_same_body, pair_robots
 from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 from pupper_analysis.tools.sync.plan import (
@@ -125,7 +126,7 @@ def _has_content(path: Path, content: bytes) -> bool:
 @silence_mujoco()
 def write_numbers(
     robot: Robot,
-    numbers: Mapping[Key, ArrayLike],
+    numbers: Mapping[PropertyKey, ArrayLike],
     *,
     files: tuple[Path | None, Path | None] | None = None,
 ) -> WrittenNumbers:
@@ -169,7 +170,7 @@ def write_numbers(
     check_robot_matches_files(robot, changes)
     documents, unwritten, layout = (
         dict[Path, XmlDocument](),
-        dict[Key, Diagnostic](),
+        dict[PropertyKey, Diagnostic](),
         list[FileLayout](),
     )
     if urdf_path is not None:
@@ -303,7 +304,7 @@ def try_files(
 
 def _find_wrong_numbers(
     changes: NumberChanges, after: Robot, sides: Iterable[str]
-) -> Iterator[Key]:
+) -> Iterator[PropertyKey]:
     """Yield the numbers (kind, element) that the written files state differently than requested.
 
     Args:
@@ -351,7 +352,7 @@ Conversion and alignment are accurate to about 1e-9; later changes are larger th
 digit. Chosen, not tuned."""
 
 
-def make_refusal(robot: Robot, reasons: Mapping[Key, Diagnostic]) -> ModelError:
+def make_refusal(robot: Robot, reasons: Mapping[PropertyKey, Diagnostic]) -> ModelError:
     """Return the error that lists the numbers that cannot be written, with reasons."""
     problems = [
         diagnose("number-unwritten", what=" ".join(k), why=why) for k, why in reasons.items()
@@ -359,7 +360,9 @@ def make_refusal(robot: Robot, reasons: Mapping[Key, Diagnostic]) -> ModelError:
     return ModelError(robot.name, diagnose("numbers-unwritten", problems=problems))
 
 
-def resolve_numbers(matched: Match, numbers: Mapping[Key, ArrayLike]) -> dict[Key, Array]:
+def resolve_numbers(
+    matched: Match, numbers: Mapping[PropertyKey, ArrayLike]
+) -> dict[PropertyKey, Array]:
     """Replace the links and bodies in the keys of numbers by the joints that move them.
 
     The base replaces a link or body that no joint moves.
@@ -434,7 +437,7 @@ class NumberChanges:
         wanted: {(kind, base or joint): value}.
     """
 
-    def __init__(self, both: MatchedRobots, wanted: Mapping[Key, Array]) -> None:
+    def __init__(self, both: MatchedRobots, wanted: Mapping[PropertyKey, Array]) -> None:
         self.both, self.wanted = both, wanted
         model = both.matched.robot.mj_model
         joints = both.matched.robot.joint_names

@@ -30,10 +30,10 @@ from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
 from pupper_analysis.robot.build import find_placeholder_efforts
 from pupper_analysis.robot.compare.attribution import align_robot
-from pupper_analysis.robot.compare.differences import INERTIAL_KINDS, LIMIT_KINDS
+from pupper_analysis.robot.compare.differences import INERTIAL_KINDS, LIMIT_KINDS, PropertyKey
 from pupper_analysis.robot.matching.match import match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.tools.sync.frames import Key, MatchedRobots, pair_robots
+from pupper_analysis.tools.sync.frames import MatchedRobots, pair_robots
 from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 from pupper_analysis.tools.sync.urdf_side import UrdfSide
@@ -130,11 +130,11 @@ class Plan:
     urdf: dict[Path, XmlDocument]
     mjcf: dict[Path, XmlDocument]
     copies: tuple[FileLayout, FileLayout]
-    left: dict[Key, Diagnostic] = field(default_factory=dict)
-    causes: dict[Key, UnwrittenCause] = field(default_factory=dict)
-    notes: dict[Key, Diagnostic] = field(default_factory=dict)
+    left: dict[PropertyKey, Diagnostic] = field(default_factory=dict)
+    causes: dict[PropertyKey, UnwrittenCause] = field(default_factory=dict)
+    notes: dict[PropertyKey, Diagnostic] = field(default_factory=dict)
 
-    def find_cause(self, key: Key) -> UnwrittenCause:
+    def find_cause(self, key: PropertyKey) -> UnwrittenCause:
         """Return the kind of reason why the plan leaves a difference (kind, element) unchanged."""
         return self.causes.get(key, UnwrittenCause.NOT_MENDED)
 
@@ -158,7 +158,7 @@ def list_edits(documents: Iterable[XmlDocument]) -> tuple[Edit, ...]:
     )
 
 
-def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) -> Plan:
+def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[PropertyKey, str]) -> Plan:
     """Plan the changes of both files.
 
     Args:
@@ -205,7 +205,7 @@ def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) ->
         plan.notes |= side.notes
         joints = (robots.urdf if source == "urdf" else robots.mjcf).joints
         efforts = {name: joints[name].effort for name in matched.robot.joint_names}
-        warnings = dict[Key, Diagnostic]()
+        warnings = dict[PropertyKey, Diagnostic]()
         for name, reason in find_placeholder_efforts(matched.robot, efforts).items():
             note = diagnose("effort-taken-is-placeholder", why=reason)
             if (
@@ -216,7 +216,7 @@ def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[Key, str]) ->
     return plan
 
 
-def _find_unwritten_reason(key: Key, whose: str, both: MatchedRobots) -> Diagnostic | None:
+def _find_unwritten_reason(key: PropertyKey, whose: str, both: MatchedRobots) -> Diagnostic | None:
     """Return the reason why a file cannot state the new value of a difference, else None.
 
     Args:
@@ -267,7 +267,9 @@ def _describe_element(element: Element) -> str:
     return " > ".join(reversed(parts))
 
 
-def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: MjcfFile) -> bool:
+def is_absent(
+    key: PropertyKey, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: MjcfFile
+) -> bool:
     """Return True if a file states no value for a number in which URDF and MJCF differ.
 
     Engines read a missing limit as infinite, a missing damping or friction as 0, and the mass of a

@@ -21,8 +21,9 @@ from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
 from pupper_analysis.models.xml import write_numbers
 from pupper_analysis.models.xml_bytes import Element
+from pupper_analysis.robot.compare.differences import PropertyKey
 from pupper_analysis.tools.sync.digits import format_numbers
-from pupper_analysis.tools.sync.frames import Key, Side, is_same_body, list_single_part_changes
+from pupper_analysis.tools.sync.frames import Side, is_same_body, list_single_part_changes
 
 Changes = dict[tuple[str, str], str]
 """New values: {(path below an element, attribute): text}."""
@@ -56,7 +57,7 @@ class UrdfSide(Side):
         self._mover_of_link = {link: mover for mover, link in self.sides.matched.urdf_link.items()}
         self._compared_links = self.sides.matched.urdf_tree.links
 
-    def plan(self, taken: Collection[Key]) -> None:
+    def plan(self, taken: Collection[PropertyKey]) -> None:
         """Plan the changes of the URDF, without writing any file.
 
         Changes of positions are planned first, because child links move with the parent link.
@@ -123,7 +124,7 @@ class UrdfSide(Side):
         if text is not None:
             joint.element.ensure(tag).set(word, text)
 
-    def _plan_limits(self, key: Key) -> None:
+    def _plan_limits(self, key: PropertyKey) -> None:
         """Plan to set a joint's limits in the URDF to those of the MJCF [rad or m].
 
         ``key`` is the difference (kind, joint). A continuous joint becomes revolute. A joint with
@@ -140,7 +141,7 @@ class UrdfSide(Side):
             self._write_number(urdf_joint, kind, getattr(joint, BY_KIND[kind].field), 1.0)
         self._complete_limit(key, urdf_joint)
 
-    def _plan_number(self, key: Key) -> None:
+    def _plan_number(self, key: PropertyKey) -> None:
         """Plan to set a number of a joint in the URDF to that of the MJCF, in SI units.
 
         ``key`` is the difference (kind, joint). A difference of a base without a joint is recorded
@@ -155,7 +156,7 @@ class UrdfSide(Side):
         if kind == "effort":
             self._complete_limit(key, self._find_joint(name))
 
-    def _complete_limit(self, key: Key, joint: UrdfJoint) -> None:
+    def _complete_limit(self, key: PropertyKey, joint: UrdfJoint) -> None:
         """Add missing attributes that a <limit> requires, with the values of `UNKNOWN_LIMITS`.
 
         `notes` of the difference ``key`` then names the added attributes. Nothing is done if the
@@ -187,7 +188,7 @@ class UrdfSide(Side):
             waiting += [link for link in children if link not in self._mover_of_link]
         return members
 
-    def _plan_inertial(self, mover: str, keys: list[Key]) -> None:
+    def _plan_inertial(self, mover: str, keys: list[PropertyKey]) -> None:
         """Plan to change one link, so that all links moving with a joint have the target inertia.
 
         Args:

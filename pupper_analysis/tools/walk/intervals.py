@@ -50,7 +50,7 @@ and a value at which it does not. Derived: five bisections locate the end of the
 the distance from the nominal value to the bound of the range (of logarithms, if the quantity is a
 factor)."""
 
-Change = Callable[[Stage, mujoco.MjModel, float], None]
+QuantitySetter = Callable[[Stage, mujoco.MjModel, float], None]
 """Function (stage, model, value) that sets a varied quantity in a copy of the MuJoCo model."""
 
 
@@ -68,7 +68,7 @@ class Quantity:
     unit: str
     nominal: float
     range: tuple[float, float]
-    apply: Change | None
+    apply: QuantitySetter | None
 
     def compute_midpoint(self, first: float, second: float) -> float:
         """Return the arithmetic mean of two values of the quantity; of factors, the geometric mean.

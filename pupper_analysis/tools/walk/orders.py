@@ -225,12 +225,14 @@ def group_limbs(robot: Robot, joints: Sequence[str]) -> list[list[int]]:
     return list(limbs.values())
 
 
-Change = tuple[str, str, tuple[str, ...]]
+ContractChange = tuple[str, str, tuple[str, ...]]
 """Difference of an interpretation from the stated contract: kind of the change, detail as text, and
 joints with the opposite sign."""
 
 
-def _list_interpretations(robot: Robot, contract: Contract) -> Iterator[tuple[Change, Contract]]:
+def _list_interpretations(
+    robot: Robot, contract: Contract
+) -> Iterator[tuple[ContractChange, Contract]]:
     """Yield each interpretation of a policy as (change, changed contract), the stated one first.
 
     Changed are for example the order of the joints, signs, the action scale or the history.
@@ -321,7 +323,7 @@ def _evaluate_interpretation(
     policy: Policy,
     commands: Array,
     seconds: float,
-    change: Change,
+    change: ContractChange,
     workers: int | None,
 ) -> Candidate:
     """Simulate an interpretation of a policy with all commands, and return its result.
