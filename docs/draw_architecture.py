@@ -13,16 +13,15 @@ import ast
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from graphlib import TopologicalSorter
 from html import unescape
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
-from matplotlib.patches import Circle, FancyBboxPatch
+if TYPE_CHECKING:  # matplotlib is imported where it draws: the tests only count imports
+    from matplotlib.axes import Axes
 
 PACKAGE = Path(__file__).resolve().parents[1] / "pupper_analysis"
 """Folder of the package."""
@@ -45,20 +44,31 @@ _TOOLS_PER_ROW = 5  # tools in a row
 """Number of tools in a row."""
 
 
-def list_imports(path: Path) -> Iterator[tuple[str, ...]]:
-    """Yield the modules of the package that a module imports, as parts, each once."""
+def iterate_statements(body: Sequence[ast.stmt]) -> Iterator[ast.stmt]:
+    """Yield all statements of a block, with those in nested blocks, but no expressions."""
+    for statement in body:
+        yield statement
+        for part in ("body", "orelse", "finalbody", "handlers", "cases"):
+            yield from iterate_statements(getattr(statement, part, ()))
+
+
+@cache
+def list_imports(path: Path) -> tuple[tuple[str, ...], ...]:
+    """Return the modules of the package that a module imports, as parts, each once."""
     modules = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in iterate_statements(ast.parse(path.read_text(encoding="utf-8")).body):
         if isinstance(node, ast.ImportFrom) and node.level == 0:
             names = [alias.name for alias in node.names]
             here = node.module == PACKAGE.name
             modules |= {f"{PACKAGE.name}.{name}" for name in names} if here else {str(node.module)}
         elif isinstance(node, ast.Import):
             modules |= {alias.name for alias in node.names}
-    for module in sorted(modules):
-        package, *rest = module.split(".")
-        if package == PACKAGE.name and rest and (PACKAGE / rest[0]).is_dir():
-            yield tuple(rest)
+    parts = (module.split(".") for module in sorted(modules))
+    return tuple(
+        tuple(rest)
+        for package, *rest in parts
+        if package == PACKAGE.name and rest and (PACKAGE / rest[0]).is_dir()
+    )
 
 
 def folder_graph() -> dict[str, Counter[str]]:
@@ -133,6 +143,10 @@ def read_embedded_facts() -> dict[str, object]:
 
 def draw_architecture(graph: Graph, tools: Mapping[str, list[str]], path: Path) -> None:
     """Draw the folders with their imports, and the tools."""
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
     order = sort_layers(graph)
     core = [folder for folder in order if folder != TOOLS]
     rows = -(-len(tools) // _TOOLS_PER_ROW)
@@ -175,6 +189,8 @@ def draw_architecture(graph: Graph, tools: Mapping[str, list[str]], path: Path) 
 
 def _draw_box(axes: Axes, corner: tuple[float, float], width: float, name: str, words: str) -> None:
     """Draw a box with a name and a description."""
+    from matplotlib.patches import FancyBboxPatch
+
     x, y = corner
     style = "round,pad=0,rounding_size=0.08"
     box = FancyBboxPatch(corner, width, 0.5, boxstyle=style, facecolor=_PALE, edgecolor=_BLUE)
@@ -185,6 +201,8 @@ def _draw_box(axes: Axes, corner: tuple[float, float], width: float, name: str, 
 
 def _draw_dot(axes: Axes, centre: tuple[float, float], imports: int) -> None:
     """Draw a dot whose size depends on the number of imports."""
+    from matplotlib.patches import Circle
+
     radius = 0.15 if imports >= _MANY else 0.1 if imports >= _SOME else 0.06
     axes.add_patch(Circle(centre, radius, color=_BLUE if imports >= _SOME else _GREY))
 

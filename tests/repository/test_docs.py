@@ -160,7 +160,6 @@ def test_reference_lists_all_rules_codes_names_and_commands(generated: Path) -> 
     assert tables.count("\n## ") == len(list(DATA.glob("*.csv")))
 
 
-@pytest.mark.slow
 def test_architecture_page_has_the_current_import_graph() -> None:
     drawing = script("docs/draw_architecture.py")
     assert drawing.read_embedded_facts() == drawing.collect_facts(
