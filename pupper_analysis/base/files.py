@@ -187,7 +187,7 @@ def check_writable(path: Path, kind: Kind, *, force: bool = False) -> None:
     Args:
         path: Output file.
         kind: Kind of the output.
-        force: As in ``write_atomically``.
+        force: Whether to replace files of other kinds, except inputs of the run.
 
     Raises:
         OutputError: If the file cannot be written, or must not be replaced.

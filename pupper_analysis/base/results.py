@@ -181,8 +181,9 @@ class Pictured:
         package ``imageio[ffmpeg]`` an MP4; ``animation.frames`` contains the pixels.
 
         Args:
-            robot: As in ``show``.
-            **options: As in ``show``.
+            robot: Robot of the result; necessary for a result from another process.
+            **options: ``size`` (width, height) [pixel], ``azimuth`` and ``elevation`` of the camera
+                in MuJoCo's convention [deg].
 
         Raises:
             ConfigurationError: If an option is out of range, or the robot is missing.

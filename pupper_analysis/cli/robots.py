@@ -291,9 +291,9 @@ def load_selected_robot(
         **more: Further arguments of ``load_robot``, ignored for a variant.
 
     Raises:
-        ConfigurationError: See ``load_robot``.
-        ModelError: See ``load_robot``.
-        UnknownNameError: See ``load_robot``.
+        ConfigurationError: If an option is invalid.
+        ModelError: If no robot can be made of the files.
+        UnknownNameError: If a foot, joint, keyframe or body does not exist.
     """
     if isinstance(meant, RobotFiles):
         return load_files(meant, fixed_base=fixed_base, **more)

@@ -187,7 +187,7 @@ JOINT_ATTRIBUTES: Final = (
         resists=True,
     ),
 )
-"""All joint parameters that URDF and MJCF are compared in, in the order of comparison."""
+"""Joint parameters in which a URDF and an MJCF are compared, in the order of the comparison."""
 
 BY_KIND: Final[Mapping[str, JointAttribute]] = MappingProxyType(
     {attribute.kind: attribute for attribute in JOINT_ATTRIBUTES}

@@ -398,6 +398,10 @@ class IncludeTree:
         """Count an include, and return the included file.
 
         The name is relative to the main file or, if that does not exist, to the including file.
+
+        Raises:
+            ModelError: If there are more than ``MAX_INCLUDES`` includes, the element has no
+                ``file``, or the file does not exist.
         """
         if next(self._include_counter) > MAX_INCLUDES:
             raise make_element_error(
@@ -619,8 +623,8 @@ class MjcfFile:
         """Return the location at which an attribute is set: in the element, or in a default class.
 
         Args:
-            kind: Tag or section, as in `place`.
-            name: Name, as in `place`.
+            kind: Tag of the element, such as ``joint``, or section, such as ``actuator``.
+            name: Name of the element.
             attributes: Attributes, of which one is sufficient.
 
         Returns:
@@ -728,7 +732,8 @@ class MjcfFile:
         """Raise an error if MuJoCo refuses this file, or a number of the model is not valid.
 
         Raises:
-            ModelError: As for `model`.
+            ModelError: If MuJoCo does not compile the file (the message is MuJoCo's), or a number
+                of the compiled model is not valid.
         """
         if self.refusal is not None:
             problem, place = self.refusal
@@ -809,7 +814,8 @@ def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] 
         notes: Diagnostics to keep in the file.
 
     Raises:
-        ModelError: If MuJoCo cannot write the spec, or as for `mjcf_from`.
+        ModelError: If MuJoCo cannot write the spec, a limit of size, number or depth is exceeded,
+            or a mass depends on a missing mesh.
     """
     try:
         with silence_mujoco():
@@ -826,7 +832,7 @@ def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] 
         """Return a copy of the spec without elements whose files are missing, and the notes.
 
         Raises:
-            ModelError: As for `leave_out_missing`.
+            ModelError: If the mass of a body depends on a missing mesh.
         """
         copy = spec.copy()
         _disable_unset_ranges(copy, index)

@@ -66,7 +66,7 @@ class Pose:
 
     @staticmethod
     def of_body(data: mujoco.MjData, body: int) -> Pose:
-        """Return the world pose of a body in MuJoCo."""
+        """Return the pose of a body in the world frame, position in m, from MuJoCo's data."""
         return Pose(data.xpos[body].copy(), data.xmat[body].reshape(3, 3).copy())
 
 

@@ -319,7 +319,10 @@ class SpecTree:
                 self._set_stiffness(equality)
 
     def _set_stiffness(self, equality: mujoco.MjsEquality) -> None:
-        """Set ``solref`` of an equality: damping ratio 1, time constant at least two time steps."""
+        """Set ``solref`` of an equality constraint to a stiff, critically damped spring.
+
+        The time constant is ``COUPLING_TIME_CONSTANT`` [s], but at least two time steps.
+        """
         equality.solref = (max(COUPLING_TIME_CONSTANT, 2 * float(self.spec.option.timestep)), 1.0)
 
     def motor_at(self, joint: str) -> mujoco.MjsActuator | None:

@@ -62,7 +62,8 @@ def parse_xml(path: Path) -> tuple[str, etree._Element]:
     """Return the text of a file, and the root element without comments and default namespace.
 
     Raises:
-        ModelError: If the file cannot be read, or as for `parse_file_text`.
+        ModelError: If the file cannot be read, has a DOCTYPE, is not well-formed, exceeds a limit,
+            or uses xacro in another file than a URDF.
         OutputError: If the run will write this file.
     """
     text = _read_model_text(path)

@@ -344,7 +344,14 @@ def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
 
 
 def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Add position servos to a robot with a fixed base, at joints without one; return notes."""
+    """Add position servos to a robot with a fixed base, at joints without one.
+
+    The gains are those of `list_fixed_base_gains`. Joints that the MJCF leaves passive on purpose
+    get no servo.
+
+    Returns:
+        The robot with the servos; notes on added servos and passive joints.
+    """
     robot = mark_passive_joints(robot, mjcf)
     made, messages = _add_servos_of_fixed_base(_remove_zero_limits(robot), mjcf)
     return _restore_zero_limits(made, robot), [*notes.report_passive_joints(robot), *messages]

@@ -777,7 +777,7 @@ def make_robot(
 ) -> Robot:
     """Prepare a robot from two files as read, in memory; servos and visual meshes are postponed.
 
-    The options are those of `load_robot`, which reads the files. Servo tuning, rest pose and visual
+    `load_robot` reads the files and describes the options. Servo tuning, rest pose and visual
     meshes are computed when the robot is first simulated, drawn, pickled or copied
     (`defer_stages`). If servos may change the order of the joints, servos and rest pose are
     computed immediately; visual meshes are then postponed only with a fixed base, and kinematics
@@ -785,7 +785,8 @@ def make_robot(
     all steps, and to the robot of `Robot.before_servos`.
 
     Raises:
-        ConfigurationError: See `parse_feet`.
+        ConfigurationError: If the frame of a foot is neither a name nor a pair of names, or a foot
+            is named twice.
         ModelError: If no robot can be made of the files.
         UnknownNameError: If a foot, joint or keyframe does not exist.
     """

@@ -167,8 +167,9 @@ def with_requested_gains(
         kd: Requested damping [N m s/rad], scalar or (nu,); None: value of the prepared robot.
 
     Raises:
-        ConfigurationError: See ``model_with_servos``.
-        ModelError: See ``model_with_servos``.
+        ConfigurationError: If a gain is not a number, has another shape or is out of range.
+        ModelError: If a joint has no motor, or the motor is no position servo and kp and kd are not
+            both given; except dependent joints of loops and couplings.
     """
     drive, model = model_with_servos(robot, kp, kd), copy.copy(published.model)
     added = []

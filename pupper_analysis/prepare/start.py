@@ -794,7 +794,11 @@ def make_start_keyframe(
 
 
 def round_start_configuration(robot: Robot, stand: Stand) -> Array:
-    """Return the configuration of a stand for a keyframe, (nq,), rounded, with x = y = 0."""
+    """Return the configuration of a stand for a keyframe, shape (nq,), with x = y = 0.
+
+    Base height [m] and joint positions [rad, m] are rounded to `_NUM_KEYFRAME_DIGITS` decimals; the
+    quaternion is not rounded.
+    """
     qpos = stand.qpos.copy()
     qpos[:2] = 0.0
     qpos[2] = round(float(qpos[2]), _NUM_KEYFRAME_DIGITS)

@@ -244,10 +244,22 @@ def animate_result(
 
 @singledispatch
 def make_view(result: Any, robot: Robot | None = None) -> View:
-    """Return the view of a result: its robot, and the configurations that a picture shows.
+    """Return the view of a result: the robot and the configurations that a picture shows.
+
+    The view of a simulated stand contains the recorded motion, the views of the other types of this
+    module a single configuration at time 0.
+
+    Args:
+        result: `Configuration`, `SolvedPosture`, `Stand`, `StandVerification`, or a result of a
+            type that a tool has registered.
+        robot: Robot of the result. Default: the robot that the result references.
+
+    Returns:
+        Robot on its ground, times (n,) [s], and configurations (n, nq) in MuJoCo's coordinates.
 
     Raises:
-        ConfigurationError: If the type has no pictures, or the robot is missing.
+        ConfigurationError: If the type has no pictures, or neither ``robot`` nor the result
+            specifies the robot; also if a stand belongs to another robot.
     """
     del robot
     kind = type(result).__name__
@@ -256,26 +268,40 @@ def make_view(result: Any, robot: Robot | None = None) -> View:
 
 @make_view.register(Configuration)
 def _make_configuration_view(config: Configuration, robot: Robot | None = None) -> View:
-    """Return the view of a robot in a configuration."""
+    """Return the view of a configuration, with the robot of the configuration by default."""
     return _make_still_view(robot or config.robot, config.qpos)
 
 
 @make_view.register(SolvedPosture)
 def _make_posture_view(posture: SolvedPosture, robot: Robot | None = None) -> View:
-    """Return the view of a solved posture."""
+    """Return the view of a solved posture, with the robot of the posture by default.
+
+    Raises:
+        ConfigurationError: If neither ``robot`` nor the posture specifies the robot.
+    """
     return _make_still_view(_require_robot(posture, robot or posture.robot), posture.qpos)
 
 
 @make_view.register(Stand)
 def _make_stand_view(stand: Stand, robot: Robot | None = None) -> View:
-    """Return the view of a stand, on the ground of the stand."""
+    """Return the view of a stand on its ground, with the robot of the stand by default.
+
+    Raises:
+        ConfigurationError: If neither ``robot`` nor the stand specifies the robot, or the stand
+            belongs to another robot.
+    """
     owner = _require_robot(stand, robot or stand.own_robot)
     return _make_still_view(_place_on_ground(owner, stand), stand.qpos)
 
 
 @make_view.register(StandVerification)
 def _make_verification_view(run: StandVerification, robot: Robot | None = None) -> View:
-    """Return the view of the motion in a simulated stand."""
+    """Return the view of the motion in a simulated stand, with the robot of the stand by default.
+
+    Raises:
+        ConfigurationError: If neither ``robot`` nor the stand specifies the robot, or the stand
+            belongs to another robot.
+    """
     stand = run.stand
     owner = _require_robot(run, robot or (stand.own_robot if stand is not None else None))
     on_ground = owner if stand is None else _place_on_ground(owner, stand)
@@ -288,7 +314,11 @@ def _make_still_view(robot: Robot, qpos: Array) -> View:
 
 
 def _require_robot(result: object, robot: Robot | None) -> Robot:
-    """Return the robot, or raise a ConfigurationError that names the type of the result."""
+    """Return the robot of a result.
+
+    Raises:
+        ConfigurationError: If the robot is None; the message contains the type of the result.
+    """
     if robot is None:
         kind = type(result).__name__
         raise ConfigurationError("robot", diagnose("picture-needs-robot", kind=kind))

@@ -96,8 +96,10 @@ def find_model_pair(
 
     Raises:
         ConfigurationError: If there is no ``mjcf`` and ``urdf`` is no variant.
-        VariantError: See `find_model`.
-        ModelError: See `find_model`.
+        VariantError: If a word without suffix is probably a misspelled variant name, or the scales
+            give no valid model.
+        ModelError: If a base file is missing or damaged.
+        OutputError: If the run will also write a base file of a scaled variant.
     """
     first = find_model(urdf, "urdf")
     if mjcf is None and not is_variant(urdf):

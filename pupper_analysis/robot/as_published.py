@@ -116,7 +116,8 @@ class JointOff:
         """True if the servo's command explains the displacement of this joint in the simulation.
 
         Conditions: the absolute displacement exceeds ``MIN_UNHELD_DISPLACEMENT``, and the
-        distance of the command from the initial position exceeds half of the displacement.
+        distance of the command from the initial position exceeds half of the displacement. False
+        without a command.
         """
         if self.commanded is None or abs(self.off) <= MIN_UNHELD_DISPLACEMENT:
             return False

@@ -174,8 +174,10 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
         changes: Fields of ``Description``, such as ``mjcf``.
 
     Raises:
-        ModelError: As for `build_robot`.
-        UnknownNameError: As for `build_robot`.
+        ModelError: If MuJoCo or Pinocchio rejects the changed description, the joints of both files
+            differ, or a contact point is not the centre of a collision sphere.
+        UnknownNameError: If a contact point has no link in the URDF, or no site, body or geom in
+            the MJCF.
     """
     description = replace(robot.description, **changes)
     return copy_metadata(build_robot(description, fixed_base=not robot.floating), robot)
@@ -185,8 +187,9 @@ def with_additions(robot: Robot, *additions: Addition) -> Robot:
     """Build a robot with additions to the MJCF; stand height, notes and contacts are kept.
 
     Raises:
-        ModelError: As for `build_robot`.
-        UnknownNameError: As for `build_robot`.
+        ModelError: If MuJoCo rejects the MJCF with the additions.
+        UnknownNameError: If a contact point has no link in the URDF, or no site, body or geom in
+            the MJCF.
     """
     description = robot.description.with_additions(*additions)
     return rebuild_robot(robot, mjcf=description.mjcf, added=description.added)

@@ -187,7 +187,9 @@ class Configuration(Pictured):
             name: Name of the link.
             offset: Vector (3,) [m] from the origin of the link to the point, in world axes at this
                 state; it moves with the link. Zero by default.
-            reference: As in ``frame_jacobian``.
+            reference: Velocity that J maps to: "local_world_aligned": of the point, in world axes;
+                "local": of the point, in the axes of the link; "world": of the point of the link at
+                the world origin, in world axes, so that ``offset`` has no effect.
 
         Raises:
             UnknownNameError: If the URDF has no such link.
@@ -226,7 +228,8 @@ class Configuration(Pictured):
 
         Args:
             name: Name of the link.
-            offset: As in ``frame_jacobian``.
+            offset: Vector (3,) [m] from the origin of the link to the point, in world axes. Zero by
+                default.
             motion: Rows of J: "linear" (three rows, unit m^3/rad^3 with hinges), "angular" (three
                 rows, unit 1 with hinges), or "both" (six rows).
 
@@ -571,8 +574,9 @@ class Configuration(Pictured):
         The differentiated force is sum J^T w. Column i is the derivative by a step along qvel[i].
 
         Args:
-            jacobians: As in `loaded_points_derivative`, shape (n, 6, nv).
-            wrenches: As in `loaded_points_derivative`, shape (n, 6) [N, N m].
+            jacobians: Jacobians J of n points that move with links, shape (n, 6, nv): linear
+                velocity, then angular velocity, in world axes.
+            wrenches: Force [N] and moment about the point [N m], shape (n, 6), in world axes.
 
         Returns:
             Shape (nv, nv).

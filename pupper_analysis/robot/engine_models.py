@@ -162,7 +162,8 @@ class EngineModels:
         M = T^T M_pin T.
 
         Raises:
-            ConfigurationError: If ``qpos`` (nq,) is not valid, as for `to_pinocchio`.
+            ConfigurationError: If ``qpos`` has not the shape (nq,), a value is not finite, or the
+                quaternion is zero.
         """
         return self.pin_convention.velocity_map(self._check_qpos(qpos))
 
@@ -178,7 +179,8 @@ class EngineModels:
             forces: Generalised forces (nv,) [N, N m].
 
         Raises:
-            ConfigurationError: If a vector is not valid, as for `to_pinocchio`.
+            ConfigurationError: If a vector has a wrong length, a value is not finite, or the
+                quaternion is zero.
         """
         return self.velocity_map(qpos) @ check_vector("forces", forces, self.nv)
 
@@ -192,7 +194,8 @@ class EngineModels:
             tau: Pinocchio's generalised forces (pin_model.nv,) [N, N m].
 
         Raises:
-            ConfigurationError: If a vector is not valid, as for `to_pinocchio`.
+            ConfigurationError: If a vector has a wrong length, a value is not finite, or the
+                quaternion is zero.
         """
         return self.velocity_map(qpos).T @ check_vector("tau", tau, self.pin_convention.nv)
 
@@ -209,7 +212,8 @@ class EngineModels:
             qacc: Acceleration (nv,) [m/s^2, rad/s^2].
 
         Raises:
-            ConfigurationError: If a vector is not valid, as for `to_pinocchio`.
+            ConfigurationError: If a vector has a wrong length, a value is not finite, or the
+                quaternion is zero.
         """
         velocity = check_vector("qvel", qvel, self.nv)
         acceleration = check_vector("qacc", qacc, self.nv)
@@ -225,7 +229,8 @@ class EngineModels:
             a: Pinocchio's acceleration (pin_model.nv,) [m/s^2, rad/s^2].
 
         Raises:
-            ConfigurationError: If a vector is not valid, as for `to_pinocchio`.
+            ConfigurationError: If a vector has a wrong length, a value is not finite, or the
+                quaternion is zero.
         """
         velocity = check_vector("qvel", qvel, self.nv)
         acceleration = check_vector("a", a, self.pin_convention.nv)

@@ -148,7 +148,8 @@ class Ground:
         """Return the shortest rotation (3, 3) that aligns z with the normal under a foot.
 
         Args:
-            foot: As for ``normal``.
+            foot: Foot. If the foot has a plane of its own, the normal of this plane is used;
+                otherwise, and by default, the normal of the sloped ground.
         """
         return _align_z_with(self.normal(foot))
 

@@ -218,7 +218,8 @@ def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
 
     Raises:
         UnknownNameError: If a pattern matches no joint.
-        ConfigurationError: As for `named_positions`.
+        ConfigurationError: If a position is not finite, or has a unit of length for a hinge or a
+            unit of angle for a slide.
     """
     result = dict(posture)
     for pattern, value in posture.items():

@@ -385,8 +385,9 @@ def find_servos_used(
         kd: Damping at the joints [N m s/rad, N s/m], scalar or shape (nu,). Default: the model's.
 
     Raises:
-        ConfigurationError: As for `model_with_servos`.
-        ModelError: As for `model_with_servos`.
+        ConfigurationError: If a gain is not a number, has another shape or is out of range.
+        ModelError: If a joint has no motor, or the motor is no position servo and kp and kd are not
+            both given; except dependent joints of loops and couplings.
     """
     found, made = resolve_servo_gains(robot, kp, kd), robot.description.made_servos
     joints = {servo.joint for servo in made}

@@ -99,7 +99,8 @@ def _difference_steps(
     """Compute the derivative of the next state by the state into ``matrix``, and return it.
 
     The method is that of centred differences of complete MuJoCo steps, for the integrator RK4,
-    which ``mjd_transitionFD`` does not support. Arguments and shape are those of `step_derivative`.
+    which ``mjd_transitionFD`` does not support. Rows and columns of ``matrix`` are in the tangent
+    space of (qpos, qvel, act); ``difference`` is the step [m, rad; m/s, rad/s].
     """
     own, nv = copy_data(model, data), model.nv
     ends = [(np.empty(model.nq), np.empty(nv), np.empty(model.na)) for _ in range(2)]

@@ -155,13 +155,16 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
 def find_place(robot: Robot, point: Place) -> Tool:
     """Convert a position in the frame of a link, site, body or geom to a `Tool`.
 
+    A `Tool` is a point of a robot: link of the URDF, offset (3,) [m] in the link frame, and the
+    joints that move the point. A point in the base frame is a tool of the base, without joints.
+
     Args:
         robot: The robot.
         point: Point (3,) [m] in the base frame; or ``(frame, x, y, z)`` in the frame of a link,
-            site, body or geom; or a tool.
+            site, body or geom; or a `Tool`, which is returned unchanged.
 
     Raises:
-        ConfigurationError: If the point is not valid.
+        ConfigurationError: If the coordinates are not three finite numbers, or too large.
         UnknownNameError: If the robot has no such frame, or no link with the name of the tool's
             link.
     """
@@ -177,6 +180,8 @@ def find_place(robot: Robot, point: Place) -> Tool:
 
 def split_place(point: Any) -> tuple[str, Any]:
     """Split a position into the name of the frame ("" for the base) and the coordinates.
+
+    The coordinates are not checked (`check_point`).
 
     Args:
         point: (frame, x, y, z) [m], or coordinates (x, y, z) [m] in the base frame.

@@ -85,8 +85,8 @@ def make_stand_start(
         robot: The robot.
         stand: The stand.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
-        kp: Servo stiffness [N m/rad]; the model's own by default.
-        kd: Servo damping [N m s/rad]; the model's own by default.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
 
     Raises:

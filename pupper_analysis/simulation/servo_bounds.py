@@ -268,7 +268,9 @@ def find_soft_servos(
         no tried factor suffices.
 
     Raises:
-        The errors of `bound_servo_gains`.
+        ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
+        ModelError: If a joint has no position servo, and kp and kd are not both given.
+        StaticsInfeasibleError: If no contact forces balance the stand.
     """
     named: list[object] = []
     for failure in run.failures:

@@ -134,8 +134,8 @@ def comes_to_rest(
         robot: The robot.
         stand: The stand, with at least one stance foot.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
-        kp: Servo stiffness [N m/rad]; the model's own by default.
-        kd: Servo damping [N m s/rad]; the model's own by default.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
 
     Raises:
         ConfigurationError: If an argument is out of range, or the stand belongs to another
@@ -198,8 +198,8 @@ def calms_after_base_nudges(
     Args:
         robot: The robot, with a free base.
         stand: The stand, with at least one stance foot.
-        kp: Servo stiffness [N m/rad]; the model's own by default.
-        kd: Servo damping [N m s/rad]; the model's own by default.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
 
     Raises:
         ConfigurationError: If an argument is out of range, or the stand belongs to another

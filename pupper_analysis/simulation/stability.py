@@ -62,8 +62,8 @@ def stand_stability(
         robot: The robot.
         stand: The stand.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
-        kp: Servo stiffness [N m/rad]; the model's own by default.
-        kd: Servo damping [N m s/rad]; the model's own by default.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
 
     Returns:
@@ -100,8 +100,8 @@ def rest_stability(
         robot: The robot.
         stand: The stand whose joint positions are commanded.
         pose: Equilibrium of the servos, from ``steady_state``.
-        kp: Servo stiffness [N m/rad]; the model's own by default.
-        kd: Servo damping [N m s/rad]; the model's own by default.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
 
     Returns:

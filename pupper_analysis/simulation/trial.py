@@ -189,11 +189,14 @@ def simulate_nudges(
     Args:
         robot: The robot, with the payload.
         stand: The stand, solved for the simulated ground.
-        kp: Servo stiffness [N m/rad]; the model's own by default.
-        kd: Servo damping [N m s/rad]; the model's own by default.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
         duration: Time after each nudge for which the result holds [s], 2 to 600.
         until_failure: End all simulations once the earliest failure is known. ``failed_nudges`` is
             then a lower bound.
+
+    Returns:
+        Whether the stand survives all nudges; otherwise the earliest failure, with its time [s].
 
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed and the stand has

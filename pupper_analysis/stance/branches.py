@@ -210,7 +210,8 @@ def follow_branches(
 
     Args:
         robot: Robot.
-        qpos: Configuration, shape (nq,), as in `find_branches`.
+        qpos: Configuration, shape (nq,), with the base pose of ``found``; joints outside of limbs
+            keep these positions.
         targets: {contact point: target of its sphere centre, shape (3,) [m], in the world frame}.
         lower: Lower joint limits, shape (nu,) [rad, m].
         upper: Upper joint limits, shape (nu,) [rad, m].

@@ -346,7 +346,13 @@ class ClearanceShapes:
         """Return the Jacobian of the heights of ``parts`` above the ground by qvel, shape (n, nv).
 
         ``parts`` are the shapes that must be above the ground. The lowest point of a shape is
-        treated as fixed to the link. The arguments are those of `measure_part_heights`.
+        treated as fixed to the link.
+
+        Args:
+            at: Configuration.
+            ground: Ground: slope, steps and planes of feet.
+            targets: {contact point: target of the sphere centre, shape (3,) [m], in the world}. A
+                step is below the target of its foot.
         """
         there = self.move_to(at.qpos)
         if self._is_floorless(ground):

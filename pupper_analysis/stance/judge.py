@@ -269,9 +269,10 @@ class Stand(Pictured, Tabular):
         """Check that this stand belongs to a robot; return the robot with the contacts of the task.
 
         Raises:
-            ConfigurationError: If the stand belongs to another robot.
-            UnknownNameError: As for `with_contacts`.
-            ModelError: As for `with_contacts`.
+            ConfigurationError: If the stand belongs to another robot, or the robot cannot make the
+                contacts of the task.
+            UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
+            ModelError: If the model with the contacts cannot be built.
         """
         if self.robot.rpartition(" ")[2] != robot.fingerprint.rpartition(" ")[2]:
             owner = self.robot.rpartition(" ")[0]
@@ -289,9 +290,10 @@ class Stand(Pictured, Tabular):
         `solve_stand` returns such a stand. A stand from another process references no robot.
 
         Raises:
-            ConfigurationError: As for `check`.
-            UnknownNameError: As for `check`.
-            ModelError: As for `check`.
+            ConfigurationError: If the stand belongs to another robot, or the robot cannot make the
+                contacts of the task.
+            UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
+            ModelError: If the model with the contacts cannot be built.
         """
         self.check(robot)
         copy = replace(self)
@@ -308,9 +310,10 @@ class Stand(Pictured, Tabular):
         """Return the robot that this stand references, with the contacts of the task.
 
         Raises:
-            ConfigurationError: If the stand references no robot, or as for `check`.
-            UnknownNameError: As for `check`.
-            ModelError: As for `check`.
+            ConfigurationError: If the stand references no robot, or the robot cannot make the
+                contacts of the task.
+            UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
+            ModelError: If the model with the contacts cannot be built.
         """
         robot = self.own_robot
         if robot is None:
@@ -323,9 +326,10 @@ class Stand(Pictured, Tabular):
         """Configuration of this stand in Pinocchio's convention, shape (pin_model.nq,).
 
         Raises:
-            ConfigurationError: If the stand has no robot; see `with_robot`.
-            UnknownNameError: As for `check`.
-            ModelError: As for `check`.
+            ConfigurationError: If the stand references no robot (see `with_robot`), or the robot
+                cannot make the contacts of the task.
+            UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
+            ModelError: If the model with the contacts cannot be built.
         """
         return self._require_robot().to_pinocchio(self.qpos)
 

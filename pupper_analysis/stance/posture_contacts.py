@@ -64,14 +64,18 @@ def keep_points(robot: Robot, positions: dict[str, Array]) -> tuple[KeptContact,
 def keep_contacts(robot: Robot, stand: Stand) -> tuple[KeptContact, ...]:
     """Return the tasks that keep the contacts of a stand in place.
 
-    Contact points and grips keep their positions; welded parts also keep their orientations.
+    Contact points and grips keep their positions [m] in the world frame; welded parts also keep
+    their orientations.
 
     Args:
         robot: Robot with the contacts of the stand.
         stand: Stand.
 
+    Returns:
+        A task per contact point of a stance foot and per grip, two tasks per weld.
+
     Raises:
-        UnknownNameError: As for `keep_points`.
+        UnknownNameError: If the robot lacks a contact point of the stand.
     """
     kept = [*keep_points(robot, {foot: stand.foot_targets[foot] for foot in stand.stance_feet})]
     at = Configuration(robot, stand.qpos) if robot.fixed_parts else None

@@ -116,8 +116,9 @@ class Support:
         contacts: Contact points, shape (n, 3) [m].
         normals: Unit normals out of the ground, shape (n, 3).
         friction: Sliding friction coefficients, shape (n,); empty if unknown.
-        stated: Prescribed contact forces and their positions, as for `support_corners`.
-        grips: Positions and force limits of grippers that hold a bar, as for `support_corners`.
+        stated: Prescribed contact forces and their positions (argument of `support_corners`).
+        grips: Positions and force limits of grippers that hold a bar (argument of
+            `support_corners`).
     """
 
     def __init__(
@@ -395,9 +396,9 @@ def _compute_joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tu
     task's posture are its position.
 
     Raises:
-        ConfigurationError: As for `resolve_posture`; if ``checked``, also for a margin without a
-            remaining range, or a position out of the range.
-        UnknownNameError: As for `resolve_posture`.
+        ConfigurationError: If a joint of the posture carries a foot, or a position is not valid; if
+            ``checked``, also if the margin leaves no range, or a position is out of the range.
+        UnknownNameError: If a pattern of the posture matches no joint.
     """
     lower = robot.lower_limits + task.joint_margin
     upper = robot.upper_limits - task.joint_margin

@@ -81,16 +81,18 @@ def solve_stand_on_soft_ground(
         robot: Robot with a floating base and a ground.
         task: Stand task, or a stand that satisfies a task on rigid ground and is not solved again.
             Default: the nominal stand, ``StandTask()``.
-        explain: If the stance is unreachable, compute the reason, as in `solve_stand`.
+        explain: If the stance is unreachable, compute the smallest foot error and the requirements
+            to relax, for the error; takes about a second.
 
     Returns:
         The stand; ``depths`` are the penetrations [m] by MuJoCo's contact model under the computed
         forces, to 1e-9 m.
 
     Raises:
-        ConfigurationError: As for `solve_stand`; or if the stand belongs to another robot.
-        UnknownNameError: As for `solve_stand`.
-        ModelError: As for `solve_stand`.
+        ConfigurationError: If no stand can satisfy the task: for example, the robot has no feet, or
+            the margins are too large; or if the stand belongs to another robot.
+        UnknownNameError: If the task contains an unknown foot, joint or contact.
+        ModelError: If the mass or inertia of a body is invalid.
         StanceUnreachableError: If the stance is unreachable on rigid ground, or with the feet in
             the soft ground.
         StaticsInfeasibleError: If no contact forces balance the stand.
@@ -184,9 +186,10 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
             the nominal stand, ``StandTask()``.
 
     Raises:
-        ConfigurationError: As for `solve_stand`; or if the stand belongs to another robot.
-        UnknownNameError: As for `solve_stand`.
-        ModelError: As for `solve_stand`.
+        ConfigurationError: If no stand can satisfy the task: for example, the robot has no feet, or
+            the margins are too large; or if the stand belongs to another robot.
+        UnknownNameError: If the task contains an unknown foot, joint or contact.
+        ModelError: If the mass or inertia of a body is invalid.
         StanceUnreachableError: If the stance is unreachable on rigid ground. The error does not
             contain the reason (``explain=False``).
         StaticsInfeasibleError: If no contact forces balance the stand.
@@ -232,7 +235,8 @@ def solve_loaded_stand(
         robot: Robot.
         stance: Stand task, or a stand whose task is used.
         mass: Payload mass [kg].
-        point: Position of the payload, as in `with_payload`.
+        point: Position of the payload, shape (3,) [m] in the base frame; or in the frame of a link,
+            site or body, as ``("right_hand", 0.0, 0.0, 0.05)``; or a ``Tool``.
 
     Returns:
         The loaded robot, and its stand from `solve_stand_as_simulated`: on soft ground if possible,
@@ -241,7 +245,8 @@ def solve_loaded_stand(
     Raises:
         ConfigurationError: If an argument is invalid for the robot.
         UnknownNameError: If the robot lacks the frame of the payload, or a foot of the task.
-        ModelError: As for `with_payload` and `solve_stand`.
+        ModelError: If the loaded model cannot be built, or the mass or inertia of a body is
+            invalid.
         StanceUnreachableError: If the stance is unreachable with that load. The error does not
             contain the reason (``explain=False``).
         StaticsInfeasibleError: If no contact forces balance the stand.
@@ -339,8 +344,8 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
         """Return the Jacobian of ``residual`` by its argument, shape (k, k) [N/m].
 
         Args:
-            coefficients: As for ``residual``, shape (k,) [m]; ``basis @ coefficients`` are the
-                penetrations of the sole's contact points.
+            coefficients: Factors of the columns of ``basis``, shape (k,) [m]; ``basis @
+                coefficients`` are the penetrations of the sole's contact points.
         """
         depths = (basis @ coefficients).tolist()
         stiff = np.array([law.normal_stiffness(d) for law, d in zip(laws, depths, strict=True)])

@@ -122,7 +122,8 @@ def solve_goal(context: SearchContext, goal: Goal, *, explain: bool) -> Stand:
     Args:
         context: Search context of the robot.
         goal: Goal.
-        explain: Compute the requirements to relax, for the error, as in `solve_stand`.
+        explain: If the goal is unreachable, compute the smallest foot error, the requirements to
+            relax, and their smallest change, for the error.
 
     Raises:
         StanceUnreachableError: If the goal is unreachable.
@@ -210,17 +211,20 @@ def solve_stands(
         robot: Robot with a floating base.
         tasks: Stand tasks. Their ``contacts`` must be at the same parts, and have the same friction
             and forces, as those of the first task; surfaces and positions may differ.
-        explain: As in `solve_stand`, for an unreachable task; takes about a second.
+        explain: If a task is unreachable, compute the smallest foot error, the requirements to
+            relax, and their smallest change; takes about a second.
 
     Returns:
         The stands, in the order of the tasks.
 
     Raises:
-        ConfigurationError: As for `solve_stand`; raised before the first solve, with the index of
-            the task. Errors without index: the robot lacks the first task's contacts, or has no
-            parts for a required clearance (raised when the task is solved).
-        UnknownNameError: As for `solve_stand`; raised before the first solve.
-        ModelError: As for `solve_stand`.
+        ConfigurationError: If no stand can satisfy a task: for example, the base is fixed, the
+            robot has no feet, or the margins are too large. Raised before the first solve, with the
+            index of the task. Errors without index: the robot cannot make the first task's
+            contacts, or has no parts for a required clearance (raised when the task is solved).
+        UnknownNameError: If a task contains an unknown foot, joint or contact; raised before the
+            first solve.
+        ModelError: If the mass or inertia of a body is invalid.
         StanceUnreachableError: For the first unreachable task, with the task index.
     """
     goals: list[Goal] = []

@@ -93,7 +93,9 @@ class BaseWorkspace(Result):
 def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
     """Find the reachable interval of base heights [m]; all other requirements stay as in the task.
 
-    Feet stay planted. See `base_workspace` for the CoM.
+    Feet stay planted. The CoM keeps the horizontal position that the task requires. If the task
+    permits any position inside the support polygon, the CoM keeps its position in the task's stand,
+    or stays free if the legs cannot move it in two directions (`can_move_com`).
 
     Args:
         robot: Robot.
@@ -102,8 +104,8 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
     Raises:
         StanceUnreachableError: If the task is unreachable.
         ConfigurationError: If the robot cannot stand, or the task is invalid.
-        UnknownNameError: As for `solve_stand`.
-        ModelError: As for `solve_stand`.
+        UnknownNameError: If the task contains an unknown foot, joint or contact.
+        ModelError: If the mass or inertia of a body is invalid.
     """
     start = solve_stand(robot, task)
     return find_interval(start.check(robot), start, "height")
@@ -130,8 +132,8 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
     Raises:
         StanceUnreachableError: If the task is unreachable.
         ConfigurationError: If the robot cannot stand, or the task is invalid.
-        UnknownNameError: As for `solve_stand`.
-        ModelError: As for `solve_stand`.
+        UnknownNameError: If the task contains an unknown foot, joint or contact.
+        ModelError: If the mass or inertia of a body is invalid.
     """
     start = solve_stand(robot, task)
     robot = start.check(robot)

@@ -303,7 +303,7 @@ def balance_load(
         carrying: Contacts that carry load.
         point: Shape (3,) [m]; zero-moment point of a motion. Default: the centre of mass, which is
             the zero-moment point at rest. ``com_margin`` of the result refers to this point.
-        distribution: Selection among feasible forces, as in ``gravity_compensation``.
+        distribution: Criterion that selects the contact forces among the feasible ones.
         tipping: Reason that the error states if ``point`` is outside the support region.
         held: If True, the friction cones and unilateral limits do not apply, as if the feet were
             glued to the ground. If the robot has welds and the distribution is minimum tangential,
@@ -602,9 +602,10 @@ def peak_utilisation(shares: Array) -> float:
 def find_hardest_motor(statics: Equilibrium) -> int:
     """Return the index of the motor with the largest load.
 
-    A loaded motor with a limit of zero comes first, then the motor with the largest known
-    utilisation. If a motor with an unknown limit exerts a larger torque than this motor, the
-    motor with the largest torque among those with unknown limits is returned.
+    A loaded motor with a limit of zero comes first (of several, the one with the largest torque),
+    then the motor with the largest known utilisation. If a motor with an unknown limit exerts a
+    larger torque than this motor, the motor with the largest torque among those with unknown limits
+    is returned.
     """
     shares, torques = statics.motor_utilisation, np.abs(statics.joint_torques)
     is_powerless, is_unknown = np.isinf(shares), np.isnan(shares)

@@ -147,7 +147,8 @@ def force_polytope(config: Configuration, point: str | Place) -> ForcePolytope:
     Args:
         config: State of the robot; the velocity is ignored.
         point: Contact point (the lowest point of its sphere), foot (the mean of its contact
-            points), link, site, body or geom; or a place as in ``with_payload``.
+            points), link, site, body or geom; or a position (3,) [m] in the base frame or, as
+            ``("right_hand", 0.0, 0.0, 0.05)``, in the frame of a link, site or body.
 
     Raises:
         UnknownNameError: If the robot has no such frame.

@@ -86,16 +86,18 @@ def support_region(
     Args:
         config: State of the robot. The velocity is ignored.
         contacts: Contact points that carry load. Default: all.
-        friction: As in ``gravity_compensation``.
-        normals: As in ``gravity_compensation``.
-        depths: As in ``gravity_compensation``.
+        friction: Friction coefficient, for all contact points or per contact point. Default:
+            MuJoCo's contact.
+        normals: Per contact point, a direction out of the ground, shape (3,), in the world frame.
+            Default: upward.
+        depths: Per contact point, penetration into the ground [m]. Default: 0.
         torque_limits: Whether effort limits restrict the region.
 
     Raises:
         UnknownNameError: If a contact point is unknown.
-        ConfigurationError: As in ``gravity_compensation``; if the base is fixed, there are no
-            contacts, a part is welded or grips; or, with ``torque_limits``, if no file states the
-            effort limit of a joint.
+        ConfigurationError: If an argument has another type, or a friction coefficient or a normal
+            is invalid; if the base is fixed, there are no contacts, a part is welded or grips; or,
+            with ``torque_limits``, if no file states the effort limit of a joint.
     """
     robot = config.robot
     robot.check_floating()

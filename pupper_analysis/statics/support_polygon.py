@@ -149,7 +149,8 @@ def support_corners(
         points: Shape (n, 3) [m]; contact points in the world frame.
         normals: Shape (n, 3); unit vectors out of the ground.
         friction: Shape (n,); friction coefficients, or empty if unknown.
-        stated: Prescribed contact forces, as in `Contacts.stated`; None without.
+        stated: Prescribed contact forces: groups of contact points, shape (k, n), and total normal
+            force of each group, shape (k,), in units of the weight. None without.
         grips: Shape (g, 4): position [m] and force limit in units of the weight; None without.
 
     Returns:
@@ -209,7 +210,8 @@ def find_extreme_positions(
         points: Shape (n, 3) [m]; contact points in the world frame.
         normals: Shape (n, 3); unit vectors out of the ground.
         friction: Shape (n,); friction coefficients.
-        stated: Prescribed contact forces, as in `Contacts.stated`; None without.
+        stated: Prescribed contact forces: groups of contact points, shape (k, n), and total normal
+            force of each group, shape (k,), in units of the weight. None without.
         grips: Shape (g, 4), g >= 0: position [m] and force limit in units of the weight.
         inequalities: Further bounds on the forces f, in units of the weight: rows and upper bounds
             of ``rows @ f <= upper``, for example torque limits.
@@ -314,13 +316,14 @@ def differentiate_side_distances(
     With corners p and q of a side and the point c, the distance is (q - p) x (c - p) / |q - p|.
 
     Args:
-        contacts: Shape (k, 2) or (k, 3) [m]; as for `polygon_sides`.
-        contact_rates: Derivatives of the contacts by n variables, shape (k, 2, n).
-        point: Shape (2,) [m].
+        contacts: Positions of k contacts, shape (k, 2) or (k, 3) [m]; z is ignored.
+        contact_rates: Derivatives of the x and y of the contacts by n variables, shape (k, 2, n).
+        point: Horizontal position, shape (2,) [m].
         point_rates: Derivatives of the point, shape (2, n).
 
     Returns:
-        Shape (k, n); rows in the order of ``polygon_sides(contacts, from_first=True)``.
+        Shape (k, n); rows in the order of ``polygon_sides(contacts, from_first=True)``. If the
+        polygon has fewer than k sides, the row of the last side is repeated.
     """
     corners = [_corner(contact) for contact in contacts]
     sides = _start_at_first_corner(_hull_sides(tuple(corners)), corners)

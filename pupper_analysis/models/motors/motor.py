@@ -243,7 +243,7 @@ class Motor:
             torque: Torque at the output [N m].
 
         Raises:
-            ModelError: As for `output_torque_per_ampere`.
+            ModelError: If the numbers of `output_torque_per_ampere` are unknown.
         """
         return abs(torque) / self.output_torque_per_ampere
 

@@ -69,9 +69,9 @@ class RobotFiles:
             **more: Further arguments of ``load_robot``.
 
         Raises:
-            ConfigurationError: See ``load_robot``.
-            ModelError: See ``load_robot``.
-            UnknownNameError: See ``load_robot``.
+            ConfigurationError: If an option is invalid.
+            ModelError: If no robot can be made of the files.
+            UnknownNameError: If a foot, joint, keyframe or body does not exist.
         """
         from pupper_analysis.prepare.convert.load import load_robot
 

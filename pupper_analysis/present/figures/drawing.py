@@ -125,7 +125,8 @@ def make_plots_figure(
         plots: Plots, at least one.
         title: Title of the figure. Default: the title of the first plot.
         names: Title of each panel. Default: the titles of the plots, if there are several.
-        create: Creates the empty figure, as for ``make_page_figure``.
+        create: Creates an empty figure from ``figsize``, ``dpi`` and ``layout``, such as ``Figure``
+            or ``pyplot.figure``.
     """
     drawings = [draw_svg(plot) for plot in plots]
     columns = min(len(plots), _NUM_COLUMNS)

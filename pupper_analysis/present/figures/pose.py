@@ -255,7 +255,8 @@ def make_skeleton_figure(
     Args:
         robot: Robot.
         qpos: Configuration in MuJoCo's coordinates, shape (nq,).
-        create: Creates the empty figure, as for ``drawing.make_page_figure``.
+        create: Creates an empty figure from ``figsize``, ``dpi`` and ``layout``, such as ``Figure``
+            or ``pyplot.figure``.
     """
     segments = _list_links(robot, qpos)
     title, height = f"{robot.name}: joints and links", 0.6 * drawing.PAGE_WIDTH

@@ -656,7 +656,8 @@ def drop_other_objects(
     * if the base is free: static bodies without a plane in the body or a descendant.
 
     Limbs directly on the world belong to the robot: MuJoCo merges a fixed base with the world. The
-    joint names of the URDF identify such limbs. The mass of mocap bodies is set to zero.
+    joint names of the URDF identify such limbs. The mass of mocap bodies is set to zero. Cameras
+    and lights with a deleted body as target are deleted, too.
 
     Args:
         spec: Spec to modify.

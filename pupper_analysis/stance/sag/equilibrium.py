@@ -237,7 +237,11 @@ class EquilibriumScales:
 
     @staticmethod
     def from_stand(robot: Robot, stand: Stand) -> EquilibriumScales:
-        """Return the weight [N] and height [m] that scale the equations of a robot in a stand."""
+        """Return the weight [N] and height [m] that scale the equations of a robot in a stand.
+
+        The height is that of the CoM above the lowest sphere centre of a stance foot. For a fixed
+        or welded robot, it is the stand height, or the extent of the model if that is zero.
+        """
         weight = robot.usual_weight
         if robot.is_base_fixed or robot.fixed_parts:
             length = robot.stand_height or float(robot.mj_model.stat.extent)

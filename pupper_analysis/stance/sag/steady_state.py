@@ -581,7 +581,8 @@ def make_homotopy_path(
         robot: Robot, with the contacts of the stand.
         stand: Stand.
         kp: Stiffness [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
-        feet: Slip law, as in `steady_state`.
+        feet: Slip law: ``pinned`` feet hold tangential forces up to the limit of their friction,
+            ``sliding`` feet hold none.
         exact: Argument of `SagEquilibrium.solve` for the first equilibrium.
 
     Raises:
@@ -720,7 +721,8 @@ def find_sag_failure(
         robot: Robot, with the contacts of the stand (``touching``).
         stand: Stand.
         kp: Stiffness [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
-        feet: Slip law, as in `steady_state`.
+        feet: Slip law: ``pinned`` feet hold tangential forces up to the limit of their friction,
+            ``sliding`` feet hold none.
     """
     try:
         pose = steady_state(robot, stand, kp=kp, feet=feet)

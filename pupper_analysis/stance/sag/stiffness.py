@@ -89,7 +89,8 @@ def minimum_stiffness(
     Args:
         robot: Robot.
         stand: Stand.
-        feet: Slip law, as in `steady_state`.
+        feet: Slip law: ``pinned`` feet hold tangential forces up to the limit of their friction,
+            ``sliding`` feet hold none.
         tolerance: Relative tolerance of the result, in (0, 1).
         ratios: Stiffness of each joint relative to the result, shape (nu,), not negative. Default:
             1, the same kp at all joints.
@@ -136,10 +137,16 @@ def estimate_minimum_stiffness(
     Args:
         robot: Robot.
         stand: Stand.
-        ratios: As in `minimum_stiffness`.
+        ratios: Stiffness of each joint relative to the result, shape (nu,), not negative. Default:
+            1, the same kp at all joints.
 
     Raises:
-        The errors of `minimum_stiffness`.
+        ConfigurationError: If ``ratios`` is invalid, or the robot cannot stand.
+        UnknownNameError: If the stand has feet that the robot lacks.
+        ModelError: If a joint has no motor, or if the ground cannot be added (``build_on_ground``).
+        StaticsInfeasibleError: If no contact forces balance the stand.
+        NoStiffnessError: If the robot does not stand with any tested kp up to `HIGHEST_KP` times
+            ``EquilibriumScales.stiffness``; contains the reason.
     """
     search, low, high = _bracket_stiffness(robot, stand, "pinned", ratios)
     if low == 0.0:
@@ -165,7 +172,12 @@ def _bracket_stiffness(
         `_LEAST_KP`, low is 0.
 
     Raises:
-        The errors of `minimum_stiffness`.
+        ConfigurationError: If ``feet`` or ``ratios`` is invalid, or the robot cannot stand.
+        UnknownNameError: If the stand has feet that the robot lacks.
+        ModelError: If a joint has no motor, or if the ground cannot be added (``build_on_ground``).
+        StaticsInfeasibleError: If no contact forces balance the stand.
+        NoStiffnessError: If the robot does not stand with any tested kp up to `HIGHEST_KP` times
+            ``EquilibriumScales.stiffness``; contains the reason.
     """
     robot = with_contacts(robot, stand.task.contacts)
     check_steady_state_request(robot, stand, feet, 0.0)

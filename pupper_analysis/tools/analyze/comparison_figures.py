@@ -105,7 +105,7 @@ def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
 
 
 def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
-    """Draw the base height over the simulated time, relative to the height of the task.
+    """Draw the base height [mm], relative to the height in the stand, over the simulated time [s].
 
     The legend of a panel states the mean over the last second of each curve. If a robot fails, the
     first contact of another link with the ground is marked.

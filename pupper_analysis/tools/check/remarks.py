@@ -238,10 +238,10 @@ def make_remark(
     """Create a remark from a diagnostic, whose code and values the baseline stores.
 
     Args:
-        check: As ``Remark.check``.
+        check: Tool that found the remark (``Remark.check``), such as ``"audit"``.
         pair: Name of the pair; "" for a finding that belongs to a file.
-        kind: As ``Remark.kind``.
-        element: As ``Remark.element``.
+        kind: Kind of the finding (``Remark.kind``).
+        element: Element of the model with the finding (``Remark.element``).
         file: File, relative to the configuration.
         message: Diagnostic.
         bad: Severity.

@@ -205,8 +205,9 @@ class _JointNames:
     def find_joints(self, statement: Statement) -> list[str]:
         """Return the joints to which a statement applies; [""] for a setting of the whole robot.
 
-        Empty if no joint has the name, pattern or index, and for an entry of a list whose length is
-        not that of ``order``.
+        A statement with a part of joint names (``is_part``) applies to all joints whose name
+        contains the part. Empty if no joint has the name, part, pattern or index, and for an entry
+        of a list whose length is not that of ``order``.
         """
         if statement.index is not None:
             if statement.count != len(self.order):

@@ -113,7 +113,7 @@ def _check_landing(robot: Robot, data: mujoco.MjData) -> StandCheck:
 
 
 def _foot_clearance(robot: Robot, qpos: Array) -> float:
-    """Return the height [m] of the lowest foot above the ground in a configuration (nq,)."""
+    """Return the height [m] of the lowest foot above the plane z = 0 in a configuration (nq,)."""
     feet = Configuration(robot, qpos).foot_positions()
     return min(float(place[2]) - robot.contact_radius[foot] for foot, place in feet.items())
 

@@ -87,8 +87,8 @@ def simulate_payload(
         mass: Mass of the payload [kg].
         point: Position of the payload [m] in the frame of the base or of a named link, as in
             ``with_payload``.
-        kp: Servo stiffness [N m/rad]; the model's own by default.
-        kd: Servo damping [N m s/rad]; the model's own by default.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
         duration: Time after each nudge for which the outcome is decided [s], 2 to 600.
         until_failure: End all simulations once the earliest failure is known.
 

@@ -197,12 +197,16 @@ class PushBench:
     ) -> list[Diagnostic | None]:
         """Simulate pushes until each outcome is decided, and return the failure of each or None.
 
-        Arguments and result are those of ``simulate_fully``. A simulation ends early if it
-        diverges, if a body other than a foot touches the ground, or if the robot is at rest and no
-        mode of the linearised dynamics leaves that state. If the robot is not at rest after
-        ``duration``, the simulation goes on until the robot rests or falls, up to
-        ``MAX_DURATION_RATIO`` times the duration. A slow fall does not count as rest
-        (``_will_rest``).
+        None means that the robot recovers. A simulation ends early if it diverges, if a body other
+        than a foot touches the ground, or if the robot is at rest and no mode of the linearised
+        dynamics leaves that state. If the robot is not at rest after ``duration``, the simulation
+        goes on until the robot rests or falls, up to ``MAX_DURATION_RATIO`` times the duration. A
+        slow fall does not count as rest (``_will_rest``).
+
+        Args:
+            directions: Index of each push's direction in ``axes`` (horizontal unit vectors in the
+                world frame), shape (n,).
+            impulses: Impulses along these directions, shape (n,) [N s].
         """
         return self._simulate_intervals(directions, impulses, may_rest=True)
 
@@ -516,8 +520,8 @@ def make_push_bench(
         stand: The stand.
         angles: Directions about the vertical, from the base's forward axis, shape (n,) [rad].
         duration: Simulated time [s].
-        kp: Servo stiffness [N m/rad]; the model's own if None.
-        kd: Servo damping [N m s/rad]; the model's own if None.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own if None.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own if None.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         integrator: MuJoCo's integrator; the model's own if None.
         verification: Result of ``verify_stand`` with the same arguments; computed if None.
@@ -603,8 +607,8 @@ def simulate_push(
         duration: Simulated time from the start of the push [s], 2 to 600. If the robot is not at
             rest then, the simulation goes on until it rests or falls, up to
             ``MAX_DURATION_RATIO`` times as long.
-        kp: Servo stiffness [N m/rad]; the model's own by default.
-        kd: Servo damping [N m s/rad]; the model's own by default.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         integrator: MuJoCo integrator. Default: the model's.
 

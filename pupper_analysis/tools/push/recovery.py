@@ -352,8 +352,8 @@ def push_recovery(
         stand: The stand.
         directions: Number of directions, evenly spaced, the first direction forward; 3 to 360.
         duration: Simulated time from the start of the push [s], 2 to 600.
-        kp: Servo stiffness [N m/rad]; the model's own by default.
-        kd: Servo damping [N m s/rad]; the model's own by default.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         integrator: MuJoCo's integrator; the model's own by default.
         resolution: Resolution of the impulses [N s].

@@ -431,7 +431,10 @@ class WorkerPool:
             signal.pthread_sigmask(signal.SIG_SETMASK, old_mask)
 
     def exceeded_time_limit(self) -> bool:
-        """Return True if a process of the pool has ended because of the time limit."""
+        """Return True if a process of the pool has ended because of the time limit.
+
+        Waits for processes that are ending. False for an executor of the caller.
+        """
         if self._given_executor is not None:
             return False
         for process in self._processes:
@@ -605,8 +608,11 @@ class StudyRun:
     def _collect_chunk(self, pool: WorkerPool, future: Future[ChunkOutcome]) -> None:
         """Store the rows of a finished chunk, or schedule its designs again if its worker ended.
 
+        Errors of this package that the evaluation raised are raised again.
+
         Raises:
-            StudyError: If the evaluation failed for another reason.
+            StudyError: If the evaluation failed for another reason, for example a module that the
+                workers lack.
         """
         chunk, start = self._in_flight.pop(future)
         try:

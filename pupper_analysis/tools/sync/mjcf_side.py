@@ -245,7 +245,8 @@ class MjcfSide(Side):
     def _plan_limits(self, key: PropertyKey) -> None:
         """Plan to set a joint's range in the MJCF to the limits of the URDF, in the file's unit.
 
-        ``key`` is the difference (kind, joint). A joint with an infinite limit is not written.
+        ``key`` is the difference (kind, joint). If the URDF has an infinite limit, or the joint is
+        in a copied body, the reason is stored in ``unwritten`` instead.
         """
         name = key[1]
         element, joint = self.find_joint_element(name), self.target.joints[name]

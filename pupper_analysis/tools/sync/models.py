@@ -170,8 +170,8 @@ def _find_paths(
     Raises:
         ConfigurationError: If a model is an object in memory, or ``mjcf`` is missing and ``urdf``
             is no variant.
-        VariantError: As for `find_files`.
-        ModelError: As for `find_files`.
+        VariantError: If the scales of a variant give no valid model.
+        ModelError: If a base file or a mesh of a variant is missing or damaged.
     """
     paths = list[str | Path]()
     given = (urdf, urdf if mjcf is None else mjcf)

@@ -348,12 +348,12 @@ class Lockstep:
         """Simulate one action (control step) of the active runs.
 
         Args:
-            forces: Forces on the bodies during the action, shape (n, 6 nbody); see
-                `FORCED_CONTROL_SPEC`.
+            forces: Forces [N] and torques [N m] on the bodies of n active runs during the action,
+                shape (n, 6 nbody); see `FORCED_CONTROL_SPEC`. None: no forces.
 
         Returns:
             Full physics states of MuJoCo, shape (n, substeps, size); applied controls, shape
-            (n, substeps, nu); True for each run that diverged, shape (n,).
+            (n, substeps, nu); True for each active run that diverged, shape (n,).
         """
         stage, active = self._stage, self.active
         observations = self._observer.observe(self.current, active, self.tick)

@@ -72,7 +72,7 @@ def fit_motion(
     Args:
         robot: Robot. A free base is fixed at the pose in the MJCF.
         logs: Logs of the robot's motions.
-        priors: Prior standard deviations; as for ``fit_stands``.
+        priors: Prior standard deviations: ``mass=50%``, ``com:base=5mm``, ``kp=0`` (kp is exact).
         hold_out: Fraction at the end of each log that is predicted instead of fitted; or logs that
             are predicted.
         kp: Stated servo stiffness [N m/rad], a scalar or shape (nu,); the model's by default.

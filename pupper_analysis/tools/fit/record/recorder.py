@@ -196,7 +196,13 @@ def _record_missing_stands(
 ) -> Recording:
     """Record the stands of the file ``plan`` that the output file ``path`` does not contain yet.
 
-    The bridge is closed afterwards. Errors are those of `record_stands`.
+    The bridge is closed afterwards.
+
+    Raises:
+        MeasurementError: If the output belongs to another plan; or, before anything moves, if a
+            command exceeds the joint limits or a stand is not balanced with the file's masses.
+        OutputError: If the output cannot be written.
+        UnknownNameError: If the plan names a joint, foot or link that the robot lacks.
     """
     planned = read_stands(plan).order_joints(robot)
     check_writable(path, RECORD_KIND)

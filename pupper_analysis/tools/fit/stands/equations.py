@@ -419,8 +419,8 @@ class StandRows:
         """Return the rotation rates of the feet in six base motions, shape (p, 3, 6), for p points.
 
         Each motion is a translation or rotation of the base, with the contact points fixed. The
-        rates are relative to those of the fastest foot. The friction that turns a foot at rest acts
-        against the last motion, a combination of these six.
+        rates of a motion are divided by its largest absolute rate of a foot, and have no unit. The
+        friction that turns a foot at rest acts against the last motion, a combination of these six.
         """
         nv, twists = self._robot.nv, self._twists
         contact_jacobian = self.jacobians.reshape(-1, nv)

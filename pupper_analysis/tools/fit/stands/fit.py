@@ -502,9 +502,10 @@ def fit_stands(
         MeasurementError: If the measurements do not belong to this robot: for example too few
             stands, a robot that moves, missing positions, or too many contradictory stands.
         UnknownNameError: If the measurements name a joint, foot or link that the robot lacks.
-        ConfigurationError: If a prior, the weight or the encoder noise is invalid, or the base is
-            fixed.
-        FitError: If the iteration does not converge.
+        ConfigurationError: If a prior, the weight or the encoder noise is invalid, the base is
+            fixed, or the robot has closed loops, couplings, welds or grips.
+        FitError: If the iteration does not converge. If a wrong ``weight`` is the cause, the fit
+            without ``weight`` is returned instead, with a failure.
     """
     prior_list = parse_priors(priors)
     for name, value in (("weight", weight), ("encoder", encoder)):

@@ -123,8 +123,8 @@ def plan_stands(
     Args:
         robot: Robot with a free base and feet.
         count: Number of stands.
-        priors: Prior standard deviations; as for ``fit_stands``.
-        kp: Servo stiffness [N m/rad]; the model's by default.
+        priors: Prior standard deviations: ``mass=50%``, ``com:base=5mm``, ``kp=0`` (kp is exact).
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         added: Known mass [kg], 0 for none; by default 15 % of the robot's mass, rounded to two
             digits.
         added_at: Position of the known mass in the frame of the base or of a link [m]; by default
@@ -458,7 +458,7 @@ class RandomStands:
     Args:
         robot: Robot with a free base and feet.
         rng: Random generator.
-        kp: Servo stiffness [N m/rad]; the model's by default.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         priors: Priors of the robot's parameters.
     """
 
