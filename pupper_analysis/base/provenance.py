@@ -98,7 +98,7 @@ def to_marked_json(content: object) -> str:
     specifies a unit.
 
     Raises:
-        ConfigurationError: As ``to_json``.
+        ConfigurationError: If a value has no JSON equivalent, such as bytes.
     """
     from pupper_analysis import __version__
 

@@ -49,7 +49,10 @@ class TolerantStream(io.RawIOBase):
         return self._below.fileno()
 
     def write(self, data: Any) -> int:
-        """Write data to the stream; after the first output error, discard data."""
+        """Write data to the stream, and return the number of bytes.
+
+        After the first output error, data are discarded; their size is returned nevertheless.
+        """
         if not self._gone:
             try:
                 return self._below.write(data) or 0

@@ -211,9 +211,9 @@ class RobotAndTask:
             default: Names of variants that are loaded if no robot is selected.
 
         Raises:
-            ConfigurationError: As `robot`.
-            VariantError: As `robot`.
-            ModelError: As `robot`.
+            ConfigurationError: If an option is refused without another option, or is not valid.
+            VariantError: If a word names no robot, or a scale is not valid.
+            ModelError: If a robot cannot be loaded from its files.
         """
         if not self.payload:
             refuse_alone(("--payload",), "payload_at")
@@ -302,9 +302,10 @@ class RobotAndTask:
         the option was not typed, so that the model's gains apply.
 
         Raises:
-            ConfigurationError: As `parse_gain`.
-            UnknownNameError: As `parse_gain`.
-            ModelError: As `parse_gain`.
+            ConfigurationError: If a typed gain has another form.
+            UnknownNameError: If a pattern matches no joint.
+            ModelError: If the first pattern leaves out a joint, and the model has no position
+                servos.
         """
         return parse_gain("kp", self.kp, robot), parse_gain("kd", self.kd, robot)
 
@@ -474,8 +475,8 @@ def apply_motors(
         effort: Texts of ``--effort``.
 
     Raises:
-        UnknownNameError: As `parse_motors`.
-        ConfigurationError: As `parse_motors`.
+        UnknownNameError: If a pattern matches no joint, or the text names no motor.
+        ConfigurationError: If a pattern matches a slide.
         ModelError: If the motor's file is not valid, or its largest torque is unknown.
     """
     if not texts:

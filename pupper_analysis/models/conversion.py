@@ -177,7 +177,8 @@ def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model
     """Build the Pinocchio model of a URDF, with free or fixed base.
 
     Shapes are removed, because Pinocchio's reader prints warnings about unknown elements. Efforts
-    and velocities of at least ``UNSTATED`` become infinite.
+    and velocities of at least ``UNSTATED`` become infinite. If a link has a negative mass, the
+    inertias are recomputed.
 
     Raises:
         ModelError: If Pinocchio cannot read the URDF.

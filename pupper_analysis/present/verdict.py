@@ -465,7 +465,8 @@ def make_published_clauses(published: Published | None) -> Iterator[Clause]:
     """Yield statements on simulations of the published file that deviate from the computed stand.
 
     The first statement is on the worst of these simulations: a collapse, or the deviations in
-    torque, joint position [rad, m] and CoM height [m]. Each cause is a further statement.
+    torque, joint position [rad, m] and CoM height [m]. Each cause is a further statement. There are
+    none if ``published`` is None.
     """
     if published is None:
         return

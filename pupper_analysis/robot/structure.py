@@ -333,6 +333,8 @@ class Kinematics:
 def is_pinocchio_memory(array: Array) -> bool:
     """Return True if an array is a view of Pinocchio's memory, which later computations overwrite.
 
+    The array must come from Pinocchio: the result is True for any view.
+
     This is Pinocchio's default; after ``pin.sharedMemory(False)`` arrays are copies.
     """
     return not array.flags.owndata

@@ -341,9 +341,9 @@ def with_stand_contacts(robot: Robot, stand: Stand) -> Robot:
 
     Raises:
         ConfigurationError: If the stand belongs to another robot, or the base is fixed and the
-            stand has stance feet; further as for `with_contacts`.
-        UnknownNameError: As for `with_contacts`.
-        ModelError: As for `with_contacts`.
+            stand has stance feet, or the robot cannot make the contacts of the task.
+        UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
+        ModelError: If the model with the contacts cannot be built.
     """
     if stand.stance_feet and not stand.task.contacts:  # a weld frees the base
         robot.check_floating()

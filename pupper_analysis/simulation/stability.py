@@ -108,7 +108,10 @@ def rest_stability(
         The modes that grow at the equilibrium, and the stability margin.
 
     Raises:
-        PupperAnalysisError: As `make_stand_start`.
+        ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground cannot be added (``build_on_ground``).
+        StaticsInfeasibleError: If no contact forces balance the stand.
     """
     held = make_stand_start(robot, stand, feedforward=False, kp=kp, kd=kd, integrator=integrator)
     start = rest_state(held.robot, held.drive, pose.qpos, held.ctrl)

@@ -355,7 +355,10 @@ class Stand(Pictured, Tabular):
 
 
 def attach_robot(stand: Stand, robot: Robot | None) -> Stand:
-    """Set the robot of a new, not yet shared stand in place, and return the stand."""
+    """Set the robot of a new, not yet shared stand in place, and return the stand.
+
+    With None, the stand references no robot.
+    """
     vars(stand)["_robot"] = robot
     return stand
 

@@ -290,8 +290,9 @@ class StanceSearch:
             the rows, shape (k, 2).
 
         Raises:
-            NoEquilibriumError: As `evaluate_stand`.
-            StaticsInfeasibleError: As `evaluate_stand`.
+            NoEquilibriumError: If the objective is the payload, and the servos do not hold the
+                stand without payload.
+            StaticsInfeasibleError: If no contact forces balance the stand.
         """
         if self.objective is Objective.PAYLOAD:
             return self._compute_payload_level(stand)

@@ -524,7 +524,10 @@ def list_pair_entries(folder: Path) -> list[dict[str, str]]:
 
 
 def _list_model_files(folder: Path) -> Iterator[Path]:
-    """Yield files that may be models, sorted by name in each folder."""
+    """Yield files that may be models (.urdf, .xml, .mjcf), sorted by name in each folder.
+
+    Hidden and generated folders (`GENERATED_FOLDERS`) are skipped.
+    """
     for top, folders, files in os.walk(folder):
         kept = (name for name in folders if name[0] != "." and name not in GENERATED_FOLDERS)
         folders[:] = sorted(kept)

@@ -161,7 +161,7 @@ def load_file_source(arguments: Mapping[str, Any]) -> FileSource:
     Raises:
         ConfigurationError: If no file is given, an option is unknown, the base is fixed, or the
             robot has no contact points.
-        ModelError: As `load_robot`.
+        ModelError: If no robot can be made of the files.
     """
     options = dict(arguments)
     models = options.pop("models", ())

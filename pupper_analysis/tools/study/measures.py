@@ -116,7 +116,7 @@ class Design:
         """Predicted equilibrium of the servo-driven robot without feed-forward, stable or not.
 
         Raises:
-            PupperAnalysisError: As `steady_state`.
+            PupperAnalysisError: If `steady_state` fails, for example without an equilibrium.
         """
         if isinstance(self._equilibrium_or_error, PupperAnalysisError):
             raise self._equilibrium_or_error
@@ -128,7 +128,7 @@ class Design:
 
         Raises:
             NotStandingError: If the robot does not stay up (``failures`` of the equilibrium).
-            PupperAnalysisError: As `steady_state`.
+            PupperAnalysisError: If `steady_state` fails, for example without an equilibrium.
         """
         if self.equilibrium.failures:
             raise NotStandingError(self.equilibrium.failures)
@@ -139,7 +139,8 @@ class Design:
         """Stability of `standing_equilibrium`, from the spectrum of a simulation step.
 
         Raises:
-            PupperAnalysisError: As `standing_equilibrium`.
+            NotStandingError: If the robot does not stay up.
+            PupperAnalysisError: If `steady_state` fails, for example without an equilibrium.
         """
         return rest_stability(self.robot, self.simulated_stand, self.standing_equilibrium)
 
@@ -226,7 +227,7 @@ def _check_stand(design: Design) -> bool:
     Raises:
         NotStandingError: If the robot falls, a deviation grows, the verdict does not pass, or the
             unmodified MJCF fails; the error contains the reasons.
-        PupperAnalysisError: As `Design.standing_equilibrium`.
+        PupperAnalysisError: If `steady_state` fails, for example without an equilibrium.
     """
     published_run = own_run(design.robot) if design.own_servos else None
     if published_run is not None and published_run.fails:
@@ -263,7 +264,7 @@ def survives_set_down(design: Design) -> bool:
 
     Raises:
         NotStandingError: If the robot does not stay up in the predicted equilibrium.
-        PupperAnalysisError: As `Design.standing_equilibrium`.
+        PupperAnalysisError: If `steady_state` fails, for example without an equilibrium.
     """
     assert design.standing_equilibrium is not None  # raises, if the robot does not stay up
     held = make_stand_start(design.robot, design.simulated_stand, feedforward=False, **design.gains)

@@ -107,7 +107,7 @@ class Store:
         """Read the definition of the study: {"format": number, "study": ..., "digest": ...}.
 
         Raises:
-            StudyError: If the folder contains no definition, or the format differs.
+            StudyError: If the folder contains no readable definition, or the format differs.
         """
         path = self.folder / "study.json"
         try:

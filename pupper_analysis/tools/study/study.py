@@ -469,8 +469,9 @@ class Study:
 
         Raises:
             ConfigurationError: If an argument is not valid.
-            StudyError: As `run`.
-            OutputError: As `run`.
+            StudyError: If another run has locked the folder, a stored file cannot be read, or the
+                workers are lost. Measured rows are stored.
+            OutputError: If the folder cannot be written.
             MissingPackageError: If pyarrow is not installed.
         """
         check_type("folder", folder, str | Path)

@@ -292,7 +292,7 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
     """Add the movable joints of a link to its body in MuJoCo's spec, in the frame of the body.
 
     Raises:
-        ModelError: If a joint has several axes and is not the joint of a root.
+        ModelError: If a joint is free, and the link has a parent.
     """
     inverse = link.pose.inverse()
     for joint in link.joints:

@@ -340,7 +340,7 @@ def simulate_walk(
 
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, the robot has no
-            feet, or the policy acts at least twice per time step.
+            feet, or the policy acts more than once per time step.
         ModelError: If the policy does not fit the robot, or a number of a motor is unknown.
         UnknownNameError: If the policy names a joint that the robot does not have.
     """

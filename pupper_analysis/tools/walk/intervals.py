@@ -428,7 +428,7 @@ def tracked_intervals(
 
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, the robot has no
-            feet, or the policy acts at least twice per time step.
+            feet, or the policy acts more than once per time step.
         ModelError: If the policy does not fit the robot.
     """
     checked_command = check_command(command)

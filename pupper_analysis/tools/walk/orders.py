@@ -173,7 +173,7 @@ def rank_orders(
 
     Raises:
         ConfigurationError: If an argument is invalid or out of range, the base is fixed, the robot
-            has no feet, or the policy acts at least twice per time step.
+            has no feet, or the policy acts more than once per time step.
         ModelError: If the policy does not fit the robot: for example, the number of joints differs,
             a joint is unknown or has no motor, or neither policy nor robot has gains.
     """

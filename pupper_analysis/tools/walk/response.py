@@ -137,7 +137,7 @@ def map_response(
 
     Raises:
         ConfigurationError: If an argument is out of range, all limits are 0, the base is fixed, the
-            robot has no feet, or the policy acts at least twice per time step.
+            robot has no feet, or the policy acts more than once per time step.
         ModelError: If the policy does not fit the robot.
     """
     checked = np.abs(check_command(limits))

@@ -150,8 +150,8 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
     A policy without gains gets those of the robot's files.
 
     Raises:
-        ConfigurationError: If the base is fixed, the robot has no feet, or the policy acts at
-            least twice per time step.
+        ConfigurationError: If the base is fixed, the robot has no feet, or the policy acts more
+            than once per time step.
         ModelError: If a joint has no motor, the policy states kp without kd or kd without kp,
             neither policy nor robot has gains, or the number of joints or of observed feet differs.
         UnknownNameError: If the policy names a joint that the robot does not have.

@@ -437,7 +437,8 @@ def _explain_difference(
 def _find_signs(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
     """Return ("sign", names of inverted elements); None unless signs explain the difference.
 
-    Arguments are those of `_explain_difference`.
+    ``seen`` and ``expected``, shape (n, size) each, are the recorded elements, and the elements as
+    the contract defines them.
     """
     signs = np.where(np.sum(seen * expected, axis=0) < 0, -1.0, 1.0)
     if (signs > 0).all() or not _agrees(seen, signs * expected):
@@ -449,7 +450,8 @@ def _find_signs(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str
 def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
     """Return ("scale", factors of elements); None unless factors explain the difference.
 
-    The factors are ``seen`` / ``expected``, as text. Arguments are those of `_explain_difference`.
+    The factors are ``seen`` (recorded elements) / ``expected`` (elements as the contract defines
+    them), as text. Both have the shape (n, size).
     """
     squares = np.sum(expected**2, axis=0)
     factors = np.sum(seen * expected, axis=0) / np.where(squares > 0, squares, 1.0)
@@ -469,7 +471,8 @@ def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[st
 def _find_order(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
     """Return ("order", moved elements); None unless a permutation explains the difference.
 
-    At most six moved elements are named. Arguments are those of `_explain_difference`.
+    At most six moved elements are named. ``seen`` and ``expected``, shape (n, size) each, are the
+    recorded elements, and the elements as the contract defines them.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -491,8 +494,9 @@ def _find_order(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str
 def _list_offsets(seen: Array, expected: Array, names: Sequence[str]) -> str:
     """Return the elements whose mean difference seen - expected is not 0, with it, as text.
 
-    At most six elements are named; a difference up to `MATCH_ATOL` counts as 0. Arguments are those
-    of `_explain_difference`.
+    At most six elements are named; a difference up to `MATCH_ATOL` counts as 0. ``seen`` and
+    ``expected``, shape (n, size) each, are the recorded elements, and the elements as the contract
+    defines them.
     """
     offsets = (seen - expected).mean(axis=0)
     changed = np.flatnonzero(np.abs(offsets) > MATCH_ATOL)
@@ -542,6 +546,8 @@ def record_trace(
 ) -> dict[str, Any]:
     """Simulate a policy and return the arrays of a trace, for ``np.savez``.
 
+    The names are those that `read_trace` reads from an npz file; a row per action.
+
     Args:
         robot: Robot.
         policy: Policy.
@@ -550,7 +556,10 @@ def record_trace(
         seed: Seed of the initial state.
 
     Raises:
-        PupperAnalysisError: As `prepare_stage`.
+        ConfigurationError: If the base is fixed, the robot has no feet, or the policy acts more
+            than once per time step.
+        ModelError: If a joint has no motor, or gains are missing or do not fit the robot.
+        UnknownNameError: If the policy names a joint that the robot does not have.
     """
     stage = prepare_stage(robot, policy)
     lockstep = Lockstep(stage, [stage.make_case(np.array(commands[0], dtype=float), seed)])

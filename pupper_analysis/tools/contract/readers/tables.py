@@ -245,7 +245,14 @@ def _read_view(
     """Yield the source that the tables of ``view`` state: joint order, numbers, observations.
 
     Nothing is yielded if the tables state neither joint names nor a number per joint, and ``sizes``
-    is empty. The other arguments are those of `read_table`.
+    is empty.
+
+    Args:
+        request: Request with the path of the file.
+        name: Name of the source.
+        view: Tables.
+        role: Role of the source; ``TRAINER`` instead if the first table configures a trainer.
+        sizes: Statements from elsewhere, such as the sizes of a network.
     """
     root = view.tables[0]
     joint_names, motors = view.find_first("joints"), view.find_first("motors")

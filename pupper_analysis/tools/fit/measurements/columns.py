@@ -120,7 +120,8 @@ def _parse_csv(source: str, text: str, known: Sequence[Column]) -> Columns:
     ``source`` is the path of the file, for error messages.
 
     Raises:
-        MeasurementError: As `read_columns`.
+        MeasurementError: If the text is no such table: for example a column is unknown, repeated or
+            has an unknown unit, or a cell is not a number.
     """
     first = text.lstrip("\r\n").partition("\n")[0]
     separator = max(_CELL_SEPARATORS, key=first.count)

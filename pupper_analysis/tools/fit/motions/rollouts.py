@@ -323,7 +323,8 @@ class Simulator:
         """Write a parameter vector into a model: servos, damping, friction, armature, masses.
 
         kp, dry friction and armature are clipped at 0. Damping is not, since finite differences
-        need both sides.
+        need both sides. A lag T [s] of the positions adds kp T^2 to the armature, and -kp T to the
+        damping of the servo.
 
         Args:
             model: Copy of the simulator's model; changed in place.
