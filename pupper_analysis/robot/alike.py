@@ -47,8 +47,10 @@ class Limb:
 
         Dimensions are similar if no distance between joints differs by more than 0.05 times the
         length of the limb (sum of the larger distances, which must not be 0), and no |cos| between
-        axes by more than 0.05. Masses are similar if both limbs have the same number of bodies, and
-        no mass differs by more than 0.05 times the larger mass (`_SIMILARITY_TOLERANCE`).
+        axes by more than 0.05. Limbs without a distance (one joint, or all joints in one point) are
+        compared by their masses alone. Masses are similar if both limbs have the same number
+        of bodies, and no mass differs by more than 0.05 times the larger mass
+        (`_SIMILARITY_TOLERANCE`).
         """
         if self.kinds != other.kinds:
             return False
