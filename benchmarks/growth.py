@@ -174,17 +174,45 @@ def fit_exponent(points: Sequence[tuple[int, float]]) -> float:
 
 
 def draw_growth(found: dict[str, list[tuple[int, float]]], path: Path) -> None:
-    """Draw time [s] against number, with logarithmic axes."""
-    from matplotlib.figure import Figure
+    """Draw processor time [s] against number, with logarithmic axes.
 
-    figure = Figure(figsize=(7.0, 4.5), layout="constrained")
-    axes = figure.subplots()
+    One panel has the calls, two the sizes of generated robots.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import NullLocator
+
+    from pupper_analysis.present.figures.drawing import SERIES_COLOURS
+
+    panels: dict[str, dict[str, list[tuple[int, float]]]] = {
+        "number of variants, configurations, stands or cells": {},
+        "number of legs, 3 joints each": {},
+        "number of joints, 4 legs": {},
+    }
+    calls, legs, joints = panels.values()
     for name, points in found.items():
-        counts, seconds = zip(*points, strict=True)
-        axes.loglog(counts, seconds, "o-", label=name, markersize=4)
-    axes.set(
-        xlabel="number of variants, configurations, stands or cells", ylabel="processor time (s)"
-    )
-    axes.grid(True, which="major", alpha=0.3)
-    axes.legend(fontsize="small")
+        call, _, varied = name.partition(", by ")
+        if "contacts of legs" in varied:
+            legs[call] = points
+        elif varied.startswith("joints"):
+            joints[call] = points
+        else:
+            calls[name] = points
+    figure = Figure(figsize=(12.0, 4.2), layout="constrained")
+    axes = figure.subplots(1, 3, sharey=True)
+    for panel, (label, curves) in zip(axes, panels.items(), strict=True):
+        for (name, points), colour, marker in zip(
+            curves.items(), SERIES_COLOURS, "os^D", strict=False
+        ):
+            counts, seconds = zip(*points, strict=True)
+            panel.loglog(counts, seconds, color=colour, marker=marker, markersize=4, label=name)
+        panel.set_xlabel(label)
+        panel.grid(True, which="major", alpha=0.3)
+        if curves is calls:
+            panel.xaxis.set_major_formatter("{x:g}")
+            panel.legend(fontsize="small", loc="lower right")
+        else:
+            panel.set_xticks(counts, [str(count) for count in counts])
+            panel.xaxis.set_minor_locator(NullLocator())
+            panel.legend(fontsize="small", loc="center left")
+    axes[0].set_ylabel("processor time (s)")
     figure.savefig(path, dpi=120)

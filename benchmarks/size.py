@@ -132,36 +132,39 @@ def draw_sizes(table: list[dict[str, Any]], path: Path) -> None:
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
+    from pupper_analysis.present.figures.drawing import GREY_COLOUR, SERIES_COLOURS
+
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
-    for axis, what, unit, goal in zip(
+    styles = list(zip(SERIES_COLOURS, "os^D", ("-", "--", ":", "-"), strict=False))
+    for axis, what, label, goal in zip(
         axes,
         ("seconds", "gigabytes"),
         ("processor time (s)", "peak memory (GB)"),
         (20, 2),
         strict=True,
     ):
-        for kind in SIZES:
+        for kind, (colour, marker, dashes) in zip(SIZES, styles, strict=False):
             of_kind = [row for row in table if row["kind"] == kind]
-            command = "audit" if kind == BODIES else "crosscheck"
             axis.loglog(
                 [row["links"] for row in of_kind],
                 [row[what] for row in of_kind],
-                "o-",
-                label=f"{command}: {kind}",
+                color=colour,
+                marker=marker,
+                markersize=5,
+                linestyle=dashes,
+                label=f"{'audit' if kind == BODIES else 'crosscheck'}: {kind}",
             )
-        axis.axhline(goal, color="0.5", linestyle=":")
-        axis.text(
-            10,
-            goal * 0.93,
-            f"goal for 2000 links: {goal} {unit[unit.index('(') + 1 : -1]}",
-            va="top",
-            color="0.4",
-        )
+        axis.axhline(goal, color=GREY_COLOUR, linestyle=":")
+        unit = label[label.index("(") + 1 : -1]
+        said = f"goal for 2000 links: {goal} {unit}"
+        axis.text(10, goal * 0.93, said, va="top", color=GREY_COLOUR)
         axis.axvline(194, color="0.8", zorder=0)
-        axis.set(xlabel="links that move", ylabel=unit)
-        axis.grid(True, which="both", alpha=0.2)
-    axes[1].text(210, 0.1, "MuJoCo alone", color="0.4")
-    axes[1].text(178, 0.1, "both engines", color="0.4", ha="right")
+        axis.set(xlabel="number of moving links", ylabel=label)
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.grid(True, which="major", alpha=0.3)
+    axes[1].text(210, 0.1, "MuJoCo only", color=GREY_COLOUR)
+    axes[1].text(178, 0.1, "both engines", color=GREY_COLOUR, ha="right")
     axes[0].set_ylim(0.3, 30)
     axes[1].set_ylim(0.08, 3)
     axes[0].legend(loc="upper left", bbox_to_anchor=(0.0, 0.86), fontsize=8)
