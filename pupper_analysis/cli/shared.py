@@ -295,8 +295,8 @@ class Command(click.Command):
 
         Raises:
             OutputError: If a result cannot or must not be written.
-            ConfigurationError: As the command, but an error about an argument of a function names
-                the typed option instead.
+            ConfigurationError: If the command raises this error. An error about an argument of a
+                function names the typed option instead.
         """
         run = context.with_resource(ensure_run())
         run.request = _collect_options(self, context)

@@ -247,7 +247,12 @@ def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
 def _simulate_settling(
     model: mujoco.MjModel, robot: Robot, qpos: Array
 ) -> tuple[bool, _NudgedRun | None]:
-    """Simulate a nudged model for ``_SETTLING_TIME``; see `settles_in_place` for the arguments.
+    """Simulate a nudged model for ``_SETTLING_TIME`` [s].
+
+    Args:
+        model: Published model.
+        robot: Prepared robot, with the gains of the added servos.
+        qpos: Configuration of the stand, shape (nq,). The joint positions are commanded.
 
     Returns:
         Whether the robot still stands, and is at rest; and the simulation, with the state halfway

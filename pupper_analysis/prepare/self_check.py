@@ -572,7 +572,8 @@ def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: 
         robot: Prepared robot.
         moved: Displacement of each joint, shape (nu,) [rad, m].
         torque_error: Torque deviation of each driven joint, shape (n,) [N m].
-        collapses: True to compare displacements instead of torque deviations.
+        collapses: True to compare displacements instead of torque deviations. Displacements are
+            also compared if no joint is driven.
     """
     names = np.array(robot.joint_names)
     if collapses or not torque_error.size:

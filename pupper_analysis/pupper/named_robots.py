@@ -111,7 +111,7 @@ def find_files(variant: str | Path | VariantSpec, folder: Path) -> tuple[Path, P
     """Return paths of the URDF and the MJCF of a variant, for functions that need files.
 
     Args:
-        variant: Variant, as in `is_variant`.
+        variant: Variant, or its name.
         folder: Temporary folder, to which the files of a scaled variant are written, as by
             ``write_variant``.
 

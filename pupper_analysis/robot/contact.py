@@ -182,6 +182,9 @@ def list_contact_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[n
 def _find_flex_body(model: mujoco.MjModel, touch: mujoco.MjContact, side: int) -> int:
     """Return the id of the body that carries a touched vertex of a flex.
 
+    If an element is touched, its first vertex counts. If the vertices are interpolated between
+    nodes, the result is the body of the first node.
+
     Args:
         model: MuJoCo model.
         touch: Contact.

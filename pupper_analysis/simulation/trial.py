@@ -305,7 +305,7 @@ def _find_failure_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
 def com_height_above_contacts(robot: Robot, stand: Stand) -> float:
     """Return the height of the CoM above the mean contact point in a stand [m].
 
-    For a robot with welds, the stand height of the robot.
+    For a robot with welds or grips, the stand height of the robot.
     """
     if robot.fixed_parts:
         return robot.stand_height

@@ -324,8 +324,16 @@ def _find_worst_code(
     """Return the worst verdict code that applies to the simulations of a stance.
 
     Codes of `UNKNOWN_CODES` are not considered. A robot that stands, but not as predicted, fails
-    if the published file does not stand from its keyframe, or collapses in the computed stance. The
-    arguments are those of `judge_stance`.
+    if the published file does not stand from its keyframe, or collapses in the computed stance.
+
+    Args:
+        fed: Simulation with feed-forward.
+        alone: Simulation without feed-forward; None if there is none.
+        servos: Servos of the simulation.
+        overloaded_motors: Motors above their effort limits.
+        keyframe_run: Simulation of the published file from the keyframe.
+        published: Differences between the published MJCF and the simulated model.
+        remarks: Other assumptions.
     """
     user_gains = servos.source is ServoSource.GIVEN  # the servos of the file are not used then
     own_run_fails = keyframe_run is not None and keyframe_run.fails and not user_gains

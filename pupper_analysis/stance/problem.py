@@ -281,7 +281,7 @@ def _build_goal(
     *,
     checked: bool = True,
 ) -> Goal:
-    """Build the goal of a task, as `make_goal`.
+    """Build the numerical goal of a task for a robot.
 
     Args:
         robot: Robot.

@@ -604,7 +604,12 @@ class _MujocoBody(_PinocchioBody):
     """Poses of links by MuJoCo's kinematics of the MJCF.
 
     The constant pose of a link in its body is that of the neutral configuration, because the frames
-    of a URDF and an MJCF may differ. The arguments are those of `_PinocchioBody`.
+    of a URDF and an MJCF may differ.
+
+    Args:
+        robot: Robot.
+        qpos: Configuration, shape (nq,).
+        collision: Collision shapes of the robot, created at first use.
     """
 
     def __init__(self, robot: Robot, qpos: Array, collision: _LazyShapes) -> None:

@@ -199,7 +199,22 @@ def _pair_files(
 ) -> ModelPair:
     """Read the files of keyword arguments; convert one if the URDF or MJCF is missing.
 
-    The arguments and errors are those of `read_pair`.
+    Args:
+        files: Files that were read from positional arguments; extended in place.
+        read_file: Function that reads a file of either format.
+        urdf: Path of the URDF.
+        mjcf: Path of the MJCF.
+        take: ``"urdf"`` or ``"mjcf"``: of two files, use this file alone.
+        body: Root body of the robot in an MJCF with several robots.
+        folders: {ROS package: its folder}.
+        defer_visuals: True to convert the visual meshes of a URDF later.
+
+    Raises:
+        ConfigurationError: If there is no file, if there are two files of the same format, if
+            ``take`` names a format without a file, or if ``body`` is given without an MJCF.
+        ModelError: If a file cannot be read, the other format cannot represent the robot, or the
+            MJCF has several robots or none.
+        UnknownNameError: If the MJCF has no such body.
     """
     for path, kind, read in ((urdf, UrdfFile, read_urdf), (mjcf, MjcfFile, read_mjcf)):
         if path is not None:

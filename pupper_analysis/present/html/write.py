@@ -460,6 +460,9 @@ def render_page(shown: Report, language: str = "en") -> str:
     Args:
         shown: Report.
         language: Initial language, ``"en"`` or ``"zh"``.
+
+    Raises:
+        KeyError: If the language is unknown.
     """
     library = load_viewer_library()
     scenes: list[dict[str, Any]] = []

@@ -245,7 +245,8 @@ def render_tiles(tiles: Sequence[Tile]) -> tuple[list[Pixels], str, str | None]:
 def _list_backends() -> tuple[str, ...]:
     """Return the modules of ``mujoco`` that may provide OpenGL, in the order in which to try them.
 
-    These are the module that MUJOCO_GL names, or the usual modules of the operating system.
+    These are the module that MUJOCO_GL names, or the usual modules of the operating system. Empty
+    if MUJOCO_GL disables OpenGL.
     MuJoCo reads MUJOCO_GL on import, which is too early for a choice in this process.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()

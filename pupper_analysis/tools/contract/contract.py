@@ -152,7 +152,16 @@ def _compare_sources(
 ) -> Contract:
     """Read and compare the joint numbers in files and folders.
 
-    Arguments and errors are those of `read_contract`.
+    Args:
+        sources: Files and folders, at least one of which is a model.
+        names: {joint name in a source: joint name in the model}.
+        stand: Whether to compute how the robot stands in the default pose of each source.
+        fail_on: Lowest severity of a disagreement that makes ``passed`` False.
+
+    Raises:
+        ConfigurationError: If no model is passed, or an argument is invalid.
+        ModelError: If a file does not exist, no model can be read, or no source but the models can
+            be used.
     """
     requests, folders = split_arguments(sources)
     read, errors = read_sources(requests)

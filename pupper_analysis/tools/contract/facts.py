@@ -167,7 +167,7 @@ class ObservedTerm:
 
     @property
     def scale(self) -> float | None:
-        """First factor; None if the scale is unknown."""
+        """Factor on the first element of this term; None if the source states no known factor."""
         return self.scales[0] if self.scales else None
 
     @property

@@ -394,7 +394,7 @@ class Lockstep:
         """Continue the simulation with a subset of the active runs, in place.
 
         Args:
-            is_kept: Mask of the active runs that continue.
+            is_kept: Mask of the active runs that continue, shape (n,) for n active runs.
         """
         self.active, self.current = self.active[is_kept], self.current[is_kept]
         self._memory = tuple(states[is_kept] for states in self._memory)
