@@ -136,7 +136,10 @@ def _sequence_html(values: Sequence[object]) -> str:
 
 
 def _lines_html(lines: Sequence[str]) -> str:
-    """Join HTML lines, at most ``MAX_SHOWN_ROWS``; append the number of omitted lines."""
+    """Join HTML lines, at most ``MAX_SHOWN_ROWS``; append the number of omitted lines.
+
+    Without lines, the result is the text for an empty list.
+    """
     if not lines:
         return _NOTHING
     hidden = len(lines) - MAX_SHOWN_ROWS

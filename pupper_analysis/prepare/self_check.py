@@ -381,7 +381,7 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
     Returns:
         Predictions: with feed-forward, then without. For a fixed base, only with feed-forward. The
         stand is that on soft ground, or that on rigid ground if the former is out of reach, or does
-        not converge because of closed loops. Empty if this stand is not in balance. The prediction
+        not converge because of closed loops. Empty without such a stand or balance. The prediction
         without feed-forward is left out if a joint of the prepared robot has no position servo, if
         a servo of the file was replaced, if the file drives a joint through a tendon, or if no
         steady state without failures is found.

@@ -54,7 +54,7 @@ class ServosUsed:
 
     @property
     def replacement_servos(self) -> tuple[MadeServo, ...]:
-        """Added servos that replace a servo of the MJCF with invalid parameters."""
+        """Added servos that replace a servo of the MJCF with an invalid stiffness."""
         return tuple(servo for servo in self.made if servo.instead_of.has_invalid_stiffness)
 
 

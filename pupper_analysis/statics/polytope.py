@@ -132,7 +132,10 @@ class ForcePolytope(Tabular):
         return np.concatenate([self.rows, -self.rows]), slack
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return {"x", "y", "z": coordinates of the vertices [N]}, the columns of the table."""
+        """Return {"x", "y", "z": coordinates of the vertices [N]}, the columns of the table.
+
+        The columns are empty if the vertices are unknown or the polytope is unbounded.
+        """
         vertices = np.zeros((0, 3)) if self.vertices is None else self.vertices
         return dict(zip(("x", "y", "z"), vertices.T, strict=True))
 

@@ -559,7 +559,7 @@ class ConvertedMjcf:
 
         As in the converted MJCF, some elements of a link are moved to the link to which it is
         fixed: an invalid inertial (MuJoCo would refuse it), and the shapes of a link without
-        inertial.
+        inertial. Shapes whose mesh file is missing are left out.
         """
         tree, assets = self.bodies.tree.copy(), dict[str, bytes]()
         for link in tree.links.values():

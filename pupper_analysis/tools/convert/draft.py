@@ -573,7 +573,9 @@ def _list_losses_in_urdf(model: mujoco.MjModel, robot: frozenset[int]) -> list[D
 
 
 def _list_lost_contact_numbers(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnostic]:
-    """List contact parameters and options that differ from MuJoCo's defaults.
+    """Report contact parameters and options of an MJCF that are lost in a URDF.
+
+    Reported are values that differ from MuJoCo's defaults; of geoms, only those that can collide.
 
     Args:
         model: Compiled model of the MJCF.
