@@ -138,7 +138,7 @@ def _sequence_html(values: Sequence[object]) -> str:
 def _lines_html(lines: Sequence[str]) -> str:
     """Join HTML lines, at most ``MAX_SHOWN_ROWS``; append the number of omitted lines.
 
-    Without lines, the result is the text for an empty list.
+    Without lines, the result is a dash.
     """
     if not lines:
         return _NOTHING

@@ -723,6 +723,13 @@ def find_sag_failure(
         kp: Stiffness [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
         feet: Slip law: ``pinned`` feet hold tangential forces up to the limit of their friction,
             ``sliding`` feet hold none.
+
+    Raises:
+        ConfigurationError: If an argument is invalid, or the robot cannot stand.
+        UnknownNameError: If the stand has feet that the robot lacks.
+        ModelError: If a joint has no motor, if it has no position servo and ``kp`` is None, or if
+            the ground cannot be added (``build_on_ground``).
+        StaticsInfeasibleError: If no contact forces balance the stand.
     """
     try:
         pose = steady_state(robot, stand, kp=kp, feet=feet)

@@ -178,7 +178,11 @@ def _list_source_files(folder: Path) -> Iterator[Path]:
 
 
 def check_source(placed_source: PlacedSource, model: Source) -> list[Diagnostic]:
-    """Return the notes on a source.
+    """Return the notes on a source, and check that the source states something about the robot.
+
+    Args:
+        placed_source: Source whose statements are assigned to joints of the robot.
+        model: Robot model, whose name and joints the error states.
 
     Raises:
         ModelError: If the source states neither a number for a joint of the robot nor a joint

@@ -869,10 +869,13 @@ def predict_noise(
 ) -> tuple[StandNoise, Array]:
     """Return the expected noise, and the dry friction of the joints, shape (nu,) [N m].
 
+    A joint without dry friction in the model gets a default, a fraction of weight times height.
+
     Args:
         robot: Robot.
         stands: Stands, from whose positions the encoder step is estimated.
-        encoder: Standard deviation of a joint position [rad]; None if unknown.
+        encoder: Standard deviation of a joint position [rad]. If None, it is derived from the
+            encoder step, or is a default if no step is found.
     """
     torque_scale = robot.weight * robot.stand_height
     if encoder is None:
