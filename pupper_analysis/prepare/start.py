@@ -285,8 +285,11 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
         poses: Joint positions of each pose, shape (nu,) [rad, m].
 
     Returns:
-        Copy of the robot with this stand as the nominal stand; None if no stand is found.
+        Copy of the robot with this stand as the nominal stand; None if no stand is found, or if
+        gravity does not press the robot onto the ground.
     """
+    if robot.gravity[2] >= 0:
+        return None  # no contact force balances the weight
     poses = list(poses)
     return (
         _search_poses(robot, poses)
@@ -354,19 +357,29 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
     lower = np.clip(robot.lower_limits, -np.pi, np.pi)
     upper = np.clip(robot.upper_limits, -np.pi, np.pi)
     inset = np.minimum(margin, 0.4 * (upper - lower)) - _LIMIT_CLEARANCE
+    points = list(robot.contact_radius)
     radii = np.array(list(robot.contact_radius.values()))
 
     def errors(joints: Array) -> Array:
         """Return height errors of the contact points, and horizontal offset of the CoM [m]."""
         config = Configuration(robot, robot.make_qpos(joints))
-        places = config.foot_positions()
-        touching = np.array([places[point] for point in robot.contact_radius])
+        touching = config.foot_centres(points)
         com_offset = (config.center_of_mass() - touching.mean(axis=0))[:2]
         return np.concatenate([touching[:, 2] - radii + height, com_offset])
+
+    def derivative(joints: Array) -> Array:
+        """Return the derivatives of ``errors``, shape (number of points + 2, nu) [m/rad, 1]."""
+        config = Configuration(robot, robot.make_qpos(joints))
+        touching = config.foot_twist_jacobians(points)[:, :3, 6:]
+        com_offset = config.com_jacobian()[:2, 6:] - touching.mean(axis=0)[:2]
+        return np.concatenate([touching[:, 2], com_offset])
 
     found = optimize.least_squares(
         lambda joints: np.concatenate([errors(joints) / height, _POSE_WEIGHT * (joints - pose)]),
         np.clip(pose, lower + inset + _LIMIT_CLEARANCE, upper - inset - _LIMIT_CLEARANCE),
+        lambda joints: np.concatenate(
+            [derivative(joints) / height, _POSE_WEIGHT * np.eye(len(joints))]
+        ),
         bounds=(lower + inset, upper - inset),
     ).x
     if np.abs(errors(found)).max() >= _MAX_SOLE_ERROR * height:
@@ -375,6 +388,7 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
     refined: Array = optimize.least_squares(
         lambda joints: errors(joints) / height,
         found,
+        lambda joints: derivative(joints) / height,
         bounds=(lower + inset - _LIMIT_CLEARANCE, upper - inset + _LIMIT_CLEARANCE),
         max_nfev=_MAX_REFINEMENTS,
         xtol=_REFINED_TOLERANCE,
