@@ -13,6 +13,7 @@ import pytest
 
 import pupper_analysis as pa
 from tests.support.commands import answer
+from tests.support.patience import PATIENCE
 from tests.support.repository import ROOT
 
 
@@ -25,7 +26,7 @@ def run_python(*arguments: str, folder: Path, gl: str) -> subprocess.CompletedPr
         text=True,
         cwd=folder,
         env=environment,
-        timeout=100,
+        timeout=PATIENCE,
         check=False,
     )
 
@@ -199,7 +200,7 @@ main()
         capture_output=True,
         text=True,
         env={**kept, "PYTHONPATH": str(ROOT), **given},
-        timeout=100,
+        timeout=PATIENCE,
         check=True,
     )
     assert done.stdout.splitlines()[-1] == str(expected)

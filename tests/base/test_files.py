@@ -28,6 +28,7 @@ from pupper_analysis.base.provenance import to_marked_json
 from pupper_analysis.base.runs import ensure_run, register_input
 from tests.support.commands import run_command
 from tests.support.hidden_files import leave_hidden_file
+from tests.support.patience import PATIENCE
 from tests.support.repository import ROOT
 
 
@@ -291,7 +292,7 @@ def test_terminated_write_leaves_no_file(tmp_path: Path) -> None:
     time.sleep(0.1)
     assert len(list(tmp_path.iterdir())) == 1
     process.terminate()
-    _, err = process.communicate(timeout=20)
+    _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 143
     assert err.strip().splitlines() == ["terminated"]
     assert list(tmp_path.iterdir()) == []
@@ -364,7 +365,7 @@ def test_files_of_killed_runs_are_removed_by_the_next_run(tmp_path: Path) -> Non
     """SIGKILL while the temporary file exists; the file of a running process is kept."""
     dead, alive = held_in(tmp_path), held_in(tmp_path)
     dead.kill()
-    dead.communicate(timeout=20)
+    dead.communicate(timeout=PATIENCE)
     assert len(list(tmp_path.iterdir())) == 2
     (tmp_path / ".mine-pupper.tmp").touch()
     write(tmp_path / "new")
@@ -372,7 +373,7 @@ def test_files_of_killed_runs_are_removed_by_the_next_run(tmp_path: Path) -> Non
     assert len(left) == 1
     assert f"-{alive.pid:x}-" in left.pop()
     alive.kill()
-    alive.communicate(timeout=20)
+    alive.communicate(timeout=PATIENCE)
 
 
 def test_hidden_files_are_removed_if_a_run_writes_nothing(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from pupper_analysis import cli
 from pupper_analysis.base.tools import HELP_HEADINGS, own_tools
 from pupper_analysis.pupper.variants import VARIANTS
 from tests.support.commands import answer
+from tests.support.patience import PATIENCE
 from tests.support.repository import ROOT
 
 SCRIPTS = ROOT / "scripts"
@@ -30,7 +31,7 @@ def run_script(
         [sys.executable, str(SCRIPTS / script), *arguments],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE,
         cwd=cwd,
         check=False,
     )

@@ -21,6 +21,7 @@ import pytest
 from pupper_analysis import cli
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli.process import ProcessEnded
+from tests.support.patience import PATIENCE
 from tests.support.repository import ROOT
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -112,7 +113,7 @@ def test_closed_output_streams_are_no_error(tmp_path: Path) -> None:
     code = "import os, sys; os.close(1); os.close(2); os.execv(sys.executable, sys.argv[1:])"
     command = (sys.executable, "-c", code, *COMMAND, "workspace", "v3", "--json", "out.json")
     process = start(*command, cwd=tmp_path)
-    assert process.communicate(timeout=60) == ("", "")
+    assert process.communicate(timeout=PATIENCE) == ("", "")
     assert process.returncode == 0
     assert json.loads((tmp_path / "out.json").read_text())
 
@@ -124,7 +125,7 @@ def test_output_is_written_in_each_terminal_encoding(encoding: str, tmp_path: Pa
     environment = {**ENVIRONMENT, "PYTHONIOENCODING": encoding}
     file = shutil.copy(ROOT / "urdf/pupper_skeleton.urdf", tmp_path / "狗.urdf")
     process = start(*COMMAND, "audit", file, env=environment, encoding=encoding)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, err) == (0, "")
     assert "\\u72d7.urdf" in out
 
@@ -171,7 +172,7 @@ def test_interrupt_during_import_prints_one_line(module: str) -> None:
         main()
     """
     process = start(sys.executable, "-c", textwrap.dedent(code))
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, out) == (130, "")
     assert err == "interrupted\n"
 
@@ -213,9 +214,9 @@ from pupper_analysis import __main__, cli
 @click.command()
 def busy():
     pool = concurrent.futures.ThreadPoolExecutor()
-    pool.submit(time.sleep, 60)
+    pool.submit(time.sleep, 600)
     print("busy", flush=True)
-    time.sleep(60)
+    time.sleep(600)
 cli.find_command = lambda name: busy
 __main__.main("busy")
 """
@@ -224,12 +225,12 @@ __main__.main("busy")
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_a_command_whose_threads_compute(number: signal.Signals) -> None:
-    """Python waits for the threads of its pools, here for a minute."""
+    """Python waits for the threads of its pools, here for ten minutes."""
     process = start(sys.executable, "-c", BUSY)
     assert process.stdout is not None
     assert process.stdout.readline() == "busy\n"
     process.send_signal(number)
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 128 + number
     assert err == {15: "terminated\n", 2: "interrupted\n"}[int(number)]
 
@@ -324,7 +325,7 @@ def test_a_signal_that_a_library_suppresses_is_raised_again() -> None:
         print(swallowed)
     """
     process = start(sys.executable, "-c", textwrap.dedent(code))
-    assert process.communicate(timeout=25) == ("3\n", "")
+    assert process.communicate(timeout=PATIENCE) == ("3\n", "")
     assert process.returncode == 0
 
 

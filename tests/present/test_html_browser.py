@@ -16,6 +16,7 @@ from PIL import Image
 import pupper_analysis as pa
 from pupper_analysis.tools.analyze.document import compare_with_base, comparison_table
 from tests.present.test_html import EVIL, analysis, evil_analysis
+from tests.support.patience import PATIENCE
 from tests.support.variants import load
 
 pytestmark = pytest.mark.slow  # a chromium needs seconds of processor to start
@@ -44,6 +45,7 @@ class Opened:
         self.context = browser.new_context(offline=True, **options)
         self.context.add_init_script(script)
         self.page = self.context.new_page()
+        self.page.set_default_timeout(1e3 * PATIENCE)
         self.complaints: list[str] = []
         self.asked: list[str] = []
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
@@ -84,7 +86,7 @@ def get_canvas(opened: Opened) -> Any:
     """Return the canvas of the view after scrolling to it."""
     canvas = opened.page.locator(".canvas canvas")
     opened.page.locator(".canvas").scroll_into_view_if_needed()
-    canvas.wait_for(timeout=10_000)
+    canvas.wait_for(timeout=1e3 * PATIENCE)
     return canvas
 
 
@@ -345,7 +347,7 @@ def test_sections_are_folded_and_verdicts_are_visible(browser: Any, tmp_path: Pa
     assert page.evaluate(parts) == [False, False]
     assert page.evaluate("document.documentElement.scrollHeight") < 3000
     page.locator("nav a").nth(1).click()
-    page.locator("#s1 .canvas canvas").wait_for(timeout=10_000)
+    page.locator("#s1 .canvas canvas").wait_for(timeout=1e3 * PATIENCE)
     assert page.evaluate(parts) == [True, False]
     wide = "[...document.querySelectorAll('.scroll')].every((e) => e.scrollWidth <= e.clientWidth)"
     assert page.evaluate(wide)

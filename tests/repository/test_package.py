@@ -10,6 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from tests.support.names import public, public_modules
+from tests.support.patience import PATIENCE
 from tests.support.repository import ROOT
 
 
@@ -42,7 +43,7 @@ def run_python(code: str, folder: Path) -> str:
         cwd=folder,
         env=environment,
         check=False,
-        timeout=60,
+        timeout=PATIENCE,
     )
     assert result.returncode == 0, result.stderr
     return result.stdout.strip()

@@ -26,6 +26,7 @@ from hypothesis import strategies as st
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf import silence_mujoco, spec_from_data, spec_to_data, to_xml
 from pupper_analysis.stance.clearance import ClearanceShapes
+from tests.support.patience import PATIENCE
 from tests.support.repository import ROOT
 from tests.support.variants import load, stand_of
 
@@ -369,7 +370,7 @@ def test_process_survives_warnings_while_another_thread_is_silenced(tmp_path: Pa
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=PATIENCE,
     )
     assert done.returncode == 0, done.stderr[-500:]
 

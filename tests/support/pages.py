@@ -33,6 +33,7 @@ import pupper_analysis as pa
 from pupper_analysis import cli
 from tests.support import own_files
 from tests.support.commands import Answer, answer
+from tests.support.patience import PATIENCE
 from tests.support.repository import ROOT
 
 FOLDERS = ("docs/how-to", "docs/tutorials", "docs/explanation", "docs/zh", "docs/zh/how-to")
@@ -191,7 +192,7 @@ def look_at(page: Any, *, browser: bool, wait: Any) -> None:
     """Replace the server of the live page: request the page once and close it."""
     del browser, wait
     try:
-        with urlopen(page.address, timeout=30) as got:
+        with urlopen(page.address, timeout=PATIENCE) as got:
             assert b"<!doctype html" in got.read(200).lower()
     finally:
         page.close()

@@ -16,6 +16,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, OutputError
 from pupper_analysis.tools.analyze import figures as render
 from pupper_analysis.tools.analyze.figures import lay_out_tiles
+from tests.support.patience import PATIENCE
 from tests.support.variants import load, stand_of
 
 WIDTH = 420
@@ -168,7 +169,7 @@ def test_a_fresh_process_is_quiet(
         env={**environment, **variables},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE,
     )
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""

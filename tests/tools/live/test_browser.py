@@ -23,15 +23,13 @@ import pupper_analysis as pa
 from pupper_analysis.tools.live.server import Page
 from tests.present.test_html_browser import browser  # noqa: F401 - the fixture
 from tests.repository.test_readme import commands
+from tests.support.patience import PATIENCE
 from tests.support.repository import ROOT
 from tests.support.variants import load
 
 pytest.importorskip("viser", reason="viser is not installed")
 
 pytestmark = pytest.mark.slow
-
-PATIENCE = 180.0
-"""s: a machine without graphics, shared with other tests, draws a picture in one or two."""
 
 KNOWN = ("GPU stall", "THREE.Clock", "WebGL")
 """Parts of messages that chromium and viser print about software rendering."""

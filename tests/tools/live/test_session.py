@@ -21,11 +21,10 @@ from pupper_analysis.tools.live.model import StanceSolver
 from pupper_analysis.tools.live.render import Translator
 from pupper_analysis.tools.live.session import Session, interpolate_motion
 from pupper_analysis.tools.live.state import State, write_stance_file
+from tests.support.patience import PATIENCE
 from tests.support.variants import load
 
 pytest.importorskip("viser", reason="viser is not installed")
-
-PATIENCE = 180.0
 
 HAN = re.compile("[\u4e00-\u9fff]")
 """Chinese character."""
