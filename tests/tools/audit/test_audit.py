@@ -92,6 +92,7 @@ SLIPS: list[tuple[Any, ...]] = [
      '</inertial>',
      '</inertial><collision><geometry><sphere radius="0.01"/></geometry></collision>'),
     ("density-implausible", "urdf link base_link", '<mass', '1.506', '90'),
+    ("density-implausible", "urdf link base_link", '<mass', '1.506', '1.506e-3'),
     ("scale-unusual", "urdf link base_link", '', '0.2 0.11 0.05', '200 110 50'),
     ("scale-unusual", "urdf link base_link", '',
      '(?s)(<joint name="FL_HAA".*?<origin xyz=")0.075 0.0835 0', r'\g<1>75 83.5 0'),

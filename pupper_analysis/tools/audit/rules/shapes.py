@@ -290,7 +290,8 @@ has 1.2, the lightest foam 10, the lightest published link 8.8."""
 
 MIN_MASS_FRACTION = 0.01
 """Mass of a link, relative to the robot's mass, below which the density is not checked: the shapes
-of light links may be markers instead of the real geometry. Chosen, not tuned."""
+of light links may be markers instead of the real geometry. The density of a free base is checked
+with any mass. Chosen, not tuned."""
 
 MIN_SHAPE_FRACTION = 0.5
 """Extent of a link's shapes, relative to the extent of its joints and frames, below which its
@@ -323,13 +324,15 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     ERROR above `IMPOSSIBLE_SIZE_RATIO` times `MAX_DENSITY`. A plausible density is reported, too,
     if above `DENSITY_OF_STEEL` and above `MIN_DENSITY_RATIO` times the median of the other links.
 
-    Skipped are, for example, light bodies (`MIN_MASS_FRACTION`), bodies with small shapes
-    (`MIN_EXTENT`, `MIN_SHAPE_FRACTION`), and root links with a mesh that was not read.
+    Skipped are, for example, light bodies (`MIN_MASS_FRACTION`) other than a free base, bodies with
+    small shapes (`MIN_EXTENT`, `MIN_SHAPE_FRACTION`), and root links with a mesh that was not read.
     """
     for body in _list_moving_links(robot):
         group = robot.fixed_group(body.name)
         mass = sum(part.mass for part in group)
-        if mass < MIN_MASS_FRACTION * robot.total_mass or mass <= 0:
+        light = mass < MIN_MASS_FRACTION * robot.total_mass
+        is_trunk = body.name == robot.base and robot.has_free_base
+        if mass <= 0 or (light and not is_trunk):
             continue
         points, whole = list_known_points(group, body)
         if points is None or not (whole or body.moving):
