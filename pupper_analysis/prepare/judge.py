@@ -260,15 +260,28 @@ def _fail_if_upset(
         trial = simulate_nudges(robot, held, kp=kp, kd=kd)
     if trial.failure is None:
         return fed
-    upset = diagnose(
-        "upset-by-nudge",
-        speed=Quantity(BASE_NUDGE_SPEED, "m/s"),
-        fell=trial.failed_nudges,
-        nudges=trial.nudges,
-        failure=Term(trial.failure.value),
-        where=trial.failing_parts,
-        time=Quantity(trial.time or 0.0, "s"),
-    )
+    speed, moment = Quantity(BASE_NUDGE_SPEED, "m/s"), Quantity(trial.time or 0.0, "s")
+    if trial.shaking_speed is not None:
+        upset = diagnose(
+            "shakes-after-nudge",
+            speed=speed,
+            part=trial.failing_parts[0],
+            left=Quantity(trial.shaking_speed, trial.shaking_unit),
+            time=moment,
+            fell=trial.failed_nudges,
+            nudges=trial.nudges,
+            timestep=Quantity(float(robot.mj_model.opt.timestep), "s"),
+        )
+    else:
+        upset = diagnose(
+            "upset-by-nudge",
+            speed=speed,
+            fell=trial.failed_nudges,
+            nudges=trial.nudges,
+            failure=Term(trial.failure.value),
+            where=trial.failing_parts,
+            time=moment,
+        )
     return replace(fed, passed=False, stays=False, failures=(upset,))
 
 

@@ -170,7 +170,9 @@ def confirm_growth(
                 displacement = _make_displacement(model, modes, angle, speed)
                 confirmed = replace(
                     _make_confirmed_mode(modes, trial, stability.timestep),
-                    _nudge_unit=_find_largest_unit(model, displacement[: model.nv]),
+                    _nudge_unit=find_dof_unit(
+                        model, int(np.abs(displacement[: model.nv]).argmax())
+                    ),
                 )
                 break
         if confirmed is None:
@@ -343,9 +345,8 @@ def _make_displacement(
     return scale(np.sum([scale(mode.direction) for mode in repeated], axis=0))
 
 
-def _find_largest_unit(model: mujoco.MjModel, displacement: Array) -> str:
-    """Return the unit of the largest element of a displacement (nv,): m or rad."""
-    dof = int(np.abs(displacement).argmax())
+def find_dof_unit(model: mujoco.MjModel, dof: int) -> str:
+    """Return the unit of a displacement of a degree of freedom (index in qvel): m or rad."""
     joint = int(model.dof_jntid[dof])
     is_translation = dof - int(model.jnt_dofadr[joint]) < _NUM_TRANSLATIONS.get(
         int(model.jnt_type[joint]), 0

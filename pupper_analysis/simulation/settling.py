@@ -32,11 +32,15 @@ from pupper_analysis.simulation.rollout import (
     simulate_commands,
     simulate_in_intervals,
 )
+from pupper_analysis.simulation.shaking import (
+    INTERVALS_PER_SECOND,
+    RECORD_INTERVAL,
+    ShakingRecord,
+)
 from pupper_analysis.simulation.stability import (
     count_nudged_steps,
     find_final_spectrum,
     measure_response,
-    measure_speed_deviation,
     nudge_state,
 )
 from pupper_analysis.simulation.verify import NUDGED_FRACTION, SETTLED_DRIFT
@@ -64,9 +68,8 @@ _LOST_RATIO = 2.0
 `MAX_STAND_ROTATION`, above which the settling simulation ends with failure. Chosen: a base that
 starts at rest overshoots to at most twice the final tilt."""
 
-_CHECK_INTERVAL = 0.25
-"""Simulated time between two tests whether the robot is at rest or has left the stand [s]. Chosen,
-not tuned: longer than the flight of a foot that bounces."""
+_CHECK_INTERVAL = RECORD_INTERVAL
+"""Simulated time between two tests whether the robot is at rest or has left the stand [s]."""
 
 _DECAY_TIME_CONSTANTS = 3.0
 """Duration of the nudged simulation, in time constants of the least damped mode. Chosen: 5 % of the
@@ -83,20 +86,6 @@ of the nudge can refute the mode, which would have grown by a factor of 1000. Ch
 _SAMPLE_TIME = 0.02
 """Time between the states at which foot positions are evaluated [s]. Chosen, not tuned."""
 
-_SHAKING_SECONDS = 3
-"""Number of successive seconds of simulation whose speeds show whether a robot shakes without
-decay. Chosen, not tuned."""
-
-_MIN_SHAKING_SPEED = 1e-2
-"""Speed [m/s, rad/s] above which a robot counts as shaking. Speeds are taken without their linear
-trend within each ``_CHECK_INTERVAL``. Chosen as ten times ``fall.NUDGE_SPEED``."""
-
-_MIN_SHAKING_RATIO = 0.92
-"""Smallest ratio (largest speed in a second) / (largest speed in an earlier second) within
-``_SHAKING_SECONDS`` with which shaking counts as sustained. Derived from `measure_response`, in
-which a motion has decayed if the ratio of the speeds in successive thirds is at most 0.9: a decay
-by 0.92 in 2 s gives the ratio 0.907 in the longest nudged simulation (7 s)."""
-
 _BASE_NUDGE_SPEED = 0.05
 """Initial speed of the base [m/s] along both senses of each axis of the world in
 ``calms_after_base_nudges``. Chosen, not tuned. Measured: with servos of our choice at 2 ms, the
@@ -104,7 +93,7 @@ soles of the reduced Talos chatter after this nudge without end, at 0.1 to 0.7 r
 rest after the nudge of ``nudge_state``."""
 
 _MAX_BASE_NUDGE_TIME = 6.0
-"""Longest simulated time after a nudge of the base [s]. Chosen as twice ``_SHAKING_SECONDS``."""
+"""Longest simulated time after a nudge of the base [s]. Chosen as twice ``SHAKING_SECONDS``."""
 
 _DISPLACEMENT_RATE_FACTOR = 2.0
 """Safety factor on the speed at which a displaced foot returned towards its target in the last
@@ -127,7 +116,7 @@ def comes_to_rest(
     within ``HOLD_DURATION`` (12 s).
 
     The result is False as soon as a simulation diverges, or the robot leaves the stand or shakes
-    without decay for ``_SHAKING_SECONDS``. The result is also False as soon as the settling
+    without decay for ``SHAKING_SECONDS``. The result is also False as soon as the settling
     simulation shows that a foot will remain too far from its target (`_stays_displaced`).
 
     Args:
@@ -148,7 +137,7 @@ def comes_to_rest(
     reference = monitor.StandReference.from_configuration(
         held.robot, held.stand.qpos, held.stand.task.rotation()
     )
-    shaking = _ShakingRecord(held.drive.model)
+    shaking = ShakingRecord(held.drive.model)
     last_second = _simulate_until_rest(held, reference, shaking)
     if last_second is None:
         return False
@@ -188,9 +177,9 @@ def calms_after_base_nudges(
 
     The base starts in the stand, with feed-forward, at ``_BASE_NUDGE_SPEED`` along +x, -x, +y, -y,
     +z or -z of the world. Each simulation ends once the robot no longer shakes (speeds below
-    ``_MIN_SHAKING_SPEED``), and after ``_MAX_BASE_NUDGE_TIME`` at the latest. The result is False
+    ``MIN_SHAKING_SPEED``), and after ``_MAX_BASE_NUDGE_TIME`` at the latest. The result is False
     as soon as a simulation diverges, or the robot leaves the stand or shakes without decay for
-    ``_SHAKING_SECONDS``.
+    ``SHAKING_SECONDS``.
 
     The small nudge of ``comes_to_rest`` does not lift a sole. A sole that a larger nudge lifts may
     chatter for ever, with servos and a time step at which a smaller motion decays.
@@ -231,7 +220,7 @@ def _calms_down(held: StandStart, reference: monitor.StandReference, start: Arra
         reference: The stand.
         start: State with a velocity (mjSTATE_FULLPHYSICS).
     """
-    model, shaking = held.drive.model, _ShakingRecord(held.drive.model)
+    model, shaking = held.drive.model, ShakingRecord(held.drive.model)
     timestep = float(model.opt.timestep)
     interval = max(2, round(_CHECK_INTERVAL / timestep))
     num_steps = round(_MAX_BASE_NUDGE_TIME / _CHECK_INTERVAL) * interval
@@ -263,55 +252,8 @@ def _is_refuted_by_nudge(mode: Mode, duration: float) -> bool:
     return not mode.repeated_at_second_step and MIN_ABSENT_DOUBLINGS * doubling_time <= duration
 
 
-class _ShakingRecord:
-    """Largest speeds of a simulated robot, without slow motion, interval by interval.
-
-    Args:
-        model: MuJoCo model that is simulated.
-    """
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self._velocities = slice(1 + model.nq, 1 + model.nq + model.nv)
-        self._interval = max(2, round(_CHECK_INTERVAL / float(model.opt.timestep)))
-        self._speeds: list[float] = []
-
-    @np.errstate(invalid="ignore", over="ignore")  # diverged values: not sustained
-    def add(self, states: Array) -> None:
-        """Record the largest speeds in successive simulated states, shape (n, size).
-
-        The states are those after each step of one or more whole ``_CHECK_INTERVAL``.
-        """
-        for begin in range(0, len(states) - self._interval + 1, self._interval):
-            rows = states[begin : begin + self._interval, self._velocities]
-            self._speeds.append(measure_speed_deviation(rows))
-
-    @property
-    def is_calm(self) -> bool:
-        """Whether the robot did not shake in the last interval."""
-        return self._speeds[-1] <= _MIN_SHAKING_SPEED
-
-    @property
-    def is_shaking(self) -> bool:
-        """Whether the robot shook faster than ``_MIN_SHAKING_SPEED`` within the last second."""
-        return max(self._speeds[-_INTERVALS_PER_SECOND:], default=0.0) > _MIN_SHAKING_SPEED
-
-    @property
-    def is_sustained(self) -> bool:
-        """Whether the robot shakes, and has not become slower in ``_SHAKING_SECONDS``."""
-        recent = self._speeds[-_SHAKING_SECONDS * _INTERVALS_PER_SECOND :]
-        if not self.is_shaking or len(recent) < _SHAKING_SECONDS * _INTERVALS_PER_SECOND:
-            return False
-        largest = np.max(np.reshape(recent, (_SHAKING_SECONDS, -1)), axis=1)
-        earlier = np.maximum.accumulate(largest)[:-1]
-        return bool((largest[1:] >= _MIN_SHAKING_RATIO * earlier).all())
-
-
-_INTERVALS_PER_SECOND = round(1 / _CHECK_INTERVAL)
-"""Number of ``_CHECK_INTERVAL`` in a second."""
-
-
 def _simulate_until_rest(
-    held: StandStart, reference: monitor.StandReference, shaking: _ShakingRecord
+    held: StandStart, reference: monitor.StandReference, shaking: ShakingRecord
 ) -> Array | None:
     """Simulate a stand until it rests; return the states of the last second, shape (n, size).
 
@@ -359,7 +301,7 @@ def _simulate_nudge(
     reference: monitor.StandReference,
     state: Array,
     duration: float,
-    shaking: _ShakingRecord,
+    shaking: ShakingRecord,
 ) -> Array | None:
     """Simulate a nudged state; return the states after each step, shape (n, size).
 
@@ -406,9 +348,9 @@ def _stays_displaced(ratios: Sequence[float], remaining: float) -> bool:
             ``_CHECK_INTERVAL``.
         remaining: Remaining simulated time [s].
     """
-    if len(ratios) <= _INTERVALS_PER_SECOND:
+    if len(ratios) <= INTERVALS_PER_SECOND:
         return False
-    rate = max(ratios[-1 - _INTERVALS_PER_SECOND] - ratios[-1], 0.0)  # 1/s
+    rate = max(ratios[-1 - INTERVALS_PER_SECOND] - ratios[-1], 0.0)  # 1/s
     return ratios[-1] - _DISPLACEMENT_RATE_FACTOR * rate * remaining > 1.0
 
 

@@ -493,8 +493,18 @@ def measure_speed_deviation(velocities: Array) -> float:
     Args:
         velocities: Velocities at equal time intervals, shape (n, nv).
     """
+    return float(measure_speed_deviations(velocities).max(initial=0.0))
+
+
+def measure_speed_deviations(velocities: Array) -> Array:
+    """Return the largest deviation of each velocity from its straight line in time, shape (nv,).
+
+    Args:
+        velocities: Velocities at equal time intervals, shape (n, nv) [m/s, rad/s].
+    """
     time = np.linspace(-1.0, 1.0, len(velocities))
     slopes = (time @ velocities) / (time @ time)
-    return float(
-        np.abs(velocities - velocities.mean(axis=0) - np.outer(time, slopes)).max(initial=0.0)
+    deviations: Array = np.abs(velocities - velocities.mean(axis=0) - np.outer(time, slopes)).max(
+        axis=0, initial=0.0
     )
+    return deviations

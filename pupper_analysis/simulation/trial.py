@@ -3,8 +3,8 @@
 A simulation ends at the first failure, or when no failure is expected for the remaining time: its
 motion is bounded from the speeds and the growing modes of a step, or predicted by the linearised
 step (`_NudgedRun.will_hold`).
-Failures are saturated motors, slipping or lifted feet, large joint deviations, joint limits, and
-other parts on the ground.
+Failures are saturated motors, slipping or lifted feet, large joint deviations, joint limits, other
+parts on the ground, and shaking that does not decay.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import MAX_CREEP_SPEED, compute_creep_speeds
+from pupper_analysis.simulation.growth import find_dof_unit
 from pupper_analysis.simulation.linear import LinearStep
 from pupper_analysis.simulation.rollout import (
     STATE_SPEC,
@@ -35,6 +36,7 @@ from pupper_analysis.simulation.rollout import (
     roll_out,
     with_stand_contacts,
 )
+from pupper_analysis.simulation.shaking import SHAKING_SECONDS, ShakingRecord
 from pupper_analysis.simulation.stability import evaluate_spectrum
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -144,6 +146,9 @@ class NudgeTrial(Result):
         duration: Time after each nudge for which the outcome holds (s).
         simulated: Simulated time of all nudges (s); less than ``nudges * duration`` if simulations
             were decided earlier.
+        shaking_speed: Largest speed in the last second (m/s or rad/s) if ``failure`` is
+            ``SHAKING``; otherwise None.
+        shaking_unit: Unit of ``shaking_speed``: rad/s for a rotation, m/s for a translation.
     """
 
     survived: bool
@@ -154,6 +159,8 @@ class NudgeTrial(Result):
     nudges: int
     duration: float = field(metadata={"unit": "s"})
     simulated: float = field(metadata={"unit": "s"})
+    shaking_speed: float | None = field(metadata={"unit": "m/s or rad/s"})
+    shaking_unit: str
 
 
 def simulate_nudges(
@@ -176,7 +183,10 @@ def simulate_nudges(
     (``growth.confirm_growth``).
 
     Each simulation ends at its first failure, after ``duration``, or if the remaining motion is
-    known and causes no failure. The remaining motion counts as known in two cases:
+    known and causes no failure. Shaking is a failure if the robot still shakes after ``duration``,
+    and has not become slower since a quarter of it (``ShakingRecord.is_sustained_over``).
+
+    The remaining motion counts as known in two cases:
 
     - The bound from the current speeds and the fastest growing mode is below 1 mm or 1 mrad.
     - No mode grows, no motor has saturated, and the linearised step reproduces the last 0.5 s. The
@@ -228,19 +238,22 @@ def simulate_nudges(
         simulated += count * len(running)
         for run, states in zip(running, rollouts, strict=True):
             run.advance(states, stride, remaining=(steps - begin - count) * timestep)
-    failures = [run.failure for run in runs if run.failure is not None]
-    time, failure, failing_parts = (
-        min(failures, key=lambda event: event[0]) if failures else (None, None, ())
+    failed = [(run.failure, run) for run in runs if run.failure is not None]
+    (time, failure, failing_parts), first_run = min(
+        failed, key=_order_failure, default=((None, None, ()), runs[0])
     )
+    shakes = failure is Failure.SHAKING
     return NudgeTrial(
-        survived=not failures,
+        survived=not failed,
         failure=failure,
         failing_parts=failing_parts,
         time=time,
-        failed_nudges=len(failures),
+        failed_nudges=len(failed),
         nudges=len(runs),
         duration=duration,
         simulated=simulated * timestep,
+        shaking_speed=first_run.shaking.speed if shakes else None,
+        shaking_unit=f"{find_dof_unit(model, first_run.shaking.fastest_dof)}/s",
     )
 
 
@@ -472,11 +485,13 @@ class _NudgedRun:
         saturated: First saturation of a motor; None without any. It is the failure if another
             failure follows, or if a motor is saturated at the end.
         is_decided: Whether the simulation needs no more steps.
+        shaking: Speeds since the nudge.
     """
 
     def __init__(self, conditions: _FailureConditions, start: Array) -> None:
         self._conditions = conditions
         self.state, self.is_decided = start, False
+        self.shaking = ShakingRecord(conditions.held.drive.model)
         self.failure: _Event | None = None
         self.saturated: _Event | None = None
         self._lifted: _Event | None = None
@@ -501,11 +516,13 @@ class _NudgedRun:
             self.failure = 0.0, Failure.BUCKLING, ()
         else:
             self.failure = self._find_failure(states[::stride])
+            self.shaking.add(states)
             displacements = [conditions.displacement(state) for state in states[::stride]]
             self._lowest = np.minimum(self._lowest, np.min(displacements, axis=0))
             self._highest = np.maximum(self._highest, np.max(displacements, axis=0))
         if self.failure is None and not remaining:
             self.failure = self.saturated if self._is_saturated else self._lifted
+            self.failure = self.failure or self._find_shaking()
         self.is_decided = (
             self.failure is not None
             or not remaining
@@ -569,6 +586,21 @@ class _NudgedRun:
         self._slips = dict(zip(feet, slips[-1].tolist(), strict=True))
         return None
 
+    def _find_shaking(self) -> _Event | None:
+        """Return the failure at the end of the simulation if the robot shakes without decay.
+
+        The speeds are compared over three quarters of the simulated time: an oscillation with a
+        time constant below six times the simulated time counts as decaying.
+        """
+        elapsed = float(self.state[0] - self._conditions.held.start[0])
+        window = max(1, round(elapsed) // (SHAKING_SECONDS + 1))
+        if not self.shaking.is_sustained_over(window):
+            return None
+        model = self._conditions.held.drive.model
+        joint = int(model.dof_jntid[self.shaking.fastest_dof])
+        name = model.joint(joint).name or model.body(int(model.jnt_bodyid[joint])).name
+        return float(self.state[0]), Failure.SHAKING, (name,)
+
     def will_hold(
         self, states: Array, interval: float, slips: dict[str, float], remaining: float
     ) -> bool:
@@ -578,7 +610,8 @@ class _NudgedRun:
         and the largest growth rate of the modes in the spectra so far
         (`_FailureConditions.bound_motion`). If this bound is too large, the motion is predicted by
         the linearised step (`_bound_motion`). The conditions of a failure are evaluated with the
-        remaining motion. False, for example, while a motor is saturated or a foot is lifted.
+        remaining motion. False, for example, while a motor is saturated, a foot is lifted or the
+        robot shakes.
 
         Args:
             states: States of the last interval, shape (n, size).
@@ -593,7 +626,7 @@ class _NudgedRun:
         filtered = states[:, first : first + model.na]
         if model.na:
             speed = max(speed, float(np.abs(filtered[-1] - filtered[0]).max()) / interval)
-        if self._is_saturated or self._lifted or not slips:
+        if self._is_saturated or self._lifted or not slips or not self.shaking.is_calm:
             return False
         motion, speeds = self._bound_motion(states, speed, remaining)
         if motion is None:
@@ -678,6 +711,12 @@ class _NudgedRun:
             if conditions.sample(lowered)[1]:
                 return True
         return False
+
+
+def _order_failure(failed: tuple[_Event, _NudgedRun]) -> tuple[float, float]:
+    """Return the sort key of a failed run: the time [s]; of runs that shake, the fastest first."""
+    (time, failure, _), run = failed
+    return time, -run.shaking.speed if failure is Failure.SHAKING else -math.inf
 
 
 def _is_earliest_known(runs: list[_NudgedRun]) -> bool:

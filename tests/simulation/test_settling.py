@@ -20,6 +20,7 @@ from pupper_analysis.simulation.rollout import (
     simulate_in_intervals,
 )
 from pupper_analysis.simulation.settling import comes_to_rest
+from pupper_analysis.simulation.shaking import ShakingRecord
 from pupper_analysis.simulation.stability import nudge_state
 from pupper_analysis.stance.stand import Stand
 from tests.support.variants import load
@@ -220,7 +221,7 @@ def test_nudged_simulation_ends_once_the_robot_shakes_or_falls(
             yield states[begin : begin + interval]
 
     monkeypatch.setattr(settling, "simulate_in_intervals", simulate)
-    shaking = settling._ShakingRecord(model)
+    shaking = ShakingRecord(model)
     if change == "shakes":
         shaking.add(_make_oscillation(model, 10.0, 0.05)[: round(1.0 / model.opt.timestep)])
     reference = StandReference.from_configuration(robot, stand.qpos, stand.task.rotation())
@@ -231,10 +232,14 @@ def test_nudged_simulation_ends_once_the_robot_shakes_or_falls(
 
 
 def _make_oscillation(
-    model: Any, frequency: float, speed: float, time_constant: float = math.inf
+    model: Any,
+    frequency: float,
+    speed: float,
+    time_constant: float = math.inf,
+    duration: float = 3.0,
 ) -> np.ndarray:
-    """States of 3 s, in which the first velocity is a decaying sine; the others are zero."""
-    time = np.arange(round(3.0 / model.opt.timestep)) * model.opt.timestep
+    """States in which the first velocity is a decaying sine; the others are zero."""
+    time = np.arange(round(duration / model.opt.timestep)) * model.opt.timestep
     states = np.zeros((len(time), 1 + model.nq + model.nv + model.na))
     envelope = speed * np.exp(-time / time_constant)
     states[:, 1 + model.nq] = envelope * np.sin(2 * np.pi * frequency * time)
@@ -261,13 +266,27 @@ def test_shaking_is_sustained_if_fast_and_without_decay(
 ) -> None:
     """Reference: closed form of the oscillation, ``v exp(-t / T) sin(2 pi f t)`` for 3 s."""
     model = standing[0].mj_model
-    record = settling._ShakingRecord(model)
+    record = ShakingRecord(model)
     states = _make_oscillation(model, frequency, speed, time_constant)
     second = round(1.0 / model.opt.timestep)
     record.add(states[: 2 * second])
     assert not record.is_sustained  # too short
     record.add(states[2 * second :])
     assert record.is_sustained == sustained
+
+
+@pytest.mark.parametrize(("time_constant", "sustained"), [(math.inf, True), (30.0, False)])
+def test_longer_windows_recognise_a_slower_decay(
+    standing: tuple[pa.Robot, Stand], time_constant: float, sustained: bool
+) -> None:
+    """Reference: closed form; the ratio exp(-t / T) is 0.935 in 2 s, and 0.82 in 6 s."""
+    model = standing[0].mj_model
+    record = ShakingRecord(model)
+    record.add(_make_oscillation(model, 10.0, 0.05, time_constant, duration=9.0))
+    assert record.is_sustained
+    assert record.is_sustained_over(3) == sustained
+    assert not record.is_sustained_over(4)  # too short
+    assert (record.fastest_dof, record.speed > 0.03) == (0, True)
 
 
 def test_settling_ends_early_if_the_robot_shakes_without_decay(

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.judge import list_file_remarks
+from pupper_analysis.prepare.judge import _fail_if_upset, list_file_remarks
+from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.trial import (
     BASE_NUDGE_SPEED,
+    Failure,
+    NudgeTrial,
     _find_failure_limits,
     is_near_limit,
     make_nudge_velocities,
     simulate_nudges,
 )
+from pupper_analysis.simulation.verdict import Outcome
 from pupper_analysis.stance.stand import stand_statics
 from tests.support.legged import quadruped, rewrite_file
 from tests.support.variants import load, stand_of
@@ -86,6 +91,78 @@ def test_joint_whose_range_permits_no_motion_is_named_and_has_no_limits_in_the_t
     (remark,) = (found for found in list_file_remarks(robot) if found.code == "rests-on-made-up")
     (finding,) = remark.values["findings"]
     assert (finding.code, finding.values["joints"]) == ("joints-locked-by-range", ("FL_roll",))
+
+
+def _write_quadruped_with_antenna(folder: Path, mass: float) -> Path:
+    """Write an MJCF of a quadruped whose head is an antenna of ``mass`` [kg], 0.1 m long.
+
+    The position servo of the antenna has no damping: 16 Hz in bare MuJoCo, whatever the mass.
+    """
+    path = quadruped(folder, actuators="position", floor=True, head=True).mjcf
+    tensor = " ".join([f"{1e-3 * mass}"] * 3)
+    return rewrite_file(
+        path,
+        (
+            '<inertial pos="0 0 0" mass="0.3" diaginertia="1e-4 1e-4 1e-4"/>',
+            f'<inertial pos="0.1 0 0" mass="{mass}" diaginertia="{tensor}"/>',
+        ),
+        ('<position joint="nod"/>', f'<position joint="nod" kp="{100 * mass}"/>'),
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("mass", "shakes"), [(5e-4, True), (0.03, False)])
+def test_shaking_is_a_failure_if_it_does_not_decay(
+    mass: float, shakes: bool, tmp_path: Path
+) -> None:
+    """Reference: largest joint speed in a plain MuJoCo loop after a downward nudge of 10 mm/s.
+
+    A heavy antenna moves the trunk, whose servos and contacts damp the oscillation.
+    """
+    robot = pa.load_robot(_write_quadruped_with_antenna(tmp_path, mass))
+    stand = pa.solve_stand_as_simulated(robot)
+    held = make_stand_start(robot, stand)
+    model, data = held.drive.model, mujoco.MjData(held.drive.model)
+    mujoco.mj_setState(model, data, held.start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    data.ctrl[:], data.qvel[2] = held.ctrl, -BASE_NUDGE_SPEED
+    speeds = []
+    for _ in range(4):
+        second = []
+        for _ in range(round(1.0 / model.opt.timestep)):
+            mujoco.mj_step(model, data)
+            second.append(float(np.abs(data.qvel).max()))
+        speeds.append(max(second))
+    assert (speeds[3] > 0.9 * speeds[1]) == shakes
+    trial = simulate_nudges(robot, stand, duration=4.0)
+    assert trial.survived != shakes
+    assert trial.failure is (Failure.SHAKING if shakes else None)
+    if shakes:
+        assert (trial.failing_parts, trial.shaking_unit) == (("nod",), "rad/s")
+        assert trial.time == pytest.approx(4.0)
+        assert trial.shaking_speed == pytest.approx(speeds[3], rel=0.2)
+
+
+def test_shaking_after_a_nudge_is_reported_with_its_speed() -> None:
+    trial = NudgeTrial(
+        survived=False,
+        failure=Failure.SHAKING,
+        failing_parts=("nod",),
+        time=12.0,
+        failed_nudges=8,
+        nudges=12,
+        duration=12.0,
+        simulated=100.0,
+        shaking_speed=0.05,
+        shaking_unit="rad/s",
+    )
+    robot, stand = load("v3"), stand_of("v3")
+    fed = Outcome(passed=True, failures=(), duration=12.0)
+    statics = stand_statics(robot, stand)
+    failed = _fail_if_upset(robot, stand, fed, statics, trial, None, None, fragile=False)
+    (failure,) = failed.failures
+    assert (failed.passed, failure.code) == (False, "shakes-after-nudge")
+    assert "nod at 0.05 rad/s after 12 s; in 8 of 12 directions" in str(failure)
+    assert "(now 2 ms)" in str(failure)
 
 
 def test_foot_with_negligible_load_may_lift_without_failure() -> None:

@@ -1,0 +1,104 @@
+"""Decide whether a simulated robot shakes without decay, from its speeds.
+
+The slow motion of a robot, such as creep, is removed: a straight line in time is subtracted from
+each velocity.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.base.array_types import Array
+from pupper_analysis.simulation.stability import measure_speed_deviations
+
+RECORD_INTERVAL = 0.25
+"""Simulated time in which the largest speed is taken [s]. Chosen, not tuned: longer than the flight
+of a foot that bounces."""
+
+SHAKING_SECONDS = 3
+"""Number of successive seconds of simulation whose speeds show whether a robot shakes without
+decay. Chosen, not tuned."""
+
+MIN_SHAKING_SPEED = 1e-2
+"""Speed [m/s, rad/s] above which a robot counts as shaking. Speeds are taken without their linear
+trend within each ``RECORD_INTERVAL``. Chosen as ten times ``fall.NUDGE_SPEED``, and twice
+``stability.MAX_RESTING_SPEED``."""
+
+_MIN_SHAKING_RATIO = 0.92
+"""Smallest ratio (largest speed in a second) / (largest speed in an earlier second) within
+``SHAKING_SECONDS`` with which shaking counts as sustained. Derived from `measure_response`, in
+which a motion has decayed if the ratio of the speeds in successive thirds is at most 0.9: a decay
+by 0.92 in 2 s gives the ratio 0.907 in the longest nudged simulation (7 s)."""
+
+INTERVALS_PER_SECOND = round(1 / RECORD_INTERVAL)
+"""Number of ``RECORD_INTERVAL`` in a second."""
+
+
+class ShakingRecord:
+    """Largest speeds of a simulated robot, without slow motion, interval by interval.
+
+    Args:
+        model: MuJoCo model that is simulated.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._velocities = slice(1 + model.nq, 1 + model.nq + model.nv)
+        self._interval = max(2, round(RECORD_INTERVAL / float(model.opt.timestep)))
+        self._speeds: list[float] = []
+        self._dof = 0
+
+    @np.errstate(invalid="ignore", over="ignore")  # diverged values: not sustained
+    def add(self, states: Array) -> None:
+        """Record the largest speeds in successive simulated states, shape (n, size).
+
+        The states are those after each step. States after the last whole ``RECORD_INTERVAL`` are
+        ignored.
+        """
+        for begin in range(0, len(states) - self._interval + 1, self._interval):
+            rows = states[begin : begin + self._interval, self._velocities]
+            speeds = measure_speed_deviations(rows)
+            self._speeds.append(float(speeds.max(initial=0.0)))
+            self._dof = int(speeds.argmax()) if len(speeds) else 0
+
+    @property
+    def fastest_dof(self) -> int:
+        """Degree of freedom with the largest speed in the last interval: index in qvel."""
+        return self._dof
+
+    @property
+    def speed(self) -> float:
+        """Largest speed in the last second [m/s, rad/s mixed]; 0 without an interval."""
+        return max(self._speeds[-INTERVALS_PER_SECOND:], default=0.0)
+
+    @property
+    def is_calm(self) -> bool:
+        """Whether the robot did not shake in the last interval."""
+        return self._speeds[-1] <= MIN_SHAKING_SPEED
+
+    @property
+    def is_shaking(self) -> bool:
+        """Whether the robot shook faster than ``MIN_SHAKING_SPEED`` within the last second."""
+        return self.speed > MIN_SHAKING_SPEED
+
+    @property
+    def is_sustained(self) -> bool:
+        """Whether the robot shakes, and has not become slower in ``SHAKING_SECONDS``."""
+        return self.is_sustained_over(1)
+
+    def is_sustained_over(self, seconds: int) -> bool:
+        """Return True if the robot shakes, and has not become slower over successive windows.
+
+        The windows are the last ``SHAKING_SECONDS``, each ``seconds`` [s] long. The largest speed
+        in a window must be at least ``_MIN_SHAKING_RATIO`` times the largest speed in the windows
+        before. False if the record is too short.
+
+        Args:
+            seconds: Length of each window [s].
+        """
+        count = SHAKING_SECONDS * seconds * INTERVALS_PER_SECOND
+        if not self.is_shaking or len(self._speeds) < count:
+            return False
+        largest = np.max(np.reshape(self._speeds[-count:], (SHAKING_SECONDS, -1)), axis=1)
+        earlier = np.maximum.accumulate(largest)[:-1]
+        return bool((largest[1:] >= _MIN_SHAKING_RATIO * earlier).all())
