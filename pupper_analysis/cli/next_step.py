@@ -8,7 +8,7 @@ next command also has.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any
 
@@ -44,8 +44,6 @@ def complete_command(step: NextStep | None) -> str:
         Command line. Empty without a step or a running command, if the next command is not
         installed or needs more files than were typed, or if a typed file is standard input.
     """
-    from pupper_analysis.pupper.named_robots import is_variant
-
     context = click.get_current_context(silent=True)
     if step is None or context is None:
         return ""
@@ -56,31 +54,86 @@ def complete_command(step: NextStep | None) -> str:
         return ""
     values, _, order = context.command.make_parser(context).parse_args(list(typed))
     arguments = {one.name for one in context.command.params if isinstance(one, click.Argument)}
-    named = [
+    typed_robot = _list_typed_robot(arguments, values) if step.robot_typed else []
+    robot = _fit_robot_arguments(typed_robot, arguments, target, required=step.robot_typed)
+    if robot is None:
+        return ""
+    options = _list_common_options(order, values, target, _list_excluded_options(step, values))
+    split = next(
+        (place for place, word in enumerate(step.words) if word.startswith("-")), len(step.words)
+    )
+    first, last = step.words[:split], step.words[split:]
+    line = shlex.join([step.command, *first, *robot, *options, *last])
+    return f"{GENERATOR_NAME} {line}"
+
+
+def _list_typed_robot(arguments: Set[str | None], values: Mapping[str, Any]) -> list[str]:
+    """Return the typed words that specify the robot or its model files, for example ``v3``.
+
+    A URDF and an MJCF, which may be typed in any order, are returned in this order.
+
+    Args:
+        arguments: Names of the arguments of the running command.
+        values: {name of a parameter: typed value}.
+    """
+    words = [
         word
         for name in _ROBOT_ARGUMENTS
         if name in arguments
         for word in _list_values(values.get(name))
     ]
-    if arguments >= {"urdf", "mjcf"} and len(named) == len(arguments):  # typed in any order
-        named = [str(path) for path in sort_model_paths(*map(Path, named))]
-    robot = named if step.robot_typed else []
+    if arguments >= {"urdf", "mjcf"} and len(words) == len(arguments):
+        return [str(path) for path in sort_model_paths(*map(Path, words))]
+    return words
+
+
+def _fit_robot_arguments(
+    robot: list[str], arguments: Set[str | None], target: click.Command, *, required: bool
+) -> list[str] | None:
+    """Return the words of the robot that the next command accepts as its arguments.
+
+    Args:
+        robot: Typed words of the robot, from `_list_typed_robot`.
+        arguments: Names of the arguments of the running command.
+        target: Next command.
+        required: Whether the next command needs the typed robot, because the step names no files.
+
+    Returns:
+        Words; None if ``required`` and the next command needs more words than were typed.
+    """
+    from pupper_analysis.pupper.named_robots import is_variant
+
     taken = [
-        one
-        for one in target.params
-        if isinstance(one, click.Argument) and one.name in _ROBOT_ARGUMENTS
+        argument
+        for argument in target.params
+        if isinstance(argument, click.Argument) and argument.name in _ROBOT_ARGUMENTS
     ]
-    several = any(one.nargs == -1 for one in taken)
-    lacking = len(robot) < sum(one.required for one in taken) or (taken and not (robot or several))
+    several = any(argument.nargs == -1 for argument in taken)
+    lacking = len(robot) < sum(argument.required for argument in taken) or (
+        taken and not (robot or several)
+    )
     # A variant stands for both files.
-    pair = any(one.name == "mjcf" for one in taken) and not any(map(is_variant, robot))
-    if step.robot_typed and (lacking or (pair and len(robot) < len(taken))):
-        return ""
+    pair = any(argument.name == "mjcf" for argument in taken) and not any(map(is_variant, robot))
+    if required and (lacking or (pair and len(robot) < len(taken))):
+        return None
     if not several:
-        robot = robot[: len(taken)]
-    elif len(robot) > 1 and arguments >= {"urdf", "mjcf"}:  # a variant and a file: two robots
-        robot = [word for word in robot if not is_variant(word)] or robot[:1]
-    # A value for a pattern, such as ``--kp 'knee_*=5'``, adds to the typed values.
+        return robot[: len(taken)]
+    if len(robot) > 1 and arguments >= {"urdf", "mjcf"}:  # a variant and a file: two robots
+        return [word for word in robot if not is_variant(word)] or robot[:1]
+    return robot
+
+
+def _list_excluded_options(step: NextStep, values: Mapping[str, Any]) -> list[str]:
+    """Return the words of typed options that the next command does not repeat.
+
+    These are the words of the step, the options that the step omits, and ``--payload-at`` if the
+    next command would refuse this option without ``--payload``. A value for a pattern in the step,
+    such as ``--kp 'knee_*=5'``, adds to the typed values, and excludes no option.
+
+    Args:
+        step: Next step.
+        values: {name of a parameter: typed value}.
+    """
     following = (*step.words[1:], "")
     replacing = [
         word for word, value in zip(step.words, following, strict=False) if "=" not in value
@@ -90,13 +143,7 @@ def complete_command(step: NextStep | None) -> str:
     searches = any(words[: len(start)] == start for start in _PAYLOAD_SEARCHES)
     if not (searches or values.get("payload") or "--payload" in step.words):
         excluded.append("--payload-at")
-    options = _list_common_options(order, values, target, excluded)
-    split = next(
-        (place for place, word in enumerate(step.words) if word.startswith("-")), len(step.words)
-    )
-    first, last = step.words[:split], step.words[split:]
-    line = shlex.join([step.command, *first, *robot, *options, *last])
-    return f"{GENERATOR_NAME} {line}"
+    return excluded
 
 
 def print_next_step(step: NextStep | None) -> None:

@@ -64,8 +64,50 @@ def leave_out_missing(
     Raises:
         ModelError: If the mass of a body depends on a missing mesh.
     """
-    folders = tuple(tree.folders)
+    meshes, textures = _find_missing_files(spec, tree, index)
+    if not (meshes or textures):
+        return []
+    geoms = [geom for geom in spec.geoms if geom.meshname in meshes]
+    for geom in geoms:
+        if gives_mass(spec, geom):
+            body = geom.parent.name
+            place = index[("body", body)].place if ("body", body) in index else Place(tree.path)
+            raise make_file_error(
+                place,
+                diagnose(
+                    "mass-of-missing-mesh",
+                    subject=("body", body),
+                    geom=geom.name,
+                    file=meshes[geom.meshname],
+                ),
+            )
+    notes = _describe_missing_files(meshes, textures, geoms)
+    for element in geoms:
+        spec.delete(element)
+    for name in textures:
+        for material in spec.materials:
+            if name in list(material.textures):
+                material.textures = ["" if t == name else t for t in material.textures]
+    for elements, removed in ((spec.meshes, meshes), (spec.textures, textures)):
+        for element in list(elements):
+            if element.name in removed:
+                spec.delete(element)
+    return notes
 
+
+def _find_missing_files(
+    spec: mujoco.MjSpec, tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Return {mesh: missing file} and {texture: first of its files, if a file is missing}.
+
+    A file is missing if it is neither in memory nor in a folder of the model.
+
+    Args:
+        spec: Spec.
+        tree: Elements of the file, whose folders are searched.
+        index: {(tag or section, name): element}, from `index_of`.
+    """
+    folders = tuple(tree.folders)
     in_memory = {Path(name).name for name in spec.assets}
 
     def is_missing(file: str, folder: str) -> bool:
@@ -89,29 +131,26 @@ def leave_out_missing(
         for t in spec.textures
         if any(is_missing(file, t.compiler.texturedir) for file in (t.file, *t.cubefiles))
     }
-    if not (meshes or textures):
-        return []
-    geoms = [geom for geom in spec.geoms if geom.meshname in meshes]
-    for geom in geoms:
-        if gives_mass(spec, geom):
-            body = geom.parent.name
-            place = index[("body", body)].place if ("body", body) in index else Place(tree.path)
-            raise make_file_error(
-                place,
-                diagnose(
-                    "mass-of-missing-mesh",
-                    subject=("body", body),
-                    geom=geom.name,
-                    file=meshes[geom.meshname],
-                ),
-            )
-    files = {"mesh": meshes, "texture": textures}
+    return meshes, textures
+
+
+def _describe_missing_files(
+    meshes: Mapping[str, str], textures: Mapping[str, str], geoms: Collection[mujoco.MjsGeom]
+) -> list[Diagnostic]:
+    """Return a note about missing mesh files and a note about missing texture files, if any.
+
+    Args:
+        meshes: {mesh: missing file}.
+        textures: {texture: missing file}.
+        geoms: Geoms with these meshes. The note names their bodies, and the meshes of geoms that
+            can collide and are not part of the world.
+    """
     collision_meshes = dict.fromkeys(
         meshes[geom.meshname]
         for geom in geoms
         if (geom.contype or geom.conaffinity) and geom.parent.name != "world"
     )
-    notes = [
+    return [
         diagnose(
             "files-missing",
             kind=Term(kind),
@@ -119,20 +158,9 @@ def leave_out_missing(
             touching=collision_meshes if kind == "mesh" else (),
             bodies=dict.fromkeys(geom.parent.name for geom in geoms) if kind == "mesh" else (),
         )
-        for kind, names_and_files in files.items()
+        for kind, names_and_files in (("mesh", meshes), ("texture", textures))
         if names_and_files
     ]
-    for element in geoms:
-        spec.delete(element)
-    for name in textures:
-        for material in spec.materials:
-            if name in list(material.textures):
-                material.textures = ["" if t == name else t for t in material.textures]
-    for elements, removed in ((spec.meshes, meshes), (spec.textures, textures)):
-        for element in list(elements):
-            if element.name in removed:
-                spec.delete(element)
-    return notes
 
 
 def gives_mass(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:

@@ -105,21 +105,8 @@ def judge_simulation(
     if (slippery := describe_frictionless_feet(robot, stand.stance_feet)) is not None:
         fed = replace(fed, passed=False, stays=False, failures=(slippery, *fed.failures))
     published = compare_as_published(robot, stand, servos, kp, kd)
-    null, unknown, masses = (
-        describe_zero_torque_limits(robot),
-        None,
-        describe_missing_masses(loaded),
-    )
-    if null is not None and (statics is None or loads_motor_without_torque(robot, statics)):
-        springs = statics is not None and springs_replace_motors(robot, statics)
-        fed = _fail_without_torque(fed, null, springs=springs)
-        alone = None if alone is None else _fail_without_torque(alone, null, springs=springs)
-        null = None
-    elif null is not None and not fed.passed:  # the motors hold nothing in the stand
-        joints = null.values["joints"]
-        is_cause = isinstance(joints, tuple) and 2 * len(joints) > robot.nu
-        failures = (null, *fed.failures) if is_cause else (*fed.failures, null)
-        fed, null = replace(fed, failures=failures), None
+    fed, alone, null = _apply_zero_torque_limits(robot, fed, alone, statics)
+    unknown, masses = None, describe_missing_masses(loaded)
     if statics is not None:
         unknown = describe_unknown_limits(robot, statics)
         strained = describe_loaded_passive_joints(robot, statics)
@@ -136,11 +123,7 @@ def judge_simulation(
     )
     remarks = (
         *(remark for remark in (null, masses, unknown) if remark is not None),
-        *(() if servos.source is ServoSource.GIVEN else report_tendon_joints(robot)),
-        *report_limbs_without_feet(robot),
-        *(robot.description.report_replaced_soles() if stand.stance_feet else ()),
-        *list_file_remarks(robot),
-        *_report_buried_foot(robot, stand, statics),
+        *_list_model_remarks(robot, stand, statics, given_gains=given),
     )
     errors = any(remark.severity is Severity.ERROR for remark in remarks)
     causes = (
@@ -163,6 +146,61 @@ def judge_simulation(
         unknown=unknown is not None and (loaded_more or question in LOAD_QUESTIONS),
         masses_unknown=masses is not None,
         remarks=remarks,
+    )
+
+
+def _apply_zero_torque_limits(
+    robot: Robot, fed: Outcome, alone: Outcome | None, statics: GravityCompensation | None
+) -> tuple[Outcome, Outcome | None, Diagnostic | None]:
+    """Add the failures that follow from motors with a torque limit of zero to both simulations.
+
+    Both simulations fail if such a motor is loaded in ``statics``, or if ``statics`` is None. If no
+    such motor is loaded, the message is only added to the failures of a simulation that has
+    failed: first if more than half of the joints have such a motor, otherwise last.
+
+    Args:
+        robot: Robot.
+        fed: Simulation with feed-forward.
+        alone: Simulation with position commands alone; None if there is none.
+        statics: Static motor torques; None if unknown.
+
+    Returns:
+        Both simulations, and the message about the motors, which is None if there are no such
+        motors or if ``fed`` contains the message.
+    """
+    null = describe_zero_torque_limits(robot)
+    if null is None:
+        return fed, alone, None
+    if statics is None or loads_motor_without_torque(robot, statics):
+        springs = statics is not None and springs_replace_motors(robot, statics)
+        fed = _fail_without_torque(fed, null, springs=springs)
+        alone = None if alone is None else _fail_without_torque(alone, null, springs=springs)
+        return fed, alone, None
+    if fed.passed:
+        return fed, alone, null
+    joints = null.values["joints"]
+    is_cause = isinstance(joints, tuple) and 2 * len(joints) > robot.nu
+    failures = (null, *fed.failures) if is_cause else (*fed.failures, null)
+    return replace(fed, failures=failures), alone, None
+
+
+def _list_model_remarks(
+    robot: Robot, stand: Stand, statics: GravityCompensation | None, *, given_gains: bool
+) -> tuple[Diagnostic, ...]:
+    """Return the remarks of a verdict about the robot's model: tendons, limbs, soles, files, feet.
+
+    Args:
+        robot: Robot.
+        stand: Stand; replaced soles are reported only if the stand has stance feet.
+        statics: Contact forces of the stand, for feet that sink too deep; None: not reported.
+        given_gains: Whether the caller passed the servo gains; tendons are then not reported.
+    """
+    return (
+        *(() if given_gains else report_tendon_joints(robot)),
+        *report_limbs_without_feet(robot),
+        *(robot.description.report_replaced_soles() if stand.stance_feet else ()),
+        *list_file_remarks(robot),
+        *_report_buried_foot(robot, stand, statics),
     )
 
 

@@ -279,30 +279,61 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
         key: fact for key, fact in facts.items() if key not in rest_facts or key[1] in controlled
     }
     _add_policy_step(facts)
-    unread = {
-        quantity: diagnose(
-            "contract-list-unread",
-            file=source.name,
-            what=Term(quantity) if quantity in QUANTITIES else quantity,
-            count=count,
-            joints=len(order) or len(model.order),
-            sources=source.path,
-        )
-        for quantity, count in unread_counts.items()
-    }
-    name_parts = {statement.joint for statement in source.statements if statement.is_part}
-    unknown = tuple(
-        name
-        for name in names
-        if name not in matched
-        and not (name in name_parts and any(name in joint for joint in model.order))
-    )
+    num_joints = len(order) or len(model.order)
+    unread = _describe_unread_lists(source, unread_counts, num_joints)
+    unknown = _list_unknown_names(source, model, names, matched)
     motor_notes = [
         diagnose("contract-order-of-motors", file=source.name, what=Term(quantity))
         for quantity in motor_order
     ]
     notes = (*order_notes, *motor_notes, *unread.values())
     return PlacedSource(source, facts, order, how, matched, unknown, notes, unread, unplaced)
+
+
+def _describe_unread_lists(
+    source: Source, counts: Mapping[str, int], num_joints: int
+) -> dict[str, Diagnostic]:
+    """Return {quantity: message about a list whose length is not the number of joints}.
+
+    Args:
+        source: Source of the lists.
+        counts: {quantity: length of the list}.
+        num_joints: Number of joints in the order of the source, or of the robot if the source has
+            no order.
+    """
+    return {
+        quantity: diagnose(
+            "contract-list-unread",
+            file=source.name,
+            what=Term(quantity) if quantity in QUANTITIES else quantity,
+            count=count,
+            joints=num_joints,
+            sources=source.path,
+        )
+        for quantity, count in counts.items()
+    }
+
+
+def _list_unknown_names(
+    source: Source, model: RobotJoints, names: Sequence[str], matched: Mapping[str, str]
+) -> tuple[str, ...]:
+    """Return the names of a source that match no joint of the robot.
+
+    Parts of names, as legged_gym states gains, are known if a joint's name contains the part.
+
+    Args:
+        source: Source.
+        model: Joints of the robot.
+        names: Names of joints in the source.
+        matched: {name in the source: joint of the robot}.
+    """
+    name_parts = {statement.joint for statement in source.statements if statement.is_part}
+    return tuple(
+        name
+        for name in names
+        if name not in matched
+        and not (name in name_parts and any(name in joint for joint in model.order))
+    )
 
 
 def _list_joint_names(source: Source) -> list[str]:

@@ -67,7 +67,7 @@ from pupper_analysis.tools.convert.draft import ConversionDraft, draft_mjcf, dra
 @check_arguments
 @silence_mujoco()
 @ensure_run()
-def convert_model(  # noqa: PLR0915
+def convert_model(
     source: str | Path | ModelObject | VariantSpec,
     output: str | Path,
     *,
@@ -140,14 +140,7 @@ def convert_model(  # noqa: PLR0915
         made = diagnose("output-named-otherwise", source=name, ending=wanted, mjcf=wanted == ".xml")
         raise OutputError(output, made)
     options = MjcfOptions(feet, fixed_base, armature, repair_inertia, copy_meshes)
-    if isinstance(file, UrdfFile):
-        check_armatures(file, dict(armature or {}))
-        draft = draft_mjcf(file, output, options)
-    else:
-        _refuse_mjcf_options(options, name)
-        draft = draft_urdf(file, output)
-        if draft.failure is None:
-            check_simulable(file)  # before anything is written
+    draft = _draft_other_format(file, output, options, name)
     contents = {**draft.meshes, output: draft.text.encode(errors="backslashreplace")}
     write_all([Writing(path, data, MODEL_KIND, force=force) for path, data in contents.items()])
     urdf, mjcf = (source, output) if isinstance(file, UrdfFile) else (output, source)
@@ -160,12 +153,7 @@ def convert_model(  # noqa: PLR0915
     failures += draft.lost
     remarks: tuple[Diagnostic, ...] = ()
     if draft.failure is None:
-        pair = (
-            (read_urdf(output), file)
-            if isinstance(file, MjcfFile)
-            else (draft.urdf or file, read_mjcf(output))
-        )
-        robot = _make_converted_robot(draft, *pair, feet)
+        robot = _make_converted_robot(draft, *_read_converted_pair(file, draft, output), feet)
         remarks = (*report_limbs_without_feet(robot), *list_file_remarks(robot))
         failures += [remark for remark in remarks if remark.severity is Severity.ERROR]
     if robot is not None and draft.stands:
@@ -201,6 +189,44 @@ def _name_source(source: str | Path | ModelObject | VariantSpec) -> str:
     if isinstance(source, VariantSpec):
         return source.name
     return "" if is_object(source) else str(source)
+
+
+def _draft_other_format(
+    file: UrdfFile | MjcfFile, output: Path, options: MjcfOptions, name: str
+) -> ConversionDraft:
+    """Draft the MJCF of a URDF, or the URDF of an MJCF; nothing is written.
+
+    Args:
+        file: Source.
+        output: Path of the new file.
+        options: Options of a new MJCF.
+        name: Name of the source, for errors.
+
+    Raises:
+        ConfigurationError: If options are passed for a new URDF, or an option is out of range.
+        ModelError: For example, if the other format cannot represent the robot, the source cannot
+            be simulated, or the URDF has no joint of ``options.armature``.
+    """
+    if isinstance(file, UrdfFile):
+        check_armatures(file, dict(options.armature or {}))
+        return draft_mjcf(file, output, options)
+    _refuse_mjcf_options(options, name)
+    draft = draft_urdf(file, output)
+    if draft.failure is None:
+        check_simulable(file)
+    return draft
+
+
+def _read_converted_pair(
+    file: UrdfFile | MjcfFile, draft: ConversionDraft, output: Path
+) -> tuple[UrdfFile, MjcfFile]:
+    """Return URDF and MJCF of a conversion: the source, and the new file as read from ``output``.
+
+    The URDF of a new MJCF is that of the draft, whose impossible inertials may be repaired.
+    """
+    if isinstance(file, MjcfFile):
+        return read_urdf(output), file
+    return draft.urdf or file, read_mjcf(output)
 
 
 def _list_changed_servos(

@@ -34,6 +34,8 @@ from pupper_analysis.tools.fit.kinds import TRACE_KIND
 if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
+    from pupper_analysis.tools.fit.measurements.log import Log
+    from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
     from pupper_analysis.tools.fit.record.listen import TraceRecording
     from pupper_analysis.tools.fit.record.recorder import Recording
     from pupper_analysis.tools.fit.result import Fit
@@ -251,19 +253,8 @@ def command(
         )
     else:
         from pupper_analysis.tools.fit.fit import fit as fit_numbers
-        from pupper_analysis.tools.fit.measurements.log import read_log
-        from pupper_analysis.tools.fit.measurements.stands import read_stands
 
-        topic_names = dict(
-            shared.parse_assignment("--topic", topic_option) for topic_option in topics
-        )
-        read = partial(read_log, topics=topic_names, joints=joints.split(",") if joints else ())
-        measured = list(map(read, logs)) if stands is None else read_stands(stands)
-        share = "".join(hold_out[-1:]).replace(".", "", 1).isdecimal()
-        if share and not float(hold_out[-1]) < 1:
-            finding = diagnose("not-between", given=float(hold_out[-1]), low=0, high=1)
-            raise ConfigurationError("--hold-out", finding)
-        held_out = float(hold_out[-1]) if share else list(map(read, hold_out)) or None
+        measured, held_out = _read_measurements(stands, logs, hold_out, topics, joints)
         with shared.show_progress("fitting the robot's numbers to the measurements"):
             result = fit_numbers(
                 robot,
@@ -294,6 +285,44 @@ def command(
             )
     passed = getattr(result, "explained", True) and getattr(result, "complete", True)
     shared.finish_command(json_path, result, passed=passed)
+
+
+def _read_measurements(
+    stands: Path | None,
+    logs: tuple[Path, ...],
+    hold_out: tuple[str, ...],
+    topics: tuple[str, ...],
+    joints: str | None,
+) -> tuple[MeasuredStands | list[Log], float | list[Log] | None]:
+    """Read the measurements of a fit, and the part of them that is held out.
+
+    Args:
+        stands: File of stands; None: ``logs`` are read.
+        logs: Files of logs.
+        hold_out: Values of ``--hold-out``: files of logs, or a share as the last value.
+        topics: Values ``NAME=TOPIC`` of ``--topic``, for logs.
+        joints: Names of the joints in logs, separated by commas; None: from the logs.
+
+    Returns:
+        Stands or logs; held-out share [1] or logs, None if nothing is held out.
+
+    Raises:
+        ConfigurationError: If a value of ``--topic`` has another form, the share is 1 or more, or
+            topics or joints are passed for a log that is not a bag.
+        MeasurementError: If a file cannot be read, or is no list of stands or no log.
+        MissingPackageError: If a log is a bag, and rosbags is not installed.
+    """
+    from pupper_analysis.tools.fit.measurements.log import read_log
+    from pupper_analysis.tools.fit.measurements.stands import read_stands
+
+    topic_names = dict(shared.parse_assignment("--topic", topic_option) for topic_option in topics)
+    read = partial(read_log, topics=topic_names, joints=joints.split(",") if joints else ())
+    measured = list(map(read, logs)) if stands is None else read_stands(stands)
+    share = "".join(hold_out[-1:]).replace(".", "", 1).isdecimal()
+    if share and not float(hold_out[-1]) < 1:
+        finding = diagnose("not-between", given=float(hold_out[-1]), low=0, high=1)
+        raise ConfigurationError("--hold-out", finding)
+    return measured, float(hold_out[-1]) if share else list(map(read, hold_out)) or None
 
 
 _MEASURING_OPTIONS = (

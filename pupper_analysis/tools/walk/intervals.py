@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -393,6 +393,45 @@ def _make_interval(
     )
 
 
+def _make_brackets(names: Iterable[str], seeds: Iterable[int]) -> dict[_BracketKey, list[float]]:
+    """Return the initial bracket [satisfied, violated] of each quantity, side, seed and criterion.
+
+    A bracket contains a value of the quantity that satisfies the criterion, at first the nominal
+    value, and a value that violates the criterion, at first the bound of the range. The second
+    value is NaN if the bound is the nominal value: there is nothing to search.
+
+    Args:
+        names: Names of `QUANTITIES`.
+        seeds: Seeds with which the unchanged robot tracks.
+    """
+    brackets: dict[_BracketKey, list[float]] = {}
+    for name in names:
+        quantity = QUANTITIES[name]
+        for side, bound in enumerate(quantity.range):
+            for seed in seeds:
+                violated = math.nan if bound == quantity.nominal else bound
+                for criterion in _CRITERIA:
+                    brackets[name, side, seed, criterion] = [quantity.nominal, violated]
+    return brackets
+
+
+def _select_trial_values(
+    brackets: Mapping[_BracketKey, list[float]], *, halve: bool
+) -> dict[_BracketKey, float]:
+    """Return the value of the quantity to simulate next for each bracket, except finished brackets.
+
+    Args:
+        brackets: Brackets [satisfied, violated]; finished if the second value is NaN.
+        halve: Return the midpoint of the bracket (`Quantity.compute_midpoint`) instead of its
+            second value.
+    """
+    return {
+        key: QUANTITIES[key[0]].compute_midpoint(satisfied, violated) if halve else violated
+        for key, (satisfied, violated) in brackets.items()
+        if not math.isnan(violated)
+    }
+
+
 @check_arguments
 def tracked_intervals(
     robot: Robot,
@@ -460,24 +499,11 @@ def tracked_intervals(
     tracking_seeds = tuple(seed for seed, outcome in enumerate(own) if outcome.tracks)
     limited = bool(stage.model.actuator_forcelimited[_find_motors(stage)].any())
     names = [name for name in quantities if name != "strength" or limited]
-    brackets: dict[_BracketKey, list[float]] = {}  # [satisfied, violated]
-    for name in names:
-        quantity = QUANTITIES[name]
-        for side, bound in enumerate(quantity.range):
-            for seed in tracking_seeds:
-                violated = math.nan if bound == quantity.nominal else bound
-                for criterion in _CRITERIA:
-                    brackets[name, side, seed, criterion] = [quantity.nominal, violated]
+    brackets = _make_brackets(names, tracking_seeds)
     # First the end of the range, then bisections.
     for halving in range(1 + NUM_HALVINGS):
-        values = {
-            key: bracket[1]
-            if halving == 0
-            else QUANTITIES[key[0]].compute_midpoint(bracket[0], bracket[1])
-            for key, bracket in brackets.items()
-            if not math.isnan(bracket[1])
-        }
-        simulate([(key[0], value, key[2]) for key, value in values.items()])
+        values = _select_trial_values(brackets, halve=halving > 0)
+        simulate([(name, value, seed) for (name, _, seed, _), value in values.items()])
         for key, value in values.items():
             satisfied = _CRITERIA[key[3]](outcomes[key[0], value, key[2]])
             if halving:

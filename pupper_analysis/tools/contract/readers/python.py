@@ -8,7 +8,7 @@ Configurations that are part of another configuration are no sources.
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -49,30 +49,8 @@ def read(request: Request) -> Iterator[Source]:
         for name, node in module.items()
         if name not in module.imported and request.name in ("", name)
     }
-    roots, flat_sources = list[tuple[Node, Source]](), list[Source]()
-    for name, node in own_names.items():
-        root, shown = _resolve_value(evaluator, node), f"{request.path.name}:{name}"
-        if isinstance(root.value, py.InstanceValue):
-            roots += [(root, source) for source in _read_root(shown, request.path, root)]
-        elif isinstance(root.value, dict):
-            flat_sources += tables.read_table(request, shown, root, Role.TRAINER)
-        elif isinstance(root.value, list):
-            for number, item in enumerate(root.value):
-                if isinstance(item.value, dict):
-                    part = f"{shown}[{number}]"
-                    flat_sources += tables.read_table(request, part, item, Role.TRAINER)
-    # A configuration that is part of another one is not a source.
-    parts = {
-        instance.value.kind
-        for root, _ in roots
-        for instance in _iterate_instances(root, set())
-        if instance.value.kind != root.value.kind
-    }
-    selected = [
-        source
-        for root, source in roots
-        if request.name or not root.value.of or root.value.kind not in parts
-    ]
+    roots, flat_sources = _read_names(request, evaluator, own_names)
+    selected = _select_whole_configurations(request, roots)
     scales = [
         statement
         for name, node in own_names.items()
@@ -94,6 +72,59 @@ def read(request: Request) -> Iterator[Source]:
         stated = {statement.quantity for statement in source.statements}
         added_scales = scales if "action scale" not in stated and "kp" in stated else []
         yield replace(source, statements=(*source.statements, *added_scales))
+
+
+def _read_names(
+    request: Request, evaluator: py.Evaluator, own_names: Mapping[str, Node]
+) -> tuple[list[tuple[Node, Source]], list[Source]]:
+    """Return the sources in the values of a file: of configurations, and of tables.
+
+    Args:
+        request: File.
+        evaluator: Evaluator that has loaded the file.
+        own_names: {name: value} of the module, without imported names.
+
+    Returns:
+        (configuration, source) for each object, and the sources of tables ``{key: value}``, alone
+        or in a list.
+    """
+    roots, flat_sources = list[tuple[Node, Source]](), list[Source]()
+    for name, node in own_names.items():
+        root, shown = _resolve_value(evaluator, node), f"{request.path.name}:{name}"
+        if isinstance(root.value, py.InstanceValue):
+            roots += [(root, source) for source in _read_root(shown, request.path, root)]
+        elif isinstance(root.value, dict):
+            flat_sources += tables.read_table(request, shown, root, Role.TRAINER)
+        elif isinstance(root.value, list):
+            for number, item in enumerate(root.value):
+                if isinstance(item.value, dict):
+                    part = f"{shown}[{number}]"
+                    flat_sources += tables.read_table(request, part, item, Role.TRAINER)
+    return roots, flat_sources
+
+
+def _select_whole_configurations(
+    request: Request, roots: Sequence[tuple[Node, Source]]
+) -> list[Source]:
+    """Return the sources of configurations that are not part of another configuration.
+
+    All sources are returned if the request names a configuration.
+
+    Args:
+        request: File, and the name of a configuration or "".
+        roots: (configuration, source) for each source in the file.
+    """
+    parts = {
+        instance.value.kind
+        for root, _ in roots
+        for instance in _iterate_instances(root, set())
+        if instance.value.kind != root.value.kind
+    }
+    return [
+        source
+        for root, source in roots
+        if request.name or not root.value.of or root.value.kind not in parts
+    ]
 
 
 def _read_constants(
