@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pupper_analysis.base.arguments import check_type, check_vector
+from pupper_analysis.base.arguments import check_vector
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
@@ -745,14 +745,7 @@ class Robot(EngineModels):
         raise UnknownNameError(self.name, "foot", point, self.contact_points)
 
     def feet_with(self, points: Iterable[str]) -> tuple[str, ...]:
-        """Return the feet that have at least one of the contact points ``points``.
-
-        Other names in ``points``, such as those of welds, are ignored.
-
-        Raises:
-            ConfigurationError: If ``points`` is not an iterable of names.
-        """
-        check_type("points", points, Iterable[str])
+        """Return the feet that have at least one of the contact points ``points``."""
         requested = set(points)
         return tuple(
             foot for foot, foot_points in self.feet.items() if not requested.isdisjoint(foot_points)
