@@ -298,7 +298,11 @@ def _nearest_existing(folder: Path) -> Path:
 
 
 def resolve_target(path: Path) -> tuple[Path, os.stat_result | None]:
-    """Return a path with links resolved, and the status of the file there (None if missing)."""
+    """Return a path with links resolved, and the status of the file there (None if missing).
+
+    Raises:
+        OSError: If the status cannot be read, for example without permission.
+    """
     target = Path(os.path.realpath(path))
     try:
         return target, target.stat()

@@ -98,7 +98,7 @@ _current_run: Final[ContextVar[Run | None]] = ContextVar("run", default=None)
 
 
 def current_run() -> Run | None:
-    """Return the current run; None outside of a run."""
+    """Return the record of the command or call in progress; None outside of both."""
     return _current_run.get()
 
 

@@ -348,8 +348,9 @@ def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseC
 
 
 _MIN_FRICTION = 0.3
-"""Sliding friction coefficient below which a contact is tested as the cause of a difference, since
-the value may be a mistake of the file. Chosen lower than that of usual materials."""
+"""Sliding friction coefficient below which a contact is tested as a cause of the difference
+between a simulation of the file and the prediction, since the value may be a mistake of the file.
+Chosen lower than that of usual materials."""
 
 _SOUND_FRICTION = 0.8
 """Sliding friction coefficient that replaces the coefficient of slippery contacts in a test

@@ -44,8 +44,8 @@ fraction of the largest count as zero, and a unit velocity along the normal may 
 distance. Chosen, not tuned: mesh soles are tilted by rounding of their vertices."""
 
 _MAX_CORNERS = 8
-"""Upper bound of the number of contact points at the corners of a sole. Corners with the smallest
-area are removed first. Chosen, not tuned."""
+"""Upper bound of the number of contact points at the corners of a sole. The corner
+that spans the smallest triangle with its neighbours is removed first. Chosen, not tuned."""
 
 
 def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:

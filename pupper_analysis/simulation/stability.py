@@ -488,16 +488,21 @@ def _measure_base_drift(model: mujoco.MjModel, states: Array, creep: Array) -> f
 
 
 def measure_speed_deviation(velocities: Array) -> float:
-    """Return the largest deviation of velocities from their straight lines in time [m/s, rad/s].
+    """Return the largest deviation of velocities from straight lines in time [m/s, rad/s].
+
+    Each line is fitted to the values of a velocity by least squares. The deviation shows how fast a
+    robot shakes, without slow motion such as creep.
 
     Args:
-        velocities: Velocities at equal time intervals, shape (n, nv).
+        velocities: Velocities at equal time intervals, shape (n, nv) [m/s, rad/s].
     """
     return float(measure_speed_deviations(velocities).max(initial=0.0))
 
 
 def measure_speed_deviations(velocities: Array) -> Array:
-    """Return the largest deviation of each velocity from its straight line in time, shape (nv,).
+    """Return the largest deviation of each velocity from a straight line in time, shape (nv,).
+
+    The line is fitted to the values of the velocity by least squares.
 
     Args:
         velocities: Velocities at equal time intervals, shape (n, nv) [m/s, rad/s].

@@ -141,7 +141,8 @@ def sweep_gains(
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, or the stand belongs
             to another robot.
-        ModelError: If the model has no servos, and kp or kd is not passed.
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both passed, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = with_stand_contacts(robot, stand)

@@ -136,7 +136,7 @@ class JointMotions:
         return min(float(ends[:, 0].max()), 0.0), max(float(ends[:, 1].min()), 0.0)
 
     def count_samples(self, motion: int) -> int:
-        """Return the number of samples along the motion of an independent joint.
+        """Return the number of joint positions that are tested along a motion.
 
         Samples of a nonlinear motion are equally spaced over the range of the joint, so that each
         closed position of the loop is computed once, and then cached.

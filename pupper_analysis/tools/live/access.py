@@ -94,7 +94,7 @@ class Access:
 
 
 def _parse_host_name(host: str) -> str:
-    """Return the host name of a Host header, without the port."""
+    """Return the host name of a Host header, without the port; empty if missing or invalid."""
     try:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:

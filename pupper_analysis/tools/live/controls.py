@@ -310,7 +310,10 @@ class Controls:
 
 
 def _list_folders(fields: Mapping[str, Field]) -> list[str]:
-    """Return the page folders that contain the sliders of fields, each once, without joints."""
+    """Return the page folders that contain the sliders of fields, each once.
+
+    The folder of the joint sliders is left out.
+    """
     return list(
         dict.fromkeys(
             field.slider.folder

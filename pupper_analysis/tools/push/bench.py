@@ -528,7 +528,8 @@ def make_push_bench(
 
     Raises:
         ConfigurationError: If an argument is out of range.
-        ModelError: If the model has no servos and no gains are given.
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     forward = Configuration(robot, stand.qpos).base_rotation()[:2, 0]
@@ -618,7 +619,8 @@ def simulate_push(
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, or the stand contains
             a weld or grip.
-        ModelError: If the model has no servos and no gains are given.
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = with_stand_contacts(robot, stand)

@@ -444,8 +444,9 @@ class Study:
 
         Raises:
             ConfigurationError: If an argument is not valid.
-            StudyError: If another run has locked the folder, a stored file cannot be read, or the
-                workers are lost. Measured rows are stored.
+            StudyError: If another run has locked the folder, a stored file cannot be read or has
+                another format, or the workers do not start, have other package versions, or are
+                lost. Measured rows are stored.
             OutputError: If the folder cannot be written.
             MissingPackageError: If pyarrow or pandas is not installed.
         """
@@ -469,8 +470,9 @@ class Study:
 
         Raises:
             ConfigurationError: If an argument is not valid.
-            StudyError: If another run has locked the folder, a stored file cannot be read, or the
-                workers are lost. Measured rows are stored.
+            StudyError: If another run has locked the folder, a stored file cannot be read or has
+                another format, or the workers do not start, have other package versions, or are
+                lost. Measured rows are stored.
             OutputError: If the folder cannot be written.
             MissingPackageError: If pyarrow is not installed.
         """

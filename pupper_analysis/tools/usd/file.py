@@ -184,7 +184,10 @@ def _check_depth(path: Path, text: bytes) -> None:
 
 
 def _name_prims(prims: list[Any]) -> dict[str, str]:
-    """Return {name: path} of prims; for a name that several prims share, the key is the path."""
+    """Return {name: path} of prims.
+
+    The key of prims that share a name is the path without the leading slash.
+    """
     names_and_paths = [
         (prim.GetDisplayName() or prim.GetName(), str(prim.GetPath())) for prim in prims
     ]

@@ -287,8 +287,8 @@ def base_fused(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 MAX_INERTIA_FACTOR = 100.0
 """Upper bound of two ratios in `inertia_implausible`: the largest moment of a link without shapes
-to m R^2, and the moment of a solid box around the shapes to the largest moment of the link. Chosen,
-not tuned: wrong units change moments by 1000 or more."""
+of known size to m R^2, and the moment of a solid box around the shapes to the largest moment of the
+link. Chosen, not tuned: wrong units change moments by 1000 or more."""
 
 UNREAD_MESH_FACTOR = 8.0
 """Largest ratio of a moment of inertia to m R^2 that is not reported if a mesh was not read. R is
@@ -377,10 +377,10 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find moments of inertia too large or too small for the mass and the size of the link.
 
     Upper limit: k m R^2, with R the largest distance of the shapes from the CoM. k is 2 (shapes may
-    be simplified), 8 if a mesh was not read, or 100 without shapes. If a mesh was not read, R also
-    includes the joints and frames of the link; without shapes only these, and R is at least
-    `MIN_REACH`. Lower limit: 1 % of the moment of a solid box around the shapes of the link,
-    m (a^2 + b^2) / 12.
+    be simplified), 8 if the size of some shapes is unknown (for example, a mesh was not read), or
+    100 if no size is known. If a size is unknown, R also includes the joints and frames of the
+    link; if none is known, only these, and R is at least `MIN_REACH`. Lower limit: 1 % of the
+    moment of a solid box around the shapes of the link, m (a^2 + b^2) / 12.
     """
     for body, inertial in _list_stated_inertials(robot):
         greatest = float(inertial.moments[-1])

@@ -459,7 +459,10 @@ not tuned."""
 
 
 def _compute_reach_of_children(robot: RobotModel, body: Link) -> float:
-    """Return the extent of the origins of a link, the link's frames and the children [m]."""
+    """Return the longest side of the box of the origins of a link, its frames and children [m].
+
+    The box is aligned with the axes of the link.
+    """
     return _compute_extent(list_link_points(robot, body))
 
 

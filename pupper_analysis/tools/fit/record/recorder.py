@@ -85,8 +85,8 @@ positions are read. Measured with simulated dry friction of 0.65 of the limit th
 joints at rest: 0.15 of the limit remains in the mean of both readings."""
 
 _RETURN_SECONDS = 2.0
-"""Least duration [s] of the return of the command to the plan, so slow that the joints follow
-without oscillation. Chosen, not tuned."""
+"""Least duration [s] of the ramp from a command beyond or short of the plan (`LEAD_RATIOS`) to the
+planned command, so slow that the joints follow without oscillation. Chosen, not tuned."""
 
 _REST_TIMEOUT = 20.0
 """Time [s] after which a stand that does not come to rest is skipped. Chosen, not tuned."""
