@@ -38,10 +38,6 @@ same order."""
 SLOPE = "6deg"
 """Slope of the ground on which the payload is computed once more."""
 
-OBJECTIVES = ("utilisation", "margin", "payload")
-"""Objectives of ``best``. A search takes 8 to 30 s: one robot is compared with all objectives, the
-others with one each."""
-
 PAYLOAD_PLACE, PAYLOAD_POINT = "0,0,5cm", (0.0, 0.0, 0.05)
 """Position of the payload as typed, and in metres."""
 
@@ -86,7 +82,7 @@ def compare_commands(
     folder: Path,
     *files: str,
     everywhere: bool = False,
-    objectives: Sequence[str] = OBJECTIVES[:1],
+    objectives: Sequence[str] = ("utilisation",),
 ) -> Agreement:
     """Run commands on a robot, type their results into other commands, and return the
     contradictions.
@@ -119,7 +115,7 @@ def compare_commands(
     if stance:
         _compare_study(found, stance, files, folder)
     if stood.returncode == 0:
-        _compare_best(found, run, objectives)
+        compare_best(found, run, objectives)
         _compare_workspace(found, run, typed=everywhere)
     if len(files) == 1 and files[0].endswith(".urdf"):
         _compare_conversion(found, run, stood, stance)
@@ -304,7 +300,7 @@ def _compare_study(
         found.disagreements.append(f"study: payload {mass:.6g} kg for {found.payload:.6g}")
 
 
-def _compare_best(found: Agreement, run: Commands, objectives: Sequence[str]) -> None:
+def compare_best(found: Agreement, run: Commands, objectives: Sequence[str]) -> None:
     """Compare the stance of ``best`` with the results of ``stand`` and ``payload`` for it."""
     for objective in objectives:
         at = ("--payload-at", PAYLOAD_PLACE) if objective == "payload" else ()
