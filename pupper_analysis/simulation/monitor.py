@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Container, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -216,6 +216,12 @@ class ContactSample:
     forces: dict[str, Array]
     bodies: set[str]
 
+    def presses_all(self, feet: Iterable[str], min_force: float) -> bool:
+        """Return True if the ground exerts more than ``min_force`` [N] on each of ``feet``."""
+        return all(
+            foot in self.forces and math.hypot(*self.forces[foot]) > min_force for foot in feet
+        )
+
     def unloaded_feet(self, feet: Iterable[str]) -> list[str]:
         """Return the elements of ``feet`` on which the ground exerts no force in this sample."""
         return [foot for foot in feet if foot not in self.forces or not self.forces[foot].any()]
@@ -394,6 +400,15 @@ _SAMPLE_TIME = 0.02
 """Time between the states whose contacts ``record_contacts`` evaluates [s]. Chosen, not tuned."""
 
 
+_EQUAL_POSITION_ATOL = 1e-6
+"""Difference of each coordinate [m, rad], or activation, up to which two states of a rollout have
+the same contacts (`record_contacts`). Chosen: a foot of v3 that moves by 1e-6 m into MuJoCo's soft
+ground changes its force by 3 mN, a tenth of ``MIN_PUSH_RATIO`` of the weight."""
+
+_EQUAL_SPEED_ATOL = 1e-5
+"""Difference of each velocity [m/s, rad/s] up to which two states have the same contacts. Chosen:
+MuJoCo's default contact damps 100 N per m/s and kg, thus 3 mN for v3."""
+
 LIGHT_FOOT_LOAD = 5e-3
 """Predicted load of a foot, relative to the robot's weight, below which the foot may leave the
 ground for a moment without a failure. Measured: minimum tangential forces leave two of four feet on
@@ -456,7 +471,9 @@ def record_contacts(
     """Sample the ground contacts of a rollout, and average the settled torques and forces.
 
     Torques [N m], forces [N] and foot positions [m] are means over the last second before the
-    nudge.
+    nudge. Contacts are not computed again for a state that is equal to the state evaluated before,
+    within `_EQUAL_POSITION_ATOL` and `_EQUAL_SPEED_ATOL`, if each stance foot carries more than
+    ``MIN_PUSH_RATIO`` of the weight. States of the last second before the nudge are all evaluated.
 
     Args:
         robot: The robot.
@@ -481,18 +498,30 @@ def record_contacts(
     is_footless = robot.is_base_fixed and not stand.stance_feet
     min_force = MIN_PUSH_RATIO * robot.usual_weight
     last_second = range(settling - round(MEASURING_TIME / model.opt.timestep), settling)
+    tolerances = np.full(states.shape[1] - 1, _EQUAL_POSITION_ATOL)
+    tolerances[model.nq : model.nq + model.nv] = _EQUAL_SPEED_ATOL
+    evaluated: Array | None = None  # state of the last sample, if equal states may reuse the sample
     # Backwards, so that the earliest time overwrites later ones. Both parts include their last
     # state.
     for index in (*range(len(states) - 1, settling - 1, -step), *range(settling - 1, -1, -step)):
-        sample = sampler.sample(states[index], ctrl)
-        if is_footless:
-            pressed |= find_pushing_bodies(model, sampler.data, min_force)
-        else:
-            touched |= dict.fromkeys(sample.bodies, sample.time)
-            surfaces |= {body: sampler.find_surface(body) for body in sample.bodies}
-            touched |= {foot: sample.time for foot in sample.forces if foot not in carrying}
-        unloaded |= dict.fromkeys(sample.unloaded_feet(carrying), sample.time)
-        if index in last_second:
+        state, is_measured = states[index], index in last_second
+        if (
+            is_measured
+            or evaluated is None
+            or not (np.abs(state - evaluated)[1:] <= tolerances).all()
+        ):
+            sample = sampler.sample(state, ctrl)
+            evaluated = state if sample.presses_all(carrying, min_force) else None
+            idle_feet = sample.unloaded_feet(carrying)
+            on_ground: set[str] = set()
+            if is_footless:
+                pressed |= find_pushing_bodies(model, sampler.data, min_force)
+            else:
+                on_ground = sample.bodies | (sample.forces.keys() - carrying)
+                surfaces |= {body: sampler.find_surface(body) for body in sample.bodies}
+        touched |= dict.fromkeys(on_ground, float(state[0]))
+        unloaded |= dict.fromkeys(idle_feet, float(state[0]))
+        if is_measured:
             count += 1
             pushing = find_pushing_bodies(model, sampler.data, min_force)
             touching |= {pair for pair in pushing if "world" not in pair}

@@ -163,3 +163,46 @@ def test_collapse_depends_on_tilt_height_and_displacement(
 ) -> None:
     """Values on both sides of each limit, and values that are not numbers."""
     assert has_collapsed(leaning, 0.2 - end, away, 0.2) is collapsed
+
+
+def test_contact_record_of_a_resting_robot_equals_the_record_of_every_state(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Contacts of equal states are computed once. The reference computes all of them.
+
+    The robot rests for 6 s; for 40 ms before the last second, it is 10 mm above the ground.
+    """
+    robot, stand = load(NAME), stand_of(NAME)
+    drive = model_with_servos(robot)
+    ctrl = drive.command(robot, stand.joint_positions(robot))
+    timestep = float(drive.model.opt.timestep)
+    qpos = stand.qpos.copy()
+    qpos[2] -= 1e-3
+    states = np.tile(state_at(robot, drive.model, qpos), (round(6 / timestep), 1))
+    states[:, 0] = timestep * np.arange(1, len(states) + 1)
+    lifted = (states[:, 0] > 3.0) & (states[:, 0] <= 3.04)
+    states[lifted, 1 + robot.mj_convention.qpos_index[2]] += 0.01
+    settling = round(5 / timestep)
+    calls: list[float] = []
+    sample = monitor.ContactSampler.sample
+
+    def count(sampler: monitor.ContactSampler, state: np.ndarray, ctrl: np.ndarray) -> object:
+        calls.append(float(state[0]))
+        return sample(sampler, state, ctrl)
+
+    monkeypatch.setattr(monitor.ContactSampler, "sample", count)
+    loaded = set(robot.feet)
+    record = monitor.record_contacts(robot, drive.model, stand, states, ctrl, settling, loaded)
+    few = len(calls)
+    monkeypatch.setattr(monitor, "_EQUAL_POSITION_ATOL", -1.0)
+    every = monitor.record_contacts(robot, drive.model, stand, states, ctrl, settling, loaded)
+    assert few < 60 < 290 < len(calls) - few
+    assert [str(failure) for failure in record.failures] == [
+        str(failure) for failure in every.failures
+    ]
+    assert {failure.code for failure in record.failures} == {"foot-idle"}
+    for failure in record.failures:
+        assert 3.0 < failure.values["time"].value <= 3.0 + 0.02 + timestep
+    np.testing.assert_array_equal(record.torques, every.torques)
+    for foot, force in every.forces.items():
+        np.testing.assert_array_equal(record.forces[foot], force)
