@@ -218,27 +218,23 @@ def ground_forces(
     """
     forces: dict[str, Array] = {}
     other_bodies: set[str] = set()
-    pairs = data.contact.geom
-    wrenches = np.zeros((len(pairs), 6))
-    for number, wrench in enumerate(wrenches):
-        mujoco.mj_contactForce(model, data, number, wrench)
-    world_forces = (wrenches[:, None, :3] @ data.contact.frame.reshape(-1, 3, 3))[:, 0]
+    contacts, wrench = data.contact, np.zeros(6)
+    frames = contacts.frame.reshape(-1, 3, 3)
     bodies = list_contact_bodies(model, data).tolist()
     acting = find_acting_contacts(data).tolist()
-    for acts, pair, (body1, body2), force in zip(
-        acting, pairs.tolist(), bodies, world_forces, strict=True
+    for number, (acts, pair, (body1, body2)) in enumerate(
+        zip(acting, contacts.geom.tolist(), bodies, strict=True)
     ):
-        if not acts:
-            continue
         is_first_ground = body1 == 0  # floor or step
-        if is_first_ground == (body2 == 0):
+        if not acts or is_first_ground == (body2 == 0):
             continue
-        geom = pair[1] if is_first_ground else pair[0]
-        foot = foot_geoms.get(geom)
+        foot = foot_geoms.get(pair[1] if is_first_ground else pair[0])
         if foot is None:
             other_bodies.add(model.body(body2 if is_first_ground else body1).name)
-        else:
-            forces[foot] = forces.get(foot, 0.0) + (force if is_first_ground else -force)
+            continue
+        mujoco.mj_contactForce(model, data, number, wrench)
+        force = wrench[:3] @ frames[number]
+        forces[foot] = forces.get(foot, 0.0) + (force if is_first_ground else -force)
     return forces, other_bodies
 
 
