@@ -57,7 +57,7 @@ def test_added_servos_suit_the_time_step_of_the_file(tmp_path: Path, seed: int) 
     assert robot.published is not None
     assert robot.published.file is not None
     assert robot.mj_model.opt.timestep == robot.published.file.model.opt.timestep == 2e-3
-    verdict = study_stance(robot, pa.StandTask()).verdict
+    verdict = pa.judge_stand(robot, pa.solve_stand(robot))
     assert verdict.code is VerdictCode.HOLDS_ON_ADDED_SERVOS
     assert verdict.published is not None
     assert not verdict.published.differs

@@ -34,7 +34,8 @@ from tests.support.variants import load
 
 
 def verdict_of(pair: legged.Pair) -> Verdict:
-    return study_stance(pa.load_robot(*pair), pa.StandTask()).verdict
+    robot = pa.load_robot(*pair)
+    return pa.judge_stand(robot, pa.solve_stand(robot))
 
 
 def write_slip(folder: Path, name: str, seed: int = 0) -> legged.Pair:
@@ -52,7 +53,7 @@ def test_verdict_holds_if_the_unmodified_file_stands(tmp_path: Path) -> None:
     pair = standing(tmp_path)
     assert simulate_truth(pair.mjcf, pair.mjcf) is Truth.STANDS
     robot = pa.load_robot(*pair)
-    verdict = study_stance(robot, pa.StandTask()).verdict
+    verdict = pa.judge_stand(robot, pa.solve_stand(robot))
     own, published = verdict.keyframe_run, verdict.published
     assert own is not None
     assert own.commands is OwnCommands.STATED
@@ -222,7 +223,7 @@ def test_cause_of_a_deviation_is_named_with_its_line(tmp_path: Path, cause: str)
     pair = standing(tmp_path)
     rewrite_file(pair.mjcf, (old, new))
     robot = pa.load_robot(*pair)
-    verdict = study_stance(robot, pa.StandTask()).verdict
+    verdict = pa.judge_stand(robot, pa.solve_stand(robot))
     assert verdict.published is not None
     assert verdict.published.differs
     (found,) = verdict.published.causes
@@ -264,7 +265,7 @@ def test_angles_as_commands_of_motors_fail_the_verdict(tmp_path: Path) -> None:
     assert own is not None
     assert own.collapses
     assert own.fails
-    assert study_stance(robot, pa.StandTask()).verdict.code is VerdictCode.OWN_DRIVES_FAIL
+    assert pa.judge_stand(robot, pa.solve_stand(robot)).code is VerdictCode.OWN_DRIVES_FAIL
 
 
 @pytest.mark.slow

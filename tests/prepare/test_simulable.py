@@ -11,7 +11,6 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.self_check import compare_nominal_stand
-from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import legged
 from tests.support.legged import rewrite_file
 from tests.support.slips import standing
@@ -79,7 +78,7 @@ def test_keyframe_of_the_robot_alone_is_used_if_the_scene_has_a_free_ball(
     rewrite_file(mjcf, (begin, begin + ball) if first else (end, ball + end), count=1)
     feet = {foot: f"{foot}_foot" for foot in ("FL", "FR", "RL", "RR")}
     robot = pa.load_robot(urdf=urdf, mjcf=mjcf, feet=feet)
-    verdict = study_stance(robot, pa.StandTask(height=0.15)).verdict
+    verdict = pa.judge_stand(robot, pa.solve_stand(robot, pa.StandTask(height=0.15)))
     assert verdict.with_feedforward == "holds"
     assert verdict.passed is not first  # its base is where the keyframe has the ball
 

@@ -33,7 +33,6 @@ from pupper_analysis.tools.payload.limit import (
     payload_limit,
     simulate_payload,
 )
-from pupper_analysis.tools.stand.stance import study_stance
 from pupper_analysis.tools.study.design import DesignBuilder
 from tests.support.engines import with_efforts
 from tests.support.random_legged import draw_robot, irregular_biped, ring, write_robot
@@ -44,26 +43,28 @@ STIFF = {"kp": 60.0, "kd": 0.8}
 
 
 def check_typed_back(robot: pa.Robot, point: Place, **gains: float) -> pa.analysis.PayloadLimit:
-    """Assert that ``stand`` holds with 97 % of a payload limit and fails with 103 %; return the
+    """Assert that a stand holds with 97 % of a payload limit and fails with 103 %; return the
     limit.
+
+    The reference is `judge_stand`, which forms the verdict of ``stand``.
     """
     limit = payload_limit(robot, None, point, **gains)
     if not limit.passed:
-        empty = study_stance(robot, pa.StandTask(), **gains)
+        empty = pa.judge_stand(robot, pa.solve_stand(robot), **gains)
         assert not empty.passed or limit.mass == 0
         return limit
     assert limit.verdict.passed
     if math.isinf(limit.mass):
         return limit
     loaded = pa.robot.with_payload(robot, 0.97 * limit.mass, point)
-    assert study_stance(loaded, pa.StandTask(), **gains).passed
+    assert pa.judge_stand(loaded, pa.solve_stand(loaded), **gains).passed
     assert limit.trial is not None
     assert limit.trial.survived
     assert limit.trial.mass == VERIFIED_FRACTION * limit.mass
     if limit.binding != "simulation":  # which a nudge from all sides may set, and stand has one
         try:
             heavy = pa.robot.with_payload(robot, 1.03 * limit.mass, point)
-            assert not study_stance(heavy, pa.StandTask(), **gains).passed
+            assert not pa.judge_stand(heavy, pa.solve_stand(heavy), **gains).passed
         except (pa.StanceUnreachableError, pa.StaticsInfeasibleError):
             assert limit.binding == "stance"
     return limit
@@ -153,12 +154,8 @@ def test_feet_that_sink_bring_the_calves_down() -> None:
     unloaded = pa.solve_stand(robot).ground_clearance
     assert unloaded is not None
     assert max(stand.depths.values()) == pytest.approx(unloaded.distance, rel=1e-4)
-    assert not study_stance(
-        pa.robot.with_payload(robot, 1.03 * limit.stance.mass, ON_TOP),
-        pa.StandTask(),
-        kp=60.0,
-        kd=1.0,
-    ).passed
+    heavy = pa.robot.with_payload(robot, 1.03 * limit.stance.mass, ON_TOP)
+    assert not pa.judge_stand(heavy, pa.solve_stand(heavy), kp=60.0, kd=1.0).passed
 
 
 @pytest.mark.slow
