@@ -194,6 +194,7 @@ class Command(click.Command):
                     part=found[1],
                     given="",
                     point=point,
+                    unit=_find_unit(error.param) if found[2] == "float" else "",
                 )
                 raise click.BadParameter(
                     str(problem), error.ctx, error.param, error.param_hint
@@ -209,6 +210,8 @@ class Command(click.Command):
                 error.option_name, [name for option in self.params for name in option.opts]
             )
             hint = f" Did you mean {' or '.join(map(repr, similar))}?" if similar else ""
+            if not similar and (about := _find_options_about(error.option_name, self.params)):
+                hint = f" An option with this word in its help is {' or '.join(map(repr, about))}."
             message = f"No such option {error.option_name!r}.{hint}"
             raise click.NoSuchOption(error.option_name, message, ctx=error.ctx) from error
         except click.UsageError as error:
@@ -474,6 +477,31 @@ def _find_similar_options(unknown: str, known: Sequence[str]) -> list[str]:
     words = set(wanted.split("-"))
     containing = [name for name in names if words < set(name.split("-"))]
     return [names[name] for name in containing or difflib.get_close_matches(wanted, names)]
+
+
+def _find_options_about(unknown: str, parameters: Sequence[click.Parameter]) -> list[str]:
+    """Return the options whose help contains the words of an unknown option, such as ``--impulse``.
+
+    A plural with s counts, too. Empty if more than `_MAX_OPTIONS_ABOUT` options contain the words.
+
+    Args:
+        unknown: Unknown option.
+        parameters: Parameters of the command.
+    """
+    words = unknown.strip("-").lower().split("-")
+    patterns = [re.compile(rf"\b{re.escape(word)}s?\b") for word in words if word]
+    found = [
+        max(option.opts, key=len)
+        for option in parameters
+        if isinstance(option, click.Option)
+        and all(pattern.search((option.help or "").lower()) for pattern in patterns)
+    ]
+    return found if len(found) <= _MAX_OPTIONS_ABOUT else []
+
+
+_MAX_OPTIONS_ABOUT = 3
+"""Maximum number of options that `_find_options_about` returns: a word of more options, such as
+"robot", does not identify an option. Chosen, not tuned."""
 
 
 FORCE_HELP: Final = (
@@ -804,18 +832,40 @@ def _find_assignment_form(option: str) -> str:
     Args:
         option: Name of the option, with or without ``--``.
     """
-    context = click.get_current_context(silent=True)
-    for parameter in () if context is None else context.command.params:
-        names = [name.lstrip("-") for name in parameter.opts]
-        if isinstance(parameter, click.Option) and option.lstrip("-") in names:
-            form = parameter.metavar or ""
-            if "=" in form:
-                example = _ASSIGNMENT_EXAMPLE.search(parameter.help or "")
-                return form if example is None else f"{form}, e.g. {example[1].rstrip(',')}"
+    parameter = _find_running_option(option)
+    form = "" if parameter is None else parameter.metavar or ""
+    if parameter is not None and "=" in form:
+        example = _ASSIGNMENT_EXAMPLE.search(parameter.help or "")
+        return form if example is None else f"{form}, e.g. {example[1].rstrip(',')}"
     return "NAME=VALUE"
 
 
-_INVALID_NUMBER = re.compile(r"'(.*)' is not a valid (float|integer)\.?")
+def _find_running_option(name: str) -> click.Option | None:
+    """Return an option of the running command; None if the command has no such option.
+
+    Args:
+        name: Name of the option, with or without ``--``.
+    """
+    context = click.get_current_context(silent=True)
+    for parameter in () if context is None else context.command.params:
+        names = [known.lstrip("-") for known in parameter.opts]
+        if isinstance(parameter, click.Option) and name.lstrip("-") in names:
+            return parameter
+    return None
+
+
+def _find_unit(option: click.Parameter | None) -> str:
+    """Return the unit of an option's number, which the help states in parentheses; or empty."""
+    text = option.help or "" if isinstance(option, click.Option) else ""
+    unit = _UNIT_IN_HELP.search(text)
+    return "" if unit is None else unit[1]
+
+
+_UNIT_IN_HELP = re.compile(r"\(([A-Za-z][A-Za-z0-9^/ ]*)(?:;[^)]*)?\)")
+"""Unit in the help of an option with a number, such as ``(N m/rad)`` or ``(N m; N of a slide)``."""
+
+
+_INVALID_NUMBER = re.compile(r"'(.*)' is not a valid (float|integer)(?: range)?\.?")
 """Message of click about an option value that is no number; the groups are value and type."""
 
 _INVALID_CHOICE = re.compile(r"'(.*?)' is not one of ")
@@ -847,6 +897,7 @@ def parse_number_assignment(option: str, text: str) -> tuple[str, float]:
             part=value,
             given="" if given == value else given,
             point=_write_decimal_point(value) or _omit_unit(value),
+            unit=_find_unit(_find_running_option(option)),
         )
         raise ConfigurationError(option, message) from error
 
