@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -298,6 +298,25 @@ class ParameterTable:
         A parameter is given by the kind, the subject (joint or link), and the component, if any.
         """
         return self._indices.get((kind, subject, component))
+
+    def find_columns(
+        self, kind: str, subjects: Sequence[str], components: Sequence[str] = ("",)
+    ) -> tuple[list[int], list[int]]:
+        """Find the parameters of a kind that are estimated, among subjects and components.
+
+        Args:
+            kind: Key of ``KINDS``.
+            subjects: Joints, feet or links; an entry may occur several times.
+            components: Components of each subject.
+
+        Returns:
+            Positions of the estimated parameters in the list of all subjects, each with all
+            components; and their indices in the parameter vector.
+        """
+        keys = [(kind, subject, component) for subject in subjects for component in components]
+        indices = [*map(self._indices.get, keys)]
+        positions = [position for position, index in enumerate(indices) if index is not None]
+        return positions, [index for index in indices if index is not None]
 
     def with_scaled_widths(self, kind: str, factor: float) -> ParameterTable:
         """Return a copy in which the prior widths of a kind of parameter are scaled.

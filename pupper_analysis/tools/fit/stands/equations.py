@@ -343,11 +343,27 @@ class StandRows:
         information = np.maximum(information, _MIN_READING_INFORMATION / self._sources[0] ** 2)
         return -(by_reading.T @ projected[:, 0]) / information, 1 / np.sqrt(information)
 
-    def _add_derivative(self, rows: Array, derivative: Array | float, *key: str) -> None:
-        """Add to ``rows``, shape (k, n), the derivative by the parameter ``key``, if estimated."""
-        index = self._table.find_index(*key)
-        if index is not None:
-            rows[..., index] += derivative
+    def _add_derivatives(
+        self,
+        rows: Array,
+        derivatives: Array,
+        kind: str,
+        subjects: Sequence[str],
+        components: Sequence[str] = ("",),
+    ) -> None:
+        """Add derivatives of residuals by the estimated parameters of a kind.
+
+        Args:
+            rows: Derivatives of k residuals by all n parameters, shape (k, n); changed in place.
+            derivatives: Derivatives by each component of each subject, in this order, shape (k, c).
+            kind: Kind of the parameters, a key of ``KINDS``.
+            subjects: Joints, feet or links. Derivatives of an entry that occurs several times are
+                summed.
+            components: Components of each subject.
+        """
+        positions, columns = self._table.find_columns(kind, subjects, components)
+        if positions:
+            np.add.at(rows.T, columns, derivatives.T[positions])
 
     def _fill_balance(self) -> None:
         """Fill in the residual of S tau - g + passive + sum J_p^T f_p = 0, and its derivatives.
@@ -355,62 +371,53 @@ class StandRows:
         This is the static balance. tau are the servo torques, which S maps to generalised forces;
         g is gravity, f_p the force on contact point p.
         """
-        values, nv = self._values, self._robot.nv
+        values, nv, nu, forces = self._values, self._robot.nv, self._robot.nu, self._forces
+        num_points = len(forces)
         moments = np.array([values.moment[foot] for foot in self._feet])
-        moment_forces = self._forces[:, 2:] * moments
-        wrenches = np.hstack([self._forces, np.cross(self._arms, self._forces) + moment_forces])
+        moment_forces = forces[:, 2:] * moments
+        wrenches = np.hstack([forces, np.cross(self._arms, forces) + moment_forces])
         stiffness = self.config.loaded_points_derivative(self._twists, wrenches)
         gravity, by_mass, by_com, by_slope = self._regressor.evaluate(self.config, values)
+        angular = self._twists[:, 3:]
         residual = self.config.passive_forces() - gravity
         residual[2] -= values.unweighed_load * values.mass * values.gravity_norm
-        residual += np.einsum("pij,pi->j", self.jacobians, self._forces)
+        residual += forces.ravel() @ self.jacobians.reshape(-1, nv)
         residual[6:] += values.kp * self._servo_errors
-        residual += np.einsum("pij,pi->j", self._twists[:, 3:], moment_forces)
+        residual += moment_forces.ravel() @ angular.reshape(-1, nv)
         by_x, by_own, by_noise = (matrix[:nv] for matrix in (self.by_x, self.by_own, self.by_noise))
         by_own[:, :3] = -stiffness[:, _TILT_HEIGHT_INDICES]
         by_own[:, 3:] = self.jacobians.reshape(-1, nv).T
         # Penetration moves the contact towards the centre of the foot by half of its amount.
-        contact_moments = np.cross([0.0, 0.0, 0.5], self._forces)
-        contact_torques = np.einsum("pij,pi->pj", self._twists[:, 3:], contact_moments)
-        for point, foot in enumerate(self._feet):
-            by_own[:, 3 + 3 * point + 2] += (
-                self._softness[point] / self._ground_stiffness[point] * contact_torques[point]
-            )
-            self._add_derivative(
-                by_x, self._depths[point] * contact_torques[point], "softness", foot
-            )
-            lever_moment = np.cross(self._last_links[point], self._forces[point])
-            self._add_derivative(by_x, lever_moment @ self._twists[point, 3:], "length", foot)
-            for axis, name in enumerate(AXES):
-                self._add_derivative(
-                    by_x,
-                    self._forces[point, 2] * self._twists[point, 3 + axis],
-                    "moment",
-                    foot,
-                    name,
-                )
-            by_own[:, 3 + 3 * point + 2] += moments[point] @ self._twists[point, 3:]
+        contact_moments = np.zeros((num_points, 3))
+        contact_moments[:, 0], contact_moments[:, 1] = -forces[:, 1] / 2, forces[:, 0] / 2
+        contact_torques = (contact_moments[:, None] @ angular)[:, 0]
+        by_own[:, 5::3] += (
+            self._softness / self._ground_stiffness * contact_torques.T
+            + (moments[:, None] @ angular)[:, 0].T
+        )
+        self._add_derivatives(
+            by_x, (self._depths[:, None] * contact_torques).T, "softness", self._feet
+        )
+        lever_torques = (np.cross(self._last_links, forces)[:, None] @ angular)[:, 0]
+        self._add_derivatives(by_x, lever_torques.T, "length", self._feet)
+        pressed = forces[:, 2, None, None] * angular
+        self._add_derivatives(by_x, pressed.reshape(-1, nv).T, "moment", self._feet, AXES)
         # True position = measured position - offset - noise; the servo's torque follows the
         # true position.
-        nu = self._robot.nu
         by_noise[6:, :nu] += np.diag(self.kp * self._commanded)
         by_noise[:, :nu] += stiffness[:, 6:]
+        yielded_friction = values.friction * self._signs
         for link in self._reading.added:
-            yielded_friction = values.friction * self._signs
-            self._add_derivative(by_x[6:], yielded_friction, "settling", link)
+            self._add_derivatives(by_x[6:], yielded_friction[:, None], "settling", [link])
             residual[6:] += values.settling[link] * yielded_friction
-        angular = self._twists[:, 3:]
         by_noise[:, nu:-6] = angular.reshape(-1, nv).T
         feet = self._compute_last_motions()
-        normal_forces = np.maximum(self._forces[:, 2], 0.0)
+        normal_forces = np.maximum(forces[:, 2], 0.0)
         by_noise[:, -6:] = np.einsum("p,pij,pik->jk", normal_forces, angular, feet)
-        for joint, name in enumerate(self._names):
-            row = 6 + joint
-            self._add_derivative(by_x, stiffness[:, row], "offset", name)
-            self._add_derivative(by_x[row], self._servo_errors[joint], "kp", name)
-            self._add_derivative(
-                by_x[row], -(values.kp[joint] * self._by_deadband[joint]), "deadband", "servos"
-            )
+        self._add_derivatives(by_x, stiffness[:, 6:], "offset", self._names)
+        self._add_derivatives(by_x[6:], np.diag(self._servo_errors), "kp", self._names)
+        by_deadband = -(values.kp * self._by_deadband)[:, None]
+        self._add_derivatives(by_x[6:], by_deadband, "deadband", ["servos"])
         self._fill_gravity(by_x, by_mass, by_com, by_slope)
         self._scale_to_positions(residual, by_x, by_own, by_noise)
         self.residual[:nv] = residual
@@ -431,35 +438,33 @@ class StandRows:
         rates: Array = feet / np.maximum(np.abs(feet).max(axis=(0, 1)), _VELOCITY_ATOL)
         return rates
 
-    def _fill_gravity(
-        self, by_x: Array, by_mass: list[Array], by_com: list[Array], by_slope: list[Array]
-    ) -> None:
+    def _fill_gravity(self, by_x: Array, by_mass: Array, by_com: Array, by_slope: Array) -> None:
         """Add the derivatives of the balance by masses, CoMs, known masses, slope and load.
 
         Args:
             by_x: Derivative of the balance residuals by the parameters, shape (nv, n); changed in
                 place.
-            by_mass: Derivatives of the gravity forces by each body's mass, shape (nv,).
-            by_com: Derivatives of the gravity forces by each body's CoM, shape (nv, 3).
-            by_slope: Derivatives of the gravity forces by the slope along x and y, shape (nv,).
+            by_mass: Derivatives of the gravity forces by the masses of b bodies, then of the known
+                masses, shape (nv, b + k).
+            by_com: Derivatives of the gravity forces by the CoMs of the same bodies, shape (nv, b +
+                k, 3).
+            by_slope: Derivatives of the gravity forces by the slope along x and y, shape (nv, 2).
         """
-        values = self._values
-        for body, (link, *_) in enumerate(values.bodies):
-            self._add_derivative(by_x, -by_mass[body], "mass", link)
-            self._add_derivative(
-                by_x[2], -values.unweighed_load * values.gravity_norm, "mass", link
+        values, nv = self._values, self._robot.nv
+        links = [link for link, *_ in values.bodies]
+        b = len(links)
+        by_body = -by_mass[:, :b]
+        by_body[2] -= values.unweighed_load * values.gravity_norm
+        self._add_derivatives(by_x, by_body, "mass", links)
+        self._add_derivatives(by_x, -by_com[:, :b].reshape(nv, -1), "com", links, AXES)
+        for number, load in enumerate(values.loads, b):
+            self._add_derivatives(
+                by_x, -load.stated * by_mass[:, number, None], "added", [load.link]
             )
-            for axis, name in enumerate(AXES):
-                self._add_derivative(by_x, -by_com[body][:, axis], "com", link, name)
-        for body, load in enumerate(values.loads, len(values.bodies)):
-            self._add_derivative(by_x, -load.stated * by_mass[body], "added", load.link)
-            for axis, name in enumerate(AXES):
-                self._add_derivative(
-                    by_x, -(by_com[body] @ load.turn[:, axis]), "place", load.link, name
-                )
-        for name, by_axis in zip("xy", by_slope, strict=True):
-            self._add_derivative(by_x, -by_axis, "slope", "floor", name)
-        self._add_derivative(by_x[2], -values.mass * values.gravity_norm, "load", "scale")
+            self._add_derivatives(by_x, -by_com[:, number] @ load.turn, "place", [load.link], AXES)
+        self._add_derivatives(by_x, -by_slope, "slope", ["floor"], "xy")
+        by_load = np.full((1, 1), -values.mass * values.gravity_norm)
+        self._add_derivatives(by_x[2:3], by_load, "load", ["scale"])
 
     def _scale_to_positions(
         self, residual: Array, by_x: Array, by_own: Array, by_noise: Array
@@ -476,11 +481,11 @@ class StandRows:
         kp = np.where(driven, values.kp, 1.0)
         factors = np.full(len(residual), values.noise_mass / values.mass)
         factors[6:] = np.where(driven, self._noise_kp / kp, 1.0)
-        for joint, name in enumerate(self._names):
-            if driven[joint]:
-                self._add_derivative(by_x[6 + joint], -residual[6 + joint] / kp[joint], "kp", name)
-        for link, *_ in values.bodies:
-            self._add_derivative(by_x[:6], -residual[:6] / values.mass, "mass", link)
+        by_kp = np.diag(np.where(driven, -residual[6:] / kp, 0.0))
+        self._add_derivatives(by_x[6:], by_kp, "kp", self._names)
+        links = [link for link, *_ in values.bodies]
+        by_body = np.tile(-residual[:6, None] / values.mass, len(links))
+        self._add_derivatives(by_x[:6], by_body, "mass", links)
         for rows in (residual, by_x.T, by_own.T, by_noise.T):
             rows *= factors
 
@@ -498,14 +503,11 @@ class StandRows:
         self.residual[nv:] += self._softness * self._depths
         by_own[:, :3] = heights[:, _TILT_HEIGHT_INDICES]
         by_noise[:, : self._robot.nu] -= heights[:, 6:]
-        for joint, name in enumerate(self._names):
-            self._add_derivative(by_x, -heights[:, 6 + joint], "offset", name)
-        for point, foot in enumerate(self._feet):
-            by_own[point, 3 + 3 * point + 2] += (
-                self._softness[point] / self._ground_stiffness[point]
-            )
-            self._add_derivative(by_x[point], self._depths[point], "softness", foot)
-            self._add_derivative(by_x[point], self._last_links[point, 2], "length", foot)
+        self._add_derivatives(by_x, -heights[:, 6:], "offset", self._names)
+        point = np.arange(len(points))
+        by_own[point, 5 + 3 * point] += self._softness / self._ground_stiffness
+        self._add_derivatives(by_x, np.diag(self._depths), "softness", self._feet)
+        self._add_derivatives(by_x, np.diag(self._last_links[:, 2]), "length", self._feet)
 
 
 def _compute_sign_band(deadband: float) -> float:
@@ -682,7 +684,7 @@ class GravityRegressor:
 
     def evaluate(
         self, config: Configuration, values: StandValues
-    ) -> tuple[Array, list[Array], list[Array], list[Array]]:
+    ) -> tuple[Array, Array, Array, Array]:
         """Compute the generalised forces that balance gravity, g(q), and their derivatives.
 
         Args:
@@ -691,12 +693,12 @@ class GravityRegressor:
 
         Returns:
             1. g(q), shape (nv,) [N, N m].
-            2. Derivative of g by the mass of each body, shape (nv,) [N/kg, N m/kg] each: first the
-               bodies of ``values.bodies``, then the known masses ``values.loads``.
-            3. Derivative of g by the CoM of each body in the joint frame, shape (nv, 3) [N/m, N]
-               each; same order of bodies.
-            4. Derivatives of g by the sine of the ground's slope along x and along y, shape (nv,)
-               [N, N m] each.
+            2. Derivatives of g by the masses of the b bodies of ``values.bodies``, then of the k
+               known masses ``values.loads``, shape (nv, b + k) [N/kg, N m/kg].
+            3. Derivatives of g by the CoMs of the same bodies in the joint frame, shape (nv, b + k,
+               3) [N/m, N].
+            4. Derivatives of g by the sine of the ground's slope along x and along y, shape (nv, 2)
+               [N, N m].
         """
         bodies = [(number, mass, com) for _, number, mass, com in values.bodies]
         bodies += [(load.number, load.mass, load.place) for load in values.loads]
@@ -714,7 +716,7 @@ class GravityRegressor:
         by_moment = regressors[0][..., 1:]
         by_mass = regressors[0][..., 0] + np.einsum("vbi,bi->vb", by_moment, com)
         by_com = mass[:, None] * by_moment
-        return forces[0], list(by_mass.T), list(np.moveaxis(by_com, 1, 0)), forces[1:]
+        return forces[0], by_mass, by_com, np.column_stack(forces[1:])
 
 
 _UNKNOWN_STEPS = 2

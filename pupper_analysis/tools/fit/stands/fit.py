@@ -537,11 +537,8 @@ def fit_stands(
         if wiring := find_wiring(robot, ordered, evidence, fit):
             raise MeasurementError(ordered.source, wiring.found) from error
         raise
-    # Exchanged plugs cause residuals or excluded stands; a wrong scale and a slope do not.
-    left_out = any(note.code == "stand-left-out" for note in result.diagnostics)
-    searches_wiring = left_out or any(
-        failure.code not in _UNRELATED_TO_WIRING for failure in result.failures
-    )
+    # Exchanged plugs leave residuals that no parameter explains; a wrong scale and a slope do not.
+    searches_wiring = any(failure.code not in _UNRELATED_TO_WIRING for failure in result.failures)
     wiring = find_wiring(robot, ordered, evidence, fit) if searches_wiring else None
     # The wiring explains the other failures.
     return replace(result, failures=(wiring.found,)) if wiring else result
@@ -553,7 +550,7 @@ _UNRELATED_TO_WIRING = (
     "ground-slopes",
 )
 """Codes of failures that a wrong assignment or sign of joints (exchanged plugs) does not cause. If
-there are no other failures and no excluded stands, the fit does not search for such a mistake."""
+there are no other failures, the fit does not search for such a mistake."""
 
 
 def _fit_without_contradictions(
