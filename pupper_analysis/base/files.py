@@ -27,7 +27,7 @@ from typing import Final, TextIO
 
 from pupper_analysis.base.diagnostics import Term, diagnose
 from pupper_analysis.base.errors import OutputError
-from pupper_analysis.base.kinds import Kind
+from pupper_analysis.base.kinds import OutputKind
 from pupper_analysis.base.runs import current_run
 
 
@@ -150,7 +150,7 @@ _result_streams: list[TextIO] = []
 
 
 @contextmanager
-def write_atomically(path: Path, kind: Kind, *, force: bool = False) -> Iterator[io.BytesIO]:
+def write_atomically(path: Path, kind: OutputKind, *, force: bool = False) -> Iterator[io.BytesIO]:
     """Yield a buffer whose content is written to the file if the block succeeds.
 
     A regular file is replaced atomically, with the same mode; a new file has the mode given by the
@@ -159,7 +159,7 @@ def write_atomically(path: Path, kind: Kind, *, force: bool = False) -> Iterator
 
     Args:
         path: Output file; missing folders are created. ``-`` is standard output.
-        kind: Kind of the output; see ``Kind`` for the existing files that may be replaced.
+        kind: Kind of the output; see ``OutputKind`` for the existing files that may be replaced.
         force: Whether to replace files of other kinds, except inputs of the run.
 
     Raises:
@@ -178,7 +178,7 @@ def write_atomically(path: Path, kind: Kind, *, force: bool = False) -> Iterator
         raise OutputError(path, describe_os_error(error)) from error
 
 
-def check_writable(path: Path, kind: Kind, *, force: bool = False) -> None:
+def check_writable(path: Path, kind: OutputKind, *, force: bool = False) -> None:
     """Check that a file may be written, and register an existing file as an output of the run.
 
     Afterwards the run must not read the registered file. A file of a kind that is edited in place
@@ -214,7 +214,7 @@ def check_writable(path: Path, kind: Kind, *, force: bool = False) -> None:
 
 
 def _check_replaceable(
-    path: Path, target: Path, status: os.stat_result, kind: Kind, *, force: bool
+    path: Path, target: Path, status: os.stat_result, kind: OutputKind, *, force: bool
 ) -> None:
     """Raise an error if an existing file must not be replaced.
 
@@ -247,7 +247,7 @@ def _check_replaceable(
             raise OutputError(path, diagnose("output-of-another-kind", kind=Term(kind.name)))
 
 
-def _is_of_kind(target: Path, kind: Kind) -> bool:
+def _is_of_kind(target: Path, kind: OutputKind) -> bool:
     """Return True if the content of a file is recognised as a kind of output."""
     with target.open("rb") as file:
         return kind.owns is not None and kind.owns(file)
@@ -382,14 +382,14 @@ class Writing:
     Attributes:
         path: Output file; links are followed.
         content: New content.
-        kind: Kind of the output; see ``Kind`` for the existing files that may be replaced.
+        kind: Kind of the output; see ``OutputKind`` for the existing files that may be replaced.
         before: Expected current content; None if any content, or no file, is accepted.
         force: Whether to replace files of other kinds, except inputs of the run.
     """
 
     path: Path
     content: bytes
-    kind: Kind
+    kind: OutputKind
     before: bytes | None = None
     force: bool = False
 

@@ -1,7 +1,7 @@
 """Kinds of output files, with the tests that recognise existing files of each kind.
 
-Without ``force``, an output replaces an existing non-empty file only if ``Kind.owns`` recognises
-the file.
+Without ``force``, an output replaces an existing non-empty file only if ``OutputKind.owns``
+recognises the file.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def _match_any(_file: BinaryIO) -> bool:
 
 
 @dataclass(frozen=True)
-class Kind:
+class OutputKind:
     """Kind of output file.
 
     Attributes:
@@ -67,7 +67,7 @@ class Folder:
         files: {name: kind} of the files in the folder whose names are known in advance.
     """
 
-    files: Mapping[str, Kind]
+    files: Mapping[str, OutputKind]
 
 
 def match_prefix(*marks: str) -> Callable[[BinaryIO], bool]:
@@ -138,21 +138,21 @@ def _has_measurements(file: BinaryIO) -> bool:
     return bool(_read_measured_cells(file))
 
 
-RESULTS_KIND: Final = Kind(
+RESULTS_KIND: Final = OutputKind(
     "JSON result", match_prefix(f'{{\n  "generator": "{GENERATOR_NAME} '), suffixes=(".json",)
 )
 """JSON file with results, recognised by the generator in its first entry."""
 
-PAGE_KIND: Final = Kind("report page", _is_page, suffixes=(".html", ".htm"))
+PAGE_KIND: Final = OutputKind("report page", _is_page, suffixes=(".html", ".htm"))
 """HTML report of this package."""
 
-PICTURE_KIND: Final = Kind("figure", _is_picture, suffixes=(".png",))
+PICTURE_KIND: Final = OutputKind("figure", _is_picture, suffixes=(".png",))
 """PNG figure of this package."""
 
-ANIMATION_KIND: Final = Kind("animation", _is_animation, suffixes=(".gif", ".mp4"))
+ANIMATION_KIND: Final = OutputKind("animation", _is_animation, suffixes=(".gif", ".mp4"))
 """Animation of this package: GIF or MP4."""
 
-STAND_TABLE: Final = Kind(
+STAND_TABLE: Final = OutputKind(
     "table of a stand",
     match_prefix(
         "joint,position (rad),torque (N m),", "joint,position (rad or m),torque (N m or N),"
@@ -161,21 +161,21 @@ STAND_TABLE: Final = Kind(
 )
 """CSV file with positions and torques of the joints in a stand."""
 
-PLAN_KIND: Final = Kind("plan of stands", _is_empty_plan, keeps=_has_measurements)
+PLAN_KIND: Final = OutputKind("plan of stands", _is_empty_plan, keeps=_has_measurements)
 """CSV file with a row per stand to be measured, written by ``fit --plan``. A new plan may replace a
 plan without measurements. A plan that contains measurements is never replaced, not even with
 ``force``."""
 
-RECORD_KIND: Final = Kind(
+RECORD_KIND: Final = OutputKind(
     "table of stands", lambda file: _read_measured_cells(file) is not None, edits=True
 )
 """CSV file with a row per measured stand and the columns of a plan; ``fit --record`` appends rows.
 """
 
-OFFSETS_KIND: Final = Kind("table of offsets", match_prefix("joint,offset_rad,offset_deg\n"))
+OFFSETS_KIND: Final = OutputKind("table of offsets", match_prefix("joint,offset_rad,offset_deg\n"))
 """CSV file with the fitted offset of each joint."""
 
-MODEL_KIND: Final = Kind("model")
+MODEL_KIND: Final = OutputKind("model")
 """Model file. Users edit models, so an existing model is replaced only with ``force``."""
 
 
@@ -184,7 +184,7 @@ def hash_content(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def generated_model_kind(known: str | None) -> Kind:
+def generated_model_kind(known: str | None) -> OutputKind:
     """Return the kind (replacement rule) of a model file that the package has written.
 
     Without ``force``, a file of this kind is replaced only if the user has not edited it.
@@ -195,16 +195,18 @@ def generated_model_kind(known: str | None) -> Kind:
     """
     if known is None:
         return MODEL_KIND
-    return Kind("model as a fit has written it", lambda file: hash_content(file.read()) == known)
+    return OutputKind(
+        "model as a fit has written it", lambda file: hash_content(file.read()) == known
+    )
 
 
-OWN_KIND: Final = Kind("model", _match_any)
+OWN_KIND: Final = OutputKind("model", _match_any)
 """File kind for a file whose name is a hash of what it contains, so that an existing file of this
 name may be replaced."""
-EDITED_KIND: Final = Kind("model", _match_any, edits=True)
+EDITED_KIND: Final = OutputKind("model", _match_any, edits=True)
 """File kind for a model file that the run reads and then overwrites."""
 
-SAMPLES_KIND: Final = Kind("table of samples", match_prefix("# Samples of a fitted robot."))
+SAMPLES_KIND: Final = OutputKind("table of samples", match_prefix("# Samples of a fitted robot."))
 """CSV file with the samples of a fitted robot, recognised by its first line."""
 
 FIT_FOLDER: Final = Folder(

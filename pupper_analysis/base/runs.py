@@ -23,7 +23,7 @@ file."""
 
 
 @dataclass
-class Run:
+class RunFiles:
     """Files that a run has read and will write.
 
     Attributes:
@@ -93,23 +93,23 @@ class Run:
         }
 
 
-_current_run: Final[ContextVar[Run | None]] = ContextVar("run", default=None)
+_current_run: Final[ContextVar[RunFiles | None]] = ContextVar("run", default=None)
 """Run that is active in the present context; None outside of a run."""
 
 
-def current_run() -> Run | None:
+def current_run() -> RunFiles | None:
     """Return the record of the command or call in progress; None outside of both."""
     return _current_run.get()
 
 
 @contextmanager
-def ensure_run() -> Iterator[Run]:
+def ensure_run() -> Iterator[RunFiles]:
     """Yield the current run. If there is none, start a run that ends with the block."""
     run = _current_run.get()
     if run is not None:
         yield run
         return
-    token = _current_run.set(run := Run())
+    token = _current_run.set(run := RunFiles())
     try:
         yield run
     finally:

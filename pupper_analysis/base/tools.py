@@ -43,7 +43,7 @@ _HEADING_PATTERN = re.compile(r'^HELP_HEADING = "(.+)"$', re.MULTILINE)
 """Pattern of the constant in a module that selects its heading in ``--help``."""
 
 
-class Tool(NamedTuple):
+class ToolPackage(NamedTuple):
     """Package of a tool or a format.
 
     Attributes:
@@ -90,12 +90,12 @@ class Format(NamedTuple):
     begins: tuple[bytes, ...]
 
 
-def own_tools() -> Mapping[str, Tool]:
+def own_tools() -> Mapping[str, ToolPackage]:
     """Return {name: tool} of the tools of this package, sorted by name."""
     return _find_own_packages("command.py")
 
 
-def other_tools() -> Mapping[str, Tool]:
+def other_tools() -> Mapping[str, ToolPackage]:
     """Return {name: tool} of the tools of other installed Python packages, sorted by name.
 
     Left out are tools with the name of a tool of this package, and entry points that name a module
@@ -114,12 +114,12 @@ def find_tool_modules(module: str) -> Mapping[str, str]:
     }
 
 
-def own_packages() -> Mapping[str, Tool]:
+def own_packages() -> Mapping[str, ToolPackage]:
     """Return {name: tool or format} of all tools and formats of this package."""
     return MappingProxyType({**own_tools(), **_find_own_packages("format.toml")})
 
 
-def other_packages() -> Mapping[str, Tool]:
+def other_packages() -> Mapping[str, ToolPackage]:
     """Return {name: tool or format} of all tools and formats of other installed packages."""
     return MappingProxyType({**other_tools(), **_find_plugins(FORMATS_GROUP, "format.toml")})
 
@@ -172,16 +172,19 @@ all formats, which takes time to load."""
 
 
 @cache
-def _find_own_packages(file_name: str) -> Mapping[str, Tool]:
+def _find_own_packages(file_name: str) -> Mapping[str, ToolPackage]:
     """Return {name: package} of the subpackages of ``tools`` with a file of this name."""
     paths = sorted(_TOOLS_FOLDER.glob(f"*/{file_name}"))
     return MappingProxyType(
-        {path.parent.name: Tool(f"{TOOLS_GROUP}.{path.parent.name}", path.parent) for path in paths}
+        {
+            path.parent.name: ToolPackage(f"{TOOLS_GROUP}.{path.parent.name}", path.parent)
+            for path in paths
+        }
     )
 
 
 @cache
-def _find_plugins(group: str, file_name: str) -> Mapping[str, Tool]:
+def _find_plugins(group: str, file_name: str) -> Mapping[str, ToolPackage]:
     """Return {name: package} of the installed entry points in a group.
 
     A name that `_find_own_packages` returns for the file name is left out.
@@ -195,7 +198,9 @@ def _find_plugins(group: str, file_name: str) -> Mapping[str, Tool]:
         spec = find_spec(entry_point.module)
         locations = spec.submodule_search_locations if spec else None
         if locations and entry_point.name not in _find_own_packages(file_name):
-            packages[entry_point.name] = Tool(entry_point.module, Path(next(iter(locations))))
+            packages[entry_point.name] = ToolPackage(
+                entry_point.module, Path(next(iter(locations)))
+            )
     return MappingProxyType(packages)
 
 

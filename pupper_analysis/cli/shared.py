@@ -26,7 +26,7 @@ from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.drivers import import_without_opengl, no_mujoco_log
 from pupper_analysis.base.errors import ConfigurationError, OutputError
-from pupper_analysis.base.kinds import Folder, Kind
+from pupper_analysis.base.kinds import Folder, OutputKind
 from pupper_analysis.base.progress import MIN_REPORTED_TIME, ProgressClock, observe_progress
 from pupper_analysis.base.runs import ensure_run, register_input
 from pupper_analysis.base.units import UNIT_FACTORS, Position
@@ -69,13 +69,13 @@ class OutputPath(click.Path):
     """
 
     def __init__(
-        self, holds: Kind | Folder | Callable[[Mapping[str, Any]], Kind | Folder | None]
+        self, holds: OutputKind | Folder | Callable[[Mapping[str, Any]], OutputKind | Folder | None]
     ) -> None:
         folder = isinstance(holds, Folder)
         super().__init__(path_type=Path, file_okay=not folder)
         self._holds = holds
 
-    def get_kind(self, given: Mapping[str, Any]) -> Kind | Folder | None:
+    def get_kind(self, given: Mapping[str, Any]) -> OutputKind | Folder | None:
         """Return the file format, or the folder content, that the command writes to this path.
 
         Args:
@@ -86,7 +86,7 @@ class OutputPath(click.Path):
         """
         return self._holds(given) if callable(self._holds) else self._holds
 
-    def check_suffix(self, option: str, path: Path, kind: Kind) -> None:
+    def check_suffix(self, option: str, path: Path, kind: OutputKind) -> None:
         """Check that the suffix of an output file does not belong to another format.
 
         Figures and pages have a suffix of their own format, or none, because programs choose by the
@@ -592,7 +592,7 @@ def file_option(
 
 def output_option(
     *names: str,
-    holds: Kind | Folder | Callable[[Mapping[str, Any]], Kind | Folder | None],
+    holds: OutputKind | Folder | Callable[[Mapping[str, Any]], OutputKind | Folder | None],
     help: str,
     **more: Any,
 ) -> Callable[[CommandFunction], CommandFunction]:
@@ -660,7 +660,7 @@ all_option = click.option(
 """Option ``--verbose``, also as ``--all``. The command receives ``everything``."""
 
 
-class ModelFile(click.Path):
+class ModelFileType(click.Path):
     """Parameter type of a model file; ``-`` is standard input, stored until the command ends."""
 
     def __init__(self) -> None:
@@ -678,7 +678,7 @@ class ModelFile(click.Path):
         return Path(str(super().convert(value, param, ctx)))
 
 
-MODEL_FILE = ModelFile()
+MODEL_FILE = ModelFileType()
 """Type of a command-line parameter that is a model file, or ``-`` for standard input."""
 
 

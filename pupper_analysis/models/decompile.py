@@ -155,7 +155,7 @@ def make_spec_of_model(model: mujoco.MjModel, source: str) -> mujoco.MjSpec:
         if getattr(model, count):
             raise ModelError(source, diagnose("model-not-written", element=element))
     try:
-        spec = _Writer(model).build_spec()
+        spec = _SpecWriter(model).build_spec()
         made, shells, _ = compile_with_shells(spec.copy)
         put_shells(spec, shells)
     except (ValueError, RuntimeError, TypeError, KeyError, AttributeError) as error:
@@ -167,7 +167,7 @@ def make_spec_of_model(model: mujoco.MjModel, source: str) -> mujoco.MjSpec:
     return spec
 
 
-class _Writer:
+class _SpecWriter:
     """Copy of a compiled model in a new spec."""
 
     def __init__(self, model: mujoco.MjModel) -> None:

@@ -461,7 +461,7 @@ as a placeholder: 100 rad/s within 1 ms. Robots in use have 350 to 25,000."""
 
 
 @dataclass(frozen=True)
-class Motor:
+class JointEffort:
     """Effort of a joint with bounding quantities.
 
     Attributes:
@@ -479,7 +479,7 @@ class Motor:
 
 
 def placeholder_efforts(
-    motors: Sequence[Motor], total: float
+    motors: Sequence[JointEffort], total: float
 ) -> Iterator[tuple[tuple[str, ...], Diagnostic]]:
     """Yield the torque limits (efforts) that no motor can have, and that are thus placeholders.
 
@@ -497,7 +497,7 @@ def placeholder_efforts(
         decreasing torque per link mass.
     """
     stated = [one for one in motors if 0 < one.effort < math.inf]
-    found: dict[tuple[str, float], list[Motor]] = {}
+    found: dict[tuple[str, float], list[JointEffort]] = {}
     for one in stated:
         weighed = one.mass > 1e-3 * total and one.effort > MAX_TORQUE_PER_LINK_MASS * one.mass
         if weighed and _is_round(one.effort):

@@ -68,7 +68,7 @@ class ModelFile(Protocol):
         """
 
 
-class Reader(Protocol):
+class FormatReader(Protocol):
     """Interface of the module ``reader`` of a format."""
 
     CHECKS: Mapping[str, Check]
@@ -101,7 +101,7 @@ class Reader(Protocol):
         """
 
 
-def reader_of(path: str | Path | ModelObject) -> Reader | None:
+def reader_of(path: str | Path | ModelObject) -> FormatReader | None:
     """Return the reader for a file by suffix; None for URDF, MJCF, unknown suffixes and objects."""
     if is_object(path):
         return None
@@ -109,7 +109,7 @@ def reader_of(path: str | Path | ModelObject) -> Reader | None:
     return (
         None
         if model_format is None
-        else cast(Reader, import_module(f"{model_format.package}.reader"))
+        else cast(FormatReader, import_module(f"{model_format.package}.reader"))
     )
 
 

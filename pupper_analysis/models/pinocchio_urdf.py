@@ -53,7 +53,7 @@ def write_urdf_of_model(
             that a URDF cannot state.
     """
     floating = _check_joints(model, source)
-    writer = _Writer(model, floating, source)
+    writer = _UrdfWriter(model, floating, source)
     writer.add_links()
     for index, item in enumerate([] if geometry is None else geometry.geometryObjects):
         writer.add_shape(item, folder, index)
@@ -97,7 +97,7 @@ def _read_motion(model: pin.Model, index: int) -> Array:
     return np.array(model.joints[index].createData().S).reshape(6)
 
 
-class _Writer:
+class _UrdfWriter:
     """URDF in preparation.
 
     Args:

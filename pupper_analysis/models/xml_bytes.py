@@ -26,7 +26,7 @@ _START_TAG_PATTERN: Final = re.compile(rb"""<[^\s/>]+(?:"[^"]*"|'[^']*'|[^>"'])*
 
 
 @dataclass(eq=False)
-class Element:
+class XmlElement:
     """Element with the position of the start tag in the file.
 
     Children and attributes are read as with lxml's elements, so that `UrdfTree` reads either.
@@ -48,8 +48,8 @@ class Element:
     file: Path
     start: int
     line: int
-    parent: Element | None = field(default=None, repr=False)
-    children: list[Element] = field(default_factory=list, repr=False)
+    parent: XmlElement | None = field(default=None, repr=False)
+    children: list[XmlElement] = field(default_factory=list, repr=False)
     changes: dict[str, str] = field(default_factory=dict)
     renamed: dict[str, str] = field(default_factory=dict)
 
@@ -67,19 +67,19 @@ class Element:
             self.renamed[old] = name
         self.set(name, value)
 
-    def findall(self, tag: str) -> list[Element]:
+    def findall(self, tag: str) -> list[XmlElement]:
         """Return the direct children with a tag, without deeper descendants."""
         return [child for child in self.children if child.tag == tag]
 
-    def find(self, tag: str) -> Element | None:
+    def find(self, tag: str) -> XmlElement | None:
         """Return the first child element with a tag; None without such a child."""
         return next(iter(self.findall(tag)), None)
 
-    def ensure(self, tag: str) -> Element:
+    def ensure(self, tag: str) -> XmlElement:
         """Return the first child with a tag; create the child if there is none."""
         child = self.find(tag)
         if child is None:
-            child = Element(tag, {}, self.file, -1, self.line, self)
+            child = XmlElement(tag, {}, self.file, -1, self.line, self)
             new = [child for child in self.children if child.start < 0]
             self.children.insert(len(new), child)
         return child
@@ -88,7 +88,7 @@ class Element:
         """Return True if the element or a descendant has changes."""
         return bool(self.changes) or any(child.is_changed() for child in self.children)
 
-    def walk(self) -> Iterator[Element]:
+    def walk(self) -> Iterator[XmlElement]:
         """Yield the element and all descendants in the order of the file."""
         pending = [self]
         while pending:
@@ -110,8 +110,8 @@ class XmlDocument:
 
     path: Path
     data: bytes
-    root: Element
-    elements: list[Element]
+    root: XmlElement
+    elements: list[XmlElement]
 
     def render(self) -> bytes:
         """Return the bytes of the file with all changes of the elements applied."""
@@ -136,14 +136,14 @@ def read_document(path: Path) -> XmlDocument:
     """Read an XML file that is known to be well-formed UTF-8."""
     data = read_input(path, MAX_TEXT_BYTES)
     parser = expat.ParserCreate("utf-8")
-    stack: list[Element] = []
-    elements: list[Element] = []
+    stack: list[XmlElement] = []
+    elements: list[XmlElement] = []
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         """Handle a start tag: create the element, and append it to its parent element."""
         parent = stack[-1] if stack else None
         here = parser.CurrentByteIndex
-        element = Element(tag, attributes, path, here, parser.CurrentLineNumber, parent)
+        element = XmlElement(tag, attributes, path, here, parser.CurrentLineNumber, parent)
         if parent is not None:
             parent.children.append(element)
         stack.append(element)
@@ -158,14 +158,14 @@ def read_document(path: Path) -> XmlDocument:
     return XmlDocument(path, data, elements[0], elements)
 
 
-def _find_tag_end(data: bytes, element: Element) -> int:
+def _find_tag_end(data: bytes, element: XmlElement) -> int:
     """Return the index in ``data`` of the byte after the start tag of an element."""
     match = _START_TAG_PATTERN.match(data, element.start)
     assert match is not None
     return match.end()
 
 
-def _find_value_spans(data: bytes, element: Element) -> dict[str, tuple[int, int]]:
+def _find_value_spans(data: bytes, element: XmlElement) -> dict[str, tuple[int, int]]:
     """Return {attribute: (first byte, byte after the last) of the value, without quotes}."""
     end = _find_tag_end(data, element)
     spans = {}
@@ -175,7 +175,7 @@ def _find_value_spans(data: bytes, element: Element) -> dict[str, tuple[int, int
     return spans
 
 
-def splice_attributes(data: bytes, element: Element) -> Iterator[tuple[int, int, bytes]]:
+def splice_attributes(data: bytes, element: XmlElement) -> Iterator[tuple[int, int, bytes]]:
     """Yield the splices of changed attributes: first byte, byte after the last, and new bytes.
 
     Attributes are renamed and changed in place; new attributes follow the last attribute.
@@ -207,7 +207,7 @@ def splice_attributes(data: bytes, element: Element) -> Iterator[tuple[int, int,
 
 
 def _splice_children(
-    data: bytes, element: Element, new: list[Element]
+    data: bytes, element: XmlElement, new: list[XmlElement]
 ) -> Iterator[tuple[int, int, bytes]]:
     """Yield the splices that insert new elements as first children of an element.
 
@@ -233,7 +233,7 @@ def _splice_children(
     yield end, end, b"".join(indent + _render_element(child, indent) for child in new)
 
 
-def _render_element(element: Element, indent: bytes) -> bytes:
+def _render_element(element: XmlElement, indent: bytes) -> bytes:
     """Render a new element; the children of an indented element are on separate lines."""
     words = "".join(f' {name}="{_escape_value(v).decode()}"' for name, v in element.changes.items())
     start = f"<{element.tag}{words}".encode()

@@ -133,7 +133,7 @@ def describe_import_failure(robot: Robot) -> tuple[Diagnostic, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class _NudgedRun:
+class _NudgedStates:
     """States of the nudged simulation of a published model by `_simulate_settling`.
 
     Attributes:
@@ -175,7 +175,7 @@ class _NudgedRun:
         return seconds - float(state.time - begin)
 
 
-def _find_nudged_run(robot: Robot) -> _NudgedRun | None:
+def _find_nudged_run(robot: Robot) -> _NudgedStates | None:
     """Return the simulation in which the imported URDF of a robot settles; None for an MJCF."""
     published = robot.published
     if published is None or published.is_unchanged or published.file is not None:
@@ -206,7 +206,7 @@ def _are_equal_commands(first: HoldCommands, second: HoldCommands) -> bool:
 
 def _import_urdf(
     robot: Robot,
-) -> tuple[mujoco.MjModel | Diagnostic | None, _NudgedRun | None]:
+) -> tuple[mujoco.MjModel | Diagnostic | None, _NudgedStates | None]:
     """Import the URDF of a robot without MJCF by MuJoCo's own importer.
 
     The time step of a robot on feet is reduced if the robot does not settle otherwise.
@@ -246,7 +246,7 @@ def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
 
 def _simulate_settling(
     model: mujoco.MjModel, robot: Robot, qpos: Array
-) -> tuple[bool, _NudgedRun | None]:
+) -> tuple[bool, _NudgedStates | None]:
     """Simulate a nudged model for ``_SETTLING_TIME`` [s].
 
     Args:
@@ -276,7 +276,7 @@ def _simulate_settling(
         if not was_reset_by_mujoco(data):  # a reset ends the simulation
             simulate_published(published, data, hold, end - begin, record_forces=False)
             reached.append(copy.copy(data))
-    run = _NudgedRun(published.model, hold, initial, tuple(reached))
+    run = _NudgedStates(published.model, hold, initial, tuple(reached))
     if not np.abs(data.qvel).max() < _MAX_RESTING_SPEED:
         return False, run
     height = initial_height(

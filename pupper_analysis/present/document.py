@@ -152,7 +152,7 @@ class Series:
 
 
 @dataclass(frozen=True)
-class Bar:
+class PlotBar:
     """Bar of a bar plot.
 
     Attributes:
@@ -210,7 +210,7 @@ class BarPlot(Plot):
     """
 
     axis: Axis
-    bars: Sequence[Bar]
+    bars: Sequence[PlotBar]
     legend: tuple[Words, Words | None, Words | None]
 
 
@@ -447,7 +447,7 @@ class MotionScene:
 
 
 @dataclass(frozen=True)
-class View:
+class SceneView:
     """Interactive 3-D view, for renderers that support 3-D.
 
     Attributes:
@@ -464,7 +464,7 @@ class View:
     detail: bool = False
 
 
-Block = Table | Lines | FileFinding | Listing | Plot | View
+Block = Table | Lines | FileFinding | Listing | Plot | SceneView
 """Part of a document: table, remarks, finding in a file, listing, plot, or 3-D view."""
 
 

@@ -71,7 +71,7 @@ _OFFSCREEN_DRIVERS = ("egl", "osmesa", "")
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class MotionView:
     """Configurations of a robot to draw.
 
     Attributes:
@@ -243,7 +243,7 @@ def animate_result(
 
 
 @singledispatch
-def make_view(result: Any, robot: Robot | None = None) -> View:
+def make_view(result: Any, robot: Robot | None = None) -> MotionView:
     """Return the view of a result: the robot and the configurations that a picture shows.
 
     The view of a simulated stand contains the recorded motion, the views of the other types of this
@@ -267,13 +267,13 @@ def make_view(result: Any, robot: Robot | None = None) -> View:
 
 
 @make_view.register(Configuration)
-def _make_configuration_view(config: Configuration, robot: Robot | None = None) -> View:
+def _make_configuration_view(config: Configuration, robot: Robot | None = None) -> MotionView:
     """Return the view of a configuration, with the robot of the configuration by default."""
     return _make_still_view(robot or config.robot, config.qpos)
 
 
 @make_view.register(SolvedPosture)
-def _make_posture_view(posture: SolvedPosture, robot: Robot | None = None) -> View:
+def _make_posture_view(posture: SolvedPosture, robot: Robot | None = None) -> MotionView:
     """Return the view of a solved posture, with the robot of the posture by default.
 
     Raises:
@@ -283,7 +283,7 @@ def _make_posture_view(posture: SolvedPosture, robot: Robot | None = None) -> Vi
 
 
 @make_view.register(Stand)
-def _make_stand_view(stand: Stand, robot: Robot | None = None) -> View:
+def _make_stand_view(stand: Stand, robot: Robot | None = None) -> MotionView:
     """Return the view of a stand on its ground, with the robot of the stand by default.
 
     Raises:
@@ -295,7 +295,7 @@ def _make_stand_view(stand: Stand, robot: Robot | None = None) -> View:
 
 
 @make_view.register(StandVerification)
-def _make_verification_view(run: StandVerification, robot: Robot | None = None) -> View:
+def _make_verification_view(run: StandVerification, robot: Robot | None = None) -> MotionView:
     """Return the view of the motion in a simulated stand, with the robot of the stand by default.
 
     Raises:
@@ -305,12 +305,12 @@ def _make_verification_view(run: StandVerification, robot: Robot | None = None) 
     stand = run.stand
     owner = _require_robot(run, robot or (stand.own_robot if stand is not None else None))
     on_ground = owner if stand is None else _place_on_ground(owner, stand)
-    return View(on_ground, run.motion_time, run.motion)
+    return MotionView(on_ground, run.motion_time, run.motion)
 
 
-def _make_still_view(robot: Robot, qpos: Array) -> View:
+def _make_still_view(robot: Robot, qpos: Array) -> MotionView:
     """Return the view of a robot in one configuration ``qpos``, shape (nq,), at time 0."""
-    return View(robot, np.zeros(1), np.asarray(qpos, dtype=float)[None])
+    return MotionView(robot, np.zeros(1), np.asarray(qpos, dtype=float)[None])
 
 
 def _require_robot(result: object, robot: Robot | None) -> Robot:

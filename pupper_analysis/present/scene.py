@@ -82,7 +82,7 @@ class JointAxis:
 
 
 @dataclass(frozen=True, eq=False)
-class Contact:
+class DrawnForce:
     """Contact force on a foot.
 
     Attributes:
@@ -125,7 +125,7 @@ class StandingScene:
     com_projection: Array
     com_inside: bool
     joints: tuple[JointAxis, ...]
-    contacts: tuple[Contact, ...]
+    contacts: tuple[DrawnForce, ...]
 
     @property
     def ground_centre(self) -> Array:
@@ -175,12 +175,12 @@ def describe_scene(
 
 def _collect_contacts(
     robot: Robot, stand: Stand, statics: GravityCompensation
-) -> tuple[Contact, ...]:
+) -> tuple[DrawnForce, ...]:
     """Return the forces on feet and on contacts with a grip."""
     loads = statics.foot_loads.items()
-    feet = [Contact(foot, load.centre_of_pressure, load.force) for foot, load in loads]
+    feet = [DrawnForce(foot, load.centre_of_pressure, load.force) for foot, load in loads]
     pulls = {name: statics.weld_wrenches[name][:3] for name in robot.grips}
-    return (*feet, *(Contact(name, stand.foot_targets[name], pulls[name]) for name in pulls))
+    return (*feet, *(DrawnForce(name, stand.foot_targets[name], pulls[name]) for name in pulls))
 
 
 def evaluate_plane_height(points: Array, place: Array) -> float:

@@ -39,7 +39,7 @@ from pupper_analysis.models.efforts import (
     MIN_EFFORT,
     EffortLimit,
     EffortStatement,
-    Motor,
+    JointEffort,
     placeholder_efforts,
 )
 from pupper_analysis.models.mjcf import JointKind, free_joints, has_free_joint
@@ -575,6 +575,8 @@ def find_placeholder_efforts(robot: Robot, efforts: Mapping[str, float]) -> dict
         link = int(model.body_weldid[model.jnt_bodyid[joint]])
         parent = int(model.body_weldid[model.body_parentid[link]])
         mass = float(body_masses[link] + body_masses[parent])
-        motors.append(Motor(name, effort, mass, float(model.dof_armature[model.jnt_dofadr[joint]])))
+        motors.append(
+            JointEffort(name, effort, mass, float(model.dof_armature[model.jnt_dofadr[joint]]))
+        )
     findings = placeholder_efforts(motors, robot.total_mass)
     return {joint: reason for joints, reason in findings for joint in joints}

@@ -1,6 +1,6 @@
 """Lower bounds of the distance [m] between a moving robot and the ground.
 
-`GroundClearance` excludes contacts without collision detection. At one state it computes the
+`ClearanceBounds` excludes contacts without collision detection. At one state it computes the
 distance of the bounding boxes of all parts. For other states of a simulation it subtracts a bound
 of the displacement between both states.
 """
@@ -18,7 +18,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.rollout import STATE_SPEC
 
 
-class GroundClearance:
+class ClearanceBounds:
     """Distance bounds between the ground and all parts of a robot except its feet.
 
     The distance is measured between planes and the bounding boxes of the geoms. Between two states

@@ -2,7 +2,7 @@
 
 A simulation ends at the first failure, or when no failure is expected for the remaining time: its
 motion is bounded from the speeds and the growing modes of a step, or predicted by the linearised
-step (`_NudgedRun.will_hold`).
+step (`_NudgedEvaluation.will_hold`).
 Failures are saturated motors, slipping or lifted feet, large joint deviations, joint limits, other
 parts on the ground, and shaking that does not decay.
 """
@@ -92,7 +92,7 @@ Chosen, not tuned."""
 _MAX_REMAINING_MOTION = 1e-3
 """Largest predicted motion of a coordinate in the remaining time [m, rad] with which the robot
 counts as at rest and the simulation ends early. Also the largest predicted distance beyond the
-values that the coordinate has had since the nudge (`_NudgedRun._bound_motion`). Chosen as a
+values that the coordinate has had since the nudge (`_NudgedEvaluation._bound_motion`). Chosen as a
 hundredth of ``MAX_JOINT_DEVIATION``."""
 
 _SPEED_FACTOR = 1.5
@@ -226,7 +226,7 @@ def simulate_nudges(
     steps, stride = max(2, round(duration / timestep)), max(1, round(_SAMPLE_TIME / timestep))
     interval = max(1, round(_CHECK_INTERVAL / _SAMPLE_TIME)) * stride
     conditions = _FailureConditions(held, stand)
-    runs = [_NudgedRun(conditions, start) for start in starts]
+    runs = [_NudgedEvaluation(conditions, start) for start in starts]
     workers, simulated = [mujoco.MjData(model) for _ in range(2)], 0
     for begin in range(0, steps, interval):
         running = [run for run in runs if not run.is_decided]
@@ -476,7 +476,7 @@ class _FailureConditions:
         return np.array([centres[foot] for foot in self.stand.stance_feet]).reshape(-1, 3)
 
 
-class _NudgedRun:
+class _NudgedEvaluation:
     """Evaluation of one nudged simulation, interval by interval.
 
     Attributes:
@@ -713,13 +713,13 @@ class _NudgedRun:
         return False
 
 
-def _order_failure(failed: tuple[_Event, _NudgedRun]) -> tuple[float, float]:
+def _order_failure(failed: tuple[_Event, _NudgedEvaluation]) -> tuple[float, float]:
     """Return the sort key of a failed run: the time [s]; of runs that shake, the fastest first."""
     (time, failure, _), run = failed
     return time, -run.shaking.speed if failure is Failure.SHAKING else -math.inf
 
 
-def _is_earliest_known(runs: list[_NudgedRun]) -> bool:
+def _is_earliest_known(runs: list[_NudgedEvaluation]) -> bool:
     """Return True if one run has failed, and no other run can still fail earlier.
 
     A failure that follows a saturation has the time of the saturation.

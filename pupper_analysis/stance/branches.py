@@ -67,7 +67,7 @@ guess end. PlaCo's IK removes the remaining error. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
-class Limb:
+class IndependentLimb:
     """Joints that move some feet relative to the base, and no other feet.
 
     Attributes:
@@ -94,7 +94,7 @@ class Branch:
     foot_error: float
 
 
-def find_limbs(robot: Robot) -> tuple[Limb, ...]:
+def find_limbs(robot: Robot) -> tuple[IndependentLimb, ...]:
     """Return the limbs of a robot: contact points with the indices of the joints that move them.
 
     Contact points that share a joint belong to one limb. Joints that move no contact point, for
@@ -112,7 +112,7 @@ def find_limbs(robot: Robot) -> tuple[Limb, ...]:
             feet, joints = feet | group[0], joints | group[1]
         groups.append((feet, joints))
     return tuple(
-        Limb(
+        IndependentLimb(
             feet=tuple(foot for foot in robot.contact_points if foot in feet),
             joints=np.array(sorted(joints), dtype=np.int64),
         )
@@ -122,7 +122,7 @@ def find_limbs(robot: Robot) -> tuple[Limb, ...]:
 
 def find_branches(
     robot: Robot, qpos: Array, targets: Mapping[str, Array], lower: Array, upper: Array
-) -> dict[Limb, tuple[Branch, ...]]:
+) -> dict[IndependentLimb, tuple[Branch, ...]]:
     """Find the IK branches of each limb for a fixed base pose: postures with the feet at targets.
 
     Bounded Levenberg-Marquardt iterations run from `_NUM_STARTS` random initial guesses, for all
@@ -171,7 +171,7 @@ def find_branches(
 
 
 def _sort_branches(
-    robot: Robot, qpos: Array, limb: Limb, branches: tuple[Branch, ...]
+    robot: Robot, qpos: Array, limb: IndependentLimb, branches: tuple[Branch, ...]
 ) -> tuple[Branch, ...]:
     """Sort branches by foot error, then by the limb's joint origins along base x, rearmost first.
 
@@ -203,9 +203,9 @@ def follow_branches(
     targets: Mapping[str, Array],
     lower: Array,
     upper: Array,
-    found: Mapping[Limb, tuple[Branch, ...]],
+    found: Mapping[IndependentLimb, tuple[Branch, ...]],
     moves: Array,
-) -> dict[Limb, list[tuple[Branch, ...]]]:
+) -> dict[IndependentLimb, list[tuple[Branch, ...]]]:
     """Follow the IK branches of all limbs to displaced base positions, with constant foot targets.
 
     Args:
@@ -327,7 +327,7 @@ class _Descent:
 
     def run(
         self, starts: Array, moves: Array, iterations: int = _MAX_ITERATIONS
-    ) -> tuple[Array, dict[Limb, Array]]:
+    ) -> tuple[Array, dict[IndependentLimb, Array]]:
         """Reduce the foot errors from several initial guesses by Levenberg-Marquardt iterations.
 
         Args:
@@ -423,7 +423,9 @@ class _Descent:
         return places - targets, rates * self._moves[:, None]
 
 
-def combine_branches(found: Mapping[Limb, tuple[Branch, ...]], near: Array) -> Iterator[Array]:
+def combine_branches(
+    found: Mapping[IndependentLimb, tuple[Branch, ...]], near: Array
+) -> Iterator[Array]:
     """Yield joint positions (nu,) [rad, m] for the combinations of an IK branch per limb.
 
     The combination with the lowest cost comes first. The cost is a sum over limbs: the absolute

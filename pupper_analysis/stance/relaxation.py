@@ -98,7 +98,7 @@ def explain_refusal(
     if not at_limit and _is_dead_point(robot, nearest):
         blocked = (diagnose("motors-at-dead-point"),)
         missed = {foot: gap for foot, gap in missed.items() if gap >= _MIN_FOOT_ERROR}
-    basis = _Search(context, goal, nearest).find_relaxations() if explain else []
+    basis = _RelaxationSearch(context, goal, nearest).find_relaxations() if explain else []
     named = {" and ".join(relaxation.demands): relaxation for relaxation in basis}
     least = min(basis, key=lambda relaxation: relaxation.slack, default=None)
     return StanceUnreachableError(
@@ -154,7 +154,7 @@ class _StatedRelaxation:
     stand: Stand
 
 
-class _Search:
+class _RelaxationSearch:
     """Search for relaxations of an unreachable goal.
 
     Args:

@@ -24,7 +24,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import (
     Branch,
-    Limb,
+    IndependentLimb,
     combine_branches,
     find_branches,
     follow_branches,
@@ -94,7 +94,7 @@ def search_stand(
         A solved stand. Otherwise the best failure: feet in place with another violation, or the
         smallest foot error.
     """
-    there = _Search(context, goal)
+    there = _StandSearch(context, goal)
     found = there.try_initial_guesses(default_initial_guesses(context.robot, goal))
     if found is not None or default_guesses_only:
         return found or there.best_stand()
@@ -133,7 +133,7 @@ def search_from_joints(context: SearchContext, goal: Goal, joints: Array) -> Sta
     Returns:
         Solved stand; None if IK does not reach a stand.
     """
-    return _Search(context, goal).add(context.solver.solve_from_joints(goal, joints))
+    return _StandSearch(context, goal).add(context.solver.solve_from_joints(goal, joints))
 
 
 def solve_constraints(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
@@ -147,7 +147,7 @@ def solve_constraints(context: SearchContext, goal: Goal, qpos: Array) -> Stand 
     Returns:
         Solved stand; None if the program does not reach a stand.
     """
-    there, programme = _Search(context, goal), StanceProgram(context.shapes, goal)
+    there, programme = _StandSearch(context, goal), StanceProgram(context.shapes, goal)
     stand = there.solve_program(programme, qpos) or there.solve_from_minimum(programme, qpos)
     return stand if stand is not None and stand.solved else None
 
@@ -163,10 +163,10 @@ def search_from_configuration(context: SearchContext, goal: Goal, qpos: Array) -
     Returns:
         Solved stand; None if IK does not reach a stand.
     """
-    return _Search(context, goal).add(context.solver.solve_from_configuration(goal, qpos))
+    return _StandSearch(context, goal).add(context.solver.solve_from_configuration(goal, qpos))
 
 
-class _Search:
+class _StandSearch:
     """State of a search: evaluated solver results, and the stands with feet in place.
 
     Args:
@@ -189,7 +189,7 @@ class _Search:
         self.misses: list[float] = []
         self.points: list[SolverResult] = []
         self.reached: list[Stand] = []
-        self.found: dict[Limb, tuple[Branch, ...]] = {}
+        self.found: dict[IndependentLimb, tuple[Branch, ...]] = {}
 
     @cached_property
     def _is_base_in_ground(self) -> bool:
@@ -557,7 +557,11 @@ def random_postures(goal: Goal, count: int) -> Iterator[Array]:
 
 
 def branch_initial_guesses(
-    robot: Robot, goal: Goal, found: Mapping[Limb, tuple[Branch, ...]], reach: float, most: int
+    robot: Robot,
+    goal: Goal,
+    found: Mapping[IndependentLimb, tuple[Branch, ...]],
+    reach: float,
+    most: int,
 ) -> Iterator[Array]:
     """Yield initial guesses of the joint positions, (nu,) [rad, m], by combining IK branches.
 
@@ -580,7 +584,9 @@ def branch_initial_guesses(
     yield from islice(combine_branches(likely, near), most)
 
 
-def bound_com_shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch, ...]]) -> float:
+def bound_com_shift(
+    robot: Robot, qpos: Array, found: Mapping[IndependentLimb, tuple[Branch, ...]]
+) -> float:
     """Estimate an upper bound of the base displacement [m] when legs change the IK branch.
 
     If the CoM keeps the same horizontal position, the base moves by as much as another branch

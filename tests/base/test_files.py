@@ -23,7 +23,7 @@ import pupper_analysis as pa
 from pupper_analysis.base import files
 from pupper_analysis.base.errors import OutputError, VariantError
 from pupper_analysis.base.files import Writing, write_all, write_atomically
-from pupper_analysis.base.kinds import EDITED_KIND, MODEL_KIND, OWN_KIND, RESULTS_KIND, Kind
+from pupper_analysis.base.kinds import EDITED_KIND, MODEL_KIND, OWN_KIND, RESULTS_KIND, OutputKind
 from pupper_analysis.base.provenance import to_marked_json
 from pupper_analysis.base.runs import ensure_run, register_input
 from tests.support.commands import run_command
@@ -32,7 +32,7 @@ from tests.support.patience import PATIENCE
 from tests.support.repository import ROOT
 
 
-def write(path: Path, kind: Kind = OWN_KIND, text: str = "all of it") -> None:
+def write(path: Path, kind: OutputKind = OWN_KIND, text: str = "all of it") -> None:
     with write_atomically(path, kind) as file:
         file.write(text.encode())
 

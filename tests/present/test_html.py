@@ -30,11 +30,11 @@ from pupper_analysis.present.document import (
     Motion,
     Name,
     Report,
+    SceneView,
     Series,
     StandScene,
     Table,
     Text,
-    View,
     diagnostic_text,
 )
 from pupper_analysis.present.documents import registry, sources
@@ -309,7 +309,7 @@ def test_names_with_a_script_end_are_escaped_in_a_view() -> None:
         joint["name"] = EVIL[index % len(EVIL)]
     drawn["bodies"][0]["name"] = EVIL[1]
     serialise_scene.register(Drawn, lambda one: one.data)
-    view = View(diagnostic_text(problem(EVIL[1])), Drawn(drawn))  # type: ignore[arg-type]
+    view = SceneView(diagnostic_text(problem(EVIL[1])), Drawn(drawn))  # type: ignore[arg-type]
     document = Document(Name(""), Name(EVIL[0]), (view,))
     page = Page(write.render_page(Report(Text(EVIL[1], EVIL[1]), (document,))))
     data = next(json.loads(text) for text in page.strict.scripts if '"joints"' in text[:200000])
@@ -590,7 +590,10 @@ def test_bar_plot_is_one_sided_if_negative_values_are_rounding() -> None:
     """A torque of -1e-17 N m, which another robot has as 0."""
 
     def limits(least: float) -> int:
-        bars = [document.Bar(Name("hip"), least, limit=18.0), document.Bar(Name("knee"), 0.4)]
+        bars = [
+            document.PlotBar(Name("hip"), least, limit=18.0),
+            document.PlotBar(Name("knee"), 0.4),
+        ]
         axis, names = Axis(Name("torque"), "N m", "+.3f"), (Name("held"), None, None)
         drawn = plots.draw_svg(document.BarPlot(Name("torques"), axis, bars, names))
         return sum(mark.get("class") == "limit" for mark in drawn.marks)

@@ -13,7 +13,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
-from pupper_analysis.models.efforts import EffortCode, Motor, placeholder_efforts
+from pupper_analysis.models.efforts import EffortCode, JointEffort, placeholder_efforts
 from pupper_analysis.present.verdict import split_verdict_lines
 from pupper_analysis.robot.build import rebuild_robot, with_efforts
 from pupper_analysis.robot.servos import model_with_servos
@@ -114,17 +114,17 @@ def test_verdict_names_placeholder_efforts_until_efforts_are_requested(tmp_path:
 @pytest.mark.parametrize(
     ("motor", "code"),
     [
-        (Motor("knee", 1000.0, 3.0), "effort-beyond-links"),
-        (Motor("knee", 1000.0, 5.0), None),
-        (Motor("knee", 1010.0, 3.0), None),  # nobody invents such a number
-        (Motor("knee", 30.0, 3.0, 1e-4), "effort-beyond-armature"),
-        (Motor("knee", 30.0, 3.0, 1e-3), None),
-        (Motor("knee", math.inf, 3.0, 1e-3), None),
-        (Motor("knee", 1e3, 1e-9), None),  # between two marks on a link
+        (JointEffort("knee", 1000.0, 3.0), "effort-beyond-links"),
+        (JointEffort("knee", 1000.0, 5.0), None),
+        (JointEffort("knee", 1010.0, 3.0), None),  # nobody invents such a number
+        (JointEffort("knee", 30.0, 3.0, 1e-4), "effort-beyond-armature"),
+        (JointEffort("knee", 30.0, 3.0, 1e-3), None),
+        (JointEffort("knee", math.inf, 3.0, 1e-3), None),
+        (JointEffort("knee", 1e3, 1e-9), None),  # between two marks on a link
     ],
 )
 def test_placeholder_effort_is_judged_by_the_links_and_armature_of_its_motor(
-    motor: Motor, code: str | None
+    motor: JointEffort, code: str | None
 ) -> None:
     """Cases by hand: a round effort that links of 3 N m do not need, or that would accelerate the
     armature beyond any motor.
@@ -135,7 +135,7 @@ def test_placeholder_effort_is_judged_by_the_links_and_armature_of_its_motor(
 
 def test_equal_efforts_of_all_motors_are_judged_by_the_weight_of_the_robot() -> None:
     """By hand: 6 motors of 10 N m are 60 N m, 91 and 89 times the robot's; the limit is 90."""
-    motors = [Motor(f"joint{number}", 10.0, 0.1) for number in range(6)]
+    motors = [JointEffort(f"joint{number}", 10.0, 0.1) for number in range(6)]
     assert not list(placeholder_efforts(motors, 60 / 89))
     ((joints, message),) = placeholder_efforts(motors, 60 / 91)
     assert len(joints) == 6

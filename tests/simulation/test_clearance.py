@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.clearance import GroundClearance
+from pupper_analysis.simulation.clearance import ClearanceBounds
 from pupper_analysis.simulation.rollout import make_stand_start, simulate_commands
 from tests.support.variants import load, stand_of
 
@@ -23,7 +23,7 @@ def test_no_contact_occurs_within_the_bound_during_a_fall(name: str) -> None:
     start[1 + model.nq + 4] = 3.0
     states = simulate_commands(model, start, np.tile(held.ctrl, (400, 1)))[::4]
     clearance, sampler = (
-        GroundClearance(held.robot, model),
+        ClearanceBounds(held.robot, model),
         monitor.ContactSampler(held.robot, model),
     )
     assert clearance.is_available
@@ -41,7 +41,7 @@ def test_displacement_bound_exceeds_the_motion_of_all_geoms() -> None:
     """Reference: forward kinematics of MuJoCo at 200 random pairs of configurations."""
     robot = load("v3")
     model, random = robot.mj_model, np.random.default_rng(0)
-    clearance, data = GroundClearance(robot, model), mujoco.MjData(model)
+    clearance, data = ClearanceBounds(robot, model), mujoco.MjData(model)
 
     def draw() -> tuple[np.ndarray, np.ndarray]:
         qpos = np.append(random.normal(size=7), random.uniform(-1, 1, model.nq - 7))

@@ -17,7 +17,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.stance.branches import (
     Branch,
-    Limb,
+    IndependentLimb,
     combine_branches,
     find_branches,
     find_limbs,
@@ -151,7 +151,7 @@ def test_best_combinations_of_many_limbs_need_little_memory() -> None:
 
     12 limbs with 6 branches have 2e9 combinations, whose costs need 16 GB.
     """
-    limbs = [Limb((f"foot{number}",), np.array([number])) for number in range(12)]
+    limbs = [IndependentLimb((f"foot{number}",), np.array([number])) for number in range(12)]
     random = np.random.default_rng(0)
     positions = {limb: 1.0 + np.cumsum(random.uniform(0.01, 1, 6)) for limb in limbs}
     found = {

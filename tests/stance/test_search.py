@@ -236,13 +236,13 @@ def test_search_terminates_if_it_returns_to_its_start(
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     tried: list[object] = []
 
-    def met(search: search_module._Search, program: object, qpos: object) -> object:
+    def met(search: search_module._StandSearch, program: object, qpos: object) -> object:
         tried.append(qpos)
         assert len(tried) < 100
         return original(search, program, qpos)  # type: ignore[arg-type]
 
-    original = search_module._Search.solve_program
-    monkeypatch.setattr(search_module._Search, "solve_program", met)
+    original = search_module._StandSearch.solve_program
+    monkeypatch.setattr(search_module._StandSearch, "solve_program", met)
     with pytest.raises(pa.StanceUnreachableError):
         pa.solve_stand(robot, pa.StandTask(pitch=-1.24609375), explain=False)
     assert len(tried) > 1

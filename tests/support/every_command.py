@@ -307,7 +307,7 @@ def _run_live(urdf: Path, mjcf: Path, _: Path) -> Cell:
     from pupper_analysis.tools.live.state import State
 
     try:
-        asked = live.StanceSolver(pa.load_robot(urdf=urdf, mjcf=mjcf)).solve_state(State())
+        asked = live.PageSolver(pa.load_robot(urdf=urdf, mjcf=mjcf)).solve_state(State())
         if asked.refusal is not None:
             raise asked.refusal
         stance = live.simulate_stance(asked)

@@ -27,7 +27,7 @@ _RAD_PER_S_PER_RPM = 2 * math.pi / 60
 
 
 @dataclass(frozen=True)
-class Kind:
+class UnitKind:
     """Kind of quantity.
 
     Attributes:
@@ -48,31 +48,31 @@ class Kind:
 
 
 KINDS = {
-    "torque": Kind("N m", _TORQUE_FACTORS),
-    "friction torque": Kind("N m", _TORQUE_FACTORS, zero=True),
-    "torque constant": Kind(
+    "torque": UnitKind("N m", _TORQUE_FACTORS),
+    "friction torque": UnitKind("N m", _TORQUE_FACTORS, zero=True),
+    "torque constant": UnitKind(
         "N m/A", {f"{unit}/A": factor for unit, factor in _TORQUE_FACTORS.items()}
     ),
-    "resistance": Kind("ohm", {"ohm": 1.0, "mohm": 1e-3}),
-    "relative rise": Kind("1/K", {"1/K": 1.0, "%/K": 1e-2}, zero=True, most=0.1),
-    "ratio": Kind("1", {"": 1.0}),
-    "fraction": Kind("1", {"": 1.0, "%": 1e-2}, zero=True, most=1.0),
-    "efficiency": Kind("1", {"": 1.0, "%": 1e-2}, most=1.0),
-    "inertia": Kind("kg m^2", {"kg m^2": 1.0, "g cm^2": 1e-7, "kg cm^2": 1e-4}),
-    "viscous friction": Kind(
+    "resistance": UnitKind("ohm", {"ohm": 1.0, "mohm": 1e-3}),
+    "relative rise": UnitKind("1/K", {"1/K": 1.0, "%/K": 1e-2}, zero=True, most=0.1),
+    "ratio": UnitKind("1", {"": 1.0}),
+    "fraction": UnitKind("1", {"": 1.0, "%": 1e-2}, zero=True, most=1.0),
+    "efficiency": UnitKind("1", {"": 1.0, "%": 1e-2}, most=1.0),
+    "inertia": UnitKind("kg m^2", {"kg m^2": 1.0, "g cm^2": 1e-7, "kg cm^2": 1e-4}),
+    "viscous friction": UnitKind(
         "N m s/rad",
         {"N m s/rad": 1.0, "mN m s/rad": 1e-3, "N m/rpm": 1 / _RAD_PER_S_PER_RPM},
         zero=True,
     ),
-    "stiffness": Kind("N m/rad", {"N m/rad": 1.0, "mN m/rad": 1e-3}),
-    "voltage": Kind("V", {"V": 1.0}),
-    "current": Kind("A", {"A": 1.0, "mA": 1e-3}),
-    "speed": Kind("rad/s", {"rad/s": 1.0, "rpm": _RAD_PER_S_PER_RPM, "deg/s": math.pi / 180}),
-    "thermal resistance": Kind("K/W", {"K/W": 1.0}),
-    "heat capacity": Kind("J/K", {"J/K": 1.0}),
-    "temperature": Kind("degC", {"degC": 1.0, "K": 1.0}, {"K": -273.15}, signed=True),
-    "mass": Kind("kg", {"kg": 1.0, "g": 1e-3}),
-    "price": Kind("USD", {"USD": 1.0}),
+    "stiffness": UnitKind("N m/rad", {"N m/rad": 1.0, "mN m/rad": 1e-3}),
+    "voltage": UnitKind("V", {"V": 1.0}),
+    "current": UnitKind("A", {"A": 1.0, "mA": 1e-3}),
+    "speed": UnitKind("rad/s", {"rad/s": 1.0, "rpm": _RAD_PER_S_PER_RPM, "deg/s": math.pi / 180}),
+    "thermal resistance": UnitKind("K/W", {"K/W": 1.0}),
+    "heat capacity": UnitKind("J/K", {"J/K": 1.0}),
+    "temperature": UnitKind("degC", {"degC": 1.0, "K": 1.0}, {"K": -273.15}, signed=True),
+    "mass": UnitKind("kg", {"kg": 1.0, "g": 1e-3}),
+    "price": UnitKind("USD", {"USD": 1.0}),
 }
 """{kind of quantity: accepted units, with their factors to the SI unit, and range}."""
 
@@ -80,7 +80,7 @@ _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*
 """Pattern of a number and its unit, as in ``1.2 N m``; the unit may be missing."""
 
 
-def parse_quantity(name: str, text: object, kind: Kind) -> float:
+def parse_quantity(name: str, text: object, kind: UnitKind) -> float:
     """Convert a number with its unit to SI units; temperatures to degC.
 
     Args:

@@ -232,7 +232,7 @@ def torque_plot(
         limits: Effort limits, shape (nu,) [N m].
     """
     bars = [
-        doc.Bar(
+        doc.PlotBar(
             doc.Name(name),
             float(statics.joint_torques[index]),
             float(simulated[index]),
@@ -312,7 +312,7 @@ def view_block(
     stand: Stand,
     statics: GravityCompensation | None,
     motions: Sequence[doc.Motion] = (),
-) -> doc.View:
+) -> doc.SceneView:
     """Create the 3-D view of a stand; without a robot, a view that contains no scene.
 
     Args:
@@ -321,7 +321,7 @@ def view_block(
         statics: Static equilibrium; None to omit loads.
         motions: Motions that the view can play.
     """
-    return doc.View(
+    return doc.SceneView(
         text("view-title"),
         None if robot is None else doc.StandScene(robot, stand, statics, motions),
         text("view-note"),

@@ -44,10 +44,10 @@ from pupper_analysis.present.document import (
     MotionScene,
     Plot,
     Report,
+    SceneView,
     StandScene,
     Table,
     Text,
-    View,
     text,
 )
 from pupper_analysis.present.documents.registry import build_report
@@ -508,7 +508,7 @@ def _draw_block(block: Block, scenes: list[dict[str, Any]]) -> Any:
     """
     if isinstance(block, Plot):
         return draw_svg(block)
-    if not isinstance(block, View):
+    if not isinstance(block, SceneView):
         return block
     if block.scene is None:
         left_out = text("view-without-robot")

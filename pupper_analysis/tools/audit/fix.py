@@ -15,8 +15,8 @@ from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.kinds import EDITED_KIND
 from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.xml_bytes import (
-    Element,
     XmlDocument,
+    XmlElement,
     read_document,
 )
 from pupper_analysis.tools.audit.registry import Audit, ValueRepair
@@ -71,14 +71,14 @@ def list_unique_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
     return [repair for index, repair in enumerate(found) if repair not in found[:index]]
 
 
-def _find_element(document: XmlDocument, repair: ValueRepair) -> Element | None:
+def _find_element(document: XmlDocument, repair: ValueRepair) -> XmlElement | None:
     """Return the element that a repair changes; None if no or several elements fit the repair."""
     named = _list_owners(document, repair)
     found = [element for element in named if _descend(element, repair.child) is not None]
     return _descend(found[0], repair.child) if len(found) == 1 else None
 
 
-def _list_owners(document: XmlDocument, repair: ValueRepair) -> list[Element]:
+def _list_owners(document: XmlDocument, repair: ValueRepair) -> list[XmlElement]:
     """Return the elements with the tag and the name of a repair."""
     return [
         element
@@ -87,13 +87,13 @@ def _list_owners(document: XmlDocument, repair: ValueRepair) -> list[Element]:
     ]
 
 
-def _find_owner(document: XmlDocument, repair: ValueRepair) -> Element | None:
+def _find_owner(document: XmlDocument, repair: ValueRepair) -> XmlElement | None:
     """Return the child of the root with the tag and name of a repair; None unless it is unique."""
     found = [one for one in _list_owners(document, repair) if one.parent is document.root]
     return found[0] if len(found) == 1 else None
 
 
-def _ensure_element(document: XmlDocument, repair: ValueRepair) -> Element:
+def _ensure_element(document: XmlDocument, repair: ValueRepair) -> XmlElement:
     """Return the element that a repair changes, and create the missing elements on its path."""
     element = _find_owner(document, repair)
     assert element is not None
@@ -102,12 +102,12 @@ def _ensure_element(document: XmlDocument, repair: ValueRepair) -> Element:
     return element
 
 
-def _descend(element: Element, path: str) -> Element | None:
+def _descend(element: XmlElement, path: str) -> XmlElement | None:
     """Return the element at a path of tags below an element; None if a tag is missing.
 
     A number from 1 in brackets selects one of several children: ``visual[2]/geometry/mesh``.
     """
-    current: Element | None = element
+    current: XmlElement | None = element
     for step in path.split("/") if path else ():
         tag, _, number = step.rstrip("]").partition("[")
         children = [] if current is None else current.findall(tag)

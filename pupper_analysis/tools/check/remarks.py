@@ -20,7 +20,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, Vec
 from pupper_analysis.base.errors import InputError, ModelError, PupperAnalysisError
 from pupper_analysis.base.files import Writing, write_all
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, decode_input, read_input
-from pupper_analysis.base.kinds import Kind
+from pupper_analysis.base.kinds import OutputKind
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import source_name
 from pupper_analysis.robot.compare.compare import FilesCompared
@@ -458,7 +458,7 @@ def _is_baseline(file: BinaryIO) -> bool:
     )
 
 
-BASELINE_FILE: Final = Kind("baseline", _is_baseline, edits=True)
+BASELINE_FILE: Final = OutputKind("baseline", _is_baseline, edits=True)
 """Kind of the baseline file, which one run may read and rewrite. An existing file with neither
 the header nor an entry of a baseline is not overwritten."""
 

@@ -22,8 +22,8 @@ from pupper_analysis.pupper.named_robots import find_files, is_variant, refuse_u
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.tools.contract.facts import Fact, Role
 from pupper_analysis.tools.contract.findings import (
+    DefaultPoseStand,
     Disagreement,
-    Pose,
     add_height_effects,
     find_disagreements,
     find_lost_quantities,
@@ -94,7 +94,7 @@ class Contract(Result):
     sources: tuple[SourceRead, ...]
     facts: tuple[Fact, ...]
     findings: tuple[Disagreement, ...]
-    poses: tuple[Pose, ...]
+    poses: tuple[DefaultPoseStand, ...]
     unread: tuple[Diagnostic, ...]
     notes: tuple[Diagnostic, ...]
     evidence: str
@@ -200,7 +200,7 @@ def _compare_sources(
     unread += find_lost_quantities(placed)
     notes = [note for note in notes if note not in unread] + note_servo_damping(placed)
     placed.sort(key=lambda source: list(Role).index(source.source.role))
-    poses = tuple[Pose, ...]()
+    poses = tuple[DefaultPoseStand, ...]()
     if stand:
         # Imported late: this module imports PlaCo, which `check` does not need.
         from pupper_analysis.tools.contract.poses import stand_poses

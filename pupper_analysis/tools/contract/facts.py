@@ -1,7 +1,8 @@
 """Statements about joints that sources contain, and the registry of readers.
 
-A reader returns `Source` objects. A `Statement` refers to a joint by the name, pattern or index in
-the source; a `Fact` refers to a joint of the robot. `Node` is a value of a file with the line.
+A reader returns `JointSource` objects. A `Statement` refers to a joint by the name, pattern or
+index in the source; a `Fact` refers to a joint of the robot. `LocatedValue` is a value of a file
+with the line.
 """
 
 from __future__ import annotations
@@ -217,7 +218,7 @@ class Fact(Result):
 
 
 @dataclass(frozen=True)
-class Source:
+class JointSource:
     """Content of a source.
 
     Attributes:
@@ -302,7 +303,7 @@ class Request:
     folders: tuple[Path, ...] = ()
 
 
-class Reader(Protocol):
+class SourceReader(Protocol):
     """Interface of a reader: a module with these names.
 
     Attributes:
@@ -311,11 +312,11 @@ class Reader(Protocol):
     """
 
     FILE_SUFFIXES: tuple[str, ...]
-    read: Callable[[Request], Iterable[Source]]
+    read: Callable[[Request], Iterable[JointSource]]
 
 
 @cache
-def load_readers() -> tuple[Reader, ...]:
+def load_readers() -> tuple[SourceReader, ...]:
     """Import all reader modules: modules that read statements about joints from source files.
 
     First are the modules in the folder ``readers`` of this package, sorted by name; then follow
@@ -331,7 +332,7 @@ def load_readers() -> tuple[Reader, ...]:
 
 
 @dataclass(frozen=True)
-class Node:
+class LocatedValue:
     """Value of a YAML, JSON or Python file, with the place.
 
     Attributes:
@@ -344,7 +345,7 @@ class Node:
     place: Place
     decimals: int | None = field(default=None, compare=False)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Node:
+    def __deepcopy__(self, memo: dict[int, Any]) -> LocatedValue:
         return replace(self, value=deepcopy(self.value, memo))
 
     @property
@@ -353,22 +354,22 @@ class Node:
         return self.value is not None
 
     @property
-    def table(self) -> dict[Any, Node]:
+    def table(self) -> dict[Any, LocatedValue]:
         """{key: node} of a dict, or {field: node} of an object, in this node; otherwise empty."""
         content = getattr(self.value, "fields", self.value)
         return content if isinstance(content, dict) else {}
 
-    def get(self, *keys: str) -> Node:
+    def get(self, *keys: str) -> LocatedValue:
         """Return the value at a path of nested dict keys in this node, as a node.
 
         If a key is missing, a node with the value None is returned.
         """
         node = self
         for key in keys:
-            node = node.table.get(key, Node(None, node.place))
+            node = node.table.get(key, LocatedValue(None, node.place))
         return node
 
-    def find_first(self, names: str) -> Node:
+    def find_first(self, names: str) -> LocatedValue:
         """Return the entry of this node for a concept, such as joint names, in any file format.
 
         Each format has its own key for the concept; the first key that is present counts. If all
@@ -378,7 +379,9 @@ class Node:
             names: Concept, a key of `KEY_ALIASES`.
         """
         candidates = (self.get(*alias.split(".")) for alias in KEY_ALIASES[names])
-        return next((item for item in candidates if item.is_present), Node(None, self.place))
+        return next(
+            (item for item in candidates if item.is_present), LocatedValue(None, self.place)
+        )
 
     @property
     def number(self) -> float | None:
@@ -396,7 +399,7 @@ class Node:
             return None
 
     @property
-    def items(self) -> list[Node]:
+    def items(self) -> list[LocatedValue]:
         """Items of this node if it is a list, else the node alone; empty if its value is None."""
         return self.value if isinstance(self.value, list) else [self] * self.is_present
 
@@ -470,7 +473,7 @@ _DECIMALS_PATTERN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
 """Number as written, with groups for the decimals and the exponent."""
 
 
-def read_yaml_nodes(path: Path, text: str) -> list[Node]:
+def read_yaml_nodes(path: Path, text: str) -> list[LocatedValue]:
     """Parse the documents of a YAML or JSON file to nodes with line numbers.
 
     Tags are ignored: a tagged list is a list. Aliases are replaced by values. The values of keys
@@ -498,8 +501,8 @@ def read_yaml_nodes(path: Path, text: str) -> list[Node]:
         raise ModelError(path, diagnose("contract-no-yaml", problem=one_line(error))) from error
 
 
-def _convert_yaml_node(path: Path, node: yaml.Node, left: list[int]) -> Node:
-    """Convert a node of PyYAML, with all nodes in it, to a `Node` with lines.
+def _convert_yaml_node(path: Path, node: yaml.Node, left: list[int]) -> LocatedValue:
+    """Convert a node of PyYAML, with all nodes in it, to a `LocatedValue` with lines.
 
     ``left[0]`` is the number of values that may still be read, decremented for each value.
 
@@ -511,12 +514,14 @@ def _convert_yaml_node(path: Path, node: yaml.Node, left: list[int]) -> Node:
     if left[0] < 0:
         raise make_file_error(place, diagnose("contract-too-much", most=MAX_VALUES))
     if isinstance(node, yaml.MappingNode):
-        table, merged = dict[str, Node](), dict[str, Node]()
+        table, merged = dict[str, LocatedValue](), dict[str, LocatedValue]()
         for key, value in node.value:
             plain = isinstance(key, yaml.ScalarNode)
             name = str(key.value) if plain else f"? {key.start_mark.index}"
             child_node = (
-                Node([], place) if name == "weights" else _convert_yaml_node(path, value, left)
+                LocatedValue([], place)
+                if name == "weights"
+                else _convert_yaml_node(path, value, left)
             )
             if key.tag.endswith(":merge"):
                 for part in reversed(child_node.items):
@@ -526,25 +531,25 @@ def _convert_yaml_node(path: Path, node: yaml.Node, left: list[int]) -> Node:
                 raise make_file_error(place, diagnose("contract-twice", key=name))
             else:
                 table[name] = child_node
-        return Node(merged | table, place)
+        return LocatedValue(merged | table, place)
     if isinstance(node, yaml.SequenceNode):
-        return Node([_convert_yaml_node(path, child, left) for child in node.value], place)
+        return LocatedValue([_convert_yaml_node(path, child, left) for child in node.value], place)
     quoted = node.style in ("'", '"', "|", ">")
-    return Node(str(node.value), place) if quoted else parse_scalar(str(node.value), place)
+    return LocatedValue(str(node.value), place) if quoted else parse_scalar(str(node.value), place)
 
 
-def parse_scalar(text: str, place: Place) -> Node:
+def parse_scalar(text: str, place: Place) -> LocatedValue:
     """Convert an unquoted scalar of YAML to a node: None, truth value, number or text."""
     if text.lower() in ("", "~", "null"):
-        return Node(None, place)
+        return LocatedValue(None, place)
     if text.lower() in ("true", "false"):
-        return Node(text.lower() == "true", place)
+        return LocatedValue(text.lower() == "true", place)
     if len(text) <= 64 and _FLOAT_PATTERN.match(text):
         plain = text.replace("_", "")
-        return Node(float(plain), place, count_decimals(plain))
+        return LocatedValue(float(plain), place, count_decimals(plain))
     if text.lower() in (".inf", "-.inf", "inf", "-inf"):
-        return Node(float(text.replace(".", "")), place, 0)
-    return Node(text, place)
+        return LocatedValue(float(text.replace(".", "")), place, 0)
+    return LocatedValue(text, place)
 
 
 def count_decimals(text: str) -> int:

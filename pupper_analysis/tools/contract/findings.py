@@ -99,7 +99,7 @@ class Disagreement(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class Pose(Result):
+class DefaultPoseStand(Result):
     """Stand of a robot in the default pose of a source.
 
     Attributes:
@@ -661,7 +661,7 @@ ERROR."""
 
 
 def add_height_effects(
-    findings: tuple[Disagreement, ...], poses: tuple[Pose, ...]
+    findings: tuple[Disagreement, ...], poses: tuple[DefaultPoseStand, ...]
 ) -> tuple[Disagreement, ...]:
     """Return the disagreements, with an effect added to those about default joint angles.
 

@@ -19,7 +19,7 @@ from pupper_analysis.base.inputs import CONFIG_NAME, is_input, read_change_time,
 from pupper_analysis.models.places import Place, make_file_error, make_input_error
 from pupper_analysis.tools.contract.facts import (
     QUANTITIES,
-    Node,
+    LocatedValue,
     Origin,
     Statement,
 )
@@ -65,13 +65,13 @@ class KeyRule:
     joints: tuple[str, ...] = ()
     inverse: bool = False
 
-    def accepts(self, node: Node) -> bool:
+    def accepts(self, node: LocatedValue) -> bool:
         """Return True if a value is present and has the shape of the rule."""
         value = node.value
         shape = "list" if isinstance(value, list) else "table" if node.table else "number"
         return node.is_present and self.shape in ("", shape)
 
-    def list_statements(self, node: Node) -> Iterator[Statement]:
+    def list_statements(self, node: LocatedValue) -> Iterator[Statement]:
         """Yield the statements of a value: a number, a list, or a table {joint: number}.
 
         A list that only contains another list, such as [[1, 2]], is read as the inner list.

@@ -24,9 +24,9 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.contract.facts import (
     QUANTITIES,
     Fact,
+    JointSource,
     Origin,
     Role,
-    Source,
     Statement,
 )
 
@@ -49,7 +49,7 @@ class PlacedSource:
         unplaced: {quantity: keys that match no joint}.
     """
 
-    source: Source
+    source: JointSource
     facts: Mapping[tuple[str, str], Fact]
     order: tuple[str, ...] = ()
     how: str = ""
@@ -237,7 +237,9 @@ class _JointNames:
         return {joint: name for name, joint in self.matched.items()}
 
 
-def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) -> PlacedSource:
+def assign_joints(
+    source: JointSource, model: RobotJoints, others: Sequence[JointSource]
+) -> PlacedSource:
     """Assign the values that a source (for example a driver or a policy) states to robot joints.
 
     Args:
@@ -291,7 +293,7 @@ def assign_joints(source: Source, model: RobotJoints, others: Sequence[Source]) 
 
 
 def _describe_unread_lists(
-    source: Source, counts: Mapping[str, int], num_joints: int
+    source: JointSource, counts: Mapping[str, int], num_joints: int
 ) -> dict[str, Diagnostic]:
     """Return {quantity: message about a list whose length is not the number of joints}.
 
@@ -315,7 +317,7 @@ def _describe_unread_lists(
 
 
 def _list_unknown_names(
-    source: Source, model: RobotJoints, names: Sequence[str], matched: Mapping[str, str]
+    source: JointSource, model: RobotJoints, names: Sequence[str], matched: Mapping[str, str]
 ) -> tuple[str, ...]:
     """Return the names of a source that match no joint of the robot.
 
@@ -336,7 +338,7 @@ def _list_unknown_names(
     )
 
 
-def _list_joint_names(source: Source) -> list[str]:
+def _list_joint_names(source: JointSource) -> list[str]:
     """Return the texts in a source that may be names of joints: its order, then keys of numbers.
 
     Regular expressions are left out. Parts of names (legged_gym states gains by parts) are left
@@ -356,7 +358,7 @@ def _list_joint_names(source: Source) -> list[str]:
     return list(dict.fromkeys((*source.order, *plain_names)))
 
 
-def _make_scale_facts(source: Source) -> dict[tuple[str, str], Fact]:
+def _make_scale_facts(source: JointSource) -> dict[tuple[str, str], Fact]:
     """Return {("observation " + term, ""): scale} of the observation terms with a stated scale."""
     scales = {
         f"observation {term.common_name}": (term.scale, term.place)
@@ -387,7 +389,7 @@ def _add_policy_step(facts: dict[tuple[str, str], Fact]) -> None:
         facts.setdefault(("policy step", ""), policy_step)
 
 
-def list_observations(source: Source) -> list[str]:
+def list_observations(source: JointSource) -> list[str]:
     """Return the names of a policy's observation terms, in order.
 
     Names of a library are replaced by common names (`OBSERVATION_ALIASES`).
@@ -404,7 +406,10 @@ _PLAIN_NAME = re.compile(r"[\w/\- ]+")
 
 
 def _determine_order(
-    source: Source, model: RobotJoints, others: Sequence[Source], matched: Mapping[str, str]
+    source: JointSource,
+    model: RobotJoints,
+    others: Sequence[JointSource],
+    matched: Mapping[str, str],
 ) -> tuple[tuple[str, ...], str, list[Diagnostic]]:
     """Return the joints in the order of a source's lists, how the order is known, and notes.
 
@@ -465,7 +470,7 @@ the order of the policy (RoboMimic_Deploy, ``tau_limit`` beside ``joint2motor_id
 
 
 def _find_motor_lists(
-    source: Source, model: RobotJoints, order: tuple[str, ...]
+    source: JointSource, model: RobotJoints, order: tuple[str, ...]
 ) -> dict[str, tuple[str, ...]]:
     """Find lists of motor limits in the order of the motors, not in the order of the policy.
 
@@ -494,7 +499,7 @@ def _find_motor_lists(
 
 
 def _find_name_lists(
-    source: Source, model: RobotJoints, sizes: Collection[int]
+    source: JointSource, model: RobotJoints, sizes: Collection[int]
 ) -> dict[str, tuple[str, ...]]:
     """Return {key: joints of the robot} of the lists of joint names under keys that are not known.
 
@@ -517,7 +522,7 @@ Chosen, not tuned."""
 
 def _compute_unlike_fraction(
     order: tuple[str, ...],
-    source: Source,
+    source: JointSource,
     model: RobotJoints,
     quantities: Collection[str] = QUANTITIES,
 ) -> float:
@@ -560,7 +565,7 @@ def is_mirror_image(first: float | None, second: float | None, sign: int) -> boo
     return abs(first - sign * second) <= 1e-3 * abs(first) + 1e-9
 
 
-def _get_motor_names(source: Source) -> dict[int, str]:
+def _get_motor_names(source: JointSource) -> dict[int, str]:
     """Return {index of a motor: joint name}, as stated in a source."""
     if source.order and source.motors:
         return dict(zip(source.motors, source.order, strict=False))

@@ -1,8 +1,8 @@
 """Stand of a robot in the default pose of each source, with the gains of this source.
 
 Inputs are the model files and the facts of the sources. For each source with enough default angles,
-output is a `Pose`: base height, largest motor utilisation and, if gains are stated, height loss and
-the result of a simulation without feed-forward.
+output is a `DefaultPoseStand`: base height, largest motor utilisation and, if gains are stated,
+height loss and the result of a simulation without feed-forward.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pupper_analysis.simulation.verdict import Ending
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import solve_stand, stand_statics
-from pupper_analysis.tools.contract.findings import Pose
+from pupper_analysis.tools.contract.findings import DefaultPoseStand
 from pupper_analysis.tools.contract.orders import PlacedSource
 
 _MIN_STATED_FRACTION = 0.5
@@ -33,7 +33,7 @@ computed. Chosen, not tuned."""
 
 def stand_poses(
     models: Sequence[Path], placed: Sequence[PlacedSource], joints: tuple[str, ...]
-) -> tuple[tuple[Pose, ...], list[Diagnostic]]:
+) -> tuple[tuple[DefaultPoseStand, ...], list[Diagnostic]]:
     """Compute the stand of the robot in the default pose that each source states.
 
     Sources are files of the training, the policy, its deployment, the driver or the model. If a
@@ -77,7 +77,7 @@ def stand_poses(
         if (each := _get_stated_values(placed_source, "effort", robot))
     ]
     limits.append(robot.effort_limits.tolist())
-    poses_by_key: dict[str, Pose] = {}
+    poses_by_key: dict[str, DefaultPoseStand] = {}
     poses = []
     for placed_source, angles in complete.items():
         kp, kd, efforts = (
@@ -113,7 +113,7 @@ def _stand_in_pose(
     kp: list[float] | None,
     kd: list[float] | None,
     efforts: list[float],
-) -> Pose:
+) -> DefaultPoseStand:
     """Compute the stand in a default pose, with height [m] and largest motor utilisation.
 
     If the source states gains, the stand is also simulated, and the height loss [m] is computed.
@@ -139,7 +139,7 @@ def _stand_in_pose(
     height = float(robot.make_qpos(pose)[2]) - float(np.mean(lowest))
     home = np.concatenate([robot.home[:7], pose])
     posed = replace(robot, nominal=pose, home=home, stand_height=height)
-    result = Pose(name, height, None, None, None, None)
+    result = DefaultPoseStand(name, height, None, None, None, None)
     try:
         stand = solve_stand(posed)
         simulated_stand = solve_stand_as_simulated(posed, stand)

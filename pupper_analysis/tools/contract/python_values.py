@@ -24,7 +24,7 @@ from typing import Any, Final, cast
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.inputs import is_input, read_text
 from pupper_analysis.models.places import Place, make_file_error
-from pupper_analysis.tools.contract.facts import MAX_VALUES, Node, count_decimals
+from pupper_analysis.tools.contract.facts import MAX_VALUES, LocatedValue, count_decimals
 
 MAX_INTEGER_BITS: Final = 1_000
 """Largest size of an integer [bit] that the evaluation of a source accepts; a larger result counts
@@ -64,7 +64,7 @@ class FunctionValue(NamedValue):
 
     node: ast.FunctionDef | ast.Lambda
     around: Scope
-    own: Node | None = None
+    own: LocatedValue | None = None
 
 
 @dataclass(eq=False)
@@ -78,7 +78,7 @@ class ClassValue(NamedValue):
     """
 
     bases: list[ClassValue]
-    fields: dict[str, Node]
+    fields: dict[str, LocatedValue]
     ordered: list[str]
 
 
@@ -93,23 +93,23 @@ class InstanceValue:
     """
 
     kind: str
-    fields: dict[str, Node] = field(default_factory=dict)
+    fields: dict[str, LocatedValue] = field(default_factory=dict)
     of: ClassValue | None = None
 
     def __str__(self) -> str:
         return f"{self.kind}(...)"
 
 
-class ModuleNames(UserDict[str, Node]):
+class ModuleNames(UserDict[str, LocatedValue]):
     """Names of a module. Contains the names defined so far while the module is evaluated."""
 
     def __init__(self, path: Path, lines: list[str]) -> None:
-        super().__init__({"__name__": Node(path.stem, Place(path))})
+        super().__init__({"__name__": LocatedValue(path.stem, Place(path))})
         self.path, self.lines, self.fields = path, lines, self.data
         self.imported: set[str] = set()
 
 
-Scope = ChainMap[str, Node]
+Scope = ChainMap[str, LocatedValue]
 """Visible names, innermost scope first; the last map is the `ModuleNames` of the module."""
 
 
@@ -125,7 +125,7 @@ class NotConstantError(Exception):
 class _ReturnSignal(Exception):  # noqa: N818
     """Signal of ``return``: ends the evaluation of a function, with its value."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: LocatedValue) -> None:
         self.node = node
 
 
@@ -442,7 +442,7 @@ class Evaluator:
 
     def _run_importfrom(self, statement: ast.ImportFrom, scope: Scope) -> None:
         """Evaluate ``from module import name``; a name that is not found gets an unknown value."""
-        home: Mapping[str, Node] = (
+        home: Mapping[str, LocatedValue] = (
             self._find_module(scope, statement.module or "", statement.level) or {}
         )
         for name in statement.names:
@@ -459,7 +459,7 @@ class Evaluator:
             lost = self._make_node(below or UnknownValue(name.name), statement, scope)
             self._add_imports({name.asname or name.name: home.get(name.name, lost)}, scope)
 
-    def _add_imports(self, names: Mapping[str, Node], scope: Scope) -> None:
+    def _add_imports(self, names: Mapping[str, LocatedValue], scope: Scope) -> None:
         """Add imported names to a scope, and mark them as imported in the module."""
         scope.update(names)
         get_module(scope).imported.update(names)
@@ -494,7 +494,7 @@ class Evaluator:
                 with suppress(NotConstantError):
                     self._assign_target(cast(ast.expr, node), lost, scope)
 
-    def _assign_target(self, to: ast.expr, value: Node, scope: Scope) -> None:
+    def _assign_target(self, to: ast.expr, value: LocatedValue, scope: Scope) -> None:
         """Assign a value to a name, to several names, to an attribute or to an item.
 
         ``to`` is the target of the assignment.
@@ -521,7 +521,7 @@ class Evaluator:
             case _:
                 raise NotConstantError
 
-    def _get_owner_fields(self, node: ast.expr, scope: Scope) -> dict[str, Node]:
+    def _get_owner_fields(self, node: ast.expr, scope: Scope) -> dict[str, LocatedValue]:
         """Return the fields {name: value} of an object or class, for an assignment to an attribute.
 
         A new, empty table for other values. If the owner is itself an unknown attribute, it becomes
@@ -538,7 +538,7 @@ class Evaluator:
 
     # Expressions.
 
-    def evaluate(self, expression: ast.expr, scope: Scope) -> Node:
+    def evaluate(self, expression: ast.expr, scope: Scope) -> LocatedValue:
         """Evaluate an expression, and return the value with the line of the expression.
 
         The value of an expression that is not constant is an ``UnknownValue`` with the text of the
@@ -553,14 +553,14 @@ class Evaluator:
             result = UnknownValue(ast.unparse(expression)[:80])
         return self._make_node(result, expression, scope)
 
-    def _make_node(self, value: Any, expression: ast.AST, scope: Scope) -> Node:
+    def _make_node(self, value: Any, expression: ast.AST, scope: Scope) -> LocatedValue:
         """Make a node of a value and its list items, with the place of an expression."""
         if isinstance(value, list | tuple):
             value = [
-                part if isinstance(part, Node) else self._make_node(part, expression, scope)
+                part if isinstance(part, LocatedValue) else self._make_node(part, expression, scope)
                 for part in value
             ]
-        known = value if isinstance(value, Node) else Node(value, Place(Path()))
+        known = value if isinstance(value, LocatedValue) else LocatedValue(value, Place(Path()))
         return replace(known, place=self._make_place(expression, scope))
 
     def _make_place(self, expression: ast.AST, scope: Scope) -> Place:
@@ -592,21 +592,21 @@ class Evaluator:
             raise NotConstantError
         return result
 
-    def _is_true(self, node: Node) -> bool:
+    def _is_true(self, node: LocatedValue) -> bool:
         """Return the truth of a value; raise NotConstantError for an unknown value."""
         if isinstance(node.value, NamedValue | ModuleNames):
             raise NotConstantError
         return bool(node.value)
 
-    def _list_items(self, node: Node) -> list[Node]:
+    def _list_items(self, node: LocatedValue) -> list[LocatedValue]:
         """Return the items of a list or the keys of a table; else raise NotConstantError."""
         if isinstance(node.value, dict):
-            return [Node(key, value.place) for key, value in node.value.items()]
+            return [LocatedValue(key, value.place) for key, value in node.value.items()]
         if not isinstance(node.value, list):
             raise NotConstantError
         return node.value
 
-    def _to_plain(self, node: Node) -> Any:
+    def _to_plain(self, node: LocatedValue) -> Any:
         """Return the value of a node as plain data, without the places in the source.
 
         Raises:
@@ -618,7 +618,7 @@ class Evaluator:
         many = isinstance(node.value, list)
         return [self._to_plain(item) for item in node.value] if many else node.value
 
-    def _evaluate_starred(self, every: list[ast.expr], scope: Scope) -> list[Node]:
+    def _evaluate_starred(self, every: list[ast.expr], scope: Scope) -> list[LocatedValue]:
         """Evaluate expressions; a starred expression yields all items."""
         return [
             part
@@ -641,7 +641,7 @@ class Evaluator:
             raise NotConstantError
         return str(value) if isinstance(value, UnknownValue) else value
 
-    def _evaluate_constant(self, expression: ast.Constant, scope: Scope) -> Node:
+    def _evaluate_constant(self, expression: ast.Constant, scope: Scope) -> LocatedValue:
         """Return the value of a literal, with the decimals that a number has in the source."""
         digits = None
         if isinstance(expression.value, int | float) and not isinstance(expression.value, bool):
@@ -649,7 +649,7 @@ class Evaluator:
             digits = count_decimals(
                 row[expression.col_offset : expression.end_col_offset].decode(errors="replace")
             )
-        return Node(expression.value, self._make_place(expression, scope), digits)
+        return LocatedValue(expression.value, self._make_place(expression, scope), digits)
 
     def _evaluate_name(self, expression: ast.Name, scope: Scope) -> Any:
         """Return the value of a name; an unknown value if the scope lacks the name."""
@@ -664,20 +664,20 @@ class Evaluator:
             node = self.evaluate(expression.value, scope)
             names = node.table or (_NAMED_CONSTANTS if str(node.value) in _NUMERIC_MODULES else {})
         result = self._apply_function(operator.getitem, names, expression.attr)
-        method = isinstance(result, Node) and isinstance(result.value, FunctionValue)
+        method = isinstance(result, LocatedValue) and isinstance(result.value, FunctionValue)
         if method and isinstance(node.value, InstanceValue | ClassValue):
             return replace(result.value, own=node)
         return result
 
-    def _evaluate_tuple(self, expression: ast.Tuple, scope: Scope) -> list[Node]:
+    def _evaluate_tuple(self, expression: ast.Tuple, scope: Scope) -> list[LocatedValue]:
         """Return the values of a tuple, list or set, with starred elements expanded."""
         return self._evaluate_starred(expression.elts, scope)
 
     _evaluate_list = _evaluate_set = _evaluate_tuple
 
-    def _evaluate_dict(self, expression: ast.Dict, scope: Scope) -> dict[Any, Node]:
+    def _evaluate_dict(self, expression: ast.Dict, scope: Scope) -> dict[Any, LocatedValue]:
         """Return {key: value} of a dict display, with entries of ``**other`` included."""
-        result: dict[Any, Node] = {}
+        result: dict[Any, LocatedValue] = {}
         for key, value in zip(expression.keys, expression.values, strict=True):
             content = self.evaluate(value, scope)
             result |= content.table if key is None else {self._make_key(key, scope): content}
@@ -735,9 +735,9 @@ class Evaluator:
         if not _is_number(operand.value) or isinstance(expression.op, ast.Invert):
             raise NotConstantError
         sign = -1 if isinstance(expression.op, ast.USub) else 1
-        return Node(sign * operand.value, operand.place, operand.decimals)
+        return LocatedValue(sign * operand.value, operand.place, operand.decimals)
 
-    def _evaluate_boolop(self, expression: ast.BoolOp, scope: Scope) -> Node:
+    def _evaluate_boolop(self, expression: ast.BoolOp, scope: Scope) -> LocatedValue:
         """Return the first operand that decides ``and`` or ``or``, otherwise the last operand."""
         for operand in expression.values:
             result = self.evaluate(operand, scope)
@@ -759,7 +759,7 @@ class Evaluator:
         )
         return self._apply_function(_OPERATOR_FUNCTIONS[type(expression.ops[0])], *both)
 
-    def _evaluate_ifexp(self, expression: ast.IfExp, scope: Scope) -> Node:
+    def _evaluate_ifexp(self, expression: ast.IfExp, scope: Scope) -> LocatedValue:
         """Evaluate ``a if condition else b``: the condition, then only the selected operand."""
         return self.evaluate(
             expression.body
@@ -772,7 +772,7 @@ class Evaluator:
         """Return the function that a lambda expression defines."""
         return FunctionValue("lambda", expression, scope)
 
-    def _evaluate_listcomp(self, expression: ast.ListComp, scope: Scope) -> list[Node]:
+    def _evaluate_listcomp(self, expression: ast.ListComp, scope: Scope) -> list[LocatedValue]:
         """Return the list of a comprehension such as ``[x for x in values]``."""
         return [
             self.evaluate(expression.elt, inner)
@@ -781,7 +781,7 @@ class Evaluator:
 
     _evaluate_generatorexp = _evaluate_listcomp
 
-    def _evaluate_dictcomp(self, expression: ast.DictComp, scope: Scope) -> dict[Any, Node]:
+    def _evaluate_dictcomp(self, expression: ast.DictComp, scope: Scope) -> dict[Any, LocatedValue]:
         """Return the table {key: value} of a dict comprehension."""
         return {
             self._make_key(expression.key, inner): self.evaluate(expression.value, inner)
@@ -809,7 +809,7 @@ class Evaluator:
         (`_call_library`).
         """
         arguments = self._evaluate_starred(expression.args, scope)
-        keywords: dict[str, Node] = {}
+        keywords: dict[str, LocatedValue] = {}
         for keyword in expression.keywords:
             content = self.evaluate(keyword.value, scope)
             if keyword.arg is not None:
@@ -827,7 +827,9 @@ class Evaluator:
                 arguments.insert(0, content)
         return self._call_library(ast.unparse(expression.func), arguments, keywords)
 
-    def _call_library(self, called: str, arguments: list[Node], keywords: dict[str, Node]) -> Any:
+    def _call_library(
+        self, called: str, arguments: list[LocatedValue], keywords: dict[str, LocatedValue]
+    ) -> Any:
         """Evaluate the call of a library function, or of a class whose module was not read.
 
         Args:
@@ -837,7 +839,7 @@ class Evaluator:
         """
         name = called.rpartition(".")[2]
         if name in (*_PURE_FUNCTIONS, *_LIST_FUNCTIONS) and arguments:
-            plain: Callable[[Node], Any] = (
+            plain: Callable[[LocatedValue], Any] = (
                 self._to_plain if name in _PURE_FUNCTIONS else self._list_items
             )
             said = {key: self._to_plain(value) for key, value in keywords.items()}
@@ -865,10 +867,10 @@ class Evaluator:
             return self._make_field_default(keywords)
         if not name[:1].isupper():
             raise NotConstantError
-        more = {"args": Node(arguments, arguments[0].place)} if arguments else {}
+        more = {"args": LocatedValue(arguments, arguments[0].place)} if arguments else {}
         return InstanceValue(name, {**keywords, **more})
 
-    def _make_field_default(self, keywords: dict[str, Node]) -> Any:
+    def _make_field_default(self, keywords: dict[str, LocatedValue]) -> Any:
         """Return the default value of a dataclass field, from the arguments of ``field(...)``.
 
         Args:
@@ -889,7 +891,11 @@ class Evaluator:
         )
 
     def _call_method(
-        self, value: Any, name: str, arguments: list[Node], keywords: dict[str, Node]
+        self,
+        value: Any,
+        name: str,
+        arguments: list[LocatedValue],
+        keywords: dict[str, LocatedValue],
     ) -> Any:
         """Call an allowed method of a table or a list."""
         own: list[Any] = list(arguments)
@@ -902,8 +908,11 @@ class Evaluator:
         return self._apply_function(getattr(value, name), *own, **keywords)
 
     def call(
-        self, called: FunctionValue | ClassValue, arguments: list[Node], keywords: dict[str, Node]
-    ) -> Node:
+        self,
+        called: FunctionValue | ClassValue,
+        arguments: list[LocatedValue],
+        keywords: dict[str, LocatedValue],
+    ) -> LocatedValue:
         """Evaluate the call of a function or class of an evaluated file.
 
         Raises:
@@ -948,19 +957,19 @@ class Evaluator:
         return self._make_node(None, node, scope)
 
     def _make_instance(
-        self, of: ClassValue, arguments: list[Node], keywords: dict[str, Node]
-    ) -> Node:
+        self, of: ClassValue, arguments: list[LocatedValue], keywords: dict[str, LocatedValue]
+    ) -> LocatedValue:
         """Make an instance of a class with fresh copies of the default values."""
         result: InstanceValue = self._copy_value(InstanceValue(of.name, of.fields, of), {})
         result.fields.update(zip(dict.fromkeys(of.ordered), arguments, strict=False), **keywords)
-        own = Node(result, Place(Path()))
+        own = LocatedValue(result, Place(Path()))
         after = of.fields.get("__post_init__")
         if after is not None and isinstance(after.value, FunctionValue):
             with suppress(NotConstantError):
                 self.call(after.value, [own], {})
         return own
 
-    def _copy_value(self, value: Any, keywords: dict[str, Node]) -> Any:
+    def _copy_value(self, value: Any, keywords: dict[str, LocatedValue]) -> Any:
         """Return a deep copy of a value, with changed fields, as ``dataclasses.replace``.
 
         Args:

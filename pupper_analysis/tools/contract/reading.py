@@ -15,7 +15,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import InputError, ModelError, PupperAnalysisError
 from pupper_analysis.base.inputs import GENERATED_FOLDERS, MAX_FILE_BYTES, check_input
 from pupper_analysis.models.places import make_input_error
-from pupper_analysis.tools.contract.facts import Request, Role, Source, load_readers
+from pupper_analysis.tools.contract.facts import JointSource, Request, Role, load_readers
 from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, assign_joints
 from pupper_analysis.tools.contract.readers import tables
 
@@ -26,13 +26,13 @@ _SKIPPED_FOLDERS = (*GENERATED_FOLDERS, "logs", "thirdparty", "__pycache__")
 """Folders that are not searched: generated or installed files, and logs of training."""
 
 
-def read_sources(requests: Sequence[Request]) -> tuple[list[Source], list[ModelError]]:
+def read_sources(requests: Sequence[Request]) -> tuple[list[JointSource], list[ModelError]]:
     """Read files, and return their sources, and the errors of files that cannot be used.
 
     Raises:
         ModelError: If a file does not exist, or if no file can be used: the first error.
     """
-    read, errors = list[Source](), list[ModelError]()
+    read, errors = list[JointSource](), list[ModelError]()
     for request in requests:
         try:
             check_input(request.path, MAX_FILE_BYTES)
@@ -47,7 +47,7 @@ def read_sources(requests: Sequence[Request]) -> tuple[list[Source], list[ModelE
     return read, errors
 
 
-def make_names_distinct(read: Sequence[Source]) -> list[Source]:
+def make_names_distinct(read: Sequence[JointSource]) -> list[JointSource]:
     """Return the sources with distinct names: equal names get parent folders as a prefix."""
     renamed = []
     for source in read:
@@ -82,7 +82,7 @@ def split_arguments(sources: Sequence[str | Path]) -> tuple[list[Request], list[
     return [Request(path, name, tuple(folders)) for path, name in files], folders
 
 
-def read_file(request: Request) -> list[Source]:
+def read_file(request: Request) -> list[JointSource]:
     """Return the sources of a file, read with all readers for its suffix.
 
     Raises:
@@ -101,7 +101,7 @@ def read_file(request: Request) -> list[Source]:
         raise ModelError(request.path, diagnose("contract-too-deep")) from error
 
 
-def select_configurations(request: Request, sources: Sequence[Source]) -> list[Source]:
+def select_configurations(request: Request, sources: Sequence[JointSource]) -> list[JointSource]:
     """Select the configurations (named sets of values) of a file that are compared.
 
     Of configurations with the same content, one is kept. In a file of a training program, a
@@ -136,8 +136,8 @@ def select_configurations(request: Request, sources: Sequence[Source]) -> list[S
 
 
 def read_folder(
-    folder: Path, read: Sequence[Source], joints: RobotJoints
-) -> tuple[list[Source], list[Diagnostic]]:
+    folder: Path, read: Sequence[JointSource], joints: RobotJoints
+) -> tuple[list[JointSource], list[Diagnostic]]:
     """Read the deployments in a folder that name joints of this robot, and return them with notes.
 
     Python modules, and files of the sources ``read``, are not read. A deployment is kept if it
@@ -145,7 +145,7 @@ def read_folder(
     in a note, as are files that cannot be read.
     """
     known_paths = {source.path.absolute() for source in read}
-    fitting, num_rejected, refused = list[Source](), 0, list[str]()
+    fitting, num_rejected, refused = list[JointSource](), 0, list[str]()
     for path in _list_source_files(folder):
         try:
             sources = [] if path.absolute() in known_paths else read_file(Request(path))
@@ -177,7 +177,7 @@ def _list_source_files(folder: Path) -> Iterator[Path]:
     return islice(found, MAX_FOLDER_FILES)
 
 
-def check_source(placed_source: PlacedSource, model: Source) -> list[Diagnostic]:
+def check_source(placed_source: PlacedSource, model: JointSource) -> list[Diagnostic]:
     """Return the notes on a source, and check that the source states something about the robot.
 
     Args:

@@ -54,7 +54,7 @@ ElementKey = tuple[str, str]
 
 
 @dataclass(frozen=True, eq=False)
-class Element:
+class ModelElement:
     """Element of a model file.
 
     Attributes:
@@ -79,7 +79,7 @@ _NUM_FRICTION_COEFFICIENTS: Final = {1: 0, 3: 1, 4: 2, 6: 3}
 larger condim of both geoms; a default ground has 3. Further coefficients are not compared."""
 
 
-def list_elements(file: MjcfFile) -> dict[ElementKey, Element]:
+def list_elements(file: MjcfFile) -> dict[ElementKey, ModelElement]:
     """Return the elements of an MJCF whose values are compared: {(tag, name): element}.
 
     These are geoms, contact pairs and exclusions, options, flags, keyframes, joints, actuators,
@@ -89,7 +89,7 @@ def list_elements(file: MjcfFile) -> dict[ElementKey, Element]:
         file: File that MuJoCo compiles.
     """
     model = file.model
-    found: dict[ElementKey, Element] = {}
+    found: dict[ElementKey, ModelElement] = {}
     names = list_geom_names(model)
     touching = find_collidable_geoms(model)
     condim = max((3, *model.geom_condim.tolist()))
@@ -98,7 +98,7 @@ def list_elements(file: MjcfFile) -> dict[ElementKey, Element]:
         values["friction"] = values["friction"][: _NUM_FRICTION_COEFFICIENTS[condim]]
         place = partial(place_of_geom, file, geom)
         body = model.body(int(model.geom_bodyid[geom])).name
-        found["geom", name] = Element(
+        found["geom", name] = ModelElement(
             values, place, read_shape(model, geom), geom in touching, (body,)
         )
     pairs, excludes = ([place for _, place in file.elements(tag)] for tag in ("pair", "exclude"))
@@ -106,34 +106,34 @@ def list_elements(file: MjcfFile) -> dict[ElementKey, Element]:
         ends = names[int(model.pair_geom1[pair])], names[int(model.pair_geom2[pair])]
         values = element_values(model, "pair", pair)
         at = _make_constant_finder(_get_nth_place(pairs, pair, model.npair, file))
-        found["pair", join_names(ends)] = Element(values, at, owners=ends)
+        found["pair", join_names(ends)] = ModelElement(values, at, owners=ends)
     for exclude, signature in enumerate(model.exclude_signature.tolist()):
         ends = model.body(signature >> 16).name, model.body(signature & 0xFFFF).name
         at = _make_constant_finder(_get_nth_place(excludes, exclude, model.nexclude, file))
-        found["exclude", join_names(ends)] = Element({}, at, owners=ends)
+        found["exclude", join_names(ends)] = ModelElement({}, at, owners=ends)
     stated = next((place for _, place in file.elements("option")), Place(file.path))
-    found["option", "option"] = Element(
+    found["option", "option"] = ModelElement(
         element_values(model, "option", 0), _make_attribute_finder(file, "option", stated)
     )
     flags = next((place for _, place in file.elements("flag")), stated)
     for bit in (*DISABLE_BITS, *ENABLE_BITS):
         enabled = {ENABLED_WORD: (float(has_flag(model, bit)),)}
-        found["flag", get_flag_name(bit)] = Element(enabled, _make_constant_finder(flags))
+        found["flag", get_flag_name(bit)] = ModelElement(enabled, _make_constant_finder(flags))
     found |= _list_tree_elements(file)
     for key in range(model.nkey):
         name = model.key(key).name or f"#{key}"
-        found["key", name] = Element(
+        found["key", name] = ModelElement(
             element_values(model, "key", key), _make_constant_finder(file.place("key", name))
         )
     return found
 
 
-def _list_tree_elements(file: MjcfFile) -> dict[ElementKey, Element]:
+def _list_tree_elements(file: MjcfFile) -> dict[ElementKey, ModelElement]:
     """Return {(tag, name): element} of joints, actuators, tendons and equalities of an MJCF.
 
     The elements have the values that a `MultibodyTree` lacks.
     """
-    model, found = file.model, dict[ElementKey, Element]()
+    model, found = file.model, dict[ElementKey, ModelElement]()
     counts = {
         "joint": model.njnt,
         "actuator": model.nactuator,
@@ -148,7 +148,7 @@ def _list_tree_elements(file: MjcfFile) -> dict[ElementKey, Element]:
             elif kind == "equality":
                 name = equality_name(model, row)
             place = partial(_find_element_place, file, kind, name, row)
-            found[kind, name] = Element(element_values(model, kind, row), place)
+            found[kind, name] = ModelElement(element_values(model, kind, row), place)
     return found
 
 
@@ -190,15 +190,15 @@ def list_geom_names(model: mujoco.MjModel) -> list[str]:
     return names
 
 
-def list_collisions(model: UrdfModel) -> dict[ElementKey, Element]:
+def list_collisions(model: UrdfModel) -> dict[ElementKey, ModelElement]:
     """Return the collision shapes of a URDF: {("collision", link or "link #2"): element}."""
-    found: dict[ElementKey, Element] = {}
+    found: dict[ElementKey, ModelElement] = {}
     for link in model.links.values():
         touching = [shape for shape in link.shapes if shape.collides]
         for number, shape in enumerate(touching, 1):
             name = link.name if number == 1 else f"{link.name} #{number}"
             place = model.file.place_of_nth(link.name, "collision", number - 1)
-            found["collision", name] = Element(
+            found["collision", name] = ModelElement(
                 {}, _make_constant_finder(place), shape, owners=(link.name,)
             )
     return found
@@ -224,8 +224,8 @@ def _make_constant_finder(place: Place) -> Callable[[str], Place]:
 
 
 ENABLED_WORD: Final = "enabled"
-"""Key in `Element.values` for a ``<flag>`` of an MJCF: the value is 1 if the flag is enabled, 0 if
-the flag is disabled."""
+"""Key in `ModelElement.values` for a ``<flag>`` of an MJCF: the value is 1 if the flag is enabled,
+0 if the flag is disabled."""
 
 DISABLE_BITS: Final = tuple(
     bit for bit in mujoco.mjtDisableBit.__members__.values() if bit.name.startswith("mjDSBL_")
@@ -327,11 +327,11 @@ def measure_surface_distance(first_shape: Shape, second_shape: Shape) -> float:
 
 
 def match_elements(
-    old: Mapping[ElementKey, Element],
-    new: Mapping[ElementKey, Element],
+    old: Mapping[ElementKey, ModelElement],
+    new: Mapping[ElementKey, ModelElement],
     bodies: Mapping[str, str],
     joints: Mapping[str, str],
-) -> dict[ElementKey, Element]:
+) -> dict[ElementKey, ModelElement]:
     """Return the new elements under the names of the old elements to which they correspond.
 
     Geoms with equal names correspond. Other geoms of a body are matched if they agree in all
@@ -344,7 +344,7 @@ def match_elements(
         bodies: {body of the new file: name in the old file}.
         joints: {joint of the new file: name in the old file}.
     """
-    matched: dict[ElementKey, Element] = {}
+    matched: dict[ElementKey, ModelElement] = {}
     new_names: dict[str, str] = {}
     taken = {name for _, name in (*old, *new)}
     for (kind, body), (old_keys, new_keys) in _list_unnamed_shapes(old, new, bodies).items():
@@ -368,7 +368,9 @@ def match_elements(
 
 
 def _list_unnamed_shapes(
-    old: Mapping[ElementKey, Element], new: Mapping[ElementKey, Element], bodies: Mapping[str, str]
+    old: Mapping[ElementKey, ModelElement],
+    new: Mapping[ElementKey, ModelElement],
+    bodies: Mapping[str, str],
 ) -> dict[ElementKey, tuple[list[ElementKey], list[ElementKey]]]:
     """Return {(tag, body): keys of old and of new shapes that cannot be matched by name}.
 
@@ -394,15 +396,15 @@ def _list_unnamed_shapes(
 def _match_similar_shapes(
     old_keys: list[ElementKey],
     new_keys: list[ElementKey],
-    old: Mapping[ElementKey, Element],
-    new: Mapping[ElementKey, Element],
+    old: Mapping[ElementKey, ModelElement],
+    new: Mapping[ElementKey, ModelElement],
 ) -> dict[ElementKey, ElementKey]:
     """Return {new shape: matching old shape}: equal in all values, else in shape, else by order.
 
     Shapes that are matched by order either both can collide, or both cannot.
     """
 
-    def is_of_one_shape(first: Element, second: Element) -> bool:
+    def is_of_one_shape(first: ModelElement, second: ModelElement) -> bool:
         """Return True if both shapes have the same kind, and surfaces within `SURFACE_ATOL`."""
         assert first.shape is not None
         assert second.shape is not None
@@ -411,12 +413,12 @@ def _match_similar_shapes(
             and measure_surface_distance(first.shape, second.shape) <= SURFACE_ATOL
         )
 
-    def is_alike(first: Element, second: Element) -> bool:
+    def is_alike(first: ModelElement, second: ModelElement) -> bool:
         """Return True if numbers, collision and shape of both elements agree."""
         same = all(_numbers_agree(*values) for values in _pair_numbers(first, second).values())
         return same and first.touches == second.touches and is_of_one_shape(first, second)
 
-    def touches_alike(first: Element, second: Element) -> bool:
+    def touches_alike(first: ModelElement, second: ModelElement) -> bool:
         """Return True if both elements can collide, or both cannot."""
         return first.touches == second.touches
 
@@ -435,7 +437,7 @@ def _match_similar_shapes(
     return matches
 
 
-def _pair_numbers(first: Element, second: Element) -> dict[str, tuple[Value, Value]]:
+def _pair_numbers(first: ModelElement, second: ModelElement) -> dict[str, tuple[Value, Value]]:
     """Return {attribute: numbers in both elements}. Friction is cut to the shorter list."""
     pairs = {}
     for word in dict.fromkeys((*first.values, *second.values)):
@@ -450,8 +452,8 @@ def _pair_numbers(first: Element, second: Element) -> dict[str, tuple[Value, Val
 
 
 def find_changed_elements(
-    old: Mapping[ElementKey, Element],
-    new: Mapping[ElementKey, Element],
+    old: Mapping[ElementKey, ModelElement],
+    new: Mapping[ElementKey, ModelElement],
 ) -> Iterator[ElementDifference]:
     """Yield the changes of elements between two versions, for elements with equal names.
 
@@ -582,8 +584,8 @@ def _make_difference(
     kind: str,
     word: str,
     keys: list[ElementKey],
-    old: Mapping[ElementKey, Element],
-    new: Mapping[ElementKey, Element],
+    old: Mapping[ElementKey, ModelElement],
+    new: Mapping[ElementKey, ModelElement],
 ) -> ElementDifference:
     """Create the difference of elements with an equal change of an attribute.
 
@@ -650,7 +652,7 @@ _TRANSLATED_WORDS: Final = (SHAPE_WORD, "friction")
 """Attributes whose names messages translate; other names are printed as in the MJCF."""
 
 
-def _format_value(element: Element | None, word: str, other: Element | None) -> object:
+def _format_value(element: ModelElement | None, word: str, other: ModelElement | None) -> object:
     """Return the value of an attribute for a message.
 
     Args:
@@ -678,7 +680,7 @@ def _format_value(element: Element | None, word: str, other: Element | None) -> 
     return " ".join(format_pair(*pair, ".6g")[0] for pair in pairs) or Term("none")
 
 
-def _to_plain(element: Element | None, word: str) -> object:
+def _to_plain(element: ModelElement | None, word: str) -> object:
     """Return the value of an attribute of an element as data for JSON; None without an element.
 
     ``word`` is the name of the attribute. If it is empty or `SHAPE_WORD`, the result describes the

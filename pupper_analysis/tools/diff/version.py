@@ -54,7 +54,12 @@ from pupper_analysis.robot.matching.trees import (
     with_null_efforts,
     without_shapes,
 )
-from pupper_analysis.tools.diff.elements import Element, ElementKey, list_collisions, list_elements
+from pupper_analysis.tools.diff.elements import (
+    ElementKey,
+    ModelElement,
+    list_collisions,
+    list_elements,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +81,7 @@ class Version:
     file: UrdfFile | MjcfFile
     tree: MultibodyTree
     extra_values: Mapping[tuple[str, str], Any]
-    elements: Mapping[ElementKey, Element]
+    elements: Mapping[ElementKey, ModelElement]
     bodies: Mapping[str, str]
     sources: Sources
     notes: tuple[Diagnostic, ...]

@@ -194,7 +194,7 @@ def _make_joint_error_plots(fit: MotionFit) -> Iterator[doc.BarPlot]:
     for slides in (False, True):
         factor, unit = READ_IN["m" if slides else "rad"]
         bars = [
-            doc.Bar(doc.Name(name), factor * error, factor * fit.encoder_noise[name])
+            doc.PlotBar(doc.Name(name), factor * error, factor * fit.encoder_noise[name])
             for name, error in fit.by_joint.items()
             if math.isfinite(error) and (name in fit.slides) == slides
         ]
@@ -276,7 +276,7 @@ def _make_stand_residual_plot(fit: StandFit) -> doc.BarPlot:
     return doc.BarPlot(
         text("residuals-of-stands"),
         doc.Axis(text("residual-rms"), "sigma", ".2f"),
-        [doc.Bar(doc.Name(name), value) for name, value in worst],
+        [doc.PlotBar(doc.Name(name), value) for name, value in worst],
         (text("residual-rms"), None, None),
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import BinaryIO, Final
 
-from pupper_analysis.base.kinds import NUM_HEAD_BYTES, Kind
+from pupper_analysis.base.kinds import NUM_HEAD_BYTES, OutputKind
 
 
 def _is_trace(file: BinaryIO) -> bool:
@@ -13,5 +13,5 @@ def _is_trace(file: BinaryIO) -> bool:
     return head.startswith(b"PK") and b"observations.npy" in head
 
 
-TRACE_KIND: Final = Kind("trace", _is_trace, suffixes=(".npz",))
+TRACE_KIND: Final = OutputKind("trace", _is_trace, suffixes=(".npz",))
 """npz file with the arrays of a trace, which ``walk --trace`` reads; a new trace may replace it."""

@@ -58,7 +58,7 @@ class Answer:
         return isinstance(self.refusal, StanceUnreachableError)
 
 
-class StanceSolver:
+class PageSolver:
     """Solves the stances that a page requests. Several threads may call its methods.
 
     Args:

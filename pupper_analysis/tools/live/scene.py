@@ -20,7 +20,7 @@ from pupper_analysis.base.arrays import quaternion_from_rotation
 from pupper_analysis.models.shapes import Mesh, Shape
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.present.scene import (
-    Contact,
+    DrawnForce,
     JointAxis,
     StandingScene,
     collect_visible_shapes,
@@ -490,7 +490,7 @@ class Scene:
         node.points = arrows
 
 
-def make_force_arrows(robot: Robot, contacts: Sequence[Contact]) -> Array:
+def make_force_arrows(robot: Robot, contacts: Sequence[DrawnForce]) -> Array:
     """Return the start and the end of an arrow for each contact force, shape (n, 2, 3) [m].
 
     An arrow starts at the centre of pressure and has the direction of the force on the foot, both

@@ -18,7 +18,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.access import Access
-from pupper_analysis.tools.live.model import StanceSolver
+from pupper_analysis.tools.live.model import PageSolver
 from pupper_analysis.tools.live.render import Translator
 from pupper_analysis.tools.live.session import Session
 from pupper_analysis.tools.live.state import State, check_page_robot
@@ -143,7 +143,7 @@ class Page(ServedPage):
     ) -> None:
         render.import_viser()  # before time-consuming work
         check_page_robot(robot)
-        model, initial_state = StanceSolver(robot), state or State()
+        model, initial_state = PageSolver(robot), state or State()
         check_state(model, initial_state)
         super().__init__(
             robot.name,
@@ -153,7 +153,7 @@ class Page(ServedPage):
         )
 
 
-def check_state(model: StanceSolver, state: State) -> None:
+def check_state(model: PageSolver, state: State) -> None:
     """Check that the state of a page is valid for its robot.
 
     Raises:

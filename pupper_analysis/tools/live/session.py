@@ -32,7 +32,7 @@ from pupper_analysis.tools.live.documents import (
     stance_document,
     unexpected_document,
 )
-from pupper_analysis.tools.live.model import Answer, StanceSolver
+from pupper_analysis.tools.live.model import Answer, PageSolver
 from pupper_analysis.tools.live.render import Translator
 from pupper_analysis.tools.live.scene import Scene
 from pupper_analysis.tools.live.state import State, write_stance_file
@@ -49,7 +49,7 @@ class Panels:
     """
 
     def __init__(
-        self, client: Any, model: StanceSolver, session: Session, translator: Translator
+        self, client: Any, model: PageSolver, session: Session, translator: Translator
     ) -> None:
         self._client, self._session, self.translator = client, session, translator
         gui = client.gui
@@ -162,7 +162,7 @@ class Session:
     def __init__(
         self,
         client: Any,
-        model: StanceSolver,
+        model: PageSolver,
         state: State,
         translator: Translator,
     ) -> None:

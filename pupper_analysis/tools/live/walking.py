@@ -28,7 +28,13 @@ from pupper_analysis.tools.live.scene import RobotFigure, make_body_meshes
 from pupper_analysis.tools.live.server import ServedPage, ServeOptions
 from pupper_analysis.tools.walk.gait import describe_fall, evaluate_tracking, joint_torques
 from pupper_analysis.tools.walk.policy import Policy
-from pupper_analysis.tools.walk.runs import Lockstep, Run, Stage, make_push_forces, prepare_stage
+from pupper_analysis.tools.walk.runs import (
+    Lockstep,
+    PolicyRun,
+    Stage,
+    make_push_forces,
+    prepare_stage,
+)
 
 _MAX_SPEED, _MAX_TURNING_RATE, _MAX_PUSH = 1.0, 2.0, 3.0
 """Bounds of the sliders, extended to the initial command: speed [m/s], turning rate [rad/s], push
@@ -155,7 +161,7 @@ class WalkSession:
             states, control, broken = runs.advance(forces)
             recent.append((states[0], control[0]))
             fallen = bool(broken[0]) or stage.upright.has_fallen(runs.current[0])
-            window = Run(
+            window = PolicyRun(
                 case=stage.make_case(runs.commands[0].copy()),
                 states=np.concatenate([array for array, _ in recent]),
                 targets=np.concatenate([array for _, array in recent]),
@@ -194,7 +200,7 @@ class WalkSession:
 
 
 def walking_document(
-    stage: Stage, window: Run, duration: float, fall: Diagnostic | None
+    stage: Stage, window: PolicyRun, duration: float, fall: Diagnostic | None
 ) -> doc.Document:
     """Create the report of the last second of walking: actual and commanded speeds, motor torques.
 

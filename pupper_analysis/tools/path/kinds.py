@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import BinaryIO, Final
 
-from pupper_analysis.base.kinds import NUM_HEAD_BYTES, Kind
+from pupper_analysis.base.kinds import NUM_HEAD_BYTES, OutputKind
 
 
 def _is_path_table(file: BinaryIO) -> bool:
@@ -20,5 +20,5 @@ def _is_path_table(file: BinaryIO) -> bool:
     )  # fmt: skip
 
 
-PATH_TABLE: Final = Kind("table of a path", _is_path_table)
+PATH_TABLE: Final = OutputKind("table of a path", _is_path_table)
 """File kind of the CSV that `StancePath.to_csv` writes and may replace."""

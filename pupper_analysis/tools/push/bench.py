@@ -25,7 +25,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION, Stability
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.clearance import GroundClearance
+from pupper_analysis.simulation.clearance import ClearanceBounds
 from pupper_analysis.simulation.monitor import SimulationSettings
 from pupper_analysis.simulation.rollout import (
     FORCED_CONTROL_SPEC,
@@ -164,7 +164,7 @@ class PushBench:
         self.longest_duration = MAX_DURATION_RATIO * self.steps * self.timestep
         self.pulse_steps = max(1, round(PULSE_DURATION / self.timestep))
         self.watcher = monitor.ContactSampler(self.robot, model)
-        self.clearance = GroundClearance(self.robot, model)
+        self.clearance = ClearanceBounds(self.robot, model)
         self.workers = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
 
     @cached_property
@@ -339,7 +339,7 @@ class PushBench:
         """Return the failure that ends a simulation: divergence, or a body on the ground.
 
         Contacts are searched every `_SAMPLE_TIME`, and only at states in which a part may reach
-        the ground, according to `GroundClearance`. None without such a failure.
+        the ground, according to `ClearanceBounds`. None without such a failure.
         """
         if monitor.has_diverged(states, self.timestep):
             return monitor.describe_divergence(self.drive.integrator, self.timestep)

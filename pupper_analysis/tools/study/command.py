@@ -32,7 +32,7 @@ def _list_metrics(context: click.Context, _: click.Parameter, requested: bool) -
 
 
 _STUDY_FOLDER = kinds.Folder(
-    {"study.json": kinds.Kind("study", kinds.match_prefix('{\n  "format": ', '{"format": '))}
+    {"study.json": kinds.OutputKind("study", kinds.match_prefix('{\n  "format": ', '{"format": '))}
 )
 """Folder of a study, recognised by the beginning of its file ``study.json``."""
 

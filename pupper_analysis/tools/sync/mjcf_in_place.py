@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.published import existing_file
-from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
+from pupper_analysis.models.xml_bytes import XmlDocument, XmlElement, read_document
 from pupper_analysis.tools.sync.digits import format_numbers
 
 
@@ -42,14 +42,14 @@ class EditableMjcf:
         self.autolimits = bool(compiler.autolimits)
         self._bodies = self._find_bodies(file.spec)
 
-    def find_body(self, name: str) -> Element | None:
+    def find_body(self, name: str) -> XmlElement | None:
         """Return the XML element of a body of the MJCF.
 
         None if the body is a copy of another element, such as by <replicate>.
         """
         return self._bodies.get(name)
 
-    def find_joint(self, name: str, body: str) -> Element | None:
+    def find_joint(self, name: str, body: str) -> XmlElement | None:
         """Return the XML element of a joint, or else the first joint without a name in its body.
 
         None if the body is a copy, or has neither joint.
@@ -64,7 +64,7 @@ class EditableMjcf:
         unnamed = [joint for joint in joints if joint.get("name") is None]
         return (*same_name, *unnamed, None)[0]
 
-    def find_actuators(self, joint: str) -> list[Element]:
+    def find_actuators(self, joint: str) -> list[XmlElement]:
         """Return the XML elements of the actuators of a joint."""
         return [
             element
@@ -74,7 +74,7 @@ class EditableMjcf:
         ]
 
     def write(
-        self, element: Element, attribute: str, value: str | ArrayLike, floor: float = 0.0
+        self, element: XmlElement, attribute: str, value: str | ArrayLike, floor: float = 0.0
     ) -> None:
         """Set an attribute of an element; numbers that the file already states keep their text.
 
@@ -93,7 +93,7 @@ class EditableMjcf:
         if text is not None:
             element.set(attribute, text)
 
-    def is_in_frame_element(self, element: Element) -> bool:
+    def is_in_frame_element(self, element: XmlElement) -> bool:
         """Return True if an element is inside a <frame>, to which its pose is then relative."""
         parent = element.parent
         while parent is not None and parent.tag not in ("body", "worldbody"):
@@ -102,11 +102,11 @@ class EditableMjcf:
             parent = parent.parent
         return False
 
-    def _iterate_sections(self, tag: str) -> Iterator[Element]:
+    def _iterate_sections(self, tag: str) -> Iterator[XmlElement]:
         """Yield the sections of the MJCF with a tag, such as ``worldbody``."""
         return (section for section in self.root.children if section.tag == tag)
 
-    def _find_bodies(self, spec: mujoco.MjSpec) -> dict[str, Element]:
+    def _find_bodies(self, spec: mujoco.MjSpec) -> dict[str, XmlElement]:
         """Return {name: body element}.
 
         Bodies without name are included, as ``body_N``, unless MuJoCo copies a body of the file.
@@ -124,7 +124,7 @@ class EditableMjcf:
                     bodies[f"body_{number}"] = element
         return bodies
 
-    def _read_file(self, path: Path) -> Element:
+    def _read_file(self, path: Path) -> XmlElement:
         """Return the root element of a file, with the contents of included files in place.
 
         An <include> of a missing file is kept.
@@ -133,7 +133,7 @@ class EditableMjcf:
             self.documents[path] = read_document(path)
         document = self.documents[path]
         for element in document.elements:
-            children: list[Element] = []
+            children: list[XmlElement] = []
             for child in element.children:
                 included = self._read_include(child, path) if child.tag == "include" else None
                 children += [child] if included is None else included.children
@@ -142,7 +142,7 @@ class EditableMjcf:
                 child.parent = element
         return document.root
 
-    def _read_include(self, element: Element, path: Path) -> Element | None:
+    def _read_include(self, element: XmlElement, path: Path) -> XmlElement | None:
         """Return the root element of an included file; None if the file is missing."""
         name = element.get("file") or ""
         for folder in (self._main_path.parent, path.parent):
@@ -152,7 +152,7 @@ class EditableMjcf:
         return None
 
 
-def iterate_body_elements(body: Element) -> Iterator[Element]:
+def iterate_body_elements(body: XmlElement) -> Iterator[XmlElement]:
     """Yield the elements of a body and of the frames in the body, without child bodies."""
     for child in body.children:
         if child.tag == "frame":

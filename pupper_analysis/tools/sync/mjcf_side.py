@@ -32,7 +32,7 @@ from pupper_analysis.models.efforts import (
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import actuator_gear, list_joint_actuators
 from pupper_analysis.models.xml import parse_numbers
-from pupper_analysis.models.xml_bytes import Element
+from pupper_analysis.models.xml_bytes import XmlElement
 from pupper_analysis.robot.compare.differences import PropertyKey
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.tools.sync.digits import (
@@ -81,7 +81,7 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[PropertyKey]) -> None:
             return
         inertial, cost = element.find("inertial"), 0
         if inertial is None:
-            inertial = Element("inertial", {}, element.file, -1, element.line, element)
+            inertial = XmlElement("inertial", {}, element.file, -1, element.line, element)
             cost = _NEW_INERTIAL_COST
         if not any(word in inertial.attributes for word in _ORIENTATION_ATTRIBUTES):
             changes = make_inertial_changes(inertial, poses[body].actInv(part))
@@ -95,7 +95,7 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[PropertyKey]) -> None:
     inertial.changes.update(changes)
 
 
-def make_inertial_changes(element: Element, target: pin.Inertia) -> dict[str, str]:
+def make_inertial_changes(element: XmlElement, target: pin.Inertia) -> dict[str, str]:
     """Return the attributes of an ``<inertial>`` that must change to give a target inertia.
 
     The present form (principal moments with axes, or full matrix) is kept.
@@ -120,7 +120,7 @@ def make_inertial_changes(element: Element, target: pin.Inertia) -> dict[str, st
     return {name: text for name, text in words.items() if text is not None}
 
 
-def _make_principal_numbers(element: Element, target: Array) -> dict[str, Array]:
+def _make_principal_numbers(element: XmlElement, target: Array) -> dict[str, Array]:
     """Return ``diaginertia`` (and ``quat``) of an <inertial> for a target tensor [kg m^2].
 
     ``target``, shape (3, 3), is in the axes of the body. The orientation ``quat`` is returned only
@@ -237,7 +237,7 @@ class MjcfSide(Side):
         ):
             self.elements.write(element, "pos", target_pose.translation, 1.0)
 
-    def find_joint_element(self, name: str) -> Element | None:
+    def find_joint_element(self, name: str) -> XmlElement | None:
         """Return the XML element of a joint in the files of the MJCF; None if absent."""
         body = int(self.model.jnt_bodyid[self.model.joint(name).id])
         return self.elements.find_joint(name, str(self.model.body(body).name))
@@ -361,7 +361,7 @@ def plan_gains(side: MjcfSide, name: str, target_gains: dict[PropertyKey, float]
 
 def _plan_position_servo(
     side: MjcfSide,
-    element: Element,
+    element: XmlElement,
     name: str,
     target_gains: dict[PropertyKey, float],
     stiffness: float,
@@ -385,7 +385,9 @@ def _plan_position_servo(
             element.rename_or_set("dampratio", "kv", text)
 
 
-def _keep_trailing_parameters(element: Element, attribute: str, values: list[float]) -> list[float]:
+def _keep_trailing_parameters(
+    element: XmlElement, attribute: str, values: list[float]
+) -> list[float]:
     """Return ``values``, followed by the trailing numbers of the attribute in the file.
 
     Trailing numbers are the numbers after the first ``len(values)`` numbers that the file states.

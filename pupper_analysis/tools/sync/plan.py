@@ -27,7 +27,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.published import existing_file
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
+from pupper_analysis.models.xml_bytes import XmlDocument, XmlElement, read_document
 from pupper_analysis.robot.build import find_placeholder_efforts
 from pupper_analysis.robot.compare.attribution import align_robot
 from pupper_analysis.robot.compare.differences import INERTIAL_KINDS, LIMIT_KINDS, PropertyKey
@@ -244,7 +244,7 @@ def _make_unstated_reason(whose: str) -> Diagnostic:
     return diagnose("stated-in-one-file", lacking=lacking, stating=stating)
 
 
-def _iterate_edits(element: Element) -> Iterator[Edit]:
+def _iterate_edits(element: XmlElement) -> Iterator[Edit]:
     """Yield the changes of the attributes of an element, then those of its new children."""
     old_name = {new: old for old, new in element.renamed.items()}
     for attribute, text in element.changes.items():
@@ -256,10 +256,10 @@ def _iterate_edits(element: Element) -> Iterator[Edit]:
             yield from _iterate_edits(child)
 
 
-def _describe_element(element: Element) -> str:
+def _describe_element(element: XmlElement) -> str:
     """Return the tags from the nearest named element to this one, such as ``link leg > mass``."""
     parts = []
-    current: Element | None = element
+    current: XmlElement | None = element
     while current is not None:
         name = current.attributes.get("name") or current.attributes.get("joint")
         parts.append(f"{current.tag} {name}" if name else current.tag)

@@ -20,7 +20,7 @@ from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES, UNSTATE
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
 from pupper_analysis.models.xml import write_numbers
-from pupper_analysis.models.xml_bytes import Element
+from pupper_analysis.models.xml_bytes import XmlElement
 from pupper_analysis.robot.compare.differences import PropertyKey
 from pupper_analysis.tools.sync.digits import format_numbers
 from pupper_analysis.tools.sync.frames import Side, is_same_body, list_single_part_changes
@@ -225,7 +225,7 @@ class UrdfSide(Side):
             self._links[best].element.ensure("inertial").ensure(path).set(attribute, text)
 
 
-def make_xyz_text(owner: Element | None, place: Array) -> str | None:
+def make_xyz_text(owner: XmlElement | None, place: Array) -> str | None:
     """Return the text of ``xyz`` for the position ``place``, shape (3,) [m].
 
     None if the <origin> of ``owner`` states this position.
@@ -235,7 +235,7 @@ def make_xyz_text(owner: Element | None, place: Array) -> str | None:
     return format_numbers((old_text or "0 0 0").split(), place, 1.0)
 
 
-def make_inertial_changes(link: Element, target: pin.Inertia) -> Changes:
+def make_inertial_changes(link: XmlElement, target: pin.Inertia) -> Changes:
     """Return the changes of a link's <inertial> to a target inertia in the link's frame.
 
     The stated axes of the inertia tensor are kept.

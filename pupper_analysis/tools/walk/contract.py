@@ -2,7 +2,7 @@
 
 Inputs are statements {contract key: value} of the policy file, of a deployment and of a TOML file.
 `make_contract` merges these statements, checks them against the sizes of the network, and returns a
-`Contract`.
+`PolicyContract`.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.tools.contract.deployment import Deployment
 from pupper_analysis.tools.contract.facts import (
     OBSERVATION_ALIASES,
+    JointSource,
     ObservedTerm,
     Origin,
-    Source,
 )
 
 TERM_SIZES = {
@@ -93,7 +93,7 @@ BY_FRAME, BY_TERM = "by-frame", "by-term"
 
 
 @dataclass(frozen=True, eq=False)
-class Term:
+class ObservationTerm:
     """Term of a policy's observation, such as joint positions, with a scale.
 
     Attributes:
@@ -110,7 +110,7 @@ class Term:
 
 
 @dataclass(frozen=True, eq=False)
-class Contract:
+class PolicyContract:
     """Observation of a policy, and meaning of the actions, for n joints.
 
     Attributes:
@@ -132,7 +132,7 @@ class Contract:
         latency: Delay from an observation to the command at the servos [s].
         clip: Bound on the magnitude of each element of an observation.
         action_clip: Bound on the magnitude of each element of an action.
-        history: Number of frames of each term that has no own `Term.history`.
+        history: Number of frames of each term that has no own `ObservationTerm.history`.
         newest_first: True if the newest frame is the first.
         layout: ``by-frame`` or ``by-term``.
         phase_rate: Frequency of the gait phase [Hz], if a phase is observed.
@@ -144,7 +144,7 @@ class Contract:
             ``assumed`` or ``unknown``}.
     """
 
-    terms: tuple[Term, ...]
+    terms: tuple[ObservationTerm, ...]
     joints: tuple[str, ...]
     default: Array = field(metadata={"unit": "rad"})
     offset: Array | None = field(metadata={"unit": "rad"})
@@ -173,7 +173,7 @@ class Contract:
         """Number of joints that the policy commands."""
         return len(self.default)
 
-    def term_size(self, term: Term) -> int:
+    def term_size(self, term: ObservationTerm) -> int:
         """Return the number of elements of a term of the observation."""
         if term.name.startswith("phase"):
             return (2 if term.name == "phase" else 1) * len(self.phase_offsets)
@@ -186,7 +186,7 @@ class Contract:
         """Number of elements of the observation at a time step (frame)."""
         return sum(self.term_size(term) for term in self.terms)
 
-    def count_frames(self, term: Term) -> int:
+    def count_frames(self, term: ObservationTerm) -> int:
         """Return the number of frames of a term in an observation."""
         return term.history or self.history
 
@@ -205,7 +205,7 @@ class Contract:
         """Number of elements of an observation with all frames of all terms."""
         return sum(self.term_size(term) * self.count_frames(term) for term in self.terms)
 
-    def reorder_joints(self, order: Sequence[int]) -> Contract:
+    def reorder_joints(self, order: Sequence[int]) -> PolicyContract:
         """Return a contract (definition of observation and action) with permuted robot joints.
 
         Output i of the policy then drives the joint that output ``order[i]`` has driven. Default
@@ -232,7 +232,7 @@ contract}. A policy contract defines the observation and the action of a policy.
 [Hz] is not listed: it is the reciprocal of the quantity ``policy step`` [s]."""
 
 
-def convert_source_statements(source: Source) -> dict[str, Any]:
+def convert_source_statements(source: JointSource) -> dict[str, Any]:
     """Convert the statements of a source, such as a policy file, to entries of a policy contract.
 
     A policy contract defines the observation and the action of a policy: joint order, gains, scales
@@ -377,7 +377,7 @@ class Statements:
 
 def make_contract(
     path: Path, statements: Sequence[Statements], inputs: int, outputs: int
-) -> Contract:
+) -> PolicyContract:
     """Merge the statements of several files into a contract.
 
     Args:
@@ -427,7 +427,7 @@ def make_contract(
     assert offsets is not None
     _check_ranges(merged, lower, upper, effort, signs)
     history, newest_first = _read_history(merged)
-    contract = Contract(
+    contract = PolicyContract(
         terms=terms,
         joints=tuple(joints),
         default=default,
@@ -462,7 +462,7 @@ def make_contract(
     return contract
 
 
-def _set_number_of_feet(contract: Contract, inputs: int) -> Contract:
+def _set_number_of_feet(contract: PolicyContract, inputs: int) -> PolicyContract:
     """Return a contract in which the number of feet follows from the size of the observation.
 
     The contacts of the feet have the elements that the other terms leave of the ``inputs`` of the
@@ -475,7 +475,7 @@ def _set_number_of_feet(contract: Contract, inputs: int) -> Contract:
     return replace(contract, feet=max(1, rest // sum(map(contract.count_frames, contacts))))
 
 
-def _check_observation(merged: _MergedValues, contract: Contract, inputs: int) -> None:
+def _check_observation(merged: _MergedValues, contract: PolicyContract, inputs: int) -> None:
     """Check the layout of the observation, and its size against the network.
 
     Raises:
@@ -560,7 +560,7 @@ def _read_history(merged: _MergedValues) -> tuple[int, bool]:
     return int(history), newest_first
 
 
-def _read_terms(merged: _MergedValues) -> tuple[Term, ...]:
+def _read_terms(merged: _MergedValues) -> tuple[ObservationTerm, ...]:
     """Return the terms of an observation, from the contract key ``observation``.
 
     Each entry is the name of a term, or a table with ``term``, ``scale``, ``clip`` and ``history``.
@@ -594,7 +594,9 @@ def _read_terms(merged: _MergedValues) -> tuple[Term, ...]:
             problem = diagnose("not-between", given=str(history), low=1, high=1000)
             raise merged.make_error(f"observation: {name}", problem)
         history = history if isinstance(entry, dict) and "history" in entry else 0
-        terms.append(Term(name, numbers if numbers.ndim else float(numbers), clip, history))
+        terms.append(
+            ObservationTerm(name, numbers if numbers.ndim else float(numbers), clip, history)
+        )
     return tuple(terms)
 
 

@@ -23,7 +23,7 @@ from pupper_analysis.present.documents.loads import limit_cell
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import robot_notes
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.walk.contract import Contract
+from pupper_analysis.tools.walk.contract import PolicyContract
 from pupper_analysis.tools.walk.gait import Gait, Walk
 from pupper_analysis.tools.walk.intervals import TrackedInterval, TrackedIntervals
 from pupper_analysis.tools.walk.orders import MIN_COST_RATIO, Candidate, Orders
@@ -126,7 +126,7 @@ _MAX_SHOWN_CONFIGURATIONS = 75
 at 25 per second."""
 
 
-def _make_view(walk: Walk, robot: Robot | None) -> doc.View:
+def _make_view(walk: Walk, robot: Robot | None) -> doc.SceneView:
     """Create the 3-D view of the first run: the first configuration, and the motion at the end.
 
     The motion has the last `_MAX_SHOWN_CONFIGURATIONS` configurations. The horizontal position of
@@ -141,7 +141,7 @@ def _make_view(walk: Walk, robot: Robot | None) -> doc.View:
         qpos[:, :2] = 0.0
         motions.append(doc.Motion(text(name), gait.motion_time[selection], qpos))
     scene = None if robot is None else doc.MotionScene(robot, motions)
-    return doc.View(text("walk-view"), scene, text("walk-view-note"))
+    return doc.SceneView(text("walk-view"), scene, text("walk-view-note"))
 
 
 def _list_figures(walk: Walk) -> Iterable[doc.Words]:
@@ -365,7 +365,7 @@ _NEUTRAL_VALUES = {"clip": math.inf, "action-clip": math.inf, "history": 1}
 """{key: value without effect}, which is left out of the table if no file states the key."""
 
 
-def make_key_table(contract: Contract) -> doc.Table:
+def make_key_table(contract: PolicyContract) -> doc.Table:
     """Create the table of keys of the contract, with value, origin and source of each.
 
     Optional keys that no file states, and that have no effect, are left out.

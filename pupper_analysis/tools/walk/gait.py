@@ -33,10 +33,10 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.monitor import FALLEN_HEIGHT_RATIO
 from pupper_analysis.simulation.rollout import STATE_SPEC
 from pupper_analysis.tools.contract.contract import SIMULATED
-from pupper_analysis.tools.walk.contract import Contract
+from pupper_analysis.tools.walk.contract import PolicyContract
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import (
-    Run,
+    PolicyRun,
     Stage,
     prepare_stage,
     simulate_cases,
@@ -199,7 +199,7 @@ class Walk(Result):
 
     name: str
     policy: str
-    contract: Contract
+    contract: PolicyContract
     joints: tuple[str, ...]
     limits: Array = field(metadata={"unit": EFFORT_UNIT})
     torque_units: tuple[str, ...]
@@ -368,7 +368,7 @@ def simulate_walk(
     )
 
 
-def joint_torques(stage: Stage, run: Run) -> Array:
+def joint_torques(stage: Stage, run: PolicyRun) -> Array:
     """Compute the motor torques of a run at the start of each step but the first, (n, nu) [N m].
 
     n is the number of recorded states minus 1.
@@ -426,7 +426,7 @@ class Tracking:
     failure: str
 
 
-def evaluate_tracking(stage: Stage, run: Run, warm_up: float) -> Tracking:
+def evaluate_tracking(stage: Stage, run: PolicyRun, warm_up: float) -> Tracking:
     """Compute mean velocity and turning rate of a run after the warm-up, and the tracking.
 
     The run tracks if the robot does not fall, and both errors are within the tolerances.
@@ -476,7 +476,7 @@ def evaluate_tracking(stage: Stage, run: Run, warm_up: float) -> Tracking:
 
 
 def measure_gait(
-    stage: Stage, run: Run, warm_up: float, motors: Mapping[str, Motor] | None = None
+    stage: Stage, run: PolicyRun, warm_up: float, motors: Mapping[str, Motor] | None = None
 ) -> Gait:
     """Compute the gait of a run after the warm-up: tracking, torques, power and contacts.
 
@@ -555,7 +555,7 @@ def measure_gait(
     )
 
 
-def describe_fall(stage: Stage, run: Run, duration: float) -> Diagnostic:
+def describe_fall(stage: Stage, run: PolicyRun, duration: float) -> Diagnostic:
     """Return the message that the robot fell, or that the simulation diverged, in a run.
 
     Args:
@@ -571,7 +571,7 @@ def describe_fall(stage: Stage, run: Run, duration: float) -> Diagnostic:
     return diagnose("fell-over", tilt=tilt, height=height, time=time)
 
 
-class ContactSample(NamedTuple):
+class GroundSupport(NamedTuple):
     """Feet in contact at a time, and the static motor torques there, shape (nu,) [N m].
 
     The static torques are zero if `find_ground_contacts` does not compute them.
@@ -587,7 +587,7 @@ class ContactSample(NamedTuple):
 
 def find_ground_contacts(
     stage: Stage, model: mujoco.MjModel, states: Array, *, statics: bool
-) -> tuple[list[ContactSample], tuple[str, ...]]:
+) -> tuple[list[GroundSupport], tuple[str, ...]]:
     """Return ground contacts of feet for each state, and other bodies that touch the ground.
 
     Args:
@@ -626,7 +626,7 @@ def find_ground_contacts(
                 model.geom_bodyid[geoms[ground]],
             )
             torques = _compute_static_torques(stage, model, data, points, bodies_of_points)
-        samples.append(ContactSample(touching, torques))
+        samples.append(GroundSupport(touching, torques))
         other_bodies |= bodies_on_ground(model, data, robot.foot_geoms)
     return samples, tuple(sorted(other_bodies))
 

@@ -55,7 +55,7 @@ QuantitySetter = Callable[[Stage, mujoco.MjModel, float], None]
 
 
 @dataclass(frozen=True)
-class Quantity:
+class VariedQuantity:
     """Parameter of the robot, or of the simulation, that is varied.
 
     Attributes:
@@ -147,18 +147,18 @@ def _scale_legs(stage: Stage, model: mujoco.MjModel, value: float) -> None:
     model.site_pos[np.isin(model.site_bodyid, leg_bodies)] *= value
 
 
-QUANTITIES: Mapping[str, Quantity] = {
-    "mass": Quantity("x", 1.0, (0.25, 4.0), _scale_base_mass),
-    "com": Quantity("m", 0.0, (-0.1, 0.1), _shift_base_com),
-    "friction": Quantity("x", 1.0, (0.05, 4.0), _scale_friction),
-    "kp": Quantity("x", 1.0, (0.1, 8.0), _scale_kp),
-    "kd": Quantity("x", 1.0, (0.05, 8.0), _scale_kd),
-    "delay": Quantity("s", 0.0, (0.0, 0.2), None),
-    "strength": Quantity("x", 1.0, (0.05, 4.0), _scale_strength),
-    "legs": Quantity("x", 1.0, (0.5, 2.0), _scale_legs),
-    "payload": Quantity("1", 0.0, (0.0, 2.0), _add_payload),
-    "push-forward": Quantity("m/s", 0.0, (-3.0, 3.0), None),
-    "push-left": Quantity("m/s", 0.0, (-3.0, 3.0), None),
+QUANTITIES: Mapping[str, VariedQuantity] = {
+    "mass": VariedQuantity("x", 1.0, (0.25, 4.0), _scale_base_mass),
+    "com": VariedQuantity("m", 0.0, (-0.1, 0.1), _shift_base_com),
+    "friction": VariedQuantity("x", 1.0, (0.05, 4.0), _scale_friction),
+    "kp": VariedQuantity("x", 1.0, (0.1, 8.0), _scale_kp),
+    "kd": VariedQuantity("x", 1.0, (0.05, 8.0), _scale_kd),
+    "delay": VariedQuantity("s", 0.0, (0.0, 0.2), None),
+    "strength": VariedQuantity("x", 1.0, (0.05, 4.0), _scale_strength),
+    "legs": VariedQuantity("x", 1.0, (0.5, 2.0), _scale_legs),
+    "payload": VariedQuantity("1", 0.0, (0.0, 2.0), _add_payload),
+    "push-forward": VariedQuantity("m/s", 0.0, (-3.0, 3.0), None),
+    "push-left": VariedQuantity("m/s", 0.0, (-3.0, 3.0), None),
 }
 """Varied quantities. ``mass`` and ``com`` (forward) refer to the base body. ``friction`` is the
 sliding friction of all contacts. ``legs`` scales lengths beyond the first joint of each limb with a
@@ -422,7 +422,7 @@ def _select_trial_values(
 
     Args:
         brackets: Brackets [satisfied, violated]; finished if the second value is NaN.
-        halve: Return the midpoint of the bracket (`Quantity.compute_midpoint`) instead of its
+        halve: Return the midpoint of the bracket (`VariedQuantity.compute_midpoint`) instead of its
             second value.
     """
     return {

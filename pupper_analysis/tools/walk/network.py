@@ -134,7 +134,7 @@ def lstm(
 
 
 @dataclass(frozen=True)
-class Node:
+class NetworkOperation:
     """Operation of a policy's network, with named inputs and outputs.
 
     Attributes:
@@ -165,7 +165,7 @@ class Network:
         files: Files beside the policy's file from which weights were read.
     """
 
-    nodes: tuple[Node, ...]
+    nodes: tuple[NetworkOperation, ...]
     constants: Mapping[str, Array]
     observation: str
     action: str
@@ -208,7 +208,7 @@ class Network:
 
 def assemble_network(
     path: Path,
-    nodes: Sequence[Node],
+    nodes: Sequence[NetworkOperation],
     constants: Mapping[str, Array],
     ends: tuple[str, str],
     memory: Sequence[tuple[str, str, int]],

@@ -20,7 +20,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.walk.contract import BY_FRAME, BY_TERM, Contract
+from pupper_analysis.tools.walk.contract import BY_FRAME, BY_TERM, PolicyContract
 from pupper_analysis.tools.walk.gait import (
     SPEED_ATOL,
     check_command,
@@ -231,8 +231,8 @@ joints with the opposite sign."""
 
 
 def _list_interpretations(
-    robot: Robot, contract: Contract
-) -> Iterator[tuple[ContractChange, Contract]]:
+    robot: Robot, contract: PolicyContract
+) -> Iterator[tuple[ContractChange, PolicyContract]]:
     """Yield each interpretation of a policy as (change, changed contract), the stated one first.
 
     Changed are for example the order of the joints, signs, the action scale or the history.

@@ -47,7 +47,7 @@ from pupper_analysis.tools.contract.readers import (
 )
 from pupper_analysis.tools.contract.readers.onnx import ProtobufMessage
 from pupper_analysis.tools.walk.contract import (
-    Contract,
+    PolicyContract,
     Statements,
     convert_deployment,
     convert_source_statements,
@@ -58,7 +58,7 @@ from pupper_analysis.tools.walk.network import (
     ACTIVATIONS,
     MAX_WEIGHTS,
     Network,
-    Node,
+    NetworkOperation,
     assemble_network,
     dense,
     gru,
@@ -85,7 +85,7 @@ class Policy:
 
     name: str
     network: Network
-    contract: Contract
+    contract: PolicyContract
     files: tuple[Path, ...] = ()
     notes: tuple[Diagnostic, ...] = ()
 
@@ -432,7 +432,7 @@ def _build_node(
     number: int,
     constants: dict[str, Array],
     weight_files: _WeightFiles,
-) -> Node:
+) -> NetworkOperation:
     """Return a node of an ONNX graph as an operation with named inputs and outputs.
 
     Args:
@@ -469,18 +469,20 @@ def _build_node(
     value = next((attributes[key] for key in _CONSTANT_ATTRIBUTES if key in attributes), None)
     if kind == "Constant" and value is not None:
         constants[outputs[0]] = np.asarray(value, dtype=np.float64)
-        return Node(name, lambda value: value, (outputs[0],), outputs)
+        return NetworkOperation(name, lambda value: value, (outputs[0],), outputs)
     make_operation = OPERATION_MAKERS.get(kind)
     operation = None if make_operation is None else make_operation(attributes, len(outputs))
     if operation is None:
         problem = diagnose("layer-unknown", layer=f"{name}: {kind}", known=sorted(OPERATION_MAKERS))
         raise ModelError(path, problem)
     if kind in IDENTITY_OPERATORS:
-        return Node(name, operation, inputs[:1], outputs[:1])
+        return NetworkOperation(name, operation, inputs[:1], outputs[:1])
     if kind in ("GRU", "LSTM"):  # the fifth input is the lengths of sequences
         inputs = tuple(message for index, message in enumerate(inputs) if index != 4)
-        return Node(name, operation, inputs, outputs)
-    return Node(name, skip_missing_inputs(operation, inputs), tuple(filter(None, inputs)), outputs)
+        return NetworkOperation(name, operation, inputs, outputs)
+    return NetworkOperation(
+        name, skip_missing_inputs(operation, inputs), tuple(filter(None, inputs)), outputs
+    )
 
 
 _NUM_WEIGHT_ARRAYS = {"dense": 2, "time-distributed-dense": 2, "gru": 3, "lstm": 3}
@@ -519,7 +521,7 @@ def build_rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
     layers = values["layers"]
     if not layers:
         raise ModelError(path, diagnose("no-network"))
-    nodes: list[Node] = []
+    nodes: list[NetworkOperation] = []
     constants: dict[str, Array] = {}
     memory: list[tuple[str, str, int]] = []
     value_name = "observation"
@@ -539,22 +541,30 @@ def build_rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
             if kind == "lstm":
                 size, state = len(arrays[1]), (f"{name} h", f"{name} c")
                 next_states = (output_name, f"{name} c next")
-                nodes.append(Node(name, lstm, (value_name, *state, *weight_names), next_states))
+                nodes.append(
+                    NetworkOperation(name, lstm, (value_name, *state, *weight_names), next_states)
+                )
                 memory += zip(state, next_states, (size, size), strict=True)
             elif kind == "gru":
                 nodes.append(
-                    Node(name, gru, (value_name, f"{name} h", *weight_names), (output_name,))
+                    NetworkOperation(
+                        name, gru, (value_name, f"{name} h", *weight_names), (output_name,)
+                    )
                 )
                 memory.append((f"{name} h", output_name, len(arrays[1])))
             else:
-                nodes.append(Node(name, dense, (value_name, *weight_names), (output_name,)))
+                nodes.append(
+                    NetworkOperation(name, dense, (value_name, *weight_names), (output_name,))
+                )
             value_name = output_name
         activation = _read_word(path, name, layer, "activation", ACTIVATIONS, default="linear")
         if (
             kind not in ("gru", "lstm") and activation != "linear"
         ):  # recurrent layers contain theirs
             activated = f"{output_name} {activation}"
-            nodes.append(Node(name, ACTIVATIONS[activation], (value_name,), (activated,)))
+            nodes.append(
+                NetworkOperation(name, ACTIVATIONS[activation], (value_name,), (activated,))
+            )
             value_name = activated
     with refuse_malformed(path):
         return assemble_network(path, nodes, constants, ("observation", value_name), memory, inputs)
@@ -729,7 +739,7 @@ def build_torchscript_network(path: Path) -> Network:
         try:
             states = scripted.find_states(size)
             names = tuple(f"{name} next" for name in states)
-            node = Node(
+            node = NetworkOperation(
                 "TorchScript",
                 partial(scripted.evaluate, states),
                 ("observation", *states),

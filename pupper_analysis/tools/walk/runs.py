@@ -33,7 +33,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used, model_with_servos, resolve_servo_gains
 from pupper_analysis.simulation.monitor import FALLEN_HEIGHT_RATIO, StandReference
 from pupper_analysis.simulation.rollout import FORCED_CONTROL_SPEC, STATE_SPEC, full_state
-from pupper_analysis.tools.walk.contract import BY_FRAME, Contract
+from pupper_analysis.tools.walk.contract import BY_FRAME, PolicyContract
 from pupper_analysis.tools.walk.policy import Policy
 
 _BATCH_SIZE = 16
@@ -80,7 +80,7 @@ class Case:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class PolicyRun:
     """Result of a simulated run: states, controls, fall.
 
     Attributes:
@@ -206,7 +206,7 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
     )
 
 
-def with_contract_efforts(robot: Robot, contract: Contract, joints: IntArray) -> Robot:
+def with_contract_efforts(robot: Robot, contract: PolicyContract, joints: IntArray) -> Robot:
     """Return the robot with the torque limits of a policy's contract, if the contract states any.
 
     A limit of a TOML file replaces the limit of the robot's files. A limit of another source, for
@@ -284,7 +284,7 @@ def simulate_cases(
     duration: float,
     warm_up: float,
     workers: int | None = None,
-) -> Iterator[Run]:
+) -> Iterator[PolicyRun]:
     """Simulate cases and yield the runs in the same order.
 
     Args:
@@ -402,7 +402,7 @@ class Lockstep:
 
 def _simulate_batch(
     stage: Stage, cases: Sequence[Case], duration: float, warm_up: float
-) -> list[Run]:
+) -> list[PolicyRun]:
     """Simulate several cases in the same time steps, each until a fall or the end.
 
     Args:
@@ -444,7 +444,7 @@ def _simulate_batch(
             if not lockstep.active.size:
                 break
     return [
-        Run(
+        PolicyRun(
             case=case,
             states=recorded_states[index, : num_steps[index]],
             targets=recorded_controls[index, : num_steps[index]],
@@ -544,7 +544,7 @@ class Observer:
         self._stage, self._commands = stage, commands
         self._models = list(models) or [stage.model] * len(commands)
         self.controls = np.tile(stage.ctrl, (len(commands), 1))
-        self._contract: Contract = stage.policy.contract
+        self._contract: PolicyContract = stage.policy.contract
         self.last = np.zeros((len(commands), self._contract.num_joints))
         self.second_last = np.zeros_like(self.last)
         names = {term.name for term in self._contract.terms}

@@ -24,7 +24,7 @@ from pupper_analysis.base.inputs import MAX_FILE_BYTES, decode_input, read_input
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import make_input_error
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.walk.contract import BY_FRAME, Contract
+from pupper_analysis.tools.walk.contract import BY_FRAME, PolicyContract
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import (
     Lockstep,
@@ -349,7 +349,7 @@ def _make_signals(robot: Robot, policy: Policy, trace: Trace) -> dict[str, Array
     return signals
 
 
-def _extract_frame(contract: Contract, observations: Array, *, newest: bool) -> Array:
+def _extract_frame(contract: PolicyContract, observations: Array, *, newest: bool) -> Array:
     """Return the newest or oldest frame of each of n observations, shape (n, frame size)."""
     size = contract.frame_size
     is_first = contract.newest_first is newest
@@ -504,7 +504,7 @@ def _list_offsets(seen: Array, expected: Array, names: Sequence[str]) -> str:
 
 
 def _search_elsewhere(
-    contract: Contract,
+    contract: PolicyContract,
     observations: Array,
     expected: Array,
     first: int,

@@ -8,18 +8,18 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.tools.contract.facts import Node
+from pupper_analysis.tools.contract.facts import LocatedValue
 from pupper_analysis.tools.contract.python_values import Evaluator
 
 
-def worked_out(tmp_path: Path, text: str) -> Node:
+def worked_out(tmp_path: Path, text: str) -> LocatedValue:
     """Return the evaluated name ``x`` of a module."""
     path = tmp_path / "settings.py"
     path.write_text(text)
     return Evaluator().load_module(path)["x"]
 
 
-def plain(node: Node) -> object:
+def plain(node: LocatedValue) -> object:
     """Return a value without its places; of an unknown value, its text in brackets."""
     value = node.value
     if isinstance(value, list):

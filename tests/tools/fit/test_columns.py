@@ -7,9 +7,13 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.base.errors import MeasurementError
-from pupper_analysis.tools.fit.measurements.columns import Column, read_columns
+from pupper_analysis.tools.fit.measurements.columns import MeasurementColumn, read_columns
 
-KNOWN = (Column("time", "time"), Column("position.*", "position"), Column("stand", ""))
+KNOWN = (
+    MeasurementColumn("time", "time"),
+    MeasurementColumn("position.*", "position"),
+    MeasurementColumn("stand", ""),
+)
 
 
 @pytest.mark.parametrize("separator", [",", ";", "\t"])

@@ -16,7 +16,7 @@ import pytest
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, UnknownNameError
 from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.tools.fit.motions.fit import fit_motion, measure_repeatability, measure_replay
-from pupper_analysis.tools.fit.motions.rollouts import Run
+from pupper_analysis.tools.fit.motions.rollouts import LogSegment
 from pupper_analysis.tools.fit.result import Determined, MotionFit, classify_determination
 from tests.support.bar import MJCF, OFFSET, QUANTUM, TRUE, URDF, bar, log
 
@@ -96,10 +96,10 @@ def test_replay_is_recognised_by_its_commands() -> None:
         for own in phases
     )
 
-    def run(command: np.ndarray, *, out: bool) -> Run:
+    def run(command: np.ndarray, *, out: bool) -> LogSegment:
         full = np.full(command.shape, True)
         there = time[: len(command)]
-        return Run(there, command, command, command[:2], full & (not out), full & out)
+        return LogSegment(there, command, command, command[:2], full & (not out), full & out)
 
     recorded, noise = run(one, out=False), 0.01 * rng.normal(size=one[:600].shape)
     assert measure_replay([recorded, run(one[37:637] + noise, out=True)]) > 0.99

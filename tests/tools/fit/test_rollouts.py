@@ -17,9 +17,9 @@ from pupper_analysis.tools.fit.measurements.log import Log
 from pupper_analysis.tools.fit.motions.fit import SeriesNoise, differentiate_motion
 from pupper_analysis.tools.fit.motions.rollouts import (
     SERVOS_SUBJECT,
+    LogSegment,
     MomentCoordinates,
     MovingBodies,
-    Run,
     Simulator,
     _apply_lag,
     split_runs,
@@ -246,7 +246,7 @@ def test_runs_are_split_at_clock_jumps_and_gaps_are_kept() -> None:
     command[100:110, 0], position[200:210, 1] = np.nan, np.nan
     time = log.time + 5.0 * (np.arange(len(log.time)) > 399)
     odd = replace(log, time=time, command=command, position=position)
-    runs: list[Run] = list(split_runs(odd, MIDDLE, 0.2))
+    runs: list[LogSegment] = list(split_runs(odd, MIDDLE, 0.2))
     assert [len(run.time) for run in runs] == [400, 400]
     assert (runs[0].command[100:110, 0] == command[99, 0]).all()
     assert not runs[0].counts[200:210, 1].any()

@@ -16,7 +16,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.cli.shared import parse_place
 from pupper_analysis.models.shapes import Pose, Shape
-from pupper_analysis.present.scene import Contact
+from pupper_analysis.present.scene import DrawnForce
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.stance.sag.steady_state import SteadyState
 from pupper_analysis.tools.live import render
@@ -28,7 +28,7 @@ from pupper_analysis.tools.live.documents import (
 )
 from pupper_analysis.tools.live.model import (
     Answer,
-    StanceSolver,
+    PageSolver,
     explain_unreachable,
     predict_sag,
     predict_stance_verdict,
@@ -77,8 +77,8 @@ RICH = State(
 ENGLISH = Translator("en")
 
 
-def model_of(name: str = "v3") -> StanceSolver:
-    return StanceSolver(load(name))
+def model_of(name: str = "v3") -> PageSolver:
+    return PageSolver(load(name))
 
 
 def test_answer_of_a_page_equals_the_python_functions() -> None:
@@ -473,7 +473,7 @@ def test_invalid_input_is_refused_in_one_line(
 
 def test_force_arrows_start_at_the_contact_along_the_force() -> None:
     point, force = np.array([0.1, 0.2, 0.0]), np.array([1.0, -2.0, 8.0])
-    ((begin, end),) = make_force_arrows(load("v3"), [Contact("FL", point, force)])
+    ((begin, end),) = make_force_arrows(load("v3"), [DrawnForce("FL", point, force)])
     np.testing.assert_array_equal(begin, point)
     along = end - begin
     np.testing.assert_allclose(np.cross(along, force), 0.0, atol=1e-15)

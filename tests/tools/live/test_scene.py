@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.tools.live.model import StanceSolver
+from pupper_analysis.tools.live.model import PageSolver
 from pupper_analysis.tools.live.scene import Scene, make_body_meshes
 from pupper_analysis.tools.live.state import State
 from tests.prepare.convert.test_meshes import claim_vertices, nest_nodes
@@ -36,7 +36,7 @@ class Drawn:
 
 def test_payload_is_drawn_at_its_position_on_a_tilted_base() -> None:
     """Reference: MuJoCo's pose of the base."""
-    found = StanceSolver(pa.load_variant("v3")).solve_state(
+    found = PageSolver(pa.load_variant("v3")).solve_state(
         State(roll=12, pitch=-8, payload=0.3, payload_at=(60, 40, 90))
     )
     assert found.stand is not None
@@ -73,7 +73,7 @@ def test_small_files_with_large_meshes_are_not_drawn(tmp_path: Path) -> None:
 
 def test_ghost_and_simulated_robot_are_drawn_beside_the_stand_and_hidden_again() -> None:
     """The simulated robot is 2.6 stand heights to the left; a new stance hides both figures."""
-    model, drawn = StanceSolver(load("v3")), Drawn()
+    model, drawn = PageSolver(load("v3")), Drawn()
     scene, robot = Scene(drawn), load("v3")
     stance, unreachable = (model.solve_state(State(roll=roll)) for roll in (3.0, 35.0))
     assert stance.stand is not None

@@ -17,7 +17,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.tools.live import render
-from pupper_analysis.tools.live.model import StanceSolver
+from pupper_analysis.tools.live.model import PageSolver
 from pupper_analysis.tools.live.render import Translator
 from pupper_analysis.tools.live.session import Session, interpolate_motion
 from pupper_analysis.tools.live.state import State, write_stance_file
@@ -53,7 +53,7 @@ class Open:
 
     def __init__(self, server: Any, language: str = "en") -> None:
         self.browser = Browser(server)
-        model = StanceSolver(load("v3"))
+        model = PageSolver(load("v3"))
         self.session = Session(self.browser, model, State(), Translator(language))
         self.controls = self.session._panels.controls
 

@@ -15,7 +15,7 @@ import pytest
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.tools.contract.deployment import read_deployment
-from pupper_analysis.tools.walk.contract import Term
+from pupper_analysis.tools.walk.contract import ObservationTerm
 from pupper_analysis.tools.walk.document import make_key_table, walk_document
 from pupper_analysis.tools.walk.gait import simulate_walk
 from pupper_analysis.tools.walk.policy import Policy, select_policy, split_sources
@@ -255,7 +255,9 @@ def make_term_policy(names: tuple[str, ...], feet: int = 0) -> Policy:
 
     with tempfile.TemporaryDirectory() as folder:
         policy = Policy.load(made.write_standing_policy(Path(folder) / "still.json"))
-    contract = replace(policy.contract, terms=tuple(map(Term, names)), history=1, feet=feet)
+    contract = replace(
+        policy.contract, terms=tuple(map(ObservationTerm, names)), history=1, feet=feet
+    )
     return replace(policy, contract=contract)
 
 

@@ -18,7 +18,7 @@ from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.simulation.rollout import full_state
-from pupper_analysis.tools.walk.contract import Term
+from pupper_analysis.tools.walk.contract import ObservationTerm
 from pupper_analysis.tools.walk.document import walk_document
 from pupper_analysis.tools.walk.falls import find_fall_tests
 from pupper_analysis.tools.walk.gait import (
@@ -28,7 +28,7 @@ from pupper_analysis.tools.walk.gait import (
     simulate_walk,
 )
 from pupper_analysis.tools.walk.policy import Policy
-from pupper_analysis.tools.walk.runs import Observer, Run, prepare_stage, simulate_cases
+from pupper_analysis.tools.walk.runs import Observer, PolicyRun, prepare_stage, simulate_cases
 from tests.present.test_printed import print_words
 from tests.support.variants import load
 from tests.tools.walk import made
@@ -113,7 +113,7 @@ def test_observations_equal_mujoco_sensors_at_the_base(still: Policy) -> None:
     stage.robot.mj_convention.set_state(data, qpos, draw.normal(size=18))
     mujoco.mj_forward(model, data)
     names = ("linear-velocity", "angular-velocity", "gravity")
-    contract = replace(still.contract, terms=tuple(map(Term, names)), history=1)
+    contract = replace(still.contract, terms=tuple(map(ObservationTerm, names)), history=1)
     watching = replace(stage, policy=replace(still, contract=contract))
     observer, state = Observer(watching, np.zeros((1, 3))), full_state(model, data)[None]
     seen = observer.observe(state, np.array([0]), 0)[0]
@@ -164,7 +164,7 @@ def test_fall_states_height_and_tilt_of_the_last_state(still: Policy) -> None:
     data = mujoco.MjData(stage.model)
     data.time, data.qpos[2] = 2.0, 0.123
     data.qpos[3:7] = math.cos(0.5), math.sin(0.5), 0.0, 0.0
-    run = cast("Run", SimpleNamespace(states=full_state(stage.model, data)[None]))
+    run = cast("PolicyRun", SimpleNamespace(states=full_state(stage.model, data)[None]))
     fall = describe_fall(stage, run, 2.0)
     assert fall.code == "fell-over"
     found = {name: cast("Quantity", fall.values[name]).value for name in ("height", "tilt", "time")}

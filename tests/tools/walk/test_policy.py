@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.tools.contract.facts import ObservedTerm, Place, Role, Source
+from pupper_analysis.tools.contract.facts import JointSource, ObservedTerm, Place, Role
 from pupper_analysis.tools.walk.contract import convert_source_statements
 from pupper_analysis.tools.walk.policy import Policy, _read_tensor
 from tests.tools.contract.sources import field, varint
@@ -257,7 +257,7 @@ def test_scales_of_observations_in_a_policy_file_reach_the_contract() -> None:
         ObservedTerm("angular-velocity", (0.25,), place),
         ObservedTerm("command", None, place),
     )
-    source = Source("policy.json", place.path, Role.POLICY, (), observations=observations)
+    source = JointSource("policy.json", place.path, Role.POLICY, (), observations=observations)
     assert convert_source_statements(source)["observation"] == [
         {"term": "angular-velocity", "scale": 0.25},
         "command",

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.tools.walk.contract import Contract, Term
+from pupper_analysis.tools.walk.contract import ObservationTerm, PolicyContract
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.trace import (
     TraceCheck,
@@ -80,17 +80,17 @@ def test_trace_of_the_stated_contract_agrees(
     assert found.period == pytest.approx(0.02)
 
 
-def state_order(contract: Contract, first: int, second: int) -> Contract:
+def state_order(contract: PolicyContract, first: int, second: int) -> PolicyContract:
     order = list(range(12))
     order[first], order[second] = order[second], order[first]
     return contract.reorder_joints(order)
 
 
-def state_sign(contract: Contract, index: int) -> Contract:
+def state_sign(contract: PolicyContract, index: int) -> PolicyContract:
     return replace(contract, signs=np.where(np.arange(12) == index, -1.0, 1.0))
 
 
-def state_scale(contract: Contract, name: str, factor: float) -> Contract:
+def state_scale(contract: PolicyContract, name: str, factor: float) -> PolicyContract:
     terms = tuple(
         replace(term, scale=np.asarray(term.scale) * factor) if term.name == name else term
         for term in contract.terms
@@ -211,7 +211,7 @@ def test_signals_that_are_not_recorded_are_unchecked(
     found = check(policy, few, tmp_path)
     unchecked = [one.term for one in found.checks if one.mistake == "unchecked"]
     assert unchecked == list(NAMES[:-1])
-    bare = policy.with_contract(terms=tuple(map(Term, NAMES[:-1])), history=1)
+    bare = policy.with_contract(terms=tuple(map(ObservationTerm, NAMES[:-1])), history=1)
     assert not replace(found, checks=found.checks[:-1]).passed, bare
 
 

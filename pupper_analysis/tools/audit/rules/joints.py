@@ -23,7 +23,7 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
-from pupper_analysis.models.efforts import Motor, null_efforts, placeholder_efforts
+from pupper_analysis.models.efforts import JointEffort, null_efforts, placeholder_efforts
 from pupper_analysis.models.loading import CheckFinding
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.sides import strip_sides
@@ -361,7 +361,7 @@ def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
             ends = map(robot.find_moving_body, (joint.parent, joint.child))
             mass = sum(link.mass for end in ends for link in robot.fixed_group(end))
             armature = joint.stated.get("armature", 0.0)
-            motors.append(Motor(joint.name, joint.effort, mass, armature))
+            motors.append(JointEffort(joint.name, joint.effort, mass, armature))
     for joints, message in placeholder_efforts(motors, robot.total_mass):
         yield CheckFinding("joint", joints[0], message, "limit")
 

@@ -1,6 +1,6 @@
 """Reader of URDF, MJCF and USD files for the contract of a robot.
 
-Input is a model file; output is a `Source` with limits, passive terms and servo gains of each
+Input is a model file; output is a `JointSource` with limits, passive terms and servo gains of each
 moving joint, each with its line. The joint order is limb by limb, as in MuJoCo.
 """
 
@@ -28,10 +28,10 @@ from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.robot.matching.match import match_models
 from pupper_analysis.tools.contract.facts import (
     QUANTITIES,
+    JointSource,
     Origin,
     Request,
     Role,
-    Source,
     Statement,
 )
 from pupper_analysis.tools.contract.orders import list_depth_first
@@ -40,7 +40,7 @@ FILE_SUFFIXES = (".urdf", ".xml", ".mjcf", ".xacro", ".usd", ".usda", ".usdc", "
 """Suffixes of the files that this reader of model files reads."""
 
 
-def read(request: Request) -> Iterator[Source]:
+def read(request: Request) -> Iterator[JointSource]:
     """Yield the joint parameters that a URDF, MJCF or USD states, and the order of the joints.
 
     Parameters are, for example, effort limits and servo gains. The order is depth first, limb by
@@ -71,7 +71,7 @@ def read(request: Request) -> Iterator[Source]:
             ]
     order = list_depth_first(model)
     if order:
-        yield Source(
+        yield JointSource(
             request.path.name,
             request.path,
             Role.MODEL,
@@ -196,7 +196,7 @@ def _find_actuator_place(model: MjcfModel, number: int, words: tuple[str, ...]) 
 
 
 def match_joint_names(
-    models: Sequence[Source], given: Mapping[str, str]
+    models: Sequence[JointSource], given: Mapping[str, str]
 ) -> tuple[dict[str, str], list[Diagnostic]]:
     """Match the joints of all models as `crosscheck` does: by name, link and position.
 

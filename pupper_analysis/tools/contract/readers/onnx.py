@@ -1,8 +1,8 @@
 """Reader of the metadata that Isaac Lab and mjlab write into an exported ONNX policy.
 
 Input is an ONNX file, whose Protocol Buffers messages are decoded without the package onnx; the
-network is not executed. Output is a `Source` with joint order, gains, scales and observations from
-the metadata, and the sizes of input and output.
+network is not executed. Output is a `JointSource` with joint order, gains, scales and observations
+from the metadata, and the sizes of input and output.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_input
 from pupper_analysis.models.places import Place, make_input_error
 from pupper_analysis.tools.contract.facts import (
-    Node,
+    JointSource,
+    LocatedValue,
     Request,
     Role,
-    Source,
     Statement,
     parse_scalar,
 )
@@ -81,7 +81,7 @@ def read_onnx(path: Path) -> OnnxFile:
     return OnnxFile(metadata, graph, inputs, shapes[1])
 
 
-def read(request: Request) -> Iterator[Source]:
+def read(request: Request) -> Iterator[JointSource]:
     """Yield the joint values (such as gains) and tensor sizes that an ONNX policy states.
 
     Joint values are in the metadata. Nothing is yielded for a file with neither joint values nor
@@ -99,16 +99,16 @@ def read(request: Request) -> Iterator[Source]:
         for name, size in list(end.items())[:1]
         if size
     ]
-    whole = Node(table, Place(request.path))
+    whole = LocatedValue(table, Place(request.path))
     yield from read_table(request, request.path.name, whole, Role.POLICY, sizes)
 
 
-def _split_list(text: str, place: Place) -> Node:
+def _split_list(text: str, place: Place) -> LocatedValue:
     """Parse a list in the metadata, with or without brackets and quotes."""
     parts = (
         part for part_text in text.strip("[]() ").split(",") if (part := part_text.strip(" \"'"))
     )
-    return Node([parse_scalar(part, place) for part in parts], place)
+    return LocatedValue([parse_scalar(part, place) for part in parts], place)
 
 
 def gather_fields(data: int | memoryview) -> ProtobufMessage:

@@ -1,7 +1,7 @@
 """Reader of Python trainers: mjlab, Isaac Lab, and configuration classes of legged_gym.
 
-Input is a Python file, evaluated from its syntax tree (`python_values`). Output is a `Source` for
-each configuration: default angles, gains, limits, action scales and offsets, and observations.
+Input is a Python file, evaluated from its syntax tree (`python_values`). Output is a `JointSource`
+for each configuration: default angles, gains, limits, action scales and offsets, and observations.
 Configurations that are part of another configuration are no sources.
 """
 
@@ -17,11 +17,11 @@ from typing import Any
 from pupper_analysis.tools.contract import python_values as py
 from pupper_analysis.tools.contract.facts import (
     KEY_ALIASES,
-    Node,
+    JointSource,
+    LocatedValue,
     Origin,
     Request,
     Role,
-    Source,
     Statement,
 )
 from pupper_analysis.tools.contract.keys import load_key_rules
@@ -34,7 +34,7 @@ _MJLAB, _ISAAC_LAB = "mjlab 1.6", "Isaac Lab 2.0"
 """Names of frameworks, with the versions from which the assumed default values were read."""
 
 
-def read(request: Request) -> Iterator[Source]:
+def read(request: Request) -> Iterator[JointSource]:
     """Yield the joint values (such as gains) of each training configuration in a Python file.
 
     A configuration is an object with a robot, actions or settings of a trainer. If the file has
@@ -75,8 +75,8 @@ def read(request: Request) -> Iterator[Source]:
 
 
 def _read_names(
-    request: Request, evaluator: py.Evaluator, own_names: Mapping[str, Node]
-) -> tuple[list[tuple[Node, Source]], list[Source]]:
+    request: Request, evaluator: py.Evaluator, own_names: Mapping[str, LocatedValue]
+) -> tuple[list[tuple[LocatedValue, JointSource]], list[JointSource]]:
     """Return the sources in the values of a file: of configurations, and of tables.
 
     Args:
@@ -88,7 +88,7 @@ def _read_names(
         (configuration, source) for each object, and the sources of tables ``{key: value}``, alone
         or in a list.
     """
-    roots, flat_sources = list[tuple[Node, Source]](), list[Source]()
+    roots, flat_sources = list[tuple[LocatedValue, JointSource]](), list[JointSource]()
     for name, node in own_names.items():
         root, shown = _resolve_value(evaluator, node), f"{request.path.name}:{name}"
         if isinstance(root.value, py.InstanceValue):
@@ -104,8 +104,8 @@ def _read_names(
 
 
 def _select_whole_configurations(
-    request: Request, roots: Sequence[tuple[Node, Source]]
-) -> list[Source]:
+    request: Request, roots: Sequence[tuple[LocatedValue, JointSource]]
+) -> list[JointSource]:
     """Return the sources of configurations that are not part of another configuration.
 
     All sources are returned if the request names a configuration.
@@ -128,8 +128,8 @@ def _select_whole_configurations(
 
 
 def _read_constants(
-    request: Request, evaluator: py.Evaluator, own_names: dict[str, Node]
-) -> Iterator[Source]:
+    request: Request, evaluator: py.Evaluator, own_names: dict[str, LocatedValue]
+) -> Iterator[JointSource]:
     """Yield the constants of a file without tables as a source: of a deployment or a simulation.
 
     Read are constants of the module, of classes in the module, and constants that a method assigns
@@ -143,10 +143,10 @@ def _read_constants(
     if table:
         place = next(iter(table.values())).place
         request = replace(request, name="")  # names have already been selected
-        yield from tables.read_document(request, Node(table, replace(place, line=None)))
+        yield from tables.read_document(request, LocatedValue(table, replace(place, line=None)))
 
 
-def _make_constant_table(evaluator: py.Evaluator, node: Node) -> Node:
+def _make_constant_table(evaluator: py.Evaluator, node: LocatedValue) -> LocatedValue:
     """Return a class as a table {name in lower case: constant or table}; other nodes unchanged.
 
     The table contains the attributes of the class, and the values that its methods assign to
@@ -154,7 +154,7 @@ def _make_constant_table(evaluator: py.Evaluator, node: Node) -> Node:
     """
     if not isinstance(node.value, py.ClassValue):
         return node
-    table = dict[str, Node]()
+    table = dict[str, LocatedValue]()
     for name, part in node.value.fields.items():
         if isinstance(part.value, py.FunctionValue) and isinstance(
             part.value.node, ast.FunctionDef
@@ -171,7 +171,7 @@ def _make_constant_table(evaluator: py.Evaluator, node: Node) -> Node:
     return replace(node, value=table)
 
 
-def _resolve_value(evaluator: py.Evaluator, node: Node) -> Node:
+def _resolve_value(evaluator: py.Evaluator, node: LocatedValue) -> LocatedValue:
     """Return a node whose value is an instance, table or list.
 
     A class or function is called to create the value; the arguments of a function are instances of
@@ -182,7 +182,7 @@ def _resolve_value(evaluator: py.Evaluator, node: Node) -> Node:
     if not isinstance(value, py.FunctionValue | py.ClassValue):
         is_read = isinstance(value, py.InstanceValue | dict | list)
         return node if is_read else replace(node, value=None)
-    arguments: list[Node] = []
+    arguments: list[LocatedValue] = []
     try:
         if isinstance(value, py.FunctionValue):
             free = value.node.args.args[: -len(value.node.args.defaults) or None]
@@ -199,7 +199,7 @@ def _resolve_value(evaluator: py.Evaluator, node: Node) -> Node:
 
 def _find_annotated_class(
     evaluator: py.Evaluator, argument: ast.arg, function: py.FunctionValue
-) -> Node:
+) -> LocatedValue:
     """Return the first class in an argument's annotation; NotConstantError if there is none."""
     for child in [] if argument.annotation is None else ast.walk(argument.annotation):
         node = evaluator.evaluate(child, function.around) if isinstance(child, ast.Name) else None
@@ -211,7 +211,7 @@ def _find_annotated_class(
 # mjlab and Isaac Lab: nested dataclasses.
 
 
-def _iterate_instances(node: Node, seen: set[int]) -> Iterator[Node]:
+def _iterate_instances(node: LocatedValue, seen: set[int]) -> Iterator[LocatedValue]:
     """Yield all class instances in a configuration value, also nested instances, each once.
 
     ``seen`` contains the Python ids of the values that were visited before, and is extended.
@@ -227,7 +227,7 @@ def _iterate_instances(node: Node, seen: set[int]) -> Iterator[Node]:
         yield from _iterate_instances(part, seen)
 
 
-def _read_root(name: str, path: Path, root: Node) -> Iterator[Source]:
+def _read_root(name: str, path: Path, root: LocatedValue) -> Iterator[JointSource]:
     """Yield the source of a top-level configuration ``root``, with the role of a trainer.
 
     The source has the numbers of a robot's actuators and default angles, of the policy's actions,
@@ -236,7 +236,7 @@ def _read_root(name: str, path: Path, root: Node) -> Iterator[Source]:
     """
     settings = tuple(tables.read_settings(root))
     if tables.is_trainer_config(root):
-        yield Source(name, path, Role.TRAINER, settings)
+        yield JointSource(name, path, Role.TRAINER, settings)
         return
     instances = list(_iterate_instances(root, set()))
     robots = [instance for instance in instances if _list_actuators(instance)]
@@ -261,7 +261,7 @@ def _read_root(name: str, path: Path, root: Node) -> Iterator[Source]:
     )
     observations = tuple(tables.list_observation_terms(root.find_first("observations")))
     if robots or actions:
-        yield Source(
+        yield JointSource(
             name,
             path,
             Role.TRAINER,
@@ -272,7 +272,7 @@ def _read_root(name: str, path: Path, root: Node) -> Iterator[Source]:
         )
 
 
-def _list_actuators(node: Node) -> list[Node]:
+def _list_actuators(node: LocatedValue) -> list[LocatedValue]:
     """Return the actuators in a robot's configuration (Isaac Lab or mjlab); otherwise empty."""
     actuators = node.find_first("actuators")
     parts = list(actuators.value.values()) if isinstance(actuators.value, dict) else actuators.items
@@ -284,7 +284,7 @@ def _list_actuators(node: Node) -> list[Node]:
     ]
 
 
-def _list_robot_statements(robot: Node) -> Iterator[Statement]:
+def _list_robot_statements(robot: LocatedValue) -> Iterator[Statement]:
     """Yield default angles, gains, limits and friction of a robot's configuration, in SI units.
 
     Joints are regular expressions of names. Joints without a stated default angle have the angle 0,
@@ -314,7 +314,7 @@ def _list_robot_statements(robot: Node) -> Iterator[Statement]:
             yield from node.make_statements(quantity, inner.find_first("patterns").texts)
 
 
-def _list_action_statements(action: Node, angles: list[Statement]) -> Iterator[Statement]:
+def _list_action_statements(action: LocatedValue, angles: list[Statement]) -> Iterator[Statement]:
     """Yield the scales and offsets of a policy's action.
 
     Offsets are the default joint angles ``angles``, unless ``use_default_offset`` is false.

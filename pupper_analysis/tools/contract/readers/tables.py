@@ -1,8 +1,8 @@
 """Reader of YAML and JSON: deployments, trainers' tables, ROS 2 controllers, MoveIt, RTNeural.
 
-Input is a file; outputs are `Source` objects with joint order, motor map, numbers of joints and
-observations. ``keys.toml`` contains the keys. Numbers of a policy may be spread over several nested
-tables (`_split_document`). Other readers use `read_table` for tables in their formats.
+Input is a file; outputs are `JointSource` objects with joint order, motor map, numbers of joints
+and observations. ``keys.toml`` contains the keys. Numbers of a policy may be spread over several
+nested tables (`_split_document`). Other readers use `read_table` for tables in their formats.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from pupper_analysis.tools.contract.facts import (
     FIELD_TABLE,
     KEY_ALIASES,
     OBSERVATION_ALIASES,
-    Node,
+    JointSource,
+    LocatedValue,
     ObservedTerm,
     Origin,
     Request,
     Role,
-    Source,
     Statement,
     find_quantity_kind,
     read_yaml_nodes,
@@ -52,7 +52,7 @@ class _View:
     """
 
     key: str
-    tables: tuple[Node, ...]
+    tables: tuple[LocatedValue, ...]
     rules: tuple[KeyRule, ...]
 
     @property
@@ -60,15 +60,15 @@ class _View:
         """Place of the first table."""
         return self.tables[0].place
 
-    def get(self, *path: str) -> Node:
+    def get(self, *path: str) -> LocatedValue:
         """Return the value of a path of keys in the first table that has it.
 
         Without such a table, the node has the value None and the place of the first table.
         """
         found = (table.get(*path) for table in self.tables)
-        return next((node for node in found if node.is_present), Node(None, self.place))
+        return next((node for node in found if node.is_present), LocatedValue(None, self.place))
 
-    def find_first(self, names: str) -> Node:
+    def find_first(self, names: str) -> LocatedValue:
         """Return the value of the first key that is present for a concept (`KEY_ALIASES`).
 
         Keys of the user precede the others in a search for joint names.
@@ -77,7 +77,7 @@ class _View:
         if names == "joints":
             paths = [*load_order_keys(self.place.file), *paths]
         found = (self.get(*path) for path in paths)
-        return next((node for node in found if node.is_present), Node(None, self.place))
+        return next((node for node in found if node.is_present), LocatedValue(None, self.place))
 
     @property
     def states_joints(self) -> bool:
@@ -89,7 +89,7 @@ class _View:
         """True if a table states a number per joint."""
         return bool(self._find_joint_values())
 
-    def _find_joint_values(self) -> dict[str, Node]:
+    def _find_joint_values(self) -> dict[str, LocatedValue]:
         """Return {quantity and joints: value} of the numbers per joint that the tables state."""
         return {
             f"{rule.quantity} {rule.joints}": node
@@ -109,7 +109,7 @@ class _View:
         )
 
 
-def _lower_keys(node: Node) -> Node:
+def _lower_keys(node: LocatedValue) -> LocatedValue:
     """Return a table with keys in lower case, except in tables without nested tables or lists."""
     if not isinstance(node.value, dict):
         return node
@@ -120,7 +120,7 @@ def _lower_keys(node: Node) -> Node:
     return replace(node, value=names)
 
 
-def read(request: Request) -> Iterator[Source]:
+def read(request: Request) -> Iterator[JointSource]:
     """Yield a source for each set of joint values in a YAML or JSON file.
 
     A set belongs, for example, to one of several controllers, to MoveIt's joint limits, or to a
@@ -149,8 +149,8 @@ def read(request: Request) -> Iterator[Source]:
 
 
 def read_document(
-    request: Request, document: Node, role: Role = Role.DEPLOYMENT
-) -> Iterator[Source]:
+    request: Request, document: LocatedValue, role: Role = Role.DEPLOYMENT
+) -> Iterator[JointSource]:
     """Yield the sources of a document with nested tables.
 
     Nested tables are, for example, robots in files of rl_sar, controllers, and nodes in files of
@@ -166,7 +166,7 @@ def read_document(
     for key, parameters in nodes.items():
         if isinstance(parameters.value, dict) and request.name in ("", key):
             extra_keys = {"update_rate": rate} if rate.is_present else {}
-            table = Node({**parameters.value, **extra_keys}, parameters.place)
+            table = LocatedValue({**parameters.value, **extra_keys}, parameters.place)
             yield from read_table(request, f"{request.path.name}:{key}", table, Role.DRIVER)
     others = {key: node for key, node in document.table.items() if not nodes[key].is_present}
     lowered = _lower_keys(replace(document, value=others))
@@ -221,8 +221,8 @@ def _split_document(own: _View, depth: int) -> list[_View]:
 
 
 def read_table(
-    request: Request, name: str, table: Node, role: Role, sizes: Sequence[Statement] = ()
-) -> Iterator[Source]:
+    request: Request, name: str, table: LocatedValue, role: Role, sizes: Sequence[Statement] = ()
+) -> Iterator[JointSource]:
     """Yield a table {key: value} of a file as a source, if it states joint names or joint values.
 
     With ``sizes``, the table is always yielded. Joint values are, for example, gains or limits.
@@ -234,14 +234,16 @@ def read_table(
         role: Role of the source; ``TRAINER`` instead if the table configures a trainer.
         sizes: Statements from elsewhere, such as the sizes of a network.
     """
-    lowered = Node({str(key).lower(): node for key, node in table.table.items()}, table.place)
+    lowered = LocatedValue(
+        {str(key).lower(): node for key, node in table.table.items()}, table.place
+    )
     view = _View("", (lowered,), load_key_rules("table", request.path))
     yield from _read_view(request, name, view, role, sizes)
 
 
 def _read_view(
     request: Request, name: str, view: _View, role: Role, sizes: Sequence[Statement]
-) -> Iterator[Source]:
+) -> Iterator[JointSource]:
     """Yield the source that the tables of ``view`` state: joint order, numbers, observations.
 
     Nothing is yielded if the tables state neither joint names nor a number per joint, and ``sizes``
@@ -293,7 +295,7 @@ def _read_view(
         for term in observation_names.texts
     )
     role = Role.TRAINER if is_trainer_config(root) else role
-    yield Source(
+    yield JointSource(
         name,
         request.path,
         role,
@@ -324,7 +326,7 @@ def list_numeric_keys(path: Path) -> tuple[str, ...]:
     """
     lists, numbers = list[str](), list[str]()
 
-    def visit(node: Node, prefix: str, depth: int) -> None:
+    def visit(node: LocatedValue, prefix: str, depth: int) -> None:
         """Append the keys of a node and its nested tables to ``lists`` and ``numbers``."""
         for key, child in node.table.items():
             name = f"{prefix}{key}"
@@ -342,7 +344,7 @@ def list_numeric_keys(path: Path) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*lists, *numbers)))
 
 
-def _read_motor_numbers(motors: Node) -> list[int]:
+def _read_motor_numbers(motors: LocatedValue) -> list[int]:
     """Return the indices of motors; empty unless all are distinct integers >= 0."""
     numbers = [motor.number for motor in motors.items]
     whole = [
@@ -391,7 +393,7 @@ def _list_table_statements(
                 yield statement
 
 
-def _list_position_tables(node: Node) -> list[Node]:
+def _list_position_tables(node: LocatedValue) -> list[LocatedValue]:
     """Return the tables in the table of a policy's actions that are not velocities or efforts."""
     return [
         one
@@ -400,7 +402,7 @@ def _list_position_tables(node: Node) -> list[Node]:
     ]
 
 
-def list_observation_terms(terms: Node) -> Iterator[ObservedTerm]:
+def list_observation_terms(terms: LocatedValue) -> Iterator[ObservedTerm]:
     """Yield each observation term that is a table or has a function: name, scales, history, clip.
 
     The name is the name of the term's function if listed in `OBSERVATION_ALIASES`, otherwise the
@@ -433,7 +435,7 @@ def list_observation_terms(terms: Node) -> Iterator[ObservedTerm]:
             )
 
 
-def _read_limits(request: Request, limits: Node) -> Iterator[Source]:
+def _read_limits(request: Request, limits: LocatedValue) -> Iterator[JointSource]:
     """Yield a source with MoveIt's joint limits; no source if there are none.
 
     A limit is ignored if its ``has_..._limits`` is false.
@@ -448,10 +450,10 @@ def _read_limits(request: Request, limits: Node) -> Iterator[Source]:
         if one.get(word).is_present and one.get(switch).value is not False
     ]
     if statements:
-        yield Source(request.path.name, request.path, Role.DRIVER, tuple(statements))
+        yield JointSource(request.path.name, request.path, Role.DRIVER, tuple(statements))
 
 
-def is_trainer_config(root: Node) -> bool:
+def is_trainer_config(root: LocatedValue) -> bool:
     """Return True if a table is the training configuration of a policy, as of legged_gym.
 
     Such a table contains the default joint angles as ``init_state/default_joint_angles``.
@@ -459,7 +461,7 @@ def is_trainer_config(root: Node) -> bool:
     return bool(root.get("init_state", "default_joint_angles").table)
 
 
-def read_settings(root: Node) -> Iterator[Statement]:
+def read_settings(root: LocatedValue) -> Iterator[Statement]:
     """Yield the joint values, global settings and observation scales in a legged_gym configuration.
 
     ``root`` is the top of the configuration.

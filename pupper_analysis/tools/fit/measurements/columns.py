@@ -45,7 +45,7 @@ _HEADER_PATTERN = re.compile(r"(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]*)\])?
 
 
 @dataclass(frozen=True)
-class Column:
+class MeasurementColumn:
     """Column that a file of measurements may contain.
 
     Attributes:
@@ -89,7 +89,7 @@ class Columns:
         }
 
 
-def read_columns(path: str | Path, known: Sequence[Column]) -> Columns:
+def read_columns(path: str | Path, known: Sequence[MeasurementColumn]) -> Columns:
     """Read a CSV file of measurements.
 
     The first line has the names of the columns, with units in brackets if not SI units:
@@ -114,7 +114,7 @@ def read_columns(path: str | Path, known: Sequence[Column]) -> Columns:
         raise MeasurementError(source, error.cause) from error
 
 
-def _parse_csv(source: str, text: str, known: Sequence[Column]) -> Columns:
+def _parse_csv(source: str, text: str, known: Sequence[MeasurementColumn]) -> Columns:
     """Parse the text of a CSV file with the columns ``known``.
 
     ``source`` is the path of the file, for error messages.
@@ -184,8 +184,8 @@ def _parse_numbers(
 
 
 def _match_columns(
-    source: str, header: Iterable[str], known: Sequence[Column]
-) -> Iterator[tuple[str, Column, float]]:
+    source: str, header: Iterable[str], known: Sequence[MeasurementColumn]
+) -> Iterator[tuple[str, MeasurementColumn, float]]:
     """Match the header of each column of a file with the known columns.
 
     Yields:

@@ -26,7 +26,7 @@ from pupper_analysis.base.files import describe_os_error
 from pupper_analysis.base.inputs import check_input
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.bags import MAX_BAG_BYTES, is_bag, read_bag
-from pupper_analysis.tools.fit.measurements.columns import Column, read_columns
+from pupper_analysis.tools.fit.measurements.columns import MeasurementColumn, read_columns
 
 _MIN_JUMP = 0.5
 """Time [s] between two samples above which the clock has jumped, which ends a run; ten median
@@ -171,11 +171,11 @@ def _check_time(source: str, time: Array, lines: Sequence[int]) -> None:
 # Files of logs: CSV, MCAP and ROS bags.
 
 LOG_COLUMNS = (
-    Column("time", "time"),
-    Column("command.*", "position"),
-    Column("position.*", "position"),
-    Column("velocity.*", "velocity"),
-    Column("torque.*", "torque"),
+    MeasurementColumn("time", "time"),
+    MeasurementColumn("command.*", "position"),
+    MeasurementColumn("position.*", "position"),
+    MeasurementColumn("velocity.*", "velocity"),
+    MeasurementColumn("torque.*", "torque"),
 )
 """Columns that a log may contain."""
 

@@ -18,19 +18,19 @@ from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import MeasurementError, UnknownNameError
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.fit.measurements.columns import Column, Columns, read_columns
+from pupper_analysis.tools.fit.measurements.columns import Columns, MeasurementColumn, read_columns
 from pupper_analysis.tools.fit.measurements.log_quality import find_column_step, find_degrees
 
 STAND_COLUMNS = (
-    Column("stand", ""),
-    Column("command.*", "position"),
-    Column("position.*", "position"),
-    Column("swing", ""),
-    Column("heading", "angle"),
-    Column("added.*", "mass"),
-    Column("added_x.*", "length"),
-    Column("added_y.*", "length"),
-    Column("added_z.*", "length"),
+    MeasurementColumn("stand", ""),
+    MeasurementColumn("command.*", "position"),
+    MeasurementColumn("position.*", "position"),
+    MeasurementColumn("swing", ""),
+    MeasurementColumn("heading", "angle"),
+    MeasurementColumn("added.*", "mass"),
+    MeasurementColumn("added_x.*", "length"),
+    MeasurementColumn("added_y.*", "length"),
+    MeasurementColumn("added_z.*", "length"),
 )
 """Columns that a file of stands may contain."""
 

@@ -29,8 +29,8 @@ from pupper_analysis.tools.fit.measurements.log import Log
 from pupper_analysis.tools.fit.measurements.log_quality import find_column_step, inspect_log
 from pupper_analysis.tools.fit.motions.rollouts import (
     DELAY_PARAMETERS,
+    LogSegment,
     MomentCoordinates,
-    Run,
     Simulator,
     split_runs,
 )
@@ -128,7 +128,9 @@ def fit_motion(
     return _report_motions(logs, notes, motion, motion.fit())
 
 
-def _check_runs(robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence[Run]) -> None:
+def _check_runs(
+    robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence[LogSegment]
+) -> None:
     """Check that there are samples to fit, and that each joint of a log has commands and a servo.
 
     Raises:
@@ -272,7 +274,7 @@ def _report_misfit(
 
 
 def _report_notes(
-    runs: Sequence[Run], rms_error: float, stated_error: float
+    runs: Sequence[LogSegment], rms_error: float, stated_error: float
 ) -> Iterator[Diagnostic]:
     """Yield notes if the fit predicts worse than the stated parameters, or if motions repeat.
 
@@ -336,7 +338,7 @@ def _get_middle_half(rows: Array) -> Array:
     return rows[len(rows) // 4 : len(rows) - len(rows) // 4]
 
 
-def measure_replay(runs: Sequence[Run]) -> float:
+def measure_replay(runs: Sequence[LogSegment]) -> float:
     """Measure how well held-out commands repeat fitted commands: the largest correlation, -1 to 1.
 
     Held-out samples are excluded from the fit, to validate it. The middle half of the held-out part
@@ -351,7 +353,7 @@ def measure_replay(runs: Sequence[Run]) -> float:
     )
 
 
-def measure_repeatability(runs: Sequence[Run]) -> float:
+def measure_repeatability(runs: Sequence[LogSegment]) -> float:
     """Return the RMS error [rad] with which joint positions repeat under the same commands.
 
     This is the RMS difference of the positions in two runs, divided by sqrt(2). The middle half of
@@ -431,7 +433,7 @@ class MotionResiduals:
         runs: Measured runs.
     """
 
-    def __init__(self, simulator: Simulator, runs: Sequence[Run]) -> None:
+    def __init__(self, simulator: Simulator, runs: Sequence[LogSegment]) -> None:
         self.simulator, self.runs, self.table = simulator, tuple(runs), simulator.table
         self.fitted = tuple(run for run in runs if run.counts.any())
         self.fine_simulator = simulator.with_steps(_FINE_STEP_FACTOR * simulator.steps)
@@ -670,7 +672,7 @@ before the posterior is known. Chosen, not tuned."""
 def differentiate_motion(
     simulator: Simulator,
     moments: MomentCoordinates,
-    run: Run,
+    run: LogSegment,
     point: Array,
     information: Array | None = None,
 ) -> Mapping[int, tuple[IntArray, Array]]:

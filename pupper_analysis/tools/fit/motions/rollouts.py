@@ -1,7 +1,8 @@
 """Simulation of logs: predicted encoder positions of a robot whose base is held.
 
-`Simulator` predicts the positions of a `Run` for parameter vectors. `MovingBodies` writes masses
-and CoM positions into a MuJoCo model, `MomentCoordinates` replaces CoM positions by first moments.
+`Simulator` predicts the positions of a `LogSegment` for parameter vectors. `MovingBodies` writes
+masses and CoM positions into a MuJoCo model, `MomentCoordinates` replaces CoM positions by first
+moments.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ velocity. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class LogSegment:
     """Part of a log of joint motions without jumps of the clock.
 
     Attributes:
@@ -87,7 +88,7 @@ class Run:
     held_out: NDArray[np.bool_]
 
 
-def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[Run]:
+def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[LogSegment]:
     """Yield the runs of a log, split at clock jumps, that last at least one second.
 
     Args:
@@ -111,7 +112,7 @@ def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[Run]:
         initial_state = np.where(
             np.isfinite(initial_state), initial_state, [command[0], 0.0 * command[0]]
         )
-        yield Run(
+        yield LogSegment(
             time, part.position, command, initial_state, measured & ~is_late, measured & is_late
         )
 
@@ -216,7 +217,7 @@ class Simulator:
         interval = self._model.opt.timestep * self.steps
         return Simulator(self.robot, self.drive, self.table, interval, steps)
 
-    def predict_positions(self, run: Run, vectors: Sequence[Array]) -> Array:
+    def predict_positions(self, run: LogSegment, vectors: Sequence[Array]) -> Array:
         """Predict the encoder positions of a run for several parameter vectors, by simulation.
 
         Args:
@@ -231,7 +232,7 @@ class Simulator:
             [self._predict_batch(run, vectors[start : start + _MAX_BATCH_SIZE]) for start in starts]
         )
 
-    def _predict_batch(self, run: Run, vectors: Sequence[Array]) -> Array:
+    def _predict_batch(self, run: LogSegment, vectors: Sequence[Array]) -> Array:
         """Return the encoder positions of a run [rad], predicted for k parameter vectors.
 
         The shape is (k, samples, nu); k is at most `_MAX_BATCH_SIZE`.
