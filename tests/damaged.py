@@ -32,7 +32,7 @@ from pupper_analysis.base.tools import own_tools
 from pupper_analysis.cli.stance_fields import read_stance_file
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.prepare.convert.meshes import UnreadableError, convert_to_obj, read_mesh
+from pupper_analysis.prepare.convert.meshes import UnreadableError, convert_to_obj, read_mesh_file
 from pupper_analysis.tools.check.config import read_config
 from pupper_analysis.tools.check.remarks import read_baseline
 from pupper_analysis.tools.study.store import Store
@@ -130,7 +130,7 @@ def _read_mesh(path: Path) -> Any:
     """Read a mesh as a conversion does, and an MJCF that refers to it."""
     readable = path.suffix in (".stl", ".obj")
     try:
-        _ = read_mesh(path) if readable else convert_to_obj(path)
+        _ = read_mesh_file(path) if readable else convert_to_obj(path)
     except UnreadableError:
         return
     if readable:

@@ -42,12 +42,12 @@ def cell_text(cell: str) -> str:
 
 def _escape_formula(cell: object) -> object:
     """Prefix a text that a spreadsheet would execute with an apostrophe; return other cells."""
-    if isinstance(cell, str) and _FORMULA_START.match(cell) and not _is_number(cell):
+    if isinstance(cell, str) and _FORMULA_START.match(cell) and not _is_float_text(cell):
         return _TEXT_MARK + cell
     return cell
 
 
-def _is_number(text: str) -> bool:
+def _is_float_text(text: str) -> bool:
     """Return True if Python can convert a text to a float."""
     try:
         float(text)

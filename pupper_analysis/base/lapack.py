@@ -23,7 +23,7 @@ _EXTENSION = "scipy.linalg._flapack"
 ``scipy.linalg.lapack`` is used if the module does not exist."""
 
 
-def _load_routines() -> Any:
+def _load_lapack() -> Any:
     """Return the extension module with the LAPACK routines, without importing ``scipy.linalg``.
 
     If the extension module does not exist, ``scipy.linalg.lapack`` is returned.
@@ -43,7 +43,7 @@ def _load_routines() -> Any:
     return lapack
 
 
-_routines = _load_routines()
+_routines = _load_lapack()
 """Module that contains the LAPACK routines below."""
 
 dgels, dgesv, dggev = _routines.dgels, _routines.dgesv, _routines.dggev

@@ -42,7 +42,7 @@ def find_root(
         derivative: Jacobian of the residual, shape (n, n), at a point.
         xtol: Relative tolerance between two iterates.
     """
-    routines = _load_routines()
+    routines = _load_minpack()
     if routines is None:
         from scipy import optimize
 
@@ -55,7 +55,7 @@ def find_root(
     return root
 
 
-def _load_routines() -> Any:
+def _load_minpack() -> Any:
     """Return the extension module with MINPACK; None if it cannot be loaded without its package."""
     if _EXTENSION in sys.modules:
         return sys.modules[_EXTENSION]

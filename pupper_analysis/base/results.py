@@ -257,12 +257,12 @@ def _shorten_items(values: Sequence[object] | np.ndarray, other: object) -> list
     if len(compared) != len(items):
         compared = items
     return [
-        shorten(_to_number(item), _to_number(beside))
+        shorten(_to_python_scalar(item), _to_python_scalar(beside))
         for item, beside in zip(items, compared, strict=True)
     ]
 
 
-def _to_number(item: object) -> object:
+def _to_python_scalar(item: object) -> object:
     """Convert a NumPy scalar to a Python object; return other items unchanged."""
     return item.item() if isinstance(item, np.generic) else item
 
@@ -285,10 +285,10 @@ def shorten_paths(value: _Value, prefix: str) -> _Value:
 
     Dataclasses, tuples and dicts are searched; values without the prefix are returned unchanged.
     """
-    return cast(_Value, _shorten(value, prefix))
+    return cast(_Value, _strip_prefix(value, prefix))
 
 
-def _shorten(value: Any, prefix: str) -> Any:
+def _strip_prefix(value: Any, prefix: str) -> Any:
     """Return a value without a prefix of its texts and paths; see `shorten_paths`."""
     if isinstance(value, str):
         return type(value)(value.replace(prefix, "")) if prefix in value else value
@@ -296,7 +296,7 @@ def _shorten(value: Any, prefix: str) -> Any:
         return Path(str(value).replace(prefix, "")) if prefix in str(value) else value
     if type(value) in (tuple, dict):
         old = value if isinstance(value, tuple) else tuple(value.values())
-        new = tuple(_shorten(item, prefix) for item in old)
+        new = tuple(_strip_prefix(item, prefix) for item in old)
         if all(one is other for one, other in zip(old, new, strict=True)):
             return value
         return new if isinstance(value, tuple) else dict(zip(value, new, strict=True))
@@ -305,6 +305,7 @@ def _shorten(value: Any, prefix: str) -> Any:
     changes = {
         field.name: short
         for field in fields(value)
-        if field.init and (short := _shorten(old := getattr(value, field.name), prefix)) is not old
+        if field.init
+        and (short := _strip_prefix(old := getattr(value, field.name), prefix)) is not old
     }
     return replace(value, **changes) if changes else value

@@ -80,7 +80,7 @@ def _list_typed_robot(arguments: Set[str | None], values: Mapping[str, Any]) -> 
         word
         for name in _ROBOT_ARGUMENTS
         if name in arguments
-        for word in _list_values(values.get(name))
+        for word in _split_parameter(values.get(name))
     ]
     if arguments >= {"urdf", "mjcf"} and len(words) == len(arguments):
         return [str(path) for path in sort_model_paths(*map(Path, words))]
@@ -155,7 +155,7 @@ def print_next_step(step: NextStep | None) -> None:
         click.echo(f"  next: {line}")
 
 
-def _list_values(value: object) -> list[str]:
+def _split_parameter(value: object) -> list[str]:
     """Return the values of a parameter as words: the items of a list, or a text as a single word.
 
     Empty for a value that is neither, such as a flag or a number.
@@ -196,5 +196,7 @@ def _list_common_options(
             yield name
         else:
             yield from (
-                word for value in _list_values(values[str(option.name)]) for word in (name, value)
+                word
+                for value in _split_parameter(values[str(option.name)])
+                for word in (name, value)
             )

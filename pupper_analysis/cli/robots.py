@@ -323,7 +323,7 @@ def name_uniquely(
     return renamed
 
 
-def print_notes(robot: Robot, *, everything: bool = False) -> None:
+def print_robot_notes(robot: Robot, *, everything: bool = False) -> None:
     """Print the warnings and errors on a robot, before a report that counts the other notes.
 
     Args:

@@ -392,7 +392,7 @@ def _parse_assignments(option: str, texts: tuple[str, ...]) -> list[tuple[str, f
     ]
 
 
-def match_joints(option: str, pattern: str, robot: Robot) -> list[bool]:
+def match_joint_pattern(option: str, pattern: str, robot: Robot) -> list[bool]:
     """Return for each joint of ``robot.joint_names`` whether the name matches a shell pattern.
 
     Args:
@@ -425,7 +425,7 @@ def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") 
     """
     efforts: dict[str, float] = {}
     for pattern, value in _parse_assignments(option, texts):
-        matches = match_joints(option, pattern, robot)
+        matches = match_joint_pattern(option, pattern, robot)
         efforts |= {
             name: value
             for name, matches_pattern in zip(robot.joint_names, matches, strict=True)
@@ -454,7 +454,7 @@ def parse_motors(texts: tuple[str, ...], robot: Robot, option: str = "motor") ->
     for text in texts:
         pattern, _, name = text.rpartition("=")
         motor = find_motor(name)
-        matches = match_joints(option, pattern or "*", robot)
+        matches = match_joint_pattern(option, pattern or "*", robot)
         joints = [name for name, match in zip(robot.joint_names, matches, strict=True) if match]
         check_motor_joints(robot, joints, option)
         assigned |= dict.fromkeys(joints, motor)
@@ -577,7 +577,7 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
         return values[-1][1]
     gains = None
     for pattern, value in values:
-        matches = match_joints(option, pattern, robot)
+        matches = match_joint_pattern(option, pattern, robot)
         if gains is None:
             gains = (
                 [value] * robot.nu
@@ -591,7 +591,9 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
     return gains
 
 
-def draw_stand(robot: Robot, stand: Stand, statics: GravityCompensation, path: Path | None) -> None:
+def draw_requested_stand(
+    robot: Robot, stand: Stand, statics: GravityCompensation, path: Path | None
+) -> None:
     """Draw a stand to a file, if a path was typed."""
     if path is not None:
         from pupper_analysis.present.figures.pose import write_pose_figure

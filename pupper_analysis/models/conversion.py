@@ -252,7 +252,7 @@ def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
         placement = placements[parent] * relative
         first = int(model.body_jntadr[body])
         for index in range(first, first + int(model.body_jntnum[body])):
-            joint, placement = _add_joint(result, model, index, joint, placement)
+            joint, placement = _add_pinocchio_joint(result, model, index, joint, placement)
             start = int(model.jnt_dofadr[index])
             dofs += range(start, start + result.joints[joint].nv)
         result.appendBodyToJoint(joint, inertia_of_body(model, body), placement)
@@ -313,7 +313,7 @@ def _sum_actuator_values(model: mujoco.MjModel, values: Array) -> Array:
     return total
 
 
-def _add_joint(
+def _add_pinocchio_joint(
     result: pin.Model, model: mujoco.MjModel, index: int, parent: int, placement: pin.SE3
 ) -> tuple[int, pin.SE3]:
     """Add a joint of MuJoCo's model to a Pinocchio model.

@@ -19,7 +19,7 @@ import numpy as np
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.mjcf import JointKind, free_joints
+from pupper_analysis.models.mjcf import JointKind, list_free_joints
 from pupper_analysis.models.mjcf_file import compile_with_shells, put_shells
 from pupper_analysis.models.places import one_line
 
@@ -188,7 +188,7 @@ class _SpecWriter:
         named_geoms |= set(model.wrap_objid[np.isin(model.wrap_type, _GEOM_WRAPS)].tolist())
         for geom in set(range(model.ngeom)) - named_geoms:  # a foot is then named after its body
             self._names["geom", geom] = str(model.geom(geom).name)
-        for joint in free_joints(model):
+        for joint in list_free_joints(model):
             self._names["joint", joint] = str(model.joint(joint).name)  # may have none
 
     def build_spec(self) -> mujoco.MjSpec:

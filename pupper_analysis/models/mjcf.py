@@ -40,7 +40,7 @@ class JointKind(IntEnum):
     HINGE = mujoco.mjtJoint.mjJNT_HINGE.value
 
 
-def free_joints(model: mujoco.MjModel) -> list[int]:
+def list_free_joints(model: mujoco.MjModel) -> list[int]:
     """Return the ids of the free joints of a MuJoCo model, ascending."""
     return [int(joint) for joint in np.flatnonzero(model.jnt_type == JointKind.FREE)]
 

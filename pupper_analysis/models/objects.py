@@ -182,7 +182,7 @@ def _read_object(
     if isinstance(model, UrdfFile | MjcfFile):
         return model
     if isinstance(model, str):
-        return _read_text(model, "XML text", packages)
+        return _make_text_file(model, "XML text", packages)
     if isinstance(model, mujoco.MjSpec):
         name = f"MjSpec {model.modelname}"
         path = Path(model.modelfiledir) / f"<{name}>"
@@ -202,7 +202,7 @@ def _read_object(
         problem = diagnose("object-not-written", message=one_line(error))
         raise ModelError(type(model).__name__, problem) from error
     name = f"{type(model).__module__.partition('.')[0]}.{type(model).__name__}"
-    return _read_text(text.decode(), name, packages)
+    return _make_text_file(text.decode(), name, packages)
 
 
 def _read_spec(path: Path, spec: mujoco.MjSpec, name: str) -> MjcfFile:
@@ -249,7 +249,9 @@ def _make_memory_note(name: str) -> Diagnostic:
     return diagnose("model-in-memory", name=name)
 
 
-def _read_text(text: str, name: str, packages: Mapping[str, Path] | None) -> UrdfFile | MjcfFile:
+def _make_text_file(
+    text: str, name: str, packages: Mapping[str, Path] | None
+) -> UrdfFile | MjcfFile:
     """Return the model file of an XML text. Relative paths start at the current folder.
 
     Args:

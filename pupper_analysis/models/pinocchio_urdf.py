@@ -21,7 +21,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.attributes import UNSTATED
 from pupper_analysis.models.urdf_tree import set_origin
-from pupper_analysis.models.xml import add_element, make_unique_name, to_text, write_numbers
+from pupper_analysis.models.xml import add_element, join_numbers, make_unique_name, to_text
 
 _MAX_POSITION: Final = 1e6
 """Absolute joint limit [rad, m] from which a joint counts as unlimited. Chosen: Pinocchio uses the
@@ -134,7 +134,7 @@ class _UrdfWriter:
             name = str(own[index].name) if index in own else fallback
             link = add_element(self.root, "link", name=make_unique_name(name, self._link_names))
             self._links[index] = link
-            _add_inertial(link, model.inertias[index])
+            _add_urdf_inertial(link, model.inertias[index])
         for index in range(1, model.njoints):
             self._add_joint(index)
         kept = {id(frame) for frame in own.values()}
@@ -171,7 +171,7 @@ class _UrdfWriter:
         motion, joint = _read_motion(model, index), model.joints[index]
         slides = not motion[3:].any()
         add_element(
-            element, "axis", xyz=write_numbers(motion[:3] if slides else motion[3:], 1, None)
+            element, "axis", xyz=join_numbers(motion[:3] if slides else motion[3:], 1, None)
         )
         lower, upper = (
             float(limits[joint.idx_q]) if joint.nq == 1 else bound
@@ -215,7 +215,7 @@ class _UrdfWriter:
         if isinstance(solid, coal.Sphere):
             add_element(shape, "sphere", radius=_write(solid.radius))
         elif isinstance(solid, coal.Box):
-            add_element(shape, "box", size=write_numbers(2 * solid.halfSide, 1, None))
+            add_element(shape, "box", size=join_numbers(2 * solid.halfSide, 1, None))
         elif isinstance(solid, coal.Capsule | coal.Cylinder):
             tag = "capsule" if isinstance(solid, coal.Capsule) else "cylinder"
             length, radius = _write(2 * solid.halfLength), _write(solid.radius)
@@ -249,7 +249,7 @@ def _make_stl(solid: coal.CollisionGeometry, name: str, source: str) -> bytes:
     return bytes(mesh.export(file_type="stl"))
 
 
-def _add_inertial(link: etree._Element, inertia: pin.Inertia) -> None:
+def _add_urdf_inertial(link: etree._Element, inertia: pin.Inertia) -> None:
     """Add ``<inertial>`` to a link, unless mass and inertia are zero."""
     matrix = np.array(inertia.inertia)
     if not inertia.mass and not matrix.any():

@@ -461,7 +461,7 @@ def read_shape(model: mujoco.MjModel, geom: int, data: mujoco.MjData | None = No
     return Shape(name, kind, pose, size, collides, read)
 
 
-def read_mesh(model: mujoco.MjModel, mesh: int) -> Mesh:
+def get_mesh(model: mujoco.MjModel, mesh: int) -> Mesh:
     """Return a mesh of a MuJoCo model, with vertices [m] in the frame of the mesh."""
     first_vertex, num_vertices = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     first_face, num_faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
@@ -477,7 +477,7 @@ def _read_hull(model: mujoco.MjModel, mesh: int) -> Mesh:
     The layout of ``mesh_graph`` is that of MuJoCo's compiler: numbers of vertices and faces,
     address of the edges of each vertex, mesh numbers of the vertices, edges, faces as mesh numbers.
     """
-    address, mesh_with_all_vertices = int(model.mesh_graphadr[mesh]), read_mesh(model, mesh)
+    address, mesh_with_all_vertices = int(model.mesh_graphadr[mesh]), get_mesh(model, mesh)
     if address < 0:
         return mesh_with_all_vertices.hull()
     num_corners, num_faces = model.mesh_graph[address : address + 2].tolist()

@@ -27,9 +27,9 @@ from pupper_analysis.models.xml import (
     NUM_ANGLE_DIGITS,
     add_element,
     is_zero,
+    join_numbers,
     parse_numbers,
     parse_text,
-    write_numbers,
 )
 
 
@@ -55,8 +55,8 @@ def set_origin(element: etree._Element, placement: pin.SE3, digits: int | None =
     for old in element.findall("origin"):
         element.remove(old)
     angles = pin.rpy.matrixToRpy(np.array(placement.rotation))
-    xyz = write_numbers(placement.translation, scale=1.0, digits=digits)  # m
-    rpy = write_numbers(angles, scale=1.0, digits=digits and NUM_ANGLE_DIGITS)  # rad
+    xyz = join_numbers(placement.translation, scale=1.0, digits=digits)  # m
+    rpy = join_numbers(angles, scale=1.0, digits=digits and NUM_ANGLE_DIGITS)  # rad
     if not (is_zero(xyz) and is_zero(rpy)):
         add_element(element, "origin", xyz=xyz, rpy=None if is_zero(rpy) else rpy)
 
@@ -117,10 +117,10 @@ class UrdfLink(UrdfElement):
         """Replace the ``<inertial>`` element by an inertia in the link frame."""
         self.remove("inertial")
         inertial = etree.SubElement(self.element, "inertial")
-        add_element(inertial, "origin", xyz=write_numbers(inertia.lever, digits=digits))
-        add_element(inertial, "mass", value=write_numbers(inertia.mass, digits=digits))
+        add_element(inertial, "origin", xyz=join_numbers(inertia.lever, digits=digits))
+        add_element(inertial, "mass", value=join_numbers(inertia.mass, digits=digits))
         tensor = inertia_entries(np.array(inertia.inertia))
-        entries = write_numbers(tensor, digits=digits).split()
+        entries = join_numbers(tensor, digits=digits).split()
         etree.SubElement(inertial, "inertia", dict(zip(INERTIA_ENTRIES, entries, strict=True)))
 
     @property
@@ -212,7 +212,7 @@ class UrdfJoint(UrdfElement):
     ) -> None:
         """Add a ``<mimic>`` element: q = multiplier q_leader + offset [rad, m]."""
         multiplier_text, offset_text = (
-            write_numbers(value, digits=digits) for value in (multiplier, offset)
+            join_numbers(value, digits=digits) for value in (multiplier, offset)
         )
         add_element(
             self.element, "mimic", joint=leader, multiplier=multiplier_text, offset=offset_text
@@ -225,7 +225,7 @@ class UrdfJoint(UrdfElement):
             axis: Axis, shape (3,), in the joint frame.
             digits: Number of significant digits; None for the shortest exact form.
         """
-        add_element(self.element, "axis", xyz=write_numbers(axis, digits=digits))
+        add_element(self.element, "axis", xyz=join_numbers(axis, digits=digits))
 
     def fix(self) -> None:
         """Change the type of this joint to ``fixed``."""
@@ -453,7 +453,7 @@ class UrdfTree:
         if origin is None:
             origin = etree.SubElement(inertial, "origin")
         place = parse_numbers(origin.get("xyz") or None, "0 0 0") + offset
-        origin.set("xyz", write_numbers(place, digits=None))
+        origin.set("xyz", join_numbers(place, digits=None))
 
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:
         """Multiply a joint parameter by a factor; no effect if the parameter is missing."""

@@ -185,7 +185,7 @@ def _make_parser() -> etree.XMLParser:
 # Writing of new model files.
 
 _ROUNDING_RTOL = 1e-13
-"""Absolute value, relative to the largest number, up to which `write_numbers` writes a number as 0:
+"""Absolute value, relative to the largest number, up to which `join_numbers` writes a number as 0:
 the rounding errors of products of rotation matrices."""
 
 NUM_DIGITS: Final = 12
@@ -198,7 +198,7 @@ NUM_ANGLE_DIGITS = 15
 rad, and the products of its rotation matrix stay zero within `_ROUNDING_RTOL`."""
 
 
-def write_numbers(values: ArrayLike, scale: float = 0.0, digits: int | None = NUM_DIGITS) -> str:
+def join_numbers(values: ArrayLike, scale: float = 0.0, digits: int | None = NUM_DIGITS) -> str:
     """Return numbers as text, separated by spaces; numbers within rounding errors of zero as 0.
 
     Args:
@@ -219,7 +219,7 @@ def is_zero(text: str) -> bool:
 
 def write_halves(text: str) -> str:
     """Return the numbers in a text divided by 2: a URDF has full lengths, an MJCF half lengths."""
-    return write_numbers([float(word) / 2 for word in text.split()])
+    return join_numbers([float(word) / 2 for word in text.split()])
 
 
 def add_element(parent: etree._Element, tag: str, **attributes: str | None) -> etree._Element:

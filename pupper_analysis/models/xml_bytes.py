@@ -1,6 +1,6 @@
 """XML file as bytes, in which single attributes are changed and all other bytes are kept.
 
-`read_document` returns the elements with the byte offsets of their start tags. Attributes are set
+`read_xml_bytes` returns the elements with the byte offsets of their start tags. Attributes are set
 and children added in memory; ``XmlDocument.render`` replaces only the changed bytes, so that
 comments, white space and the order of attributes of the user's file stay the same.
 """
@@ -132,7 +132,7 @@ class XmlDocument:
         return splices
 
 
-def read_document(path: Path) -> XmlDocument:
+def read_xml_bytes(path: Path) -> XmlDocument:
     """Read an XML file that is known to be well-formed UTF-8."""
     data = read_input(path, MAX_TEXT_BYTES)
     parser = expat.ParserCreate("utf-8")

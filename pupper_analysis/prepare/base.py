@@ -19,7 +19,7 @@ from pupper_analysis.base.arrays import (
 )
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, has_free_joint
+from pupper_analysis.models.mjcf import JointKind, compile_spec, has_free_joint, list_free_joints
 from pupper_analysis.models.spec_tree import join_free_base
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.contact_points import compute_lowest_height
@@ -130,7 +130,7 @@ def place_base_frame(
     if base is None or base.frame is not None:
         return []  # the position is relative to a frame element
     body = mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_BODY, base.name)
-    if body >= 0 and body in file.jnt_bodyid[free_joints(file)]:
+    if body >= 0 and body in file.jnt_bodyid[list_free_joints(file)]:
         model = file
     else:
         complete = spec.copy()

@@ -153,23 +153,25 @@ def list_shared_causes(published: PublishedModel, robot: Robot) -> list[CauseCan
     ]
 
 
-def _name_element(model: mujoco.MjModel, kind: mujoco.mjtObj, number: int) -> str:
+def _get_element_name(model: mujoco.MjModel, kind: mujoco.mjtObj, number: int) -> str:
     """Return the name of an element; "#3" etc. without a name."""
     return mujoco.mj_id2name(model, kind, number) or f"#{number}"
 
 
-def _name_elements(
+def _list_element_names(
     model: mujoco.MjModel, kind: mujoco.mjtObj, numbers: Iterable[int]
 ) -> tuple[str, ...]:
     """Return the names of MuJoCo elements of a kind, such as geoms, from their ids ``numbers``."""
-    return tuple(_name_element(model, kind, int(number)) for number in numbers)
+    return tuple(_get_element_name(model, kind, int(number)) for number in numbers)
 
 
 def _name_actuators(model: mujoco.MjModel, actuators: Iterable[int]) -> tuple[str, ...]:
     """Return the names of actuators; of an actuator without a name, the name of the joint."""
     return tuple(
         mujoco.mj_id2name(model, _OBJECT_TYPE.mjOBJ_ACTUATOR, int(actuator))
-        or _name_element(model, _OBJECT_TYPE.mjOBJ_JOINT, int(model.actuator_trnid[actuator, 0]))
+        or _get_element_name(
+            model, _OBJECT_TYPE.mjOBJ_JOINT, int(model.actuator_trnid[actuator, 0])
+        )
         for actuator in actuators
     )
 
@@ -301,7 +303,7 @@ def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
     model, joints = published.model, _list_joint_ids(published, robot)
     linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
     sprung = [
-        _name_elements(model, kind, np.flatnonzero((stiff != 0) | poly.any(axis=1)))
+        _list_element_names(model, kind, np.flatnonzero((stiff != 0) | poly.any(axis=1)))
         for kind, stiff, poly in (
             (_OBJECT_TYPE.mjOBJ_JOINT, model.jnt_stiffness, model.jnt_stiffnesspoly),
             (_OBJECT_TYPE.mjOBJ_TENDON, model.tendon_stiffness, model.tendon_stiffnesspoly),
@@ -310,7 +312,10 @@ def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
     yield from _yield_if_any("spring", (*sprung[0], *sprung[1]), f"{linear} {higher}", slice(None))
     limited = joints[model.jnt_limited[joints] != 0]
     yield from _yield_if_any(
-        "range", _name_elements(model, _OBJECT_TYPE.mjOBJ_JOINT, limited), "jnt_limited", limited
+        "range",
+        _list_element_names(model, _OBJECT_TYPE.mjOBJ_JOINT, limited),
+        "jnt_limited",
+        limited,
     )
     if model.opt.density or model.opt.viscosity:
         parts = [f"density {model.opt.density:g} kg/m^3", f"viscosity {model.opt.viscosity:g} Pa s"]
@@ -409,14 +414,14 @@ def _select_bad_contacts(model: mujoco.MjModel, of: str, code: str) -> NDArray[n
 def _name_shape(model: mujoco.MjModel, geom: int) -> str:
     """Return the name of a geom; without a name, the name of the body."""
     named = mujoco.mj_id2name(model, _OBJECT_TYPE.mjOBJ_GEOM, geom)
-    return named or _name_element(model, _OBJECT_TYPE.mjOBJ_BODY, int(model.geom_bodyid[geom]))
+    return named or _get_element_name(model, _OBJECT_TYPE.mjOBJ_BODY, int(model.geom_bodyid[geom]))
 
 
 def _name_pairs(model: mujoco.MjModel, pairs: NDArray[np.intp]) -> tuple[str, ...]:
     """Return "A and B", with the names of both geoms, for each of the contact ``pairs`` (ids)."""
     both = np.column_stack([model.pair_geom1, model.pair_geom2])[pairs]
     return tuple(
-        " and ".join(_name_elements(model, _OBJECT_TYPE.mjOBJ_GEOM, ends)) for ends in both
+        " and ".join(_list_element_names(model, _OBJECT_TYPE.mjOBJ_GEOM, ends)) for ends in both
     )
 
 
@@ -429,7 +434,7 @@ def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
     for number in range(model.nexclude):
         pair = divmod(int(model.exclude_signature[number]), 1 << 16)
         if fixed & set(pair):
-            names = " and ".join(_name_elements(model, _OBJECT_TYPE.mjOBJ_BODY, pair))
+            names = " and ".join(_list_element_names(model, _OBJECT_TYPE.mjOBJ_BODY, pair))
             yield from _yield_if_any(
                 "exclude", (names,), "exclude_signature", number
             )  # 0: the world with itself
@@ -466,7 +471,7 @@ def _list_equality_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
             ends = [int(model.site_bodyid[end]) for end in ends]
         if any(model.body_weldid[end] == 0 or model.body_mocapid[end] >= 0 for end in ends):
             name = mujoco.mj_id2name(model, _OBJECT_TYPE.mjOBJ_EQUALITY, number)
-            both = " and ".join(_name_elements(model, _OBJECT_TYPE.mjOBJ_BODY, ends))
+            both = " and ".join(_list_element_names(model, _OBJECT_TYPE.mjOBJ_BODY, ends))
             kind = kinds[int(model.eq_type[number])]
             yield from _yield_if_any(kind, (name or both,), "eq_active0", number)
 
@@ -490,7 +495,7 @@ def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
     named = _name_actuators(model, forced)
     yield from _yield_if_any("forcerange", named, "actuator_forcelimited", forced)
     clamped = joints[model.jnt_actfrclimited[joints] != 0]
-    named = _name_elements(model, _OBJECT_TYPE.mjOBJ_JOINT, clamped)
+    named = _list_element_names(model, _OBJECT_TYPE.mjOBJ_JOINT, clamped)
     yield from _yield_if_any("actuatorfrcrange", named, "jnt_actfrclimited", clamped)
 
 
@@ -510,7 +515,7 @@ def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]
     others = [
         actuator for actuator in list_uncommanded_actuators(model) if actuator not in commanded
     ]
-    named = _name_elements(model, _OBJECT_TYPE.mjOBJ_ACTUATOR, others)
+    named = _list_element_names(model, _OBJECT_TYPE.mjOBJ_ACTUATOR, others)
     yield from _yield_if_any("motors-elsewhere", named, "actuator_gainprm actuator_biasprm", others)
     filtered = np.isin(model.actuator_dyntype, FILTER_DYNAMICS)
     slow = np.flatnonzero(filtered & (model.actuator_dynprm[:, 0] > MAX_SETTLED_TIME_CONSTANT))
@@ -534,7 +539,7 @@ def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[Ca
         ("loose-joints", loose, 1, _LOCKING_DAMPING),
         ("ball-joints", balls, 3, _LOCKING_BALL_DAMPING),
     ):
-        named = _name_elements(model, _OBJECT_TYPE.mjOBJ_JOINT, joints)
+        named = _list_element_names(model, _OBJECT_TYPE.mjOBJ_JOINT, joints)
         dofs = [int(model.jnt_dofadr[joint]) + axis for joint in joints for axis in range(size)]
         yield from _yield_if_any(code, named, "dof_damping", dofs, damping)
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from pupper_analysis.base import lapack
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.models.mjcf import free_joints
+from pupper_analysis.models.mjcf import list_free_joints
 from pupper_analysis.models.shapes import Shape, read_shape
 from pupper_analysis.robot.contact import find_acting_contacts, ground_geom
 
@@ -534,7 +534,7 @@ def _find_pressed_contacts(
     floor = ground_geom(model)
     mujoco.mj_kinematics(model, data)
     turned = _align_vectors(data.xmat[body].reshape(3, 3) @ out, np.array([0.0, 0.0, -1.0]))
-    free = free_joints(model)[0]
+    free = list_free_joints(model)[0]
     at = int(model.jnt_qposadr[free])
     quat = np.zeros(4)
     mujoco.mju_mulQuat(quat, turned, data.qpos[at + 3 : at + 7].copy())

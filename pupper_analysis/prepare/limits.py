@@ -22,7 +22,7 @@ from pupper_analysis.models.efforts import (
 )
 from pupper_analysis.models.transmission import Drive, list_tendon_joints, measure_actuator_levers
 from pupper_analysis.robot.alike import sibling_joints
-from pupper_analysis.robot.joints import force_unit, free_joints
+from pupper_analysis.robot.joints import find_footless_joints, force_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import find_overloaded_motors
 from pupper_analysis.simulation.verify import FORCE_TOLERANCE, torque_scale
@@ -243,7 +243,7 @@ def describe_unknown_limits(robot: Robot, statics: GravityCompensation) -> Diagn
     ]
     if not any(needed[joint] > least for joint in unknown):
         return None
-    aside = free_joints(robot)  # joints without a foot below
+    aside = find_footless_joints(robot)  # joints without a foot below
     unknown = [joint for joint in unknown if joint not in aside or needed[joint] > least]
     hardest = max(unknown, key=needed.__getitem__)
     return diagnose(

@@ -98,7 +98,7 @@ class PublishedModel:
         )
         base = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, robot.mj_base)
         return cls(
-            model, _find_ground_height(model), max(base, 0), drives
+            model, _find_plane_height(model), max(base, 0), drives
         )  # a fixed base may be the world
 
     @property
@@ -206,7 +206,7 @@ def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | No
     model = mjcf.model
     has_ground = (
         not robot.floating
-        or _find_ground_height(model) is not None
+        or _find_plane_height(model) is not None
         or len(_list_ground_geoms(model)) > 0
     )
     free = (
@@ -298,7 +298,7 @@ def _list_ground_geoms(model: mujoco.MjModel) -> NDArray[np.intp]:
     return np.flatnonzero(collidable & fixed & (model.body_mocapid[model.geom_bodyid] < 0))
 
 
-def _find_ground_height(model: mujoco.MjModel) -> float | None:
+def _find_plane_height(model: mujoco.MjModel) -> float | None:
     """Return the height of the first level plane in the world [m]; None if there is none."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -64,7 +64,7 @@ def check_simulable(mjcf: MjcfFile) -> None:
                     "number-not-simulated",
                     subject=None
                     if kind == "option"
-                    else (kind, _name_element(mjcf.model, kind, row)),
+                    else (kind, _name_element_or_joint(mjcf.model, kind, row)),
                     field=field,
                     value=" ".join(f"{number:g}" for number in numbers[row]),
                     least=None if least == -most else f"{least:g}",
@@ -97,7 +97,7 @@ def _list_bounded_values(
     yield "actuator", "gear", at_joints, _GEAR_RANGE
 
 
-def _name_element(model: mujoco.MjModel, kind: str, row: int) -> str:
+def _name_element_or_joint(model: mujoco.MjModel, kind: str, row: int) -> str:
     """Return the name of an element of the model; for an unnamed actuator, that of its joint.
 
     Args:
@@ -123,7 +123,9 @@ def _find_place(mjcf: MjcfFile, kind: str, field: str, row: int) -> Place:
     if kind == "option":
         stated = (place for words, place in mjcf.elements("option") if field in words)
         return next(stated, Place(mjcf.path))
-    return mjcf.place("contact" if kind == "pair" else kind, _name_element(mjcf.model, kind, row))
+    return mjcf.place(
+        "contact" if kind == "pair" else kind, _name_element_or_joint(mjcf.model, kind, row)
+    )
 
 
 def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> ModelError:

@@ -24,7 +24,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError, UnknownNameError
 from pupper_analysis.models.additions import StartKeyframe
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, silence_mujoco
+from pupper_analysis.models.mjcf import JointKind, compile_spec, list_free_joints, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare.feet import report_sideways_limbs
@@ -97,7 +97,7 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
         {keyframe: largest penetration of a contact with the world [m]}. Empty unless the model
         has exactly one free joint.
     """
-    found, free = {}, free_joints(model)
+    found, free = {}, list_free_joints(model)
     for key in range(model.nkey) if len(free) == 1 else ():
         if not model.key_ctrl[key].any():
             continue
@@ -682,7 +682,7 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
         has not exactly one free joint.
     """
     names = [model.key(key).name or f"keyframe {key + 1}" for key in range(model.nkey)]
-    free = free_joints(model)
+    free = list_free_joints(model)
     if name not in names or len(free) != 1:
         return None
     data = mujoco.MjData(model)

@@ -77,8 +77,8 @@ def join_words(parts: Iterable[Words], comma: str = "comma") -> Text:
     listed = list(parts)
     between = text(comma)
     return Text(
-        between.en.join(str(_select_language(part, "en")) for part in listed),
-        lambda: between.zh.join(str(_select_language(part, "zh")) for part in listed),
+        between.en.join(str(_select_string(part, "en")) for part in listed),
+        lambda: between.zh.join(str(_select_string(part, "zh")) for part in listed),
     )
 
 
@@ -90,7 +90,7 @@ def get_english(words: Words) -> str:
 def _fill_phrase(key: str, values: dict[str, object], language: str) -> str:
     """Return the text of the catalogue entry ``key`` in a language, with ``values`` inserted."""
     template = phrase(key, language)
-    translated = {name: _select_language(value, language) for name, value in values.items()}
+    translated = {name: _select_string(value, language) for name, value in values.items()}
     return fill_template(template, translated, language) if translated else template
 
 
@@ -100,11 +100,11 @@ def _fill_short(template: str, values: Mapping[str, object]) -> str:
         name: value.short if isinstance(value, Text) and value.short else value
         for name, value in values.items()
     }
-    translated = {name: _select_language(value, "en") for name, value in shortened.items()}
+    translated = {name: _select_string(value, "en") for name, value in shortened.items()}
     return fill_template(template, translated, "en")
 
 
-def _select_language(value: object, language: str) -> object:
+def _select_string(value: object, language: str) -> object:
     """Return the string of a `Text` or `Name` in a language; any other value unchanged."""
     if isinstance(value, Text):
         return getattr(value, language)

@@ -134,13 +134,13 @@ def _make_table_parts(table: Table) -> list[str]:
 
 def _format_header(column: Column) -> str:
     """Format the header of a column with the unit."""
-    unit = f" ({_escape_text(column.unit)})" if column.unit not in ("", "1") else ""
+    unit = f" ({_escape_markdown(column.unit)})" if column.unit not in ("", "1") else ""
     return f"{_escape_words(column.name)}{unit}" or " "
 
 
 def _format_cell(cell: Cell) -> str:
     """Format a cell; bad, warning and best values in bold."""
-    text = _escape_text(cell.text) if isinstance(cell, Number) else _escape_words(cell)
+    text = _escape_markdown(cell.text) if isinstance(cell, Number) else _escape_words(cell)
     return f"**{text}**" if text and cell.mark in ("bad", "warn", "best") else text
 
 
@@ -164,7 +164,7 @@ def _make_finding_parts(block: FileFinding) -> list[str]:
 def _format_place(place: FilePlace) -> str:
     """Return the path of a place in a file, and the quoted line as code, as Markdown."""
     quoted = _format_code(get_english(place.line).replace("\n", " "))
-    return f"{_escape_text(place.path) or _escape_words(place.place)}: {quoted}"
+    return f"{_escape_markdown(place.path) or _escape_words(place.place)}: {quoted}"
 
 
 @_make_parts.register
@@ -189,10 +189,10 @@ def _measure_tick_run(text: str) -> int:
 
 def _escape_words(words: Words) -> str:
     """Return the English text of words, escaped for Markdown."""
-    return _escape_text(get_english(words))
+    return _escape_markdown(get_english(words))
 
 
-def _escape_text(text: str) -> str:
+def _escape_markdown(text: str) -> str:
     """Escape markup, mentions, references and links in a text for Markdown."""
     return _MARKUP_PATTERN.sub(
         _escape_match, _REFERENCE_PATTERN.sub(_WORD_JOINER, escape_control(text))

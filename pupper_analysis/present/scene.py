@@ -15,7 +15,7 @@ import numpy as np
 import shapely
 
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.models.shapes import NUM_SIZES, Mesh, Shape, read_mesh, read_shape
+from pupper_analysis.models.shapes import NUM_SIZES, Mesh, Shape, get_mesh, read_shape
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground, Step
 from pupper_analysis.robot.robot import Robot
@@ -315,7 +315,7 @@ def _simplify_mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
     Grids become coarser until the number of triangles is small enough. The result may have up to
     `_MIN_MESH_FACES` triangles, and more if the coarsest grid leaves more.
     """
-    simplified = read_mesh(model, mesh)
+    simplified = get_mesh(model, mesh)
     max_faces, cells = max(int(share * len(simplified.faces)), _MIN_MESH_FACES), _MAX_GRID_CELLS
     while len(simplified.faces) > max_faces and cells > 4:
         simplified = coarsen_mesh(simplified, cells)

@@ -213,7 +213,7 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
     line = Text()
     if document.verdict is not None:
         line.append(
-            _shorten(document.verdict) if short else _to_plain_text(document.verdict),
+            _get_short_form(document.verdict) if short else _to_plain_text(document.verdict),
             f"bold {MARK_STYLES.get(document.mark, '')}".strip(),
         )
         line.append(" ")
@@ -375,7 +375,7 @@ def _to_plain_text(words: Words) -> str:
     return _escape_line(get_english(words))
 
 
-def _shorten(words: Words) -> str:
+def _get_short_form(words: Words) -> str:
     """Return the escaped short English form of words; the whole text without a short form."""
     short = words.short if isinstance(words, TranslatedText) else ""
     return _escape_line(short) or _to_plain_text(words)
@@ -391,7 +391,7 @@ def _style_words(words: Words, *, short: bool = False) -> Text:
         words: Text.
         short: True for the short form of the text, if it has one.
     """
-    plain = _shorten(words) if short else _to_plain_text(words)
+    plain = _get_short_form(words) if short else _to_plain_text(words)
     style = MARK_STYLES.get(words.mark, "")
     first = plain.partition(" ")[0]
     if style and first.isupper():

@@ -250,7 +250,7 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
         calf = site.parent
         thigh = calf.parent
         knee_in_calf = _normalize(calf.joints[0].axis)
-        knee_in_thigh = _make_rotation(calf.quat) @ knee_in_calf
+        knee_in_thigh = _convert_quaternion(calf.quat) @ knee_in_calf
         along_thigh = _project_in_plane(np.array(calf.pos), knee_in_thigh)
         along_calf = _project_in_plane(np.array(site.pos), knee_in_calf)
         _stretch_body(thigh, along_thigh, variant.leg_scale, stretched_meshes)
@@ -272,7 +272,7 @@ def _normalize(vector: object) -> Array:
     return unit
 
 
-def _make_rotation(quat: object) -> Array:
+def _convert_quaternion(quat: object) -> Array:
     """Return the rotation matrix (3, 3) of a quaternion (w, x, y, z), which is normalised first."""
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, _normalize(quat))
@@ -325,7 +325,7 @@ def _stretch_geom(
         ModelError: If the geom is a mesh of which no axis is parallel to ``axis``.
     """
     ends = np.array(geom.fromto)
-    rotation = _make_rotation(geom.quat)
+    rotation = _convert_quaternion(geom.quat)
     spans = False
     if geom.type == mujoco.mjtGeom.mjGEOM_MESH:
         local = rotation.T @ matrix @ rotation
@@ -356,7 +356,7 @@ def _stretch_inertial(body: mujoco.MjsBody, matrix: Array, factor: float) -> Non
         matrix: Stretch of positions in the body frame, shape (3, 3).
         factor: Factor of the mass.
     """
-    rotation = _make_rotation(body.iquat)
+    rotation = _convert_quaternion(body.iquat)
     full = np.array(body.fullinertia)
     if math.isnan(full[0]):
         tensor = rotation @ np.diag(body.inertia) @ rotation.T

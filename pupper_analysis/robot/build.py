@@ -42,7 +42,7 @@ from pupper_analysis.models.efforts import (
     JointEffort,
     placeholder_efforts,
 )
-from pupper_analysis.models.mjcf import JointKind, free_joints, has_free_joint
+from pupper_analysis.models.mjcf import JointKind, has_free_joint, list_free_joints
 from pupper_analysis.models.multibody import joint_placements
 from pupper_analysis.models.transmission import is_at_one_joint
 from pupper_analysis.models.urdf_tree import UrdfTree
@@ -57,7 +57,7 @@ from pupper_analysis.robot.robot import (
     acts_at_rest,
     efforts_of,
     report_efforts,
-    with_friction,
+    with_task_friction,
 )
 from pupper_analysis.robot.tendons import report_ignored_equalities, report_ignored_tendon_ranges
 
@@ -227,7 +227,7 @@ def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) 
     return replace(
         built,
         feet=MappingProxyType(dict(feet)),
-        contacts=with_friction(built.contacts, built.feet, touching),
+        contacts=with_task_friction(built.contacts, built.feet, touching),
         fingerprint=robot.fingerprint,
         touching=touching,
     )
@@ -354,7 +354,7 @@ def _find_base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence
     That parent is the nearest ancestor of the first joint's body that is fixed to the world.
     """
     if floating:
-        return str(model.body(int(model.jnt_bodyid[free_joints(model)[0]])).name)
+        return str(model.body(int(model.jnt_bodyid[list_free_joints(model)[0]])).name)
     base = int(model.jnt_bodyid[model.joint(joint_names[0]).id])
     while model.body_weldid[base] != 0:
         base = int(model.body_parentid[base])

@@ -31,7 +31,7 @@ from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.models.mjcf import free_joints
+from pupper_analysis.models.mjcf import list_free_joints
 from pupper_analysis.models.transmission import is_at_one_joint
 
 
@@ -231,7 +231,7 @@ class MujocoConvention:
         """
         qpos: list[int] = []
         qvel: list[int] = []
-        free = free_joints(model)
+        free = list_free_joints(model)
         if free:
             qpos += range(model.jnt_qposadr[free[0]], model.jnt_qposadr[free[0]] + 7)
             qvel += range(model.jnt_dofadr[free[0]], model.jnt_dofadr[free[0]] + 6)

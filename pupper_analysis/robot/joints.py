@@ -108,7 +108,7 @@ def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, 
             not close the loops.
     """
     placed = named_positions(robot, posture, "posture") if posture else {}
-    free = free_joints(robot) if placed else ()
+    free = find_footless_joints(robot) if placed else ()
     if robot.closure is not None and any(joint not in free for joint in placed):
         free = (*free, *_list_loop_joints(robot, placed))
     for joint in placed:
@@ -145,7 +145,7 @@ def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, .
     return tuple(name for name in names if name not in _foot_joints(robot))
 
 
-def free_joints(robot: Robot) -> tuple[str, ...]:
+def find_footless_joints(robot: Robot) -> tuple[str, ...]:
     """Return the joints that move no foot or hand, and are in no loop or coupling.
 
     The joints are in actuator order.

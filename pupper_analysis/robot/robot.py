@@ -203,7 +203,7 @@ class Touching:
     grip: float | None = None
 
 
-def with_friction(
+def with_task_friction(
     contacts: Mapping[str, ContactParameters],
     feet: Mapping[str, Sequence[str]],
     touching: Mapping[str, Touching],

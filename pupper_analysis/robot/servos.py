@@ -116,7 +116,7 @@ def make_position_commands(robot: Robot, positions: Array) -> Array:
     """
     model, actuators = robot.mj_model, robot.mj_convention.actuator_index
     driven = np.flatnonzero(actuators >= 0)
-    _, _, gear, servo = _read_gains(model, actuators[driven])
+    _, _, gear, servo = _read_actuator_gains(model, actuators[driven])
     data = mujoco.MjData(model)
     data.qpos[robot.mj_convention.qpos_index[robot.nq - robot.nu :]] = positions
     ctrl = make_neutral_commands(model, data.qpos, actuators[driven])
@@ -320,12 +320,12 @@ def resolve_servo_gains(
             problem = diagnose("joint-without-actuator", subject=("joint", name))
             raise ModelError(robot.description.mjcf_source, problem)
     if robot.closure is None:
-        gain, damped, gear, servo = _read_gains(robot.mj_model, actuators)
+        gain, damped, gear, servo = _read_actuator_gains(robot.mj_model, actuators)
     else:
         gain, damped, gear = np.zeros(robot.nu), np.zeros(robot.nu), np.ones(robot.nu)
         servo = following.copy()
-        gain[~following], damped[~following], gear[~following], servo[~following] = _read_gains(
-            robot.mj_model, actuators[~following]
+        gain[~following], damped[~following], gear[~following], servo[~following] = (
+            _read_actuator_gains(robot.mj_model, actuators[~following])
         )
     if (kp is None or kd is None) and not servo.all():
         index = int(np.flatnonzero(~servo)[0])
@@ -349,7 +349,7 @@ def command_ranges(robot: Robot) -> Array:
     model, actuators = robot.mj_model, robot.mj_convention.actuator_index
     ranges = np.tile((-math.inf, math.inf), (robot.nu, 1))
     driven = np.flatnonzero(actuators >= 0)
-    _, _, gear, servo = _read_gains(model, actuators[driven])
+    _, _, gear, servo = _read_actuator_gains(model, actuators[driven])
     controls = model.actuator_ctrladr[actuators[driven]]
     cut = servo & model.actuator_ctrllimited[controls].astype(bool)
     stated = model.actuator_ctrlrange[controls[cut]] / gear[cut, None]
@@ -366,7 +366,7 @@ def list_position_servos(robot: Robot) -> dict[str, tuple[float, float]]:
     """
     actuators = robot.mj_convention.actuator_index
     driven = np.flatnonzero(actuators >= 0)
-    gain, damping, _, servo = _read_gains(robot.mj_model, actuators[driven])
+    gain, damping, _, servo = _read_actuator_gains(robot.mj_model, actuators[driven])
     return {
         robot.joint_names[joint]: (float(kp), float(kd))
         for joint, kp, kd, holds in zip(driven, gain, damping, servo, strict=True)
@@ -410,7 +410,7 @@ def find_servos_used(
     )
 
 
-def _read_gains(
+def _read_actuator_gains(
     model: mujoco.MjModel, actuators: NDArray[np.int64]
 ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Return gain, damping and gear of actuators, shape (n,) each, and a mask of position servos.

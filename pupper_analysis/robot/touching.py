@@ -165,7 +165,7 @@ def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) ->
             )
     if any(any(properties[name].offset or ()) for name in fixed):
         _require_hand(fixed[0], False, "offset")
-    built = _free_base(robot) if fixed and not robot.floating else robot
+    built = _make_base_free(robot) if fixed and not robot.floating else robot
     built = _add_hands(built, hands) if hands else built
     return replace(with_touching(built, robot, properties), bare=robot)
 
@@ -185,7 +185,7 @@ def _find_frame(robot: Robot, name: str) -> Tool:
         raise UnknownNameError(error.source, "foot or frame", name, known) from None
 
 
-def _free_base(robot: Robot) -> Robot:
+def _make_base_free(robot: Robot) -> Robot:
     """Return a robot with a free base instead of a base fixed by the file or the caller.
 
     Without feet, ``home`` has the default posture of the fixed robot (`default_positions`), with

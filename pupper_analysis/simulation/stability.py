@@ -167,13 +167,13 @@ def find_final_spectrum(
         Modes, not yet tested by a simulation; and the state at which they were computed.
     """
     first = start if has_fallen else end
-    spectrum, settled = _find_modes(drive.model, _make_data(drive, first, ctrl), 0.0)
+    spectrum, settled = _find_modes(drive.model, _restore_state(drive, first, ctrl), 0.0)
     if has_fallen or spectrum.speed <= MAX_RESTING_SPEED:
         return spectrum, settled
-    return _find_modes(drive.model, _make_data(drive, start, ctrl), SETTLING_TIME)
+    return _find_modes(drive.model, _restore_state(drive, start, ctrl), SETTLING_TIME)
 
 
-def _make_data(drive: Servos, state: Array, ctrl: Array) -> mujoco.MjData:
+def _restore_state(drive: Servos, state: Array, ctrl: Array) -> mujoco.MjData:
     """Return MuJoCo data in a state (mjSTATE_FULLPHYSICS), with actuator commands ``ctrl``."""
     data = mujoco.MjData(drive.model)
     mujoco.mj_setState(drive.model, data, state, STATE_SPEC)
@@ -192,7 +192,7 @@ def evaluate_stability(
         ctrl: Command of the actuators, shape (model.nu,).
         settle: Time for which the state is simulated first [s].
     """
-    return judge_stability(drive.model, _make_data(drive, state, ctrl), settle=settle)
+    return judge_stability(drive.model, _restore_state(drive, state, ctrl), settle=settle)
 
 
 def evaluate_spectrum(
@@ -208,7 +208,7 @@ def evaluate_spectrum(
         ctrl: Command of the actuators, shape (model.nu,).
         settle: Time for which the state is simulated first [s].
     """
-    return _find_modes(drive.model, _make_data(drive, state, ctrl), settle)[0]
+    return _find_modes(drive.model, _restore_state(drive, state, ctrl), settle)[0]
 
 
 def judge_stability(

@@ -21,7 +21,7 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.joints import free_joints
+from pupper_analysis.robot.joints import find_footless_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.simulation import monitor
@@ -283,7 +283,9 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
     )
     angles = stand.qpos[7:]
     limit_distances = np.minimum(angles - robot.lower_limits, robot.upper_limits - angles)
-    is_free = np.isin(robot.joint_names, free_joints(robot)) & (limit_distances < _LIMIT_ATOL)
+    is_free = np.isin(robot.joint_names, find_footless_joints(robot)) & (
+        limit_distances < _LIMIT_ATOL
+    )
     is_locked = robot.upper_limits - robot.lower_limits <= _LIMIT_ATOL
     loads = [
         float(load.force @ stand.normals[robot.feet[foot][0]])

@@ -385,17 +385,18 @@ def _describe_demand(
         return diagnose("demanded-of-feet", field=name, feet=feet)
     if field.per:
         return diagnose("demanded-of-feet", field=name, feet=list(_describe_feet(task, field)))
-    return _describe_value(name, field.quantity(getattr(task, demand)))
+    return _describe_requirement(name, field.quantity(getattr(task, demand)))
 
 
 def _describe_feet(task: StandTask, field: Field) -> Iterator[Diagnostic]:
     """Yield a message for each foot, joint or link with its value in a field of a task."""
     return (
-        _describe_value(foot, field.quantity(value)) for foot, value in _list_values(task, field)
+        _describe_requirement(foot, field.quantity(value))
+        for foot, value in _list_values(task, field)
     )
 
 
-def _describe_value(name: Term | str, value: Quantity | Vector) -> Diagnostic:
+def _describe_requirement(name: Term | str, value: Quantity | Vector) -> Diagnostic:
     """Create the message with the name of a requirement or foot, and a value with its unit."""
     if isinstance(value, Vector):
         return diagnose("demanded-place", field=name, place=value)

@@ -253,7 +253,7 @@ class Field:
         return Quantity(value, getattr(value, "unit", self.unit))
 
 
-def read_table(package: str, file: str) -> Mapping[str, Field]:
+def read_field_table(package: str, file: str) -> Mapping[str, Field]:
     """Read the field definitions in a TOML file of a package: {name: field}, in file order."""
     stated = tomllib.loads(files(package).joinpath(file).read_text(encoding="utf-8"))
     return MappingProxyType({name: _make_field(name, facts) for name, facts in stated.items()})
@@ -272,8 +272,8 @@ def _make_field(name: str, facts: dict[str, Any]) -> Field:
     return Field(name, slider=None if slider is None else Slider(**slider), **stated)
 
 
-FIELDS = read_table("pupper_analysis.stance", "fields.toml")
+FIELDS = read_field_table("pupper_analysis.stance", "fields.toml")
 """{name: field} of all requirements of a stand."""
 
-ROBOT_FIELDS = read_table("pupper_analysis.stance", "robot_fields.toml")
+ROBOT_FIELDS = read_field_table("pupper_analysis.stance", "robot_fields.toml")
 """{name: field} of the properties of the robot that a command can change: payload, servos."""

@@ -18,7 +18,7 @@ from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import freeze_arrays
 from pupper_analysis.robot.configuration import UP, Configuration
-from pupper_analysis.robot.joints import free_joints
+from pupper_analysis.robot.joints import find_footless_joints
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.stance.judge import Stand, evaluate_stand
 from pupper_analysis.stance.posture_tasks import OrientationTask, PositionTask, PostureTask
@@ -138,7 +138,7 @@ def _require_base(robot: Robot, stand: Stand, at: Configuration) -> StandTask:
         "roll": roll,
         "pitch": pitch,
         "yaw": yaw,
-        "posture": {joint: joints[joint] for joint in free_joints(robot)},
+        "posture": {joint: joints[joint] for joint in find_footless_joints(robot)},
         "ik_seed": tuple(joints.values()),
     }
     if len(robot.hands) == len(robot.feet):

@@ -156,7 +156,7 @@ class OrientationTask(PostureTask):
 
     def __post_init__(self) -> None:
         check_fields(self)
-        _freeze_array(self, "rotation", _make_rotation(self.rotation))
+        _freeze_array(self, "rotation", _check_rotation(self.rotation))
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -451,7 +451,7 @@ def _make_direction(name: str, value: Any) -> Array:
     return unit
 
 
-def _make_rotation(value: Any) -> Array:
+def _check_rotation(value: Any) -> Array:
     """Return a copy as a matrix (3, 3); ConfigurationError if the value is no rotation matrix."""
     matrix = real_array("rotation", value)
     if matrix.shape != (3, 3) or not np.isfinite(matrix).all():

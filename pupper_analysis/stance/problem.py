@@ -231,7 +231,7 @@ def make_goal(
     """
     com, nominal, limits = robot.compute_once(_make_defaults)
     # A caller may have changed the limits of the model.
-    if like is None and not depths and limits == _list_limits(robot):
+    if like is None and not depths and limits == _list_position_limits(robot):
         like = nominal
         if task is None and like is not None:
             return like
@@ -242,7 +242,7 @@ def make_goal(
     return _build_goal(robot, task, com, depths, like, checked=checked)
 
 
-def _list_limits(robot: Robot) -> list[list[float]]:
+def _list_position_limits(robot: Robot) -> list[list[float]]:
     """Return Pinocchio's position limits as lists, which compare faster than arrays."""
     model = robot.pin_model
     return [model.lowerPositionLimit.tolist(), model.upperPositionLimit.tolist()]
@@ -265,7 +265,7 @@ class _Defaults(NamedTuple):
 def _make_defaults(robot: Robot) -> _Defaults:
     """Compute a robot's default CoM requirement, goal of the nominal stand, and joint limits."""
     com = "centre" if not robot.floating or can_move_com(robot) else "inside"
-    limits = _list_limits(robot)
+    limits = _list_position_limits(robot)
     try:
         return _Defaults(com, _build_goal(robot, StandTask(), com, {}, None), limits)
     except ConfigurationError:

@@ -100,15 +100,15 @@ def _read_table(text: str) -> Any:
     if "joint" in header and "position" in header:
         joint, position = header.index("joint"), header.index("position")
         cells = [(row[joint], row[position]) for row in rows[1:] if len(row) == len(header)]
-        table = {name.strip(): _to_number(cell) for name, cell in cells}
+        table = {name.strip(): _parse_cell(cell) for name, cell in cells}
         return table if len(table) == len(rows) - 1 else None
-    numbers = [[_to_number(cell) for cell in row] for row in rows]
+    numbers = [[_parse_cell(cell) for cell in row] for row in rows]
     if len(rows) == 1:
         return numbers[0]
     return [row[0] for row in numbers] if all(len(row) == 1 for row in numbers) else None
 
 
-def _to_number(cell: str) -> float | str:
+def _parse_cell(cell: str) -> float | str:
     """Return the number in a cell; the cell itself if it contains none."""
     try:
         return float(cell)

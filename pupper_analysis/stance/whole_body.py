@@ -210,7 +210,7 @@ def solve_posture(
     if stand is not None and contacts is not None:
         raise ConfigurationError("contacts", diagnose("stand-has-contacts"))
     owner, robot = robot, robot if stand is None else stand.check(robot)
-    _check_names(robot, requested)
+    _check_task_names(robot, requested)
     apart = any(isinstance(task, SelfClearanceTask) for task in requested)
     if apart and robot.pin_convention.unbounded.any():
         joints = [robot.joint_names[i] for i in np.flatnonzero(robot.pin_convention.unbounded)]
@@ -350,7 +350,7 @@ class _Problem:
         )
 
 
-def _check_names(robot: Robot, tasks: Sequence[PostureTask]) -> None:
+def _check_task_names(robot: Robot, tasks: Sequence[PostureTask]) -> None:
     """Raise UnknownNameError if a task names an unknown link or joint."""
     for task in tasks:
         for frame in task.frames:

@@ -146,8 +146,8 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
         )
         intervals[direction] = Interval(low, high)
         limits[direction] = (
-            _describe_limit(robot, start, lowest, direction, low),
-            _describe_limit(robot, start, highest, direction, high),
+            _describe_base_limit(robot, start, lowest, direction, low),
+            _describe_base_limit(robot, start, highest, direction, high),
         )
     return BaseWorkspace(name=robot.name, start=start, intervals=intervals, limits=limits)
 
@@ -162,7 +162,7 @@ _EDGE_DISTANCE = 1e-3
 which it is the reported limit. Chosen: ten times the accuracy of the ends in height."""
 
 
-def _describe_limit(
+def _describe_base_limit(
     robot: Robot, start: Stand, end: Stand, direction: str, value: float
 ) -> Diagnostic:
     """Create the text about the limit of a base coordinate, a requirement that the end just meets.

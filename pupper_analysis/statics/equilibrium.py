@@ -317,7 +317,7 @@ def balance_load(
     if not (carrying.feet or carrying.fixed_parts):
         check_loops(config, load)
         motor_load = config.transfer_to_motors(load)
-        return _make_result(config, motor_load, motor_load, carrying, np.zeros(0))
+        return _make_statics_result(config, motor_load, motor_load, carrying, np.zeros(0))
     full_load, contacts = load, carrying.transposed_jacobian(config)
     load, transposed = config.transfer_to_motors(load), config.transfer_to_motors(contacts)
     problem = carrying.balance(transposed, load)
@@ -342,7 +342,7 @@ def balance_load(
     if robot.closure is not None:
         check_loops(config, full_load - contacts @ forces)
     remainder = load - transposed @ forces
-    return _make_result(config, remainder, load, carrying, forces, point)
+    return _make_statics_result(config, remainder, load, carrying, forces, point)
 
 
 def _distribute_with_passive_joints(
@@ -622,7 +622,7 @@ _NO_WELDS = FrozenDict[str, Array]()
 """Weld wrenches of a robot without welds."""
 
 
-def _make_result(
+def _make_statics_result(
     config: Configuration,
     remainder: Array,
     load: Array,

@@ -97,7 +97,11 @@ def entry(code: str) -> Entry:
 
 def term(name: str, language: str) -> str:
     """Return a term in a language; the name itself if the catalogue does not contain the term."""
-    return _parse_entry(_TERMS_FILE, name)[language] if name in list_entries(_TERMS_FILE) else name
+    return (
+        _parse_catalogue_entry(_TERMS_FILE, name)[language]
+        if name in list_entries(_TERMS_FILE)
+        else name
+    )
 
 
 def is_term(name: str) -> bool:
@@ -122,7 +126,7 @@ def phrase(key: str, language: str) -> str:
     """
     for file in (_TEXTS_FILE, _TERMS_FILE):
         if key in list_entries(file):
-            return _select_language(_parse_entry(file, key), language)
+            return _select_language(_parse_catalogue_entry(file, key), language)
     entries = _load_plugin_entries(_TEXTS_FILE)
     return _select_language(tomllib.loads(entries[key])["entry"], language)
 
@@ -138,7 +142,7 @@ def meaning(kind: type, field: str, language: str) -> str:
     for owner in kind.__mro__:
         key = f"{owner.__name__}.{field}"
         if key in list_entries(_MEANINGS_FILE):
-            return _parse_entry(_MEANINGS_FILE, key)[language]
+            return _parse_catalogue_entry(_MEANINGS_FILE, key)[language]
         is_own = owner.__module__.startswith(f"{__name__.partition('.')[0]}.")
         if not is_own and key in _load_plugin_entries(_MEANINGS_FILE):
             return _select_language(
@@ -241,7 +245,7 @@ def list_entries(file: str) -> Mapping[str, str]:
 
 
 @cache
-def _parse_entry(file: str, key: str) -> Mapping[str, str]:
+def _parse_catalogue_entry(file: str, key: str) -> Mapping[str, str]:
     """Return {language: text} of an entry of a catalogue file, from its single TOML line."""
     texts: dict[str, str] = tomllib.loads(f"entry = {list_entries(file)[key]}")["entry"]
     return MappingProxyType(texts)

@@ -136,7 +136,7 @@ class Diagnostic:
         if not template:
             return ""
         values = {
-            name: _shorten(value) if isinstance(value, Diagnostic | tuple) else value
+            name: _shorten_diagnostics(value) if isinstance(value, Diagnostic | tuple) else value
             for name, value in self._template_values.items()
         }
         return fill_template(template, values, "en")
@@ -248,10 +248,10 @@ def merge_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ..
     )
 
 
-def _shorten(value: Value) -> Value:
+def _shorten_diagnostics(value: Value) -> Value:
     """Replace each diagnostic in a value by its short text, if it has one; keep other values."""
     if isinstance(value, tuple):
-        return tuple(map(_shorten, value))
+        return tuple(map(_shorten_diagnostics, value))
     return (value.short or value) if isinstance(value, Diagnostic) else value
 
 

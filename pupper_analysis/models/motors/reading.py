@@ -16,7 +16,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError, UnknownNameError
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input, read_toml
 from pupper_analysis.models.motors.motor import NUMBERS, Motor
-from pupper_analysis.models.motors.units import KINDS, parse_quantity
+from pupper_analysis.models.motors.units import KINDS, parse_motor_quantity
 
 _DATA = files("pupper_analysis.models.motors") / "data"
 """Folder of this package with a TOML file per motor."""
@@ -149,7 +149,8 @@ def _make_motor(
     """
     try:
         numbers = {
-            key: parse_quantity(key, text, KINDS[NUMBERS[key]]) for key, text in stated.items()
+            key: parse_motor_quantity(key, text, KINDS[NUMBERS[key]])
+            for key, text in stated.items()
         }
     except ConfigurationError as error:
         problem = diagnose("motor-number", name=error.field, problem=error.problem)

@@ -80,7 +80,7 @@ _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*
 """Pattern of a number and its unit, as in ``1.2 N m``; the unit may be missing."""
 
 
-def parse_quantity(name: str, text: object, kind: UnitKind) -> float:
+def parse_motor_quantity(name: str, text: object, kind: UnitKind) -> float:
     """Convert a number with its unit to SI units; temperatures to degC.
 
     Args:

@@ -59,7 +59,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
     spec.compiler.fusestatic = False  # links are kept apart, as in the file
     model = spec.compile()  # sets the ids of the elements of this spec
     names = body_names(model)
-    base = _find_base(model)
+    base = _find_heaviest_root(model)
     data = mujoco.MjData(model)
     data.qpos[:] = zero_configuration(model)
     mujoco.mj_kinematics(model, data)
@@ -153,7 +153,7 @@ def zero_configuration(model: mujoco.MjModel) -> Array:
     return qpos
 
 
-def _find_base(model: mujoco.MjModel) -> int:
+def _find_heaviest_root(model: mujoco.MjModel) -> int:
     """Return the root body of the heaviest tree; 0 if there is no body.
 
     Trees with a free joint and further bodies with joints have priority.

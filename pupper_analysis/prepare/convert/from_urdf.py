@@ -40,10 +40,10 @@ from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree
 from pupper_analysis.models.xml import (
     add_element,
     is_zero,
+    join_numbers,
     make_unique_name,
     to_text,
     write_halves,
-    write_numbers,
 )
 from pupper_analysis.prepare.convert.meshes import MeshFiles
 from pupper_analysis.prepare.convert.repair import (
@@ -154,14 +154,14 @@ class MjcfXml:
             "joint",
             joint1=follower,
             joint2=leader,
-            polycoef=f"{format_number(offset)} {format_number(multiplier)} 0 0 0",
-            solref=write_numbers([COUPLING_TIME_CONSTANT, 1.0]),
+            polycoef=f"{format_xml_value(offset)} {format_xml_value(multiplier)} 0 0 0",
+            solref=join_numbers([COUPLING_TIME_CONSTANT, 1.0]),
         )
 
 
-def format_number(number: Number) -> str:
+def format_xml_value(number: Number) -> str:
     """Format a number as text for XML; text is returned unchanged."""
-    return number if isinstance(number, str) else write_numbers(number)
+    return number if isinstance(number, str) else join_numbers(number)
 
 
 @dataclass
@@ -229,7 +229,7 @@ class UrdfBodies:
     def _fill_body(self, body: etree._Element, link: UrdfLink) -> None:
         """Add the inertial, shapes and child bodies of a link to a body."""
         if link.inertial is not None and body.tag != "worldbody":
-            _add_inertial(body, link.inertial)
+            _add_mjcf_inertial(body, link.inertial)
         for kind, shape, geometry in link.shapes:
             if geometry is None:
                 subject = "link", link.name
@@ -282,7 +282,7 @@ class UrdfBodies:
                 for attribute in PASSIVE_ATTRIBUTES
                 if attribute.urdf
             },
-            armature=write_numbers(self.armature[name]) if name in self.armature else None,
+            armature=join_numbers(self.armature[name]) if name in self.armature else None,
         )
         effort = _read_nonzero(limit, "effort")
         if effort is not None and float(effort) < 0:
@@ -420,7 +420,7 @@ def _read_origin(parent: etree._Element) -> tuple[str | None, str | None]:
     return None if is_zero(xyz) else xyz, None if is_zero(rpy) else rpy
 
 
-def _add_inertial(body: etree._Element, inertial: etree._Element) -> None:
+def _add_mjcf_inertial(body: etree._Element, inertial: etree._Element) -> None:
     """Add an <inertial> of the URDF to a body, with the tensor in the axes of the body.
 
     An MJCF requires products of inertia in these axes. An inertial of zeros is left out.
@@ -434,7 +434,7 @@ def _add_inertial(body: etree._Element, inertial: etree._Element) -> None:
         tensor = inertia_tensor(map(float, texts))
         rotation = pin.rpy.rpyToMatrix(np.array(rpy.split(), dtype=float))
         rotated = rotation @ tensor @ rotation.T
-        texts = write_numbers(inertia_entries(rotated)).split()
+        texts = join_numbers(inertia_entries(rotated)).split()
     diagonal = all(is_zero(text) for text in texts[3:])
     add_element(
         body,

@@ -129,7 +129,7 @@ class MeshFiles:
         defers = self.defers and is_visual
         try:
             if defers:
-                self._deferred[path, scale] = _DeferredFile(path, scale, file, read_mesh(path))
+                self._deferred[path, scale] = _DeferredFile(path, scale, file, read_mesh_file(path))
             else:
                 self._add_content(path)
         except UnreadableError as error:
@@ -242,7 +242,7 @@ class MeshFiles:
         place, readable = self._choose_path(path), path.suffix.lower() in MUJOCO_MESH_SUFFIXES
         content = self.made.get(place)
         if content is None:
-            content = read_mesh(path) if readable else convert_to_obj(path)
+            content = read_mesh_file(path) if readable else convert_to_obj(path)
         if place != path:
             self.made[place] = content
 
@@ -440,7 +440,7 @@ def convert_to_obj(path: Path) -> bytes:
     if ending not in _CONVERTIBLE_SUFFIXES:
         formats = (*MUJOCO_MESH_SUFFIXES, *_CONVERTIBLE_SUFFIXES)
         raise UnreadableError(diagnose("mesh-format-not-read", formats=formats))
-    return _convert_content(read_mesh(path), ending)
+    return _convert_content(read_mesh_file(path), ending)
 
 
 def _convert_content(data: bytes, ending: str) -> bytes:
@@ -489,7 +489,7 @@ _OBJ_COMMENT = "# https://github.com/mikedh/trimesh\n"
 """First line of a converted file: the library that reads the converted formats."""
 
 
-def read_mesh(path: Path) -> bytes:
+def read_mesh_file(path: Path) -> bytes:
     """Read a mesh file of at most `MAX_MESH_BYTES`, and return the content.
 
     Raises:

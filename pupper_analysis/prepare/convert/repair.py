@@ -180,7 +180,7 @@ def repair_inertials(
         elif inertia.mass > 0:
             raise _make_inertia_error(urdf, body, inertia)
     for body in bodies.names:
-        if bodies.can_move(body) and not _has_mass(bodies, body):
+        if bodies.can_move(body) and not _has_group_mass(bodies, body):
             if not repair:
                 raise _make_mass_error(urdf, body)
             repairs.append(_repair_inertia(bodies, body))
@@ -252,7 +252,7 @@ def _move_inertia(bodies: LinkBodies, body: str, inertia: pin.Inertia) -> Diagno
     return None
 
 
-def _has_mass(bodies: LinkBodies, body: str) -> bool:
+def _has_group_mass(bodies: LinkBodies, body: str) -> bool:
     """Return True if a body, or a body fixed to this body, has a mass."""
     inertias = (bodies.inertia(member) for member, _ in bodies.fixed_group(body))
     return any(inertia is not None and inertia.mass > 0 for inertia in inertias)

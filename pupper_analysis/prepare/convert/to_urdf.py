@@ -30,7 +30,7 @@ from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.attributes import PASSIVE_ATTRIBUTES, UNSTATED
 from pupper_analysis.models.conversion import inertia_of_body, split_joint_placement
 from pupper_analysis.models.efforts import find_max_effort
-from pupper_analysis.models.mjcf import JointKind, compile_spec, free_joints, has_free_joint
+from pupper_analysis.models.mjcf import JointKind, compile_spec, has_free_joint, list_free_joints
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.shapes import read_shape
 from pupper_analysis.models.spec_tree import join_free_base
@@ -39,9 +39,9 @@ from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree, set_
 from pupper_analysis.models.xml import (
     NUM_DIGITS,
     add_element,
+    join_numbers,
     make_unique_name,
     new_file_text,
-    write_numbers,
 )
 
 _DEFAULT_VELOCITY_LIMIT = 100.0
@@ -91,7 +91,7 @@ class UrdfLinks:
         """
         model = self.model
         name = self._make_link_name(base)
-        free = base in model.jnt_bodyid[free_joints(model)]
+        free = base in model.jnt_bodyid[list_free_joints(model)]
         if free or model.body_jntnum[base] == 0:
             placed = make_placement(model.body_quat[base], model.body_pos[base])
             if not free and not placed.isIdentity(1e-12):
@@ -165,16 +165,16 @@ class UrdfLinks:
         limit = add_element(
             node,
             "limit",
-            effort=write_numbers(effort if math.isfinite(effort) else UNSTATED),
-            velocity=write_numbers(_DEFAULT_VELOCITY_LIMIT),
+            effort=join_numbers(effort if math.isfinite(effort) else UNSTATED),
+            velocity=join_numbers(_DEFAULT_VELOCITY_LIMIT),
         )
         if limited:
             low, high = model.jnt_range[joint].tolist()
-            limit.set("lower", write_numbers(low))
-            limit.set("upper", write_numbers(high))
+            limit.set("lower", join_numbers(low))
+            limit.set("upper", join_numbers(high))
         elif kind == "prismatic":
-            limit.set("lower", write_numbers(-MAX_SLIDE_POSITION))
-            limit.set("upper", write_numbers(MAX_SLIDE_POSITION))
+            limit.set("lower", join_numbers(-MAX_SLIDE_POSITION))
+            limit.set("upper", join_numbers(MAX_SLIDE_POSITION))
             limit_position = Quantity(MAX_SLIDE_POSITION, "m")
             self.left.append(
                 diagnose("slide-without-limits", subject=("joint", name), limit=limit_position)
@@ -186,7 +186,7 @@ class UrdfLinks:
             if attribute.urdf and attribute.mujoco
         }
         if any(passive.values()):
-            stated = {word: write_numbers(value) for word, value in passive.items()}
+            stated = {word: join_numbers(value) for word, value in passive.items()}
             add_element(node, "dynamics", **stated)
         if not math.isfinite(effort):
             self.unlimited += 1
@@ -284,7 +284,7 @@ class ConvertedUrdf:
         tree = UrdfTree(etree.Element("robot", name=str(file.spec.modelname) or file.path.stem))
         shapes = UrdfShapes(file, model, output.resolve().parent)
         links = UrdfLinks(file, model, tree, shapes, fix_balls)
-        links.add(find_root(file, model))
+        links.add(find_root_body(file, model))
         links.add_sites()
         left = [*links.left, *shapes.left, *_add_couplings(tree, model)]
         if links.unlimited:
@@ -407,12 +407,12 @@ class UrdfShapes:
         placed, size = shape.pose.placement, np.array(shape.size)
         match shape.kind:
             case "sphere":
-                return [("sphere", {"radius": write_numbers(size[0])}, placed)]
+                return [("sphere", {"radius": join_numbers(size[0])}, placed)]
             case "box":
-                return [("box", {"size": write_numbers(2 * size)}, placed)]
+                return [("box", {"size": join_numbers(2 * size)}, placed)]
             case "cylinder" | "capsule":  # a URDF has no capsule: cylinder and two spheres
-                radius = write_numbers(size[0])
-                tube = {"radius": radius, "length": write_numbers(2 * size[1])}
+                radius = join_numbers(size[0])
+                tube = {"radius": radius, "length": join_numbers(2 * size[1])}
                 ends = (-size[1], size[1]) if shape.kind == "capsule" else ()
                 balls = [placed * pin.SE3(np.eye(3), np.array([0.0, 0.0, end])) for end in ends]
                 caps = [("sphere", {"radius": radius}, ball) for ball in balls]
@@ -444,7 +444,7 @@ class UrdfShapes:
         scale = np.array(model.mesh_scale[mesh])
         attributes = {"filename": self._files[name]}
         if not np.array_equal(scale, np.ones(3)):
-            attributes["scale"] = write_numbers(scale)
+            attributes["scale"] = join_numbers(scale)
         where = placed * own.inverse()
         return [("mesh", attributes, where)]
 
@@ -460,7 +460,7 @@ class UrdfShapes:
             self._materials[key] = make_unique_name(name or "color", self._names)
         node = add_element(shape, "material", name=self._materials[key])
         if not is_defined:
-            add_element(node, "color", rgba=write_numbers(key))
+            add_element(node, "color", rgba=join_numbers(key))
 
 
 def _find_mesh_path(file: MjcfFile, mesh: mujoco.MjsMesh) -> Path | None:
@@ -475,7 +475,7 @@ def _find_mesh_path(file: MjcfFile, mesh: mujoco.MjsMesh) -> Path | None:
 # Selection of one robot in an MJCF with several.
 
 
-def find_root(file: MjcfFile, model: mujoco.MjModel) -> int:
+def find_root_body(file: MjcfFile, model: mujoco.MjModel) -> int:
     """Find the robot in a model: return the id of the base body, or of the fixed root body.
 
     A root whose only joint is a free joint is an object, and is ignored if there are other roots
@@ -536,7 +536,7 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
 
     Args:
         file: MJCF; not modified.
-        body: Root body of the robot, or any body of the robot; None: see `find_root`.
+        body: Root body of the robot, or any body of the robot; None: see `find_root_body`.
 
     Raises:
         ModelError: If there are several robots, or none, and ``body`` is None; if the robot of the
@@ -545,7 +545,7 @@ def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
     """
     model = file.model
     if body is None:
-        root = int(model.body_rootid[find_root(file, model)])
+        root = int(model.body_rootid[find_root_body(file, model)])
     else:
         names = [model.body(index).name for index in range(1, model.nbody)]
         if body not in names:

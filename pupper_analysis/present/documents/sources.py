@@ -56,7 +56,7 @@ def is_urdf_changed(robot: Robot) -> bool:
     """
     if robot.description.converted == "urdf":
         return False
-    return robot.description.urdf != _read_text(robot.description.urdf_source)
+    return robot.description.urdf != _read_source_file(robot.description.urdf_source)
 
 
 def quote_line(place: str | None, *paths: str) -> str:
@@ -81,7 +81,7 @@ def quote_line(place: str | None, *paths: str) -> str:
         candidates += [path] if path.name == Path(file).name else []
         candidates.append(path.parent / file)
     for candidate in candidates:
-        rows = _read_text(candidate).split("\n")[: int(line)]
+        rows = _read_source_file(candidate).split("\n")[: int(line)]
         if len(rows) == int(line) and rows[-1].strip():
             return _join_element_lines(rows)
     return ""
@@ -102,7 +102,7 @@ def _join_element_lines(rows: list[str]) -> str:
     return shown if len(shown) <= MAX_QUOTED_CHARACTERS else f"{shown[:MAX_QUOTED_CHARACTERS]}…"
 
 
-def _read_text(path: Path) -> str:
+def _read_source_file(path: Path) -> str:
     """Return the content of a file; empty if the file cannot be read."""
     try:
         return read_content(path, MAX_BYTES).decode("utf-8", errors="replace")

@@ -141,7 +141,7 @@ def compare_collisions(
         and mjcf.model.body_weldid[mjcf.model.body(body).id] in ends
     }
     limbs = {name: pair for name, pair in shapes_by_joint.items() if pair is not None}
-    feet = _find_feet(limbs, matched, data) if matched.robot.floating else []
+    feet = _find_foot_joints(limbs, matched, data) if matched.robot.floating else []
     return list(_compare_feet({name: limbs[name] for name in feet}, matched, urdf, mjcf)), []
 
 
@@ -228,7 +228,7 @@ def _find_ground_geoms(model: mujoco.MjModel) -> list[int]:
     ]
 
 
-def _find_feet(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -> list[str]:
+def _find_foot_joints(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -> list[str]:
     """Return the joints whose limb is low enough to end in a foot (``_FOOT_HEIGHT_RTOL``).
 
     The keys of ``limbs`` are joints, and ``data`` is the initial pose.

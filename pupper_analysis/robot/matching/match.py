@@ -333,7 +333,7 @@ def match_models(
     notes = [*urdf.notes, *mjcf.notes, *naming_notes, *([joined] if joined else [])]
     notes += [*scene_notes, *ball_notes, *root_notes, *fixed_notes]
     requested = dict(names or {})
-    _check_names(requested, (urdf_joints, root, urdf.path), (mjcf_joints, spec, mjcf.path))
+    _check_mapping(requested, (urdf_joints, root, urdf.path), (mjcf_joints, spec, mjcf.path))
     matched = match_joints(
         root, tree, (urdf.path, mjcf.path), (urdf_joints, mjcf_joints), requested
     )
@@ -357,7 +357,7 @@ def match_models(
     notes += copy_unknown_values(root, spec, models, {} if strict else mjcf.unknown, mjcf.path)
     unstated = {} if strict else copy_unstated_values(root, tree.joints, urdf.unknown, pairs)
     frames = common_frames(root, spec, requested)
-    _check_feet(feet, frames, urdf.path)
+    _check_foot_frames(feet, frames, urdf.path)
     description = Description(
         name=spec.modelname,
         urdf=to_engine_xml(root),
@@ -393,7 +393,9 @@ def match_models(
     )
 
 
-def _check_feet(feet: Sequence[str], frames: Mapping[str, tuple[str, str]], urdf: Path) -> None:
+def _check_foot_frames(
+    feet: Sequence[str], frames: Mapping[str, tuple[str, str]], urdf: Path
+) -> None:
     """Raise an UnknownNameError if a foot is not among the common frames of both files.
 
     The keys of ``frames`` are the names of the common frames.
@@ -456,7 +458,7 @@ def _shift_mimics(mimics: Mimics, conventions: Conventions) -> Mimics:
     }
 
 
-def _check_names(
+def _check_mapping(
     wanted: Mapping[str, str],
     urdf: tuple[Sequence[str], etree._Element, Path],
     mjcf: tuple[Sequence[str], mujoco.MjSpec, Path],

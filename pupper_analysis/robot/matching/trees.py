@@ -27,7 +27,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import pinocchio_from_mujoco, pinocchio_from_urdf
-from pupper_analysis.models.mjcf import free_joints
+from pupper_analysis.models.mjcf import list_free_joints
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_file import to_engine_xml
 from pupper_analysis.models.urdf_tree import UrdfTree
@@ -111,7 +111,7 @@ class Reference:
     def joints(self) -> list[int]:
         """Return the MuJoCo ids of the base's free joint, if any, then of the robot's joints."""
         base = self.names.body(self.base).id
-        free_ids = free_joints(self.model)
+        free_ids = list_free_joints(self.model)
         base_joints = [joint for joint in free_ids if self.model.jnt_bodyid[joint] == base]
         return [*base_joints, *(self.names.joint(name).id for name in self.joint_names)]
 

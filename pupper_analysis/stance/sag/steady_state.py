@@ -804,7 +804,7 @@ def collect_steady_state(path: HomotopyPath, margin: float) -> SteadyState:
     )
 
 
-def _make_data(robot: Robot) -> mujoco.MjData:
+def _make_rest_data(robot: Robot) -> mujoco.MjData:
     """Create data of the robot's MuJoCo model."""
     return mujoco.MjData(robot.mj_model)
 
@@ -841,7 +841,7 @@ def _find_failures(
             (joints < low - LIMIT_TOLERANCE) | (joints > high + LIMIT_TOLERANCE)
         )
     ]
-    with borrow(robot, _make_data) as data:  # all evaluated quantities depend on qpos only
+    with borrow(robot, _make_rest_data) as data:  # all evaluated quantities depend on qpos only
         robot.mj_convention.set_state(data, qpos)
         mujoco.mj_kinematics(robot.mj_model, data)
         mujoco.mj_comPos(robot.mj_model, data)

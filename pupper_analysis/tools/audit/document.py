@@ -95,12 +95,12 @@ def _group_findings(audit: Audit) -> Iterable[doc.FileFinding]:
         why, todo = get_rule_text(rule, "why"), get_rule_text(rule, "todo")
         advice: tuple[doc.Words, ...] = (text("why-todo", why=why, todo=todo).with_mark("quiet"),)
         for place, group in enumerate(alike.values(), start=1):
-            sides = _describe_group(audit, group, advice if place == len(alike) else ())
+            sides = _describe_finding_group(audit, group, advice if place == len(alike) else ())
             yield replace(sides, detail=shown >= MAX_SHOWN_GROUPS)
             shown += 1
 
 
-def _describe_group(
+def _describe_finding_group(
     audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]
 ) -> doc.FileFinding:
     """Describe findings of a rule with equal messages, with file and line of the first finding.

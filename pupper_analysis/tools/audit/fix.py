@@ -17,7 +17,7 @@ from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.xml_bytes import (
     XmlDocument,
     XmlElement,
-    read_document,
+    read_xml_bytes,
 )
 from pupper_analysis.tools.audit.registry import Audit, ValueRepair
 
@@ -34,7 +34,7 @@ def apply_repairs(audits: Iterable[Audit]) -> tuple[list[XmlDocument], int]:
     documents: dict[str, XmlDocument] = {}
     count = 0
     for repair in list_unique_repairs(audits):
-        document = documents.setdefault(repair.file, read_document(Path(repair.file)))
+        document = documents.setdefault(repair.file, read_xml_bytes(Path(repair.file)))
         count += _change_elements(document, repair)
     return [d for d in documents.values() if d.root.is_changed()], count
 
@@ -47,14 +47,14 @@ def _change_elements(document: XmlDocument, repair: ValueRepair) -> bool:
     """
     changes = repair.list_changes()
     for change in changes:
-        element = _find_element(document, change)
+        element = _find_repaired_element(document, change)
         if element is None:
             if any(change.old.values()) or _find_owner(document, change) is None:
                 return False
         elif any((element.get(word) or "") != text for word, text in change.old.items()):
             return False
     for change in changes:
-        element = _find_element(document, change) or _ensure_element(document, change)
+        element = _find_repaired_element(document, change) or _ensure_element(document, change)
         for word, text in change.new.items():
             element.set(word, text)
     return True
@@ -71,7 +71,7 @@ def list_unique_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
     return [repair for index, repair in enumerate(found) if repair not in found[:index]]
 
 
-def _find_element(document: XmlDocument, repair: ValueRepair) -> XmlElement | None:
+def _find_repaired_element(document: XmlDocument, repair: ValueRepair) -> XmlElement | None:
     """Return the element that a repair changes; None if no or several elements fit the repair."""
     named = _list_owners(document, repair)
     found = [element for element in named if _descend(element, repair.child) is not None]
@@ -123,7 +123,7 @@ def locate_repair(repair: ValueRepair) -> tuple[tuple[int, int, str], ...]:
         (start [bytes], length [bytes], new text) of each value or new element; empty if no or
         several elements fit the repair.
     """
-    document = read_document(Path(repair.file))
+    document = read_xml_bytes(Path(repair.file))
     if not _change_elements(document, repair):
         return ()
     splices = sorted(document.list_splices(), key=lambda splice: splice[:2])

@@ -67,7 +67,7 @@ def _make_urdf_repair(
     yielded if no or several elements fit, or if the element lacks one of the attributes or already
     has the new values.
     """
-    element = _find_element(robot, tag, name, child)
+    element = _find_unique_child(robot, tag, name, child)
     if element is None or any(element.get(attribute) is None for attribute in new):
         return
     old = {attribute: str(element.get(attribute)) for attribute in new}
@@ -79,7 +79,7 @@ def _make_change(
     robot: UrdfModel, name: str, child: str, new: Mapping[str, str], reason: Diagnostic
 ) -> ValueRepair | None:
     """Return the change of an element below a link, which may be new; None without a difference."""
-    element = _find_element(robot, "link", name, child)
+    element = _find_unique_child(robot, "link", name, child)
     old = {word: "" if element is None else str(element.get(word) or "") for word in new}
     if old == dict(new):
         return None
@@ -93,13 +93,13 @@ def _join_changes(changes: Iterable[ValueRepair | None]) -> Iterator[ValueRepair
         yield replace(found[0], further=tuple(found[1:]))
 
 
-def _find_element(robot: UrdfModel, tag: str, name: str, child: str) -> etree._Element | None:
+def _find_unique_child(robot: UrdfModel, tag: str, name: str, child: str) -> etree._Element | None:
     """Return the element ``child`` of a link or joint; None if absent or the name is not unique."""
     found = [one for one in robot.file.root.iterfind(tag) if one.get("name") == name]
     return found[0].find(child) if len(found) == 1 else None
 
 
-def _format_value(value: float) -> str:
+def _format_converted(value: float) -> str:
     """Format a converted number with at most six digits."""
     return f"{value:.6g}"
 
@@ -114,7 +114,7 @@ def _repair_limits_in_degrees(robot: RobotModel, found: CheckFinding) -> Iterato
     if isinstance(robot, UrdfModel) and found.message.code == "limits-look-like-degrees":
         joint = robot.joints[found.name]
         ends = {"lower": joint.lower, "upper": joint.upper}
-        new = {word: _format_value(math.radians(value)) for word, value in ends.items()}
+        new = {word: _format_converted(math.radians(value)) for word, value in ends.items()}
         reason = diagnose("repair-degrees-to-radians")
         yield from _make_urdf_repair(robot, "joint", found.name, "limit", new, reason)
 
@@ -142,7 +142,7 @@ def _repair_command_range(robot: RobotModel, found: CheckFinding) -> Iterator[Va
     ]
     if len(matches) == 1:
         ((tag, attributes, place),) = matches
-        old, new = attributes["ctrlrange"], " ".join(map(_format_value, ends))
+        old, new = attributes["ctrlrange"], " ".join(map(_format_converted, ends))
         reason = diagnose("repair-range-of-joint", joint=str(found.message.values["joint"]))
         values = {"ctrlrange": old}, {"ctrlrange": new}
         yield ValueRepair(str(place.file), tag, found.name, "", *values, reason)
@@ -156,7 +156,7 @@ def _repair_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
     for _, first, second in list_joint_pairs(robot):
         for joint, twin in ((first, second), (second, first)):
             if joint.name == found.name and 0 < twin.stated.get("effort", 0.0) < math.inf:
-                limit = _find_element(robot, "joint", twin.name, "limit")
+                limit = _find_unique_child(robot, "joint", twin.name, "limit")
                 new = {"effort": "" if limit is None else str(limit.get("effort"))}
                 reason = diagnose("repair-of-twin", other=twin.name)
                 yield from _make_urdf_repair(robot, "joint", joint.name, "limit", new, reason)
@@ -252,7 +252,7 @@ def _repair_number(
     targets = wrong if len(wrong) == 1 else pair if not agreeing else ()
     for name in targets:
         other = pair[1] if name == pair[0] else pair[0]
-        source = _find_element(robot, tag, other, child)
+        source = _find_unique_child(robot, tag, other, child)
         if source is not None and source.get(attribute) is not None and values.get(other, 0) > 0:
             new = {attribute: str(source.get(attribute))}
             reason = (
@@ -321,7 +321,11 @@ def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     <inertial>, or with an impossible density.
     """
     link, tags = robot.links[name], robot.file.tree.links.get(name)
-    if tags is None or link.mass <= 0 or _find_element(robot, "link", name, "inertial") is None:
+    if (
+        tags is None
+        or link.mass <= 0
+        or _find_unique_child(robot, "link", name, "inertial") is None
+    ):
         return
     shapes = [shape for shape in link.shapes if shape.collides] or list(link.shapes)
     solids = [shape.compute_solid_inertia() for shape in shapes]
@@ -346,13 +350,13 @@ def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
         changes.append(_make_change(robot, name, "inertial/origin", new, reason))
     tensor = _rotate_tensor(density * np.array(solid.inertia), turn.T)
     scale = float(np.abs(tensor).max())
-    element = _find_element(robot, "link", name, "inertial/inertia")
+    element = _find_unique_child(robot, "link", name, "inertial/inertia")
     entries = {
         word: 0.0 if abs(tensor[index]) < _ZERO_RTOL * scale else float(tensor[index])
         for word, index in INERTIA_ENTRIES.items()
     }
     texts = {
-        word: _format_value(entry)
+        word: _format_converted(entry)
         for word, entry in entries.items()
         if element is None or entry or float(element.get(word) or 0.0)
     }
@@ -386,7 +390,7 @@ def _move_decimal_points(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 
     Only tensors that satisfy the triangle inequality are yielded.
     """
-    element = _find_element(robot, "link", name, "inertial/inertia")
+    element = _find_unique_child(robot, "link", name, "inertial/inertia")
     words = ("ixx", "iyy", "izz")
     if element is None or any(element.get(word) is None for word in words):
         return
@@ -445,7 +449,7 @@ def _compute_mirrored_tensor(robot: UrdfModel, link: Link, twin: Link) -> dict[s
     tensor = _rotate_tensor(in_base, (link.pose.rotation @ turn).T)
     scale = float(np.abs(tensor).max())
     return {
-        word: _format_value(0.0 if abs(tensor[index]) < 1e-9 * scale else float(tensor[index]))
+        word: _format_converted(0.0 if abs(tensor[index]) < 1e-9 * scale else float(tensor[index]))
         for word, index in INERTIA_ENTRIES.items()
     }
 
@@ -471,7 +475,7 @@ def _find_common_attributes(
     names = [other for other in robot.links if other != name and strip_sides(other) == kind]
     stated = []
     for other in [*names, *([name] if own else [])]:
-        element = _find_element(robot, "link", other, child)
+        element = _find_unique_child(robot, "link", other, child)
         if element is None:
             return None
         texts = {"xyz": "0 0 0", "rpy": "0 0 0"} if element.tag == "origin" else {}
@@ -500,7 +504,9 @@ def _rotate_tensor(tensor: Array, rotation: Array) -> Array:
 def _repair_exchanged_limits(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a URDF joint with lower > upper: both limits exchanged."""
     limit = (
-        _find_element(robot, "joint", found.name, "limit") if isinstance(robot, UrdfModel) else None
+        _find_unique_child(robot, "joint", found.name, "limit")
+        if isinstance(robot, UrdfModel)
+        else None
     )
     if not isinstance(robot, UrdfModel) or limit is None or found.message.code != "range-empty":
         return
@@ -524,10 +530,10 @@ def _repair_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair
     if link is None or twin is None or twin.mass <= 0:
         return
     reason = diagnose("repair-of-twin", other=twin.name)
-    mass = _find_element(robot, "link", twin.name, "inertial/mass")
+    mass = _find_unique_child(robot, "link", twin.name, "inertial/mass")
     if mass is None:
         return
-    if _find_element(robot, "link", link.name, "inertial/mass") is not None:
+    if _find_unique_child(robot, "link", link.name, "inertial/mass") is not None:
         new = {"value": str(mass.get("value"))}
         yield from _join_changes([_make_change(robot, link.name, "inertial/mass", new, reason)])
         return
@@ -554,7 +560,7 @@ def _repair_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair
 
 def _format_vector(vector: Array) -> str:
     """Format a vector with at most six digits; parts below 1e-9 are zero."""
-    return " ".join("0" if abs(part) < 1e-9 else _format_value(float(part)) for part in vector)
+    return " ".join("0" if abs(part) < 1e-9 else _format_converted(float(part)) for part in vector)
 
 
 def _mirror_com(robot: RobotModel, link: Link, twin: Link) -> Array | None:
@@ -652,7 +658,7 @@ def _repair_dense_mass(robot: RobotModel, found: CheckFinding) -> Iterator[Value
     if typical is not None and density < 10 * MAX_DENSITY and link.mass == mass:
         value = link.mass * typical / density
         reason = diagnose("repair-density", density=Quantity(typical, "kg/m^3"))
-        new = {"value": _format_value(value)}
+        new = {"value": _format_converted(value)}
         yield from _join_changes([_make_change(robot, link.name, "inertial/mass", new, reason)])
 
 
@@ -675,9 +681,9 @@ def _scale_tensor(robot: UrdfModel, name: str, factor: float) -> dict[str, str]:
 
     Empty if the link has no <inertia>, or its name is not unique.
     """
-    element = _find_element(robot, "link", name, "inertial/inertia")
+    element = _find_unique_child(robot, "link", name, "inertial/inertia")
     return {
-        word: _format_value(factor * float(str(element.get(word))))
+        word: _format_converted(factor * float(str(element.get(word))))
         for word in INERTIA_ENTRIES
         if element is not None and element.get(word) is not None
     }
@@ -753,7 +759,7 @@ def _repair_axis_of_zeros(robot: RobotModel, found: CheckFinding) -> Iterator[Va
     kind = strip_sides(found.name)
     texts: dict[str, str] = {}
     for name, joint in robot.joints.items():
-        axis = _find_element(robot, "joint", name, "axis")
+        axis = _find_unique_child(robot, "joint", name, "axis")
         alike = name != found.name and strip_sides(name) == kind and joint.moves
         if alike and axis is not None and joint.raw_axis.any():
             texts.setdefault(_format_vector(joint.raw_axis), name)
@@ -882,7 +888,7 @@ def _add_shape(
     texts = {"xyz": "0 0 0", "rpy": "0 0 0"}
     texts |= {} if origin is None else {word: str(text) for word, text in origin.attrib.items()}
     changes = [("collision/origin", texts)]
-    if _find_element(robot, "link", name, "collision") is None:
+    if _find_unique_child(robot, "link", name, "collision") is None:
         for shape in geometry.iterchildren(tag=etree.Element):
             new = {word: str(text) for word, text in shape.attrib.items()}
             changes.append((f"collision/geometry/{shape.tag}", new))

@@ -134,7 +134,7 @@ def best_stance(
             task.
     """
     search = _run_search(robot, objective, task, point, kp)
-    return _make_result(search, search.best, point, kp, kd)
+    return _make_best_stance(search, search.best, point, kp, kd)
 
 
 def _run_search(
@@ -159,7 +159,7 @@ def _run_search(
     return search
 
 
-def _make_result(
+def _make_best_stance(
     search: StanceSearch,
     best: EvaluatedStance,
     point: Place,
@@ -279,12 +279,12 @@ def study_best(
             task.
     """
     search = _run_search(robot, objective, task, point, kp)
-    best = _make_result(search, search.best, point, kp, kd)
+    best = _make_best_stance(search, search.best, point, kp, kd)
     study = BestStudy(best, study_stance(robot, best.stand, kp=kp, kd=kd))
     if study.passed or search.objective is Objective.PAYLOAD:
         return study
     for stance in search.list_next_best():
-        best = _make_result(search, stance, point, kp, kd)
+        best = _make_best_stance(search, stance, point, kp, kd)
         next_study = BestStudy(best, study_stance(robot, best.stand, kp=kp, kd=kd))
         if next_study.passed:
             return next_study

@@ -10,7 +10,7 @@ from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import robot_argument
 from pupper_analysis.cli.stance_options import (
     RobotAndTask,
-    draw_stand,
+    draw_requested_stand,
     robot_and_task,
 )
 
@@ -57,6 +57,6 @@ def command(
     with shared.show_progress("searching for the best stance, and simulating it"):
         result = study_best(robot, Objective(objective), task, request.place, kp=kp, kd=kd)
     request.show(result, robot)
-    draw_stand(robot, result.stance.stand, result.stance.statics, figure)
+    draw_requested_stand(robot, result.stance.stand, result.stance.statics, figure)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)

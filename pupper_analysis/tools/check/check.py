@@ -205,7 +205,7 @@ def check_repository(
         pairs.append(done)
         all_remarks += remarks
     if since is not None:
-        all_remarks += _list_changes(settings, since, all_remarks)
+        all_remarks += _list_changes_since(settings, since, all_remarks)
     known, stale = mark_known_remarks(_drop_repeated(all_remarks), before.entries)
     # If a file cannot be read, no entry is stale and no baseline is written.
     is_complete = not _has_refusal(known)
@@ -247,7 +247,9 @@ def _count_pair_remarks(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck
     )
 
 
-def _list_changes(config: GuardConfig, since: str, found: Iterable[Remark]) -> Iterator[Remark]:
+def _list_changes_since(
+    config: GuardConfig, since: str, found: Iterable[Remark]
+) -> Iterator[Remark]:
     """Yield changes of the files since a git revision, as remarks.
 
     A change is left out if ``found`` contains it as a difference between URDF and MJCF, or states

@@ -144,7 +144,7 @@ def _is_text(value: Any) -> bool:
     return isinstance(value, str) and bool(value.strip()) and "\0" not in value
 
 
-def _is_number(value: Any) -> bool:
+def _is_positive_number(value: Any) -> bool:
     """Return True for a positive number below 1e300."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     return number and 0 < value < 1e300
@@ -186,7 +186,7 @@ _PAIR_KEYS: Final = {**_ENTRY_KEYS, "map": _TABLE_VALUE, **_COMMON_KEYS}
 """{key: required kind of its value} in a ``[[pair]]`` entry (URDF and MJCF of one robot), without
 the keys that tools add by a module ``guard``."""
 _TABLE_VALUES: Final = {
-    "tolerances": _ValueKind(Term("a positive number"), _is_number),
+    "tolerances": _ValueKind(Term("a positive number"), _is_positive_number),
     "packages": _ValueKind(Term("a folder that exists"), _is_text),
     "disable": _ValueKind(Term("the reason, in quotes"), _is_text),
     "map": _ValueKind(Term("the name in the MJCF, in quotes"), _is_text),
@@ -478,12 +478,12 @@ def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
         raise ConfigurationError("--init", diagnose("no-models", folder=folder.absolute()))
     with write_atomically(path, MODEL_KIND) as file:
         file.write(
-            "\n".join([_CONFIG_HEADER, *map(_format_entry, entries)]).encode(errors="replace")
+            "\n".join([_CONFIG_HEADER, *map(_format_pair, entries)]).encode(errors="replace")
         )
     return path, tuple(entry["name"] for entry in entries)
 
 
-def _format_entry(entry: dict[str, str]) -> str:
+def _format_pair(entry: dict[str, str]) -> str:
     """Return a pair of model files, {key: text}, as a [[pair]] table in TOML."""
     # JSON strings are TOML strings, except for DEL.
     texts = {k: json.dumps(v, ensure_ascii=False) for k, v in entry.items()}

@@ -35,7 +35,7 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
     `build_document` calls this function for a `RepositoryCheck`.
     """
     groups = group_findings(check.remarks)
-    blocks: list[doc.Block] = [_describe_group(group) for group in groups if not group[0].known]
+    blocks: list[doc.Block] = [_make_remark_block(group) for group in groups if not group[0].known]
     if known := tuple(_describe_known_group(group) for group in groups if group[0].known):
         title = text("count-known", count=len(known))
         blocks.append(doc.Lines(known, title=title, detail=True))
@@ -140,7 +140,7 @@ def _is_audit_rule(remark: Remark) -> bool:
     return remark.check == "audit" and remark.kind in RULES
 
 
-def _describe_group(group: list[Remark]) -> doc.FileFinding:
+def _make_remark_block(group: list[Remark]) -> doc.FileFinding:
     """Create the block of a group of remarks: message, quoted lines, effects and repair.
 
     A group are remarks with the same cause or the same values; the first defines the message.

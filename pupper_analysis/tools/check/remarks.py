@@ -125,7 +125,7 @@ def list_comparison_remarks(
             difference.kind,
             difference.element,
             file,
-            {side: to_plain(value) for side, value in values.items() if value is not None},
+            {side: to_rounded_plain(value) for side, value in values.items() if value is not None},
             Severity.ERROR,
             difference.diagnostic,
             difference.urdf_place,
@@ -255,7 +255,7 @@ def make_remark(
         kind,
         element,
         file,
-        to_plain(message),
+        to_rounded_plain(message),
         bad,
         message,
         place,
@@ -269,29 +269,31 @@ def relative_path(file: str | Path, folder: Path) -> str:
     return Path(os.path.relpath(Path(file).resolve(), folder.resolve())).as_posix()
 
 
-def to_plain(value: Any) -> Any:
+def to_rounded_plain(value: Any) -> Any:
     """Convert a value to JSON types, with numbers of `NUM_DIGITS` digits.
 
     The baseline, a file with known remarks, contains the result. A diagnostic becomes a table with
     its code and values, in SI units.
     """
     if isinstance(value, Diagnostic):
-        values = {name: to_plain(item) for name, item in value.values.items() if item is not None}
+        values = {
+            name: to_rounded_plain(item) for name, item in value.values.items() if item is not None
+        }
         return {"code": value.code, **({"values": values} if values else {})}
     if isinstance(value, Quantity):
-        return to_plain(value.value)
+        return to_rounded_plain(value.value)
     if isinstance(value, Vector):
-        return to_plain(np.array(value.values))
+        return to_rounded_plain(np.array(value.values))
     if isinstance(value, np.ndarray):
         largest = float(np.abs(value).max(initial=0.0))
         # Values below 1e-12 of the largest are rounding errors of a machine.
-        return to_plain(np.where(np.abs(value) > 1e-12 * largest, value, 0.0).tolist())
+        return to_rounded_plain(np.where(np.abs(value) > 1e-12 * largest, value, 0.0).tolist())
     if isinstance(value, np.generic):
-        return to_plain(value.item())
+        return to_rounded_plain(value.item())
     if isinstance(value, Mapping):
-        return {str(key): to_plain(item) for key, item in value.items()}
+        return {str(key): to_rounded_plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [to_plain(item) for item in value]
+        return [to_rounded_plain(item) for item in value]
     if isinstance(value, float):
         return float(f"{value:.{NUM_DIGITS}g}") + 0.0
     return value if isinstance(value, bool | int | str) or value is None else str(value)
@@ -356,7 +358,9 @@ class Baseline:
         same values, otherwise the first one with the same identity. Comments whose entry is gone
         move to the end. Blank lines between entries are dropped.
         """
-        written = sorted(((_format_entry(entry), entry) for entry in entries), key=itemgetter(0))
+        written = sorted(
+            ((_format_baseline_line(entry), entry) for entry in entries), key=itemgetter(0)
+        )
         above: list[list[str]] = [[] for _ in written]
         end: list[str] = []
         for old, comment in self.comments:
@@ -398,7 +402,7 @@ def read_baseline(path: Path) -> Baseline:
         if not line or line.startswith("#"):
             block.append(line)
             continue
-        entry = _parse_entry(line)
+        entry = _parse_baseline_line(line)
         if entry is None:
             raise ModelError(source_name(path, number), diagnose("baseline-line-unknown"))
         if not entries:
@@ -430,7 +434,7 @@ def _split_top(lines: list[str]) -> tuple[tuple[str, ...], list[str]]:
     return tuple(top.split("\n")) if top.strip() else (), own[blank:]
 
 
-def _parse_entry(line: str) -> BaselineEntry | None:
+def _parse_baseline_line(line: str) -> BaselineEntry | None:
     """Return the entry that a line of the baseline file contains; None for other lines."""
     try:
         found = json.loads(line, parse_int=float)  # integers of any number of digits
@@ -442,7 +446,7 @@ def _parse_entry(line: str) -> BaselineEntry | None:
     return None
 
 
-def _format_entry(entry: BaselineEntry) -> str:
+def _format_baseline_line(entry: BaselineEntry) -> str:
     """Return an entry as a line of the baseline: a JSON list of identity and values."""
     return json.dumps([*entry.identity, entry.values], default=dict, ensure_ascii=False)
 
@@ -454,7 +458,7 @@ def _is_baseline(file: BinaryIO) -> bool:
     """
     lines = file.read(MAX_TEXT_BYTES).decode("utf-8-sig", errors="replace").splitlines()
     return lines[:1] == [_HEADER_LINES[0]] or any(
-        _parse_entry(line) is not None for line in lines if line.startswith("[")
+        _parse_baseline_line(line) is not None for line in lines if line.startswith("[")
     )
 
 

@@ -111,7 +111,7 @@ def read_deployment(
     for placed_source in placed:
         for key, fact in placed_source.facts.items():
             facts.setdefault(key, fact)
-    ordered = _find_order(placed) or _assume_order(placed, joints)
+    ordered = _find_order_source(placed) or _assume_order(placed, joints)
     stating = (one.source.observations for one in placed if one.source.observations)
     return Deployment(
         joints=() if ordered is None else tuple(filter(None, ordered.order)),
@@ -124,7 +124,7 @@ def read_deployment(
     )
 
 
-def _find_order(placed: Sequence[PlacedSource]) -> PlacedSource | None:
+def _find_order_source(placed: Sequence[PlacedSource]) -> PlacedSource | None:
     """Return the source whose joint order is that of the policy's arrays; None without an order.
 
     The names in a policy file define the order of its arrays. Otherwise the first source with joint

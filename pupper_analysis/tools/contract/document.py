@@ -54,7 +54,7 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
         findings=(
             message,
             *map(doc.diagnostic_text, contract.unread),
-            *_describe_first(contract),
+            *_describe_worst_disagreement(contract),
         ),
         details=(text(f"contract-evidence-{contract.evidence}"),),
         next_step=_select_next_step(contract),
@@ -78,7 +78,7 @@ def _select_next_step(contract: Contract) -> doc.NextStep:
     return doc.NextStep(command, (contract.model,), robot_typed=False)
 
 
-def _describe_first(contract: Contract) -> Iterable[doc.Words]:
+def _describe_worst_disagreement(contract: Contract) -> Iterable[doc.Words]:
     """Yield the text of the most severe disagreement between the sources, if any."""
     if contract.findings:
         yield text("contract-first", finding=doc.diagnostic_text(contract.findings[0].diagnostic))
@@ -87,7 +87,7 @@ def _describe_first(contract: Contract) -> Iterable[doc.Words]:
 def _list_blocks(contract: Contract) -> Iterable[doc.Block]:
     """Yield the disagreements, then the tables of poses, sources, numbers and observations."""
     for number, finding in enumerate(contract.findings):
-        yield _compare_lines(finding, detail=number >= MAX_SHOWN_FINDINGS)
+        yield _make_disagreement_block(finding, detail=number >= MAX_SHOWN_FINDINGS)
     if contract.poses:
         yield _tabulate_poses(contract)
     yield _tabulate_sources(contract)
@@ -104,7 +104,7 @@ def _list_blocks(contract: Contract) -> Iterable[doc.Block]:
         yield _tabulate_observations(contract)
 
 
-def _compare_lines(finding: Disagreement, *, detail: bool) -> doc.FileFinding:
+def _make_disagreement_block(finding: Disagreement, *, detail: bool) -> doc.FileFinding:
     """Create the block of a disagreement, with the quoted lines of both sources.
 
     The short view in the terminal omits the block if ``detail`` is True.

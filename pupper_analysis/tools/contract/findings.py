@@ -142,7 +142,7 @@ def find_disagreements(
             if quantity == "damping":
                 servo_joints = {joint for _, joint in _find_servo_damping(placed)}
                 joints = tuple(joint for joint in joints if joint not in servo_joints)
-            disagreements += _compare_quantity(quantity, kind, placed, joints)
+            disagreements += _compare_joint_quantity(quantity, kind, placed, joints)
             if kind.mirrored:
                 disagreements += _compare_sides(quantity, kind, placed, model)
     disagreements += _find_unlimited_efforts(placed)
@@ -318,7 +318,7 @@ FactPair = tuple[Fact, Fact]
 """Facts of two sources; the first is the reference."""
 
 
-def _compare_quantity(
+def _compare_joint_quantity(
     quantity: str, kind: QuantityKind, placed: Sequence[PlacedSource], joints: tuple[str, ...]
 ) -> Iterator[Disagreement]:
     """Yield the disagreements of the sources about a quantity of joints, such as gains.

@@ -27,7 +27,7 @@ from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.stated.mjcf import Value, element_values, find_collidable_geoms
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.xml import add_element, new_file_text, write_numbers
+from pupper_analysis.models.xml import add_element, join_numbers, new_file_text
 from pupper_analysis.prepare.contact_points import compute_lowest_height
 from pupper_analysis.prepare.convert.from_urdf import (
     COLLISION_CLASS,
@@ -35,7 +35,7 @@ from pupper_analysis.prepare.convert.from_urdf import (
     MjcfOptions,
     MjcfXml,
     UrdfBodies,
-    format_number,
+    format_xml_value,
 )
 from pupper_analysis.prepare.convert.repair import WORLD_LINK, Repair
 from pupper_analysis.prepare.convert.to_urdf import ConvertedUrdf
@@ -104,7 +104,7 @@ class NewMjcf(MjcfXml):
         if option is None:
             option = etree.Element("option")
             self.root.insert(1, option)
-        option.attrib.update({name: format_number(value) for name, value in values.items()})
+        option.attrib.update({name: format_xml_value(value) for name, value in values.items()})
 
     def add_floor(self) -> None:
         """Add a light, and a horizontal floor at height 0 with a checkered material."""
@@ -158,9 +158,9 @@ class NewMjcf(MjcfXml):
             "position",
             name=joint,
             joint=joint,
-            kp=write_numbers(kp),
-            kv=write_numbers(kd),
-            forcerange=None if limits is None else " ".join(map(format_number, limits)),
+            kp=join_numbers(kp),
+            kv=join_numbers(kd),
+            forcerange=None if limits is None else " ".join(map(format_xml_value, limits)),
         )
 
     def exclude_contact(self, one: str, two: str) -> None:
@@ -197,8 +197,8 @@ class NewMjcf(MjcfXml):
             name=name,
             class_=COLLISION_CLASS,
             type="sphere",
-            size=write_numbers(radius),
-            pos=write_numbers(place),
+            size=join_numbers(radius),
+            pos=join_numbers(place),
         )
 
     @property
@@ -215,10 +215,10 @@ class NewMjcf(MjcfXml):
             ctrl: Commands of the actuators; omitted if empty.
         """
         key = add_element(
-            self.section("keyframe"), "key", name=HOME_KEYFRAME, qpos=write_numbers(qpos)
+            self.section("keyframe"), "key", name=HOME_KEYFRAME, qpos=join_numbers(qpos)
         )
         if len(ctrl):
-            key.set("ctrl", write_numbers(ctrl))
+            key.set("ctrl", join_numbers(ctrl))
 
 
 def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft:
@@ -247,7 +247,7 @@ def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
         notes = [*dict.fromkeys((*notes, *found)), _add_imu(mjcf, bare.bodies)]
     else:
         notes.append(diagnose("base-fixed-in-the-world"))
-        notes += _add_servos_of_fixed_base(bare, options)
+        notes += _add_fixed_base_additions(bare, options)
     notes += _list_unstated_numbers(mjcf)
     meshes.write(mjcf.section("asset"))
     mjcf.remove_empty_sections()
@@ -316,7 +316,7 @@ def _add_stand(
             raise
         apply_additions(list_urdf_ground_additions(), mjcf)
         messages = [addition.reason for addition in list_urdf_ground_additions()]
-        messages += _add_servos_of_fixed_base(bare, options)
+        messages += _add_fixed_base_additions(bare, options)
         _lift_base(mjcf, bodies, bare.make_file().model)
         problem = diagnose("does-not-stand", missing=meshes.missing_files, problem=error.cause)
         return messages, problem, frozenset()
@@ -358,7 +358,7 @@ def _convert_start_pose(addition: Addition, published: PublishedModel, robot: Ro
     return addition if placed is None else replace(addition, qpos=tuple(placed.qpos.tolist()))
 
 
-def _add_servos_of_fixed_base(bare: ConvertedMjcf, options: MjcfOptions) -> list[Diagnostic]:
+def _add_fixed_base_additions(bare: ConvertedMjcf, options: MjcfOptions) -> list[Diagnostic]:
     """Add the additions of a loaded robot with a fixed base, such as servos, to the new MJCF.
 
     Floor and start keyframe are left out. Return a note for each addition; without a joint, a note
@@ -454,7 +454,7 @@ def _lift_base(mjcf: NewMjcf, bodies: UrdfBodies, model: mujoco.MjModel) -> None
     if home is not None:
         heights.append(float(home[2]))
     if heights and max(heights) > 0:
-        height = write_numbers([0.0, 0.0, float(f"{max(heights):.{_HEIGHT_DECIMALS}f}")])
+        height = join_numbers([0.0, 0.0, float(f"{max(heights):.{_HEIGHT_DECIMALS}f}")])
         mjcf.body(bodies.root).set("pos", height)
 
 

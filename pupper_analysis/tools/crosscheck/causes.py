@@ -907,7 +907,7 @@ def _find_link_mistake(case: PatternCase, name: str) -> _LinkMistake | None:
     if (
         is_single_link
         and not kinds & {"com", "inertia"}
-        and not _is_power_of_ten(second.mass / first.mass)
+        and not _is_scaling_by_ten(second.mass / first.mass)
     ):
         return None  # a single number of a single link needs no further cause
     # If another cause explains the inertia, only the mass of the link is tested.
@@ -1041,7 +1041,7 @@ def _describe_scaled_links(mistakes: Sequence[_LinkMistake]) -> Diagnostic:
     return diagnose("links-scaled", links=links, factor=factor, inertia=mistakes[0].inertia)
 
 
-def _is_power_of_ten(factor: float) -> bool:
+def _is_scaling_by_ten(factor: float) -> bool:
     """Return True if a factor is a power of ten other than 1; False for a change of sign."""
     if factor <= 0:
         return False

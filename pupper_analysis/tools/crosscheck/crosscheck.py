@@ -49,8 +49,8 @@ from pupper_analysis.models.conversion import (
 from pupper_analysis.models.efforts import find_max_effort
 from pupper_analysis.models.mjcf import (
     compile_spec,
-    free_joints,
     has_free_joint,
+    list_free_joints,
     silence_mujoco,
 )
 from pupper_analysis.models.multibody import joint_placements
@@ -777,7 +777,7 @@ def cross_check(
     first = URDF_MUJOCO if is_large(robot) else URDF_PINOCCHIO
     units = get_common_units(robot, robot.joint_names)
     checks = tuple(
-        _compare_quantity(
+        _compare_evaluations(
             name, evaluations, evaluations[first], list_row_labels(robot, name), tolerance, units
         )
         for name in evaluations[first]
@@ -908,7 +908,7 @@ def import_urdf_to_mujoco(
     armature = joint_armature(like)
     for index in range(model.njnt):
         name = model.joint(index).name
-        twin = free_joints(like)[0] if name == _ROOT_JOINT else like.joint(name).id
+        twin = list_free_joints(like)[0] if name == _ROOT_JOINT else like.joint(name).id
         start, first = int(model.jnt_dofadr[index]), int(like.jnt_dofadr[twin])
         count = 6 if name == _ROOT_JOINT else 1
         model.dof_armature[start : start + count] = armature[first : first + count]
@@ -916,7 +916,7 @@ def import_urdf_to_mujoco(
     return model
 
 
-def _compare_quantity(
+def _compare_evaluations(
     name: str,
     evaluations: Mapping[str, Evaluation],
     first: Evaluation,

@@ -263,11 +263,13 @@ def _list_blocks(comparison: Comparison) -> Iterable[doc.Block]:
         first = comparison.differences[cause.differences[0]]
         made = text("this-alone-makes-count-differences", count=len(cause.differences))
         such = text("the-kind-of-element", kind=word(first.kind), element=first.element)
-        sides = _compare_lines(comparison, first, doc.diagnostic_text(cause.diagnostic), made, such)
+        sides = _make_difference_block(
+            comparison, first, doc.diagnostic_text(cause.diagnostic), made, such
+        )
         listed.append((-1 if cause.is_reported_first else cause.differences[0], sides))
     numbers = {id(difference): number for number, difference in enumerate(comparison.differences)}
     for place, group in enumerate(groups[:MAX_SHOWN_GROUPS]):
-        sides = _compare_lines(
+        sides = _make_difference_block(
             comparison,
             group[0],
             doc.diagnostic_text(group[0].diagnostic),
@@ -294,7 +296,7 @@ def _list_similar_elements(group: list[Difference]) -> Iterable[doc.Words]:
         yield text("likewise-on-count-more-names", count=len(group) - 1, names=listed)
 
 
-def _compare_lines(
+def _make_difference_block(
     comparison: Comparison, difference: Difference, title: doc.Words, *notes: doc.Words
 ) -> doc.FileFinding:
     """Create the block of a difference, with the quoted lines of both files and the effects."""

@@ -350,8 +350,8 @@ class _Comparison:
             old, new = old_values.get(key), new_values.get(key)
             if _to_lists(old) != _to_lists(new):
                 both = {
-                    "one": _describe_value(old, new),
-                    "two": _describe_value(new, old),
+                    "one": _describe_changed_value(old, new),
+                    "two": _describe_changed_value(new, old),
                     **VERSION_NAMES.message_values,
                 }
                 message = diagnose("element-differs", subject=(kind, element), **both)
@@ -410,7 +410,7 @@ def _to_lists(value: Any) -> Any:
     return list(value) if isinstance(value, list | tuple) else value
 
 
-def _describe_value(value: Any, other: Any) -> Diagnostic | Term | str:
+def _describe_changed_value(value: Any, other: Any) -> Diagnostic | Term | str:
     """Describe ``value``, which differs from ``other``; of a table, only entries that differ."""
     value, other = _to_lists(value), _to_lists(other)
     if value is None:

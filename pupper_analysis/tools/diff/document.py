@@ -76,7 +76,8 @@ def _list_blocks(diff: ModelDiff) -> Iterable[doc.Block]:
                 _make_file_place(diff.old, change.old_place, (change.old, change.new), change.unit),
                 _make_file_place(diff.new, change.new_place, (change.new, change.old), change.unit),
             ),
-            tuple(map(doc.diagnostic_text, change.consequences)) or (_describe_effects(change),),
+            tuple(map(doc.diagnostic_text, change.consequences))
+            or (_describe_dynamics_change(change),),
         )
     if diff.combined:
         title = text("all-changes-together") if diff.changes else text("no-change-explains")
@@ -114,7 +115,7 @@ def _make_file_place(
     return doc.FilePlace(named, doc.Name("-" if value is None else line), place)
 
 
-def _describe_effects(change: ModelChange) -> doc.Text:
+def _describe_dynamics_change(change: ModelChange) -> doc.Text:
     """Return a sentence on how much a change changes each quantity of the dynamics.
 
     The effects are those of this change alone, without the other changes, the largest first.

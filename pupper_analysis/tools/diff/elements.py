@@ -763,7 +763,7 @@ class SimulatedPair:
         )
         if not stand:
             return SimulatedPair(old.model, new.model, has_added_floor=False)
-        height = min(map(_find_ground_height, models))
+        height = min(map(_choose_ground_height, models))
         trees = [SpecTree(file.spec.copy()) for file in (old, new)]
         floors = [tree.add_floor(height) for tree in trees]
         floors[1].conaffinity = floors[
@@ -842,7 +842,7 @@ def _find_static_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
     return still
 
 
-def _find_ground_height(model: mujoco.MjModel) -> float:
+def _choose_ground_height(model: mujoco.MjModel) -> float:
     """Return the height at which a ground is added [m].
 
     The height is 0, as in the scene files of published models, since published start poses may have

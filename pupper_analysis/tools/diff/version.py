@@ -149,7 +149,7 @@ def _read_mjcf_version(file: MjcfFile) -> Version:
         for joint in range(model.njnt)
         if model.jnt_type[joint] != JointKind.FREE
     ]
-    base = _find_base_body(model, names)
+    base = _find_tree_root(model, names)
     carriers = {name: model.body(int(model.joint(name).bodyid[0])).name for name in names}
     carriers = {base: base, **carriers}
     reference = Reference(whole if joined else file.model, whole, names, base)
@@ -161,7 +161,7 @@ def _read_mjcf_version(file: MjcfFile) -> Version:
     return Version(
         file=published,
         tree=with_null_efforts(mjcf_tree(spec, file.path, base, frames), null_efforts(file)),
-        extra_values={**others, **_list_motors(NamedModel(reference))},
+        extra_values={**others, **_collect_motor_values(NamedModel(reference))},
         elements=list_elements(file),
         bodies=carriers,
         sources=MjcfSources(file, model, carriers, {}, (base,)),
@@ -177,7 +177,7 @@ def _disable_fusestatic(file: MjcfFile) -> MjcfFile:
     return replace(file, spec=spec, _model=compile_spec(spec.copy(), file.path))
 
 
-def _find_base_body(model: mujoco.MjModel, names: list[str]) -> str:
+def _find_tree_root(model: mujoco.MjModel, names: list[str]) -> str:
     """Return the root body of the first joint's tree; without joints, of the last body's tree."""
     body = int(model.joint(names[0]).bodyid[0]) if names else model.nbody - 1
     while model.body_parentid[body] != 0:
@@ -185,7 +185,7 @@ def _find_base_body(model: mujoco.MjModel, names: list[str]) -> str:
     return str(model.body(body).name)
 
 
-def _list_motors(scene: NamedModel) -> dict[tuple[str, str], Any]:
+def _collect_motor_values(scene: NamedModel) -> dict[tuple[str, str], Any]:
     """Return {("motor", name): transmission, gains and control ranges}.
 
     Force limits belong to the joints.

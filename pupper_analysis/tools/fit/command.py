@@ -23,7 +23,7 @@ from pupper_analysis.cli.robots import (
     add_options,
     load_selected_robot,
     pass_robot_options,
-    print_notes,
+    print_robot_notes,
     robot_argument,
 )
 from pupper_analysis.cli.stance_options import GAIN_OPTIONS, parse_gain
@@ -266,7 +266,7 @@ def command(
                 hold_out=held_out,
             )
     if style == "text":
-        print_notes(robot, everything=everything)
+        print_robot_notes(robot, everything=everything)
     shared.show_results(
         [(robot.name, result)],
         style,

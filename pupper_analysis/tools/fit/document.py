@@ -394,7 +394,7 @@ def recording_document(recording: Recording, _: Robot | None = None) -> doc.Docu
 
 
 @build_document.register(TraceRecording)
-def trace_document(recording: TraceRecording, _: Robot | None = None) -> doc.Document:
+def recorded_trace_document(recording: TraceRecording, _: Robot | None = None) -> doc.Document:
     """Create the report of a recorded policy: samples, and signals that were not received."""
     summary = text(
         "trace-recorded",

@@ -42,7 +42,11 @@ def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document
         passed=study.passed,
         verdict=text(_VERDICT_KEYS[study.worst.stable, study.passed]),
         failures=failures,
-        findings=(_describe_range(study), _describe_controller(study), *_describe_servos(study)),
+        findings=(
+            _describe_stable_gains(study),
+            _describe_controller(study),
+            *_describe_added_servos(study),
+        ),
         details=(
             task_text(study.stand.task),
             text("gains-damping-ratio", ratio=f"{study.damping_ratio:.2f}"),
@@ -81,13 +85,13 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
             )
 
 
-def _describe_servos(study: GainStudy) -> Iterable[doc.Words]:
+def _describe_added_servos(study: GainStudy) -> Iterable[doc.Words]:
     """Yield the statement that the present gains are those of added servos, if there are any."""
     if study.servos.made:
         yield clause_text(make_servo_clause(study.servos, good=study.passed)).with_mark("warn")
 
 
-def _describe_range(study: GainStudy) -> doc.Words:
+def _describe_stable_gains(study: GainStudy) -> doc.Words:
     """State the smallest kp and largest kd of a stable stand, as factors if joints differ."""
     largest = study.largest_kd.factor
     if study.uniform:

@@ -294,7 +294,7 @@ def study_gains(
             both given, if the torque limit of a motor is smaller than the torque of the stand, or
             if the ground cannot be added (``build_on_ground``).
     """
-    _check_request(error, encoder_bits)
+    _check_resolution(error, encoder_bits)
     robot, stand = resolve_stance(robot, stance)
     settled = solve_stand_as_simulated(robot, stand)
     held = make_stand_start(robot, settled, kp=kp, kd=kd)
@@ -382,7 +382,7 @@ def study_gains(
     )
 
 
-def _check_request(error: float | None, encoder_bits: int | None) -> None:
+def _check_resolution(error: float | None, encoder_bits: int | None) -> None:
     """Raise a ConfigurationError if position error or encoder resolution is out of range.
 
     ``error`` must be positive and finite, and ``encoder_bits`` from `MIN_ENCODER_BITS` to

@@ -27,7 +27,7 @@ _MAX_CURVES = 4
 @build_document.register(HeatStudy)
 def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
     """Create the report of the heat of a stance; see ``build_document``."""
-    first = _describe_first(study.first)
+    first = _describe_first_motor(study.first)
     unknown = tuple(_describe_unknown(study))
     losses = tuple(_describe_losses(study))
     if study.weak or study.overheats:
@@ -74,7 +74,7 @@ def _format_minutes(seconds: float) -> str:
     return f"{minutes:.0f}" if minutes >= 100 else f"{minutes:.3g}"
 
 
-def _describe_first(motor: MotorHeat) -> doc.Words:
+def _describe_first_motor(motor: MotorHeat) -> doc.Words:
     """State the result of the motor that the report names first.
 
     If the motor is too weak, this is the largest torque of the motor. If the final temperature is

@@ -40,7 +40,7 @@ _SETTLED_FRACTION = 0.95
 limit ends. Chosen, not tuned."""
 
 TEMPERATURE_RANGE = (-60.0, 300.0)
-"""Lowest and highest accepted ambient and limit temperature [degC]; outside, `_check_request`
+"""Lowest and highest accepted ambient and limit temperature [degC]; outside, `_check_conditions`
 raises an error. Chosen: insulation of windings ends at 250 degC."""
 
 
@@ -218,7 +218,7 @@ def study_heat(
             slide has a motor.
         ModelError: If the torque per current or the resistance of a motor are unknown.
     """
-    _check_request(ambient, limit, battery_energy)
+    _check_conditions(ambient, limit, battery_energy)
     robot, stand = resolve_stance(robot, stance)
     held = solve_stand_as_simulated(robot, stand)
     torques = stand_statics(robot, held).joint_torques
@@ -230,7 +230,8 @@ def study_heat(
     check_motor_joints(robot, assigned, "motors")
     loads = dict(zip(robot.joint_names, torques.tolist(), strict=True))
     heats = tuple(
-        _compute_heat(name, motors[name], float(loads[name]), ambient, limit) for name in assigned
+        _compute_motor_heat(name, motors[name], float(loads[name]), ambient, limit)
+        for name in assigned
     )
     losses = [heat.loss for heat in heats if heat.loss is not None]
     loss = sum(losses) if len(losses) == len(heats) else None
@@ -255,7 +256,7 @@ def study_heat(
     )
 
 
-def _check_request(
+def _check_conditions(
     ambient: float | None, limit: float | None, battery_energy: float | None
 ) -> None:
     """Raise a ConfigurationError if a temperature or the battery is out of range.
@@ -276,7 +277,7 @@ def _check_request(
         raise ConfigurationError("battery", diagnose("battery-not-valid"))
 
 
-def _compute_heat(
+def _compute_motor_heat(
     joint: str, motor: Motor, torque: float, ambient: float | None, limit: float | None
 ) -> MotorHeat:
     """Compute the heating of a motor with a constant torque [N m].

@@ -11,7 +11,7 @@ from pupper_analysis.models.motors.assignment import describe_weak_motor
 from pupper_analysis.tools.heat.heat import HeatStudy, study_heat
 
 
-def _compute_heat(design: Any) -> HeatStudy:
+def _compute_design_heat(design: Any) -> HeatStudy:
     """Return the heat of the motors of a design of a study, in the stand of the design.
 
     Raises:
@@ -38,7 +38,7 @@ def _measure_continuous_utilisation(design: Any) -> float:
         ModelError: If the continuous torque of a motor is unknown.
     """
     ratios = [0.0]
-    for heat in design.compute_once(_compute_heat).motors:
+    for heat in design.compute_once(_compute_design_heat).motors:
         if heat.continuous_torque is None:
             raise ModelError(
                 heat.motor, diagnose("motor-numbers-unknown", numbers=["continuous_torque"])
@@ -54,7 +54,7 @@ def _measure_time_until_hot(design: Any) -> float:
         ModelError: If a motor is too weak for its torque, or the time is unknown.
     """
     times = [math.inf]
-    for heat in design.compute_once(_compute_heat).motors:
+    for heat in design.compute_once(_compute_design_heat).motors:
         if heat.time_to_limit is None and heat.torque:
             if heat.too_weak and heat.largest_torque is not None:
                 problem = describe_weak_motor(
@@ -70,7 +70,7 @@ def _measure_time_until_hot(design: Any) -> float:
 
 def _measure_copper_loss(design: Any) -> float:
     """Return the copper loss of all motors [W]; not a number if a motor is too weak."""
-    loss = design.compute_once(_compute_heat).loss
+    loss = design.compute_once(_compute_design_heat).loss
     return math.nan if loss is None else loss
 
 

@@ -69,7 +69,7 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
             _make_force_table(hold),
             force_plot(hold.force),
         ),
-        (_describe_worst_posture(hold), *_list_limits(hold), *_list_warnings(hold)),
+        (_describe_worst_posture(hold), *_describe_loads(hold), *_list_warnings(hold)),
         leading=map(doc.diagnostic_text, hold.weak_motors[:1]),
         details=(*_list_findings(hold),),
         word=_select_verdict_word(hold),
@@ -132,18 +132,18 @@ def _describe_worst_posture(hold: Hold) -> doc.Words:
         share=f"{100 * share:.3g}" if math.isfinite(share) else "",
         joint=doc.Name(worst.joint_names[index]),
         tool=doc.Name(hold.tool.name),
-        payload=_describe_limit(payload),
+        payload=_format_payload_limit(payload),
     )
 
 
-def _describe_limit(payload: float) -> doc.Words:
+def _format_payload_limit(payload: float) -> doc.Words:
     """Return the text of a payload limit [kg] with its unit; a word if unlimited or unknown."""
     if math.isfinite(payload):
         return doc.Name(f"{_format_limit(payload)} kg")
     return text("limit-unknown") if math.isnan(payload) else text("no-tool-limit")
 
 
-def _list_limits(hold: Hold) -> Iterator[doc.Words]:
+def _describe_loads(hold: Hold) -> Iterator[doc.Words]:
     """Yield a line with the commanded posture, its most utilised motor, and the largest payload.
 
     The payload is in kg. `describe_hardest_motor` specifies when the motor is left out.
@@ -154,7 +154,7 @@ def _list_limits(hold: Hold) -> Iterator[doc.Words]:
         "posture-and-load",
         posture=posture,
         load=loads[0] if loads else "",
-        payload=_describe_limit(hold.payload.mass),
+        payload=_format_payload_limit(hold.payload.mass),
         tool=doc.Name(hold.tool.name),
     )
 
@@ -258,7 +258,7 @@ def _make_payload_table(hold: Hold) -> doc.Table:
         doc.Column(text("quantity"), left=True),
         doc.Column(text("mass"), "kg"),
         rows,
-        (*_describe_trial(hold),),
+        (*_describe_payload_simulation(hold),),
     )
 
 
@@ -289,7 +289,7 @@ def _make_limit_cell(value: float) -> doc.Cell:
     return text("limit-unknown") if math.isnan(value) else doc.number_cell(value, ".4g")
 
 
-def _describe_trial(hold: Hold) -> Iterator[doc.Text]:
+def _describe_payload_simulation(hold: Hold) -> Iterator[doc.Text]:
     """Yield the result of the simulation with a payload; nothing if none was simulated."""
     trial, fraction = hold.payload_trial, format_number(VERIFIED_FRACTION, ".0%")
     if trial is not None and trial.passed:
@@ -449,7 +449,7 @@ def _list_warnings(hold: Hold) -> Iterator[doc.Words]:
             joint=hold.payload.servo,
         ).with_mark("warn")
     if hold.payload_trial is not None and not hold.payload_trial.passed:
-        yield from (words.with_mark("warn") for words in _describe_trial(hold))
+        yield from (words.with_mark("warn") for words in _describe_payload_simulation(hold))
 
 
 def _describe_unknown_limits(hold: Hold) -> doc.Text:

@@ -19,7 +19,7 @@ from pupper_analysis.cli.robots import (
     add_options,
     load_selected_robot,
     pass_robot_options,
-    print_notes,
+    print_robot_notes,
     robot_argument,
 )
 from pupper_analysis.cli.stance_fields import OPTION_FIELDS, make_options, make_task, stance_option
@@ -158,7 +158,7 @@ def command(
 
         robot = load_selected_robot(selection, fixed_base=fixed_base)
         if isinstance(selection, RobotFiles):
-            print_notes(robot)
+            print_robot_notes(robot)
         if not dropped:
             window.view_robot(robot, headless=headless)
             return

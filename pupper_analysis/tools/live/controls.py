@@ -26,7 +26,7 @@ from pupper_analysis.base.units import READ_IN
 from pupper_analysis.cli.stance_fields import to_task_value
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.robot.joints import (
-    free_joints,
+    find_footless_joints,
     joint_ranges,
     list_position_units,
     named_positions,
@@ -105,7 +105,7 @@ class Controls:
     def add_joint_controls(self) -> None:
         """Add the sliders of the joints that carry no foot to the current container of viser."""
         gui, robot = self._gui, self._robot
-        free, home = free_joints(robot), robot.home[-robot.nu :]
+        free, home = find_footless_joints(robot), robot.home[-robot.nu :]
         with gui.add_folder(term("Posture", self._translator.code), visible=bool(free)):
             self.posture = JointSliders(gui, robot, free, home, self._set_joint)
 

@@ -34,7 +34,7 @@ NO_TITLE = doc.Name("")
 """Empty title of a document without robot."""
 
 
-def stance_document(
+def live_stance_document(
     answer: Answer, sag: SteadyState | Diagnostic | None, judged: Verdict | None
 ) -> doc.Document:
     """Create the report of a stance for the live page: stand, sag, torques and contact forces.
@@ -60,11 +60,11 @@ def stance_document(
         messages = (doc.diagnostic_text(answer.refusal.diagnostic),)
     passed = judged is not None and (judged.passed or judged.code is VerdictCode.IN_BALANCE)
     return doc.Document(
-        text("stance"), _make_title(answer), tuple(blocks), passed=passed, findings=messages
+        text("stance"), _make_robot_title(answer), tuple(blocks), passed=passed, findings=messages
     )
 
 
-def _make_title(answer: Answer) -> doc.Name:
+def _make_robot_title(answer: Answer) -> doc.Name:
     """Return the title of a document: name and mass [kg] of the robot; empty without robot."""
     robot = answer.robot
     return NO_TITLE if robot is None else doc.Name(f"{robot.name}, {robot.total_mass:.3f} kg")
@@ -106,7 +106,7 @@ def refusal_document(
             blocks.append(doc.Lines((task_text(error.nearest.task),), title=title))
     passed = not pending and error is None
     return doc.Document(
-        text("stance"), _make_title(answer), tuple(blocks), passed=passed, findings=(message,)
+        text("stance"), _make_robot_title(answer), tuple(blocks), passed=passed, findings=(message,)
     )
 
 
@@ -126,7 +126,7 @@ def simulation_document(stance: Stance) -> doc.Document:
     return doc.Document(text("stance"), title, blocks, passed=good, findings=messages)
 
 
-def push_document(trial: PushTrial) -> doc.Document:
+def live_push_document(trial: PushTrial) -> doc.Document:
     """Create the report of a simulated push against the standing robot, for the live page.
 
     Args:

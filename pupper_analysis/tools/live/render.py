@@ -290,23 +290,23 @@ def render_waiting(words: Words, translator: Translator) -> str:
 
 def render_hint(words: Words, translator: Translator) -> str:
     """Render a hint, which is shown in place of a result, as an HTML panel without a box."""
-    return join_parts(f"<div>{_escape_text(translator.translate(words))}</div>")
+    return join_parts(f"<div>{_escape_html(translator.translate(words))}</div>")
 
 
 def _render_heading(words: Words, translator: Translator) -> str:
     """Render a heading as HTML; the result is empty for an empty text."""
     message = translator.translate(words)
-    return f"<h4>{_escape_text(message)}</h4>" if message else ""
+    return f"<h4>{_escape_html(message)}</h4>" if message else ""
 
 
-def _escape_text(text: str) -> str:
+def _escape_html(text: str) -> str:
     """Escape a text for HTML, including control characters."""
     return escape(escape_control(text))
 
 
 def _render_box(mark: str, text: str) -> str:
     """Render a text in an HTML box whose colour shows the emphasis ``mark``."""
-    return f'<div class="{_BOX_CLASSES[mark]}">{_escape_text(text)}</div>'
+    return f'<div class="{_BOX_CLASSES[mark]}">{_escape_html(text)}</div>'
 
 
 @singledispatch
@@ -325,7 +325,7 @@ def _render_lines(block: Lines, translator: Translator) -> str:
     messages = [translator.translate(words) for words in block.lines]
     if block.mark:
         return title + "".join(_render_box(block.mark, message) for message in messages)
-    return title + "".join(f"<div>{_escape_text(message)}</div>" for message in messages)
+    return title + "".join(f"<div>{_escape_html(message)}</div>" for message in messages)
 
 
 @_render_block.register
@@ -338,7 +338,7 @@ def _render_table(block: Table, translator: Translator) -> str:
         ]
         classes = ["" if column.left else ' class="n"' for column in block.columns]
         cells = (
-            f"<th{table_class}>{_escape_text(head)}</th>"
+            f"<th{table_class}>{_escape_html(head)}</th>"
             for table_class, head in zip(classes, heads, strict=True)
         )
         rows.append(f"<tr>{''.join(cells)}</tr>")
@@ -360,8 +360,8 @@ def _format_unit(column: Column) -> str:
 def _render_cell(cell: Cell, translator: Translator) -> str:
     """Render a table cell as HTML; a number with a ``bar_fraction`` gets a bar."""
     if not isinstance(cell, Number):
-        return f"<td>{_escape_text(translator.translate(cell))}</td>"
-    number = f'<td class="n">{_escape_text(cell.text)}</td>'
+        return f"<td>{_escape_html(translator.translate(cell))}</td>"
+    number = f'<td class="n">{_escape_html(cell.text)}</td>'
     if cell.bar_fraction is None:
         return number
     width, colour = (

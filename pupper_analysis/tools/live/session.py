@@ -26,10 +26,10 @@ from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.controls import Controls
 from pupper_analysis.tools.live.documents import (
     failure_document,
-    push_document,
+    live_push_document,
+    live_stance_document,
     refusal_document,
     simulation_document,
-    stance_document,
     unexpected_document,
 )
 from pupper_analysis.tools.live.model import Answer, PageSolver
@@ -285,7 +285,7 @@ class Session:
         if answer.unreachable:
             message = refusal_document(answer, self._refusal, pending=self._pending)
         else:
-            message = stance_document(answer, self._sag, self._verdict)
+            message = live_stance_document(answer, self._sag, self._verdict)
         self._panels.show_status(message)
 
     def _run_worker(self) -> None:
@@ -372,7 +372,7 @@ class Session:
         """Simulate a push and show the motion."""
         impulse, direction = self._panels.requested_push
         trial = answers.push_stand(answer, impulse, direction)
-        message = push_document(trial)
+        message = live_push_document(trial)
         self._show_motion(answer, message, trial.motion_time, trial.motion)
 
     def _show_motion(

@@ -292,14 +292,14 @@ def _list_options(state: State) -> Iterator[tuple[str, str, str]]:
     """
     for field, value in state.requested_values():
         for element, item in value.items() if field.per else [("", value)]:
-            yield field.option, element, _format_value(field, item)
+            yield field.option, element, _format_option_value(field, item)
     for name in ("payload", "payload_at", "kp", "kd"):
         value = getattr(state, name)
         if value is not None and (state.payload or not name.startswith("payload")):
-            yield SLIDER_FIELDS[name].option, "", _format_value(SLIDER_FIELDS[name], value)
+            yield SLIDER_FIELDS[name].option, "", _format_option_value(SLIDER_FIELDS[name], value)
 
 
-def _format_value(field: Field, value: Any) -> str:
+def _format_option_value(field: Field, value: Any) -> str:
     """Return a value (page units) as text for an option of the command line.
 
     A single angle is in degrees (``deg``), other numbers are in SI units without a unit.

@@ -26,7 +26,7 @@ from pupper_analysis.tools.live.documents import unexpected_document
 from pupper_analysis.tools.live.render import Translator
 from pupper_analysis.tools.live.scene import RobotFigure, make_body_meshes
 from pupper_analysis.tools.live.server import ServedPage, ServeOptions
-from pupper_analysis.tools.walk.gait import describe_fall, evaluate_tracking, joint_torques
+from pupper_analysis.tools.walk.gait import describe_run_failure, evaluate_tracking, joint_torques
 from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import (
     Lockstep,
@@ -170,7 +170,7 @@ class WalkSession:
                 lost=0.0,
             )
             if fallen:
-                self.fall = describe_fall(stage, window, runs.tick * action)
+                self.fall = describe_run_failure(stage, window, runs.tick * action)
             if runs.tick % draw_interval == 0 or fallen:
                 self._draw_robot(runs.current[0])
             if runs.tick % table_interval == 0 or fallen:

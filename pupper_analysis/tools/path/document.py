@@ -64,7 +64,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
             loads,
         ),
         answer,
-        details=(task_text(there.stand.task), *_list_motors(path)),
+        details=(task_text(there.stand.task), *_describe_motor_regions(path)),
         notes=robot_notes(robot),
         next_step=doc.NextStep("payload")
         if there.passed
@@ -72,7 +72,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
     )
 
 
-def _list_motors(path: StancePath) -> list[doc.Words]:
+def _describe_motor_regions(path: StancePath) -> list[doc.Words]:
     """Return the text of the motors whose torque-speed regions are used; empty without motors."""
     names = dict.fromkeys(path.motors.values())
     return [text("path-of-motors", motors=join_words(map(doc.Name, names)))] if names else []

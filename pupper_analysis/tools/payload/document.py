@@ -43,13 +43,13 @@ def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Doc
         limit: Result.
         robot: Robot of the result, for the 3-D view and notes; None if not available.
     """
-    trial_texts = () if limit.trial is None else (_describe_trial(limit.trial),)
+    trial_texts = () if limit.trial is None else (_describe_nudged_trials(limit.trial),)
     return judged_document(
         text("payload-title"),
         limit,
         (view_block(robot, limit.stand, None), payload_table(limit)),
         (payload_text(limit),),
-        limit=_describe_limit(limit),
+        limit=_describe_limiting_failure(limit),
         leading=map(doc.diagnostic_text, limit.weak_motors[:1]),
         number_first=True,
         details=(
@@ -136,7 +136,7 @@ def payload_text(limit: PayloadLimit) -> doc.Text:
     )
 
 
-def _describe_limit(limit: PayloadLimit) -> doc.Words | None:
+def _describe_limiting_failure(limit: PayloadLimit) -> doc.Words | None:
     """Return the text of the failure that limits the payload.
 
     None if the limit is unknown: torque limits are unknown, and the upper bound is above 0 kg.
@@ -219,7 +219,7 @@ def _describe_failure(failure: Failure, where: Iterable[str]) -> doc.Words:
     return text("failure-where", failure=failure_text, where=names)
 
 
-def _describe_trial(trial: PayloadTrial) -> doc.Text:
+def _describe_nudged_trials(trial: PayloadTrial) -> doc.Text:
     """Return the text of the result of the nudged simulations with a payload: holds or fails."""
     mass, seconds = mass_text(trial.mass), f"{trial.duration:g}"
     if trial.failure is None:

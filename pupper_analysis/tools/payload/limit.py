@@ -29,7 +29,7 @@ from pupper_analysis.base.units import EFFORT_UNIT
 from pupper_analysis.models.efforts import EffortCode
 from pupper_analysis.prepare.judge import judge_simulation, judge_stand
 from pupper_analysis.prepare.limits import list_driven_limits, list_overloaded_joints
-from pupper_analysis.robot.joints import free_joints
+from pupper_analysis.robot.joints import find_footless_joints
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.servos import command_ranges, compute_command_lead, model_with_servos
 from pupper_analysis.robot.stability import HOLD_DURATION
@@ -431,7 +431,7 @@ def _find_unknown_limits(robot: Robot, place: Tool) -> tuple[str, ...]:
 
     These move a foot, a hand or the payload, or belong to a closed loop or coupling.
     """
-    unloaded_joints = set(free_joints(robot)) - set(place.chain)
+    unloaded_joints = set(find_footless_joints(robot)) - set(place.chain)
     unknown_joints = (
         limit.joint for limit in list_driven_limits(robot) if limit.code is EffortCode.UNKNOWN
     )

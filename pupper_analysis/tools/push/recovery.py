@@ -30,7 +30,7 @@ from pupper_analysis.prepare.judge import judge_simulation
 from pupper_analysis.prepare.limits import list_driven_limits
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.joints import (
-    free_joints,
+    find_footless_joints,
     list_force_units,
 )
 from pupper_analysis.robot.robot import Robot
@@ -238,7 +238,7 @@ def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
     These joints move a foot or hand, or belong to a closed loop or coupling. A torque limit is
     unknown if no file states it.
     """
-    unloaded_joints = free_joints(robot)
+    unloaded_joints = find_footless_joints(robot)
     unknown_joints = (
         limit.joint for limit in list_driven_limits(robot) if limit.code is EffortCode.UNKNOWN
     )

@@ -16,7 +16,7 @@ from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import RobotOptions, robot_argument
 from pupper_analysis.cli.stance_options import (
     RobotAndTask,
-    draw_stand,
+    draw_requested_stand,
     robot_and_task,
 )
 from pupper_analysis.prepare.convert.files import RobotFiles
@@ -115,7 +115,7 @@ def command(
     if csv is not None:
         result.to_csv(csv)
         shared.confirm_written(csv)
-    draw_stand(robot, result.stand, result.statics, figure)
+    draw_requested_stand(robot, result.stand, result.statics, figure)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)
 

@@ -151,7 +151,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         limits=(
             *_describe_height(stance),
             *(_describe_soft_servos(stance) if stance.passed else ()),
-            *_describe_servos(stance),
+            *_describe_servo_gains(stance),
         ),
         causes=() if stance.passed else _describe_soft_servos(stance),
         details=(task_text(stance.stand.task), *_list_details(stance)),
@@ -283,7 +283,7 @@ def _describe_height(stance: Stance) -> Iterable[doc.Words]:
         )
 
 
-def _describe_servos(stance: Stance) -> Iterable[doc.Words]:
+def _describe_servo_gains(stance: Stance) -> Iterable[doc.Words]:
     """Yield the servo gains with a lower bound of kp and an upper bound of kd.
 
     If the gains of the joints differ, the bounds are factors on all gains. Nothing is yielded if

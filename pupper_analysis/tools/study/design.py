@@ -74,8 +74,8 @@ from pupper_analysis.tools.study.parameters import (
     SERVO_KINDS,
     VariablePattern,
     scale_robot,
-    with_friction,
     with_gains,
+    with_ground_friction,
     without_visuals,
 )
 
@@ -414,7 +414,7 @@ class DesignBuilder:
             assigned = assign_motors(robot, numbers, self.motors)
             robot = with_motors(robot, assigned, self.present_motor)
         if "friction" in numbers:
-            robot = with_friction(robot, numbers["friction"])
+            robot = with_ground_friction(robot, numbers["friction"])
         if "payload" in numbers:
             robot = with_payload(robot, numbers["payload"], self.point)
             # The stand is solved for this robot: its CoM includes the payload.

@@ -65,7 +65,7 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
     findings: list[doc.Words] = [
         *_describe_best(outcome),
         count_text,
-        *_describe_range(outcome),
+        *_describe_metric_range(outcome),
         *map(doc.diagnostic_text, outcome.rests_on),
     ]
     if outcome.converted:
@@ -128,7 +128,7 @@ def _describe_best(outcome: StudyOutcome) -> Iterator[doc.Words]:
         )
 
 
-def _describe_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
+def _describe_metric_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
     """Yield the range of the first metric that varies, and the variables of the extreme designs.
 
     Nothing is yielded if no metric varies.

@@ -28,7 +28,7 @@ from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfLink, UrdfTree, origin_of, set_origin
-from pupper_analysis.models.xml import parse_numbers, write_numbers
+from pupper_analysis.models.xml import join_numbers, parse_numbers
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import foot_site, stand_height
 from pupper_analysis.robot.robot import Robot
@@ -183,7 +183,7 @@ def stretch_links(
             inertia = inertia_of_body(model, model.body(part).id)
             _stretch_body(mjcf.spec.body(part), inertia, (matrix, shift), factor, meshes)
     _stretch_meshes(mjcf.spec, meshes)
-    return _raise_keyframes(robot, mjcf.spec)
+    return _keep_ground_clearance(robot, mjcf.spec)
 
 
 def stretch_inertia(
@@ -271,7 +271,7 @@ def _stretch_form(form: etree._Element, factors: Array | None, link: str) -> Non
         return
     attribute, select = attributes[form.tag]
     old = parse_numbers(form.get(attribute) or None, "1 1 1")
-    form.set(attribute, write_numbers(old * select(factors), digits=None))
+    form.set(attribute, join_numbers(old * select(factors), digits=None))
 
 
 # MJCF.
@@ -380,7 +380,7 @@ def _stretch_meshes(
                     geom.meshname = asset_name
 
 
-def _raise_keyframes(robot: Robot, spec: mujoco.MjSpec) -> float:
+def _keep_ground_clearance(robot: Robot, spec: mujoco.MjSpec) -> float:
     """Raise the base of a stretched robot, in all poses, so that the ground clearance is unchanged.
 
     ``spec``, the stretched MJCF, is changed: position of the base body, and keyframes.

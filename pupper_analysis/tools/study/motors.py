@@ -29,7 +29,7 @@ from pupper_analysis.robot.joints import check_motor_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import resolve_servo_gains
 from pupper_analysis.robot.tool import find_tool
-from pupper_analysis.tools.study.parameters import VariablePattern, match_joints, with_gains
+from pupper_analysis.tools.study.parameters import VariablePattern, find_moving_joints, with_gains
 from pupper_analysis.tools.study.variables import Variable
 
 MOTOR_KIND = "motor"
@@ -104,7 +104,7 @@ def assign_motors(
     assigned: dict[str, Motor] = {}
     for name in sorted(filter(is_motor_variable, numbers), key=lambda name: ":" in name):
         pattern = VariablePattern.parse(name)
-        joints = robot.joint_names if pattern is None else match_joints(robot, pattern)
+        joints = robot.joint_names if pattern is None else find_moving_joints(robot, pattern)
         check_motor_joints(robot, joints, f"vary[{name!r}]")
         assigned |= dict.fromkeys(joints, motors[numbers[name]])
     return assigned

@@ -106,7 +106,7 @@ class VariablePattern:
         return VariablePattern(kind, pattern)
 
 
-def match_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...]:
+def find_moving_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...]:
     """Return the joints that match a pattern, or that move the matching bodies.
 
     The base is returned as ``""``. A body matches by the link name in the URDF, the body name in
@@ -191,7 +191,7 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
                 name, diagnose("factor-out-of-range", factor=factor, least=bound)
             )
         if pattern.kind not in SERVO_KINDS:
-            for joint in match_joints(robot, pattern):
+            for joint in find_moving_joints(robot, pattern):
                 joint_factors = factors_by_kind.setdefault(pattern.kind, {})
                 joint_factors[joint] = joint_factors.get(joint, 1.0) * factor
     if not factors_by_kind and not offsets:
@@ -235,7 +235,7 @@ def _add_offsets(
     """
     if not math.isfinite(offset):
         raise ConfigurationError(name, diagnose("offset-not-finite", offset=offset))
-    for joint in match_joints(robot, pattern):
+    for joint in find_moving_joints(robot, pattern):
         if not joint and not robot.floating:
             raise ConfigurationError(name, diagnose("com-of-fixed-base"))
         offsets.setdefault(joint, np.zeros(3))[COM_OFFSET_KINDS.index(pattern.kind)] += offset
@@ -327,7 +327,7 @@ def _measure_bodies(robot: Robot, joint: str, body: str) -> Iterator[tuple[float
     yield float(mass.sum()), mass @ data.xipos[welded] / mass.sum()
 
 
-def with_friction(robot: Robot, friction: float) -> Robot:
+def with_ground_friction(robot: Robot, friction: float) -> Robot:
     """Return a robot with the given coefficient of sliding friction between feet and ground.
 
     All geoms of the feet and of the world body get the coefficient, so that this coefficient
@@ -375,7 +375,7 @@ def with_gains(
     for name, factor in factors.items():
         pattern = VariablePattern.parse(name)
         if pattern is not None and pattern.kind in SERVO_KINDS:
-            selected = np.isin(robot.joint_names, match_joints(robot, pattern))
+            selected = np.isin(robot.joint_names, find_moving_joints(robot, pattern))
             gains[pattern.kind][selected] *= factor
     model = model_with_servos(robot, gains["kp"], gains["kd"]).model
     spec = robot.description.mjcf.copy()

@@ -67,7 +67,7 @@ from pupper_analysis.tools.study.parameters import (
     LINK_STANCE_KINDS,
     SERVO_KINDS,
     VariablePattern,
-    match_joints,
+    find_moving_joints,
 )
 from pupper_analysis.tools.study.requirements import Requirement
 from pupper_analysis.tools.study.running import Progress, StudyRun, WorkDefinition
@@ -269,7 +269,7 @@ class Study:
                         self.base.name, "contact", pattern.pattern, contact_links
                     )
             elif pattern is not None:
-                match_joints(self.base, pattern)
+                find_moving_joints(self.base, pattern)
             if pattern is not None and pattern.kind in JOINT_STANCE_KINDS:
                 resolve_posture(self.base, {pattern.pattern: 0.0})
         servo_kinds = {name for name in self.variables if name.partition(":")[0] in SERVO_KINDS}

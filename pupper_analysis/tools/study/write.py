@@ -154,7 +154,9 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
     )
     remeasured = measure_columns(reloaded, study.metrics)
     measured = {
-        name: float(row[name]) for name in remeasured if name in row and _is_number(row[name])
+        name: float(row[name])
+        for name in remeasured
+        if name in row and _is_finite_number(row[name])
     }
     remeasured = {name: value for name, value in remeasured.items() if name in measured}
     stance = design_folder / "stance.toml"
@@ -176,11 +178,11 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
             if not abs(value - (expected := measured[name]))
             <= _METRIC_RTOL * max(abs(expected), _METRIC_RTOL)
         ),
-        warnings=tuple(_list_warnings(reloaded)),
+        warnings=tuple(_warn_of_set_down(reloaded)),
     )
 
 
-def _list_warnings(design: Design) -> Iterator[Diagnostic]:
+def _warn_of_set_down(design: Design) -> Iterator[Diagnostic]:
     """Yield a warning if a design stands, but not after it is set down (`survives_set_down`)."""
     try:
         survives = survives_set_down(design)
@@ -201,7 +203,7 @@ def format_place(point: Place) -> str:
     return f"{frame},{numbers}" if frame else numbers
 
 
-def _is_number(value: Any) -> bool:
+def _is_finite_number(value: Any) -> bool:
     """Return True if the value of a table cell is a finite number; False for None."""
     return value is not None and bool(np.isfinite(float(value)))
 
@@ -234,22 +236,22 @@ def format_stance(task: StandTask) -> str:
             continue
         if field.per:
             tables += [
-                f"{field.option}.{json.dumps(element)} = {_format_value(item)}"
+                f"{field.option}.{json.dumps(element)} = {_format_stance_value(item)}"
                 for element, item in value.items()
             ]
         else:
-            lines.append(f"{field.option} = {_format_value(value, field.unit)}")
+            lines.append(f"{field.option} = {_format_stance_value(value, field.unit)}")
     return "".join(f"{line}\n" for line in (*lines, *tables))
 
 
-def _format_value(value: Any, unit: str = "") -> str:
+def _format_stance_value(value: Any, unit: str = "") -> str:
     """Format a value of the stance as TOML.
 
     A single length or angle is a text with its unit, such as "0.1m"; the elements of a tuple are
     numbers without unit [m, rad].
     """
     if isinstance(value, tuple):
-        return f"[{', '.join(map(_format_value, value))}]"
+        return f"[{', '.join(map(_format_stance_value, value))}]"
     if isinstance(value, str | Contact | Weld):
         return json.dumps(str(value))
     return json.dumps(f"{value!r}{unit}" if unit in ("m", "rad") else value)

@@ -24,7 +24,7 @@ fewest digits within the tolerance replaces a value. The tolerance for up to 10 
 since a number with so few digits is rarely this close by chance."""
 
 
-def format_number(value: float, scale: float) -> str:
+def format_shortest(value: float, scale: float) -> str:
     """Return a number as text with as few digits as possible, within a tolerance.
 
     "0" if the magnitude is at most `NUMBER_RTOL` times ``scale``.
@@ -64,7 +64,7 @@ def format_numbers(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> st
     if len(old) >= len(values) and all(word is not None for word in kept_words):
         return None
     return " ".join(
-        word if word is not None else format_number(float(value), scale)
+        word if word is not None else format_shortest(float(value), scale)
         for word, value in zip(kept_words, values, strict=True)
     )
 

@@ -63,7 +63,7 @@ def sync_document(
         tuple(blocks),
         passed=sync.agree,
         verdict=text("agree") if sync.agree else text("disagree"),
-        failures=tuple(_list_failures(sync)),
+        failures=tuple(_describe_impossible_changes(sync)),
         findings=tuple(messages),
         notes=tuple(
             text("difference-note", difference=doc.Name(name), note=doc.diagnostic_text(note))
@@ -96,7 +96,7 @@ def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextSte
     return doc.NextStep("crosscheck")
 
 
-def _list_failures(sync: Sync) -> Iterable[doc.Words]:
+def _describe_impossible_changes(sync: Sync) -> Iterable[doc.Words]:
     """Yield a text that nothing was written, with the number of impossible changes.
 
     Nothing is yielded unless a chosen difference prevented the writing (`Sync.withheld`).

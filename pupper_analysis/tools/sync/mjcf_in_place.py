@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.published import existing_file
-from pupper_analysis.models.xml_bytes import XmlDocument, XmlElement, read_document
+from pupper_analysis.models.xml_bytes import XmlDocument, XmlElement, read_xml_bytes
 from pupper_analysis.tools.sync.digits import format_numbers
 
 
@@ -130,7 +130,7 @@ class EditableMjcf:
         An <include> of a missing file is kept.
         """
         if path not in self.documents:
-            self.documents[path] = read_document(path)
+            self.documents[path] = read_xml_bytes(path)
         document = self.documents[path]
         for element in document.elements:
             children: list[XmlElement] = []

@@ -466,7 +466,7 @@ def _match_choice(differences: Sequence[Difference], which: str) -> Iterator[tup
     ]
     ranks = (3, 2, 2, 2, 1)
     if not any(which in labels for labels in names) and re.fullmatch(r"[\d,\s-]+", which):
-        yield from ((number - 1, 4) for number in _parse_numbers(which, len(differences)))
+        yield from ((number - 1, 4) for number in _parse_number_ranges(which, len(differences)))
         return
     is_matched = False
     for index, labels in enumerate(names):
@@ -480,7 +480,7 @@ def _match_choice(differences: Sequence[Difference], which: str) -> Iterator[tup
         )
 
 
-def _parse_numbers(text: str, count: int) -> Iterator[int]:
+def _parse_number_ranges(text: str, count: int) -> Iterator[int]:
     """Yield the numbers, from 1 to ``count``, of a list such as ``1,4-6``.
 
     Raises:

@@ -32,7 +32,7 @@ from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text
-from pupper_analysis.models.xml_bytes import XmlDocument, read_document
+from pupper_analysis.models.xml_bytes import XmlDocument, read_xml_bytes
 from pupper_analysis.robot.compare.attribution import align_robot
 from pupper_analysis.robot.compare.differences import PropertyKey
 from pupper_analysis.robot.matching.match import Match, match_models
@@ -174,7 +174,7 @@ def write_numbers(
         list[FileLayout](),
     )
     if urdf_path is not None:
-        documents[urdf.path] = read_document(urdf.path)
+        documents[urdf.path] = read_xml_bytes(urdf.path)
         into_urdf = UrdfSide(
             tree=UrdfTree(documents[urdf.path].root), sides=robots, target=changes.make_tree("urdf")
         )

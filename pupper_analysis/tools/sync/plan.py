@@ -27,7 +27,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.published import existing_file
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml_bytes import XmlDocument, XmlElement, read_document
+from pupper_analysis.models.xml_bytes import XmlDocument, XmlElement, read_xml_bytes
 from pupper_analysis.robot.build import find_placeholder_efforts
 from pupper_analysis.robot.compare.attribution import align_robot
 from pupper_analysis.robot.compare.differences import INERTIAL_KINDS, LIMIT_KINDS, PropertyKey
@@ -174,7 +174,7 @@ def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[PropertyKey, 
     matched = match_models(urdf, mjcf, names=files.names, tolerances=tolerances)
     robots = pair_robots(matched, align_robot(matched.robot, tolerances))
     elements = EditableMjcf(mjcf)
-    document = read_document(urdf.path)
+    document = read_xml_bytes(urdf.path)
     copies = combine_layouts(list_urdf_files(urdf), list_mjcf_files(mjcf))
     plan = Plan(files, {files.urdf: document}, elements.documents, copies)
     into_urdf = UrdfSide(

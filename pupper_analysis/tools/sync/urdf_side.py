@@ -19,7 +19,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES, UNSTATED
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
-from pupper_analysis.models.xml import write_numbers
+from pupper_analysis.models.xml import join_numbers
 from pupper_analysis.models.xml_bytes import XmlElement
 from pupper_analysis.robot.compare.differences import PropertyKey
 from pupper_analysis.tools.sync.digits import format_numbers
@@ -28,7 +28,7 @@ from pupper_analysis.tools.sync.frames import Side, is_same_body, list_single_pa
 Changes = dict[tuple[str, str], str]
 """New values: {(path below an element, attribute): text}."""
 
-UNKNOWN_LIMITS = {"effort": write_numbers(UNSTATED), "velocity": "1000"}
+UNKNOWN_LIMITS = {"effort": join_numbers(UNSTATED), "velocity": "1000"}
 """{attribute of a URDF's <limit>: text that is written if no file states the required value}. The
 velocity is in rad/s or m/s. Cross-checks treat an effort of 0 as unknown, as exporters write it; a
 velocity of 0 would be used by motion planners. Chosen, not tuned."""

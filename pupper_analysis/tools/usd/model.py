@@ -184,7 +184,7 @@ def read_edge(
             if number_kind == "effort"
         },
         stated=stated,
-        gains=_read_gains(prim, axis_word, is_hinge, units) if has_axis else None,
+        gains=_read_drive_gains(prim, axis_word, is_hinge, units) if has_axis else None,
         outside=bool(read_value(prim, "physics:excludeFromArticulation", "number")),
         mimic=_read_mimic(prim, is_hinge, units, paths),
     )
@@ -246,7 +246,7 @@ def _read_numbers(
     return numbers
 
 
-def _read_gains(
+def _read_drive_gains(
     prim: Any, axis_word: str, is_hinge: bool, units: StageUnits
 ) -> tuple[float, float] | None:
     """Return stiffness and damping of a joint's position drive [N m/rad, N m s/rad; N/m, N s/m].
@@ -357,11 +357,11 @@ def read_body_mass(
         return BodyMass(Inertial(mass, com, tensor, True, rounding), MassOrigin.STATED)
     if not mass and not shapes:
         return BodyMass(None, MassOrigin.UNKNOWN, lacks)
-    has_water = not mass and not all(_has_mass(body, shape) for shape in shapes)
+    has_water = not mass and not all(_has_shape_mass(body, shape) for shape in shapes)
     return BodyMass(None, MassOrigin.WATER if has_water else MassOrigin.SHAPES, lacks)
 
 
-def _has_mass(body: Any, shape: Any) -> bool:
+def _has_shape_mass(body: Any, shape: Any) -> bool:
     """Return True if a shape has a mass, or a density of its own, its material or its body."""
     from pxr import UsdShade
 

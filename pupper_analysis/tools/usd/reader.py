@@ -133,7 +133,7 @@ def make_urdf_tree(model: UsdModel) -> UrdfTree:
             if joint.kind in (BALL_JOINT, FREE_JOINT):
                 place = model.file.place("joint", joint.name)
                 raise make_file_error(place, diagnose("usd-joint-of-several-axes"))
-            _add_joint(tree, model, joint, poses)
+            _add_urdf_joint(tree, model, joint, poses)
     return tree
 
 
@@ -143,7 +143,9 @@ def _get_joint_frame(link: Link) -> Pose:
     return Pose(joints[0].position, link.pose.rotation) if joints else link.pose
 
 
-def _add_joint(tree: UrdfTree, model: UsdModel, joint: Joint, poses: Mapping[str, Pose]) -> None:
+def _add_urdf_joint(
+    tree: UrdfTree, model: UsdModel, joint: Joint, poses: Mapping[str, Pose]
+) -> None:
     """Add a joint of a USD model to a URDF tree, in place.
 
     ``poses`` are {link: pose of the link frame of the URDF in the base frame [m]}.

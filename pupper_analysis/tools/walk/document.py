@@ -59,7 +59,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
             _make_motor_table(walk),
             _make_run_table(walk),
             make_key_table(walk.contract),
-            torque_plot(walk),
+            walk_torque_plot(walk),
         ),
         passed=walk.passed,
         verdict=text(word),
@@ -420,7 +420,7 @@ _NUM_DRAWN_MOTORS = 4
 """Number of motors whose torques are drawn: those with the largest rms. Chosen, not tuned."""
 
 
-def torque_plot(walk: Walk) -> doc.LinePlot:
+def walk_torque_plot(walk: Walk) -> doc.LinePlot:
     """Create the plot of motor torques [N m, N for slides] in the last second of the first run.
 
     The motors with the largest rms torques are drawn (`_NUM_DRAWN_MOTORS`).

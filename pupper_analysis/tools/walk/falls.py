@@ -44,7 +44,7 @@ def find_fall_tests(
     if fallen is None:
         return ()
     stage = prepare_stage(robot, policy)
-    changes = _list_changes(stage, fallen.command, fallen.seed)
+    changes = _list_effective_changes(stage, fallen.command, fallen.seed)
     runs = simulate_cases(stage, list(changes.values()), seconds, walk.warm_up)
     return tuple(
         FallTest(quantity, value, run.fallen, len(run.states) * stage.timestep)
@@ -52,7 +52,9 @@ def find_fall_tests(
     )
 
 
-def _list_changes(stage: Stage, command: Array, seed: int) -> dict[tuple[str, float], Case]:
+def _list_effective_changes(
+    stage: Stage, command: Array, seed: int
+) -> dict[tuple[str, float], Case]:
     """Return {(quantity, value): run with this change} of the changes that have an effect."""
     changes: dict[tuple[str, float], Case] = {}
     latency = stage.policy.contract.latency

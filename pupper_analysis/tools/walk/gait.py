@@ -507,7 +507,7 @@ def measure_gait(
     weight = robot.weight
     sampled_states = run.states[first :: stage.substeps]
     sampled_states = sampled_states[np.isfinite(sampled_states).all(axis=1)]
-    samples, touching = find_ground_contacts(
+    samples, touching = sample_ground_support(
         stage, run.case.model, sampled_states, statics=not run.case.seed
     )
     duty = {
@@ -526,7 +526,7 @@ def measure_gait(
     return Gait(
         command=run.case.command,
         seed=run.case.seed,
-        fall=describe_fall(stage, run, len(run.states) * step) if run.fallen else None,
+        fall=describe_run_failure(stage, run, len(run.states) * step) if run.fallen else None,
         duration=len(run.states) * step,
         velocity=tracking.velocity,
         turning=tracking.turning,
@@ -555,7 +555,7 @@ def measure_gait(
     )
 
 
-def describe_fall(stage: Stage, run: PolicyRun, duration: float) -> Diagnostic:
+def describe_run_failure(stage: Stage, run: PolicyRun, duration: float) -> Diagnostic:
     """Return the message that the robot fell, or that the simulation diverged, in a run.
 
     Args:
@@ -574,7 +574,7 @@ def describe_fall(stage: Stage, run: PolicyRun, duration: float) -> Diagnostic:
 class GroundSupport(NamedTuple):
     """Feet in contact at a time, and the static motor torques there, shape (nu,) [N m].
 
-    The static torques are zero if `find_ground_contacts` does not compute them.
+    The static torques are zero if `sample_ground_support` does not compute them.
 
     The static torques hold the same joint positions without motion. Vertical forces at the contact
     points carry the weight, with the centre of pressure as close below the centre of mass as
@@ -585,7 +585,7 @@ class GroundSupport(NamedTuple):
     static: Array
 
 
-def find_ground_contacts(
+def sample_ground_support(
     stage: Stage, model: mujoco.MjModel, states: Array, *, statics: bool
 ) -> tuple[list[GroundSupport], tuple[str, ...]]:
     """Return ground contacts of feet for each state, and other bodies that touch the ground.

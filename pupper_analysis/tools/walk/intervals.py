@@ -78,25 +78,25 @@ class VariedQuantity:
         return math.sqrt(first * second) if self.unit == "x" else (first + second) / 2
 
 
-def _find_base(stage: Stage, model: mujoco.MjModel) -> int:
+def _get_base_id(stage: Stage, model: mujoco.MjModel) -> int:
     """Return the body id of the robot's base in a MuJoCo model."""
     return int(model.body(stage.robot.mj_base).id)
 
 
 def _scale_base_mass(stage: Stage, model: mujoco.MjModel, value: float) -> None:
     """Multiply mass and inertia of the base body by ``value``, in ``model``; not its CoM."""
-    model.body_mass[_find_base(stage, model)] *= value
-    model.body_inertia[_find_base(stage, model)] *= value
+    model.body_mass[_get_base_id(stage, model)] *= value
+    model.body_inertia[_get_base_id(stage, model)] *= value
 
 
 def _add_payload(stage: Stage, model: mujoco.MjModel, value: float) -> None:
     """Add a point mass at the CoM of the base: ``value`` times the mass of the robot."""
-    model.body_mass[_find_base(stage, model)] += value * stage.robot.total_mass
+    model.body_mass[_get_base_id(stage, model)] += value * stage.robot.total_mass
 
 
 def _shift_base_com(stage: Stage, model: mujoco.MjModel, value: float) -> None:
     """Shift the CoM of the base body forward by ``value`` [m], in ``model``."""
-    model.body_ipos[_find_base(stage, model), 0] += value
+    model.body_ipos[_get_base_id(stage, model), 0] += value
 
 
 def _scale_friction(_: Stage, model: mujoco.MjModel, value: float) -> None:
@@ -133,7 +133,7 @@ def _scale_legs(stage: Stage, model: mujoco.MjModel, value: float) -> None:
     In each limb with a foot, the positions of the bodies after the first body are multiplied, and
     the positions of the CoMs, geoms and sites of these bodies.
     """
-    base, bodies_beyond = _find_base(stage, model), set()
+    base, bodies_beyond = _get_base_id(stage, model), set()
     for body, _ in stage.robot.contact_places.values():
         chain = []
         while body not in (0, base):

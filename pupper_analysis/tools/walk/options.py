@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.robots import load_selected_robot, print_notes
+from pupper_analysis.cli.robots import load_selected_robot, print_robot_notes
 from pupper_analysis.prepare.convert.files import RobotFiles
 
 if TYPE_CHECKING:
@@ -47,5 +47,5 @@ def load_walking_robot(
     """
     robot = load_selected_robot(source)
     if isinstance(source, RobotFiles) and style == "text":
-        print_notes(robot, everything=everything)
+        print_robot_notes(robot, everything=everything)
     return robot

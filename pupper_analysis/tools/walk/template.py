@@ -74,7 +74,7 @@ def write_template(
             source = stated[key]
             place = source.places.get(key, source.file)
             origin = source.origins.get(key, "stated")
-            lines.append(f"# {key} = {_format_value(source.values[key])}  # {origin}: {place}")
+            lines.append(f"# {key} = {_format_toml_value(source.values[key])}  # {origin}: {place}")
         elif key in missing:
             lines.append(f"# {key} = {suggestions.get(key, '')}  # unknown: complete this line")
         else:
@@ -95,15 +95,17 @@ def _suggest_values(robot: Robot, outputs: int) -> dict[str, str]:
     if robot.nu == outputs:
         values["joints"] = list(robot.joint_names)
         values["default"] = np.round(robot.home[-robot.nu :], 6).tolist()
-    return {key: _format_value(value) for key, value in values.items()}
+    return {key: _format_toml_value(value) for key, value in values.items()}
 
 
-def _format_value(value: Any) -> str:
+def _format_toml_value(value: Any) -> str:
     """Return a value as TOML: a number, a text, a truth value, a list, or a table in braces."""
     if isinstance(value, dict):
         return (
-            "{" + ", ".join(f"{key} = {_format_value(item)}" for key, item in value.items()) + "}"
+            "{"
+            + ", ".join(f"{key} = {_format_toml_value(item)}" for key, item in value.items())
+            + "}"
         )
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_format_value, value)) + "]"
+        return "[" + ", ".join(map(_format_toml_value, value)) + "]"
     return f"{value:.12g}" if isinstance(value, float) else json.dumps(value)

@@ -427,7 +427,7 @@ def _explain_difference(
                     return error, "offset", _list_offsets(seen, expected, names) + suffix
             elif delay and _agrees(late, early):
                 return error, "delay", f"{delay} samples"
-            for search in (_find_signs, _find_scales, _find_order):
+            for search in (_find_signs, _find_scales, _find_permutation):
                 found = search(late, early, names)
                 if found is not None:
                     return error, found[0], found[1] + suffix
@@ -468,7 +468,7 @@ def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[st
     return "scale", ", ".join(f"{names[index]} x {factors[index]:.4g}" for index in changed)
 
 
-def _find_order(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
+def _find_permutation(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
     """Return ("order", moved elements); None unless a permutation explains the difference.
 
     At most six moved elements are named. ``seen`` and ``expected``, shape (n, size) each, are the

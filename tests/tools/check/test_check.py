@@ -32,7 +32,7 @@ from pupper_analysis.tools.check.remarks import (
     Remark,
     mark_known_remarks,
     read_baseline,
-    to_plain,
+    to_rounded_plain,
     values_agree,
     write_baseline,
 )
@@ -594,10 +594,10 @@ def test_baseline_is_read_as_it_was_written(
 
 
 def test_baseline_values_have_no_digits_of_rounding() -> None:
-    assert to_plain(np.float64(0.1 + 0.2)) == 0.3
-    assert to_plain(np.array([1.0, 1e-17, -0.0])) == [1.0, 0.0, 0.0]
-    assert to_plain((np.int64(3), "x", None, -0.0)) == [3, "x", None, 0.0]
-    assert to_plain({"rest": np.array([1 / 3])}) == {"rest": [0.333333333]}
+    assert to_rounded_plain(np.float64(0.1 + 0.2)) == 0.3
+    assert to_rounded_plain(np.array([1.0, 1e-17, -0.0])) == [1.0, 0.0, 0.0]
+    assert to_rounded_plain((np.int64(3), "x", None, -0.0)) == [3, "x", None, 0.0]
+    assert to_rounded_plain({"rest": np.array([1 / 3])}) == {"rest": [0.333333333]}
 
 
 @pytest.mark.parametrize("other", [[4.4, 1.0], [], {"a": 4.4}, "4.4", True])

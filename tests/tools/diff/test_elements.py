@@ -11,7 +11,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.models import attributes
 from pupper_analysis.models.stated import mjcf as elements
-from pupper_analysis.tools.diff.elements import _find_ground_height
+from pupper_analysis.tools.diff.elements import _choose_ground_height
 from tests.support.one_place_edits import FALLS, FELT, HARMLESS, Edit, copy_mjcf
 from tests.support.random_edits import measure_difference, rollout
 from tests.support.repository import ROOT
@@ -247,7 +247,7 @@ def test_added_ground_is_at_the_lowest_vertex_of_a_robot_that_begins_deep() -> N
         '<body pos="0 0 -0.5"><freejoint/><geom type="mesh" mesh="pyramid"/></body>'
         "</worldbody></mujoco>"
     )
-    assert _find_ground_height(model) == pytest.approx(-0.5, abs=1e-6)
+    assert _choose_ground_height(model) == pytest.approx(-0.5, abs=1e-6)
 
 
 @pytest.mark.slow

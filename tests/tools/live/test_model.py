@@ -23,8 +23,8 @@ from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.command import read_stance
 from pupper_analysis.tools.live.documents import (
     failure_document,
+    live_stance_document,
     refusal_document,
-    stance_document,
 )
 from pupper_analysis.tools.live.model import (
     Answer,
@@ -125,7 +125,7 @@ def test_panel_shows_the_numbers_of_the_stance() -> None:
     settled = predict_sag(found)
     assert isinstance(settled, SteadyState)
     verdict = predict_stance_verdict(found, closely=True)
-    html = render_panel(stance_document(found, settled, verdict), ENGLISH)
+    html = render_panel(live_stance_document(found, settled, verdict), ENGLISH)
     assert ">120.0</td><td>mm<" in html
     assert f">{1e3 * found.stand.com_margin:.1f}</td><td>mm<" in html
     assert f">{1e3 * settled.height_loss:.3f}</td><td>mm<" in html
@@ -232,7 +232,7 @@ def test_refusal_is_part_of_the_answer(state: State, kind: type[Exception]) -> N
     found = model_of().solve_state(state)
     assert isinstance(found.refusal, kind)
     assert found.statics is None
-    assert render_panel(stance_document(found, None, None), ENGLISH)
+    assert render_panel(live_stance_document(found, None, None), ENGLISH)
 
 
 def outcome(found: Answer) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
@@ -311,7 +311,7 @@ def test_markup_in_names_is_escaped() -> None:
     )
     for html in (
         render_panel(
-            stance_document(worse, None, predict_stance_verdict(worse, closely=False)), ENGLISH
+            live_stance_document(worse, None, predict_stance_verdict(worse, closely=False)), ENGLISH
         ),
         render_panel(failure_document(worse.refusal or pa.ModelError("", "")), ENGLISH),
     ):
@@ -334,7 +334,7 @@ def test_overloaded_motors_give_no_passing_verdict() -> None:
     assert judged is not None
     assert (judged.code, judged.passed) == (VerdictCode.OVERLOADED, False)
     assert judged.overloaded_motors == tuple(over)
-    said = render_panel(stance_document(found, None, judged), ENGLISH)
+    said = render_panel(live_stance_document(found, None, judged), ENGLISH)
     assert 'class="good"' not in said
     assert "OVERLOADED" in said
     assert all(name in said for name in over)
@@ -342,13 +342,13 @@ def test_overloaded_motors_give_no_passing_verdict() -> None:
     sound = predict_stance_verdict(usual, closely=True)
     assert sound is not None
     assert sound.code is VerdictCode.IN_BALANCE
-    assert 'class="good"' in render_panel(stance_document(usual, None, sound), ENGLISH)
+    assert 'class="good"' in render_panel(live_stance_document(usual, None, sound), ENGLISH)
     # Servos too soft: a deviation doubles in 2.5 s, which is found without a simulation.
     soft = model_of().solve_state(State(kp=0.3, kd=0.05))
     shaky = predict_stance_verdict(soft, closely=True)
     assert shaky is not None
     assert shaky.code is VerdictCode.UNSTABLE
-    assert 'class="good"' not in render_panel(stance_document(soft, None, shaky), ENGLISH)
+    assert 'class="good"' not in render_panel(live_stance_document(soft, None, shaky), ENGLISH)
 
 
 @pytest.mark.parametrize(

@@ -23,8 +23,8 @@ from pupper_analysis.tools.study.measures import METRICS
 from pupper_analysis.tools.study.outcome import list_stand_assumptions
 from pupper_analysis.tools.study.parameters import (
     scale_robot,
-    with_friction,
     with_gains,
+    with_ground_friction,
     without_visuals,
 )
 from pupper_analysis.tools.study.study import hash_designs
@@ -275,7 +275,7 @@ def test_predictions_use_changed_gains_and_friction() -> None:
     slope = pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(slope=0.1)))  # built anew for it
     asked = pa.steady_state(robot, slope, kp=kp).base_height
     assert pa.steady_state(other, slope).base_height == pytest.approx(asked, rel=1e-12)
-    slippery = with_friction(robot, 0.3)
+    slippery = with_ground_friction(robot, 0.3)
     assert {one.sliding_friction for one in slippery.contacts.values()} == {0.3}
     steep = pa.solve_stand(slippery, pa.StandTask(ground=pa.Ground(slope=0.4)))
     with pytest.raises(pa.StaticsInfeasibleError, match="friction too low"):

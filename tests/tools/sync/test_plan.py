@@ -23,9 +23,9 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError, OutputError
 from pupper_analysis.models.git import refuse_uncommitted
-from pupper_analysis.models.xml_bytes import read_document
+from pupper_analysis.models.xml_bytes import read_xml_bytes
 from pupper_analysis.tools.sync import models
-from pupper_analysis.tools.sync.digits import format_number, format_numbers
+from pupper_analysis.tools.sync.digits import format_numbers, format_shortest
 from pupper_analysis.tools.sync.frames import is_same_body
 from pupper_analysis.tools.sync.plan import UnwrittenCause
 from tests.support.hidden_files import leave_hidden_file
@@ -382,12 +382,12 @@ def test_files_that_agree_are_not_changed(tmp_path: Path) -> None:
 
 def test_written_numbers_have_the_fewest_digits_of_their_value() -> None:
     """Rounding errors of 1e-16 are no digits; unchanged numbers keep their text."""
-    assert format_number(0.12345678901230004, 1.0) == "0.1234567890123"
-    assert format_number(-0.0025, 1.0) == "-0.0025"
-    assert format_number(0.30000000000000004, 1.0) == "0.3"
-    assert float(format_number(1 / 3, 1.0)) == pytest.approx(1 / 3, abs=1e-15)
-    assert format_number(1e-17, 1.0) == "0"
-    assert format_number(3.0, 1.0) == "3"
+    assert format_shortest(0.12345678901230004, 1.0) == "0.1234567890123"
+    assert format_shortest(-0.0025, 1.0) == "-0.0025"
+    assert format_shortest(0.30000000000000004, 1.0) == "0.3"
+    assert float(format_shortest(1 / 3, 1.0)) == pytest.approx(1 / 3, abs=1e-15)
+    assert format_shortest(1e-17, 1.0) == "0"
+    assert format_shortest(3.0, 1.0) == "3"
     assert format_numbers(["1.50", "0"], [1.5, 2.0]) == "1.50 2"
     assert format_numbers(["1.50", "2"], [1.5, 2.0]) is None
 
@@ -684,7 +684,7 @@ def test_changed_tags_keep_the_other_bytes_of_the_file(tmp_path: Path) -> None:
     file = tmp_path / "a.xml"
     data = b"<a>\n\t<b x='1>2' y=\"3\"\n\t   z = '4'/>\n\t<c/><d></d><e>text</e>\n</a>\n"
     file.write_bytes(data)
-    document = read_document(file)
+    document = read_xml_bytes(file)
     assert document.render() == data
     b, c, d, e = document.root.children
     b.set("z", "5")

@@ -42,7 +42,7 @@ def test_units_of_the_motor_table_are_those_of_hinges_and_slides(
     table = document._make_motor_table(walk)
     expected = ["", *[torque] * 4, "%", speed]
     assert [column.unit for column in table.columns] == expected
-    assert document.torque_plot(walk).y.unit == torque
+    assert document.walk_torque_plot(walk).y.unit == torque
 
 
 def make_orders(tracked: tuple[int, int]) -> Orders:

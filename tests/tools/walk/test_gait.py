@@ -22,9 +22,9 @@ from pupper_analysis.tools.walk.contract import ObservationTerm
 from pupper_analysis.tools.walk.document import walk_document
 from pupper_analysis.tools.walk.falls import find_fall_tests
 from pupper_analysis.tools.walk.gait import (
-    describe_fall,
-    find_ground_contacts,
+    describe_run_failure,
     measure_gait,
+    sample_ground_support,
     simulate_walk,
 )
 from pupper_analysis.tools.walk.policy import Policy
@@ -165,7 +165,7 @@ def test_fall_states_height_and_tilt_of_the_last_state(still: Policy) -> None:
     data.time, data.qpos[2] = 2.0, 0.123
     data.qpos[3:7] = math.cos(0.5), math.sin(0.5), 0.0, 0.0
     run = cast("PolicyRun", SimpleNamespace(states=full_state(stage.model, data)[None]))
-    fall = describe_fall(stage, run, 2.0)
+    fall = describe_run_failure(stage, run, 2.0)
     assert fall.code == "fell-over"
     found = {name: cast("Quantity", fall.values[name]).value for name in ("height", "tilt", "time")}
     assert found == pytest.approx({"height": 0.123, "tilt": 1.0, "time": 2.0})
@@ -217,7 +217,7 @@ def test_stance_torques_equal_the_energy_gradient(tmp_path: Path) -> None:
     stage = prepare_stage(robot, Policy.load(made.trot(tmp_path / "trot.json")))
     [run] = simulate_cases(stage, [stage.make_case(np.array(made.TROT[0]))], 3.0, 1.0, 1)
     states = run.states[round(1.0 / stage.timestep) :: stage.substeps]
-    seen, _ = find_ground_contacts(stage, run.case.model, states, statics=True)
+    seen, _ = sample_ground_support(stage, run.case.model, states, statics=True)
     whole = np.sqrt(np.mean([one.static**2 for one in seen], axis=0))
     assert measure_gait(stage, run, 1.0).static == pytest.approx(whole, abs=1e-12)
     weight, pairs, data = robot.total_mass * 9.81, 0, mujoco.MjData(stage.model)

@@ -623,7 +623,7 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
         if not all(_list_colliding_links(robot, link) for link in (first, second)):
             continue  # reported by mirror_shapes
         first_contacts, second_contacts = (
-            _list_contacts(robot, model, link, ground) for link in (first, second)
+            _list_contact_parameters(robot, model, link, ground) for link in (first, second)
         )
         if bool(first_contacts) != bool(second_contacts):
             bare, touching = (first, second) if second_contacts else (second, first)
@@ -667,7 +667,7 @@ _CONTACT_PARAMETERS = ("condim", "friction", "solref", "solimp", "margin")
 """Attributes of a geom that `mirror_contacts` compares between left and right."""
 
 
-def _list_contacts(
+def _list_contact_parameters(
     robot: MjcfModel, model: mujoco.MjModel, link: Link, ground: int | None
 ) -> list[ContactParameters]:
     """Return the contact parameters of a link's geoms that can touch the ground.

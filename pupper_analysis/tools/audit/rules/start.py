@@ -434,7 +434,7 @@ def start_in_floor(robot: MjcfModel) -> Iterator[CheckFinding]:
     """
     for start in _list_start_poses(robot):
         depths: dict[str, float] = {}
-        for bodies, geoms, depth in _list_contacts(robot, start):
+        for bodies, geoms, depth in _list_penetrations(robot, start):
             assert robot.mj_model is not None
             planes = robot.mj_model.geom_type[list(geoms)] == mujoco.mjtGeom.mjGEOM_PLANE.value
             if planes.any() and 0 in bodies and depth > MAX_FLOOR_DEPTH:
@@ -461,7 +461,7 @@ def _round_quantity(value: float, unit: str) -> Quantity:
     return Quantity(float(f"{value:.3g}"), unit)
 
 
-def _list_contacts(
+def _list_penetrations(
     robot: MjcfModel, start: StartPose
 ) -> Iterator[tuple[tuple[int, int], tuple[int, int], float]]:
     """Yield (ids of both bodies, ids of both geoms, penetration [m]) of MuJoCo's contacts.

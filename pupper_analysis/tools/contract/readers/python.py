@@ -143,7 +143,9 @@ def _read_constants(
     if table:
         place = next(iter(table.values())).place
         request = replace(request, name="")  # names have already been selected
-        yield from tables.read_document(request, LocatedValue(table, replace(place, line=None)))
+        yield from tables.read_nested_tables(
+            request, LocatedValue(table, replace(place, line=None))
+        )
 
 
 def _make_constant_table(evaluator: py.Evaluator, node: LocatedValue) -> LocatedValue:

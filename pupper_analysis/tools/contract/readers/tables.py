@@ -145,10 +145,10 @@ def read(request: Request) -> Iterator[JointSource]:
             ]
             yield from read_table(request, request.path.name, document, Role.POLICY, sizes)
         else:
-            yield from read_document(request, document)
+            yield from read_nested_tables(request, document)
 
 
-def read_document(
+def read_nested_tables(
     request: Request, document: LocatedValue, role: Role = Role.DEPLOYMENT
 ) -> Iterator[JointSource]:
     """Yield the sources of a document with nested tables.

@@ -588,7 +588,8 @@ def _fit_without_contradictions(
 
 
 _CONTRADICTION_CODES = ("foot-in-the-air-touches", "foot-would-pull")
-"""Codes of the errors of ``_check_feet``, each of which contradicts the row of a single stand."""
+"""Codes of the errors of ``_check_foot_loads``, each of which contradicts the row of a single
+stand."""
 
 _MAX_EXCLUDED_FRACTION = 0.25
 """Largest fraction of stands that is left out of a fit because of a contradiction
@@ -733,7 +734,7 @@ class _StandProblem:
             index = table.find_index("deadband", "servos")
             if index is None or abs(posterior.mean[index] - previous[index]) < posterior.std[index]:
                 break
-        _check_feet(robot, stands, equations, posterior)
+        _check_foot_loads(robot, stands, equations, posterior)
         equations.table = ParameterTable(posterior.parameters)
         mean, weight = posterior.mean, self.weight
         expected_noise = replace(self.noise, friction=self.friction_ratio)
@@ -850,7 +851,7 @@ def _estimate_from_stands(
             min_decrease=_MIN_DECREASE,
         )
     except FitError:
-        _check_feet(robot, stands, equations)  # may raise the cause
+        _check_foot_loads(robot, stands, equations)  # may raise the cause
         raise
     return logarithms.transform_posterior(posterior)
 
@@ -1056,7 +1057,7 @@ a larger depth is an error, as list and positions contradict each other. The bou
 foot of v3 in the air may sag to within a millimetre of the ground. Chosen, not tuned."""
 
 
-def _check_feet(
+def _check_foot_loads(
     robot: Robot,
     stands: MeasuredStands,
     equations: StandEquations,
