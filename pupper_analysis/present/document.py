@@ -68,7 +68,7 @@ def word(name: str) -> Text | Name:
 
 
 def join_words(parts: Iterable[Words], comma: str = "comma") -> Text:
-    """Join texts and names into one text in both languages.
+    """Join texts and names into one text in both languages, with a short form if a part has one.
 
     Args:
         parts: Texts and names to join.
@@ -79,7 +79,17 @@ def join_words(parts: Iterable[Words], comma: str = "comma") -> Text:
     return Text(
         between.en.join(str(_select_string(part, "en")) for part in listed),
         lambda: between.zh.join(str(_select_string(part, "zh")) for part in listed),
+        short=between.en.join(
+            str(_select_string(_select_short_form(part), "en")) for part in listed
+        )
+        if any(isinstance(part, Text) and part.short for part in listed)
+        else "",
     )
+
+
+def _select_short_form(value: object) -> object:
+    """Return the short form of a text that has one; any other value unchanged."""
+    return value.short if isinstance(value, Text) and value.short else value
 
 
 def get_english(words: Words) -> str:
@@ -96,11 +106,9 @@ def _fill_phrase(key: str, values: dict[str, object], language: str) -> str:
 
 def _fill_short(template: str, values: Mapping[str, object]) -> str:
     """Return a short English text: a template with values inserted, texts in their short form."""
-    shortened = {
-        name: value.short if isinstance(value, Text) and value.short else value
-        for name, value in values.items()
+    translated = {
+        name: _select_string(_select_short_form(value), "en") for name, value in values.items()
     }
-    translated = {name: _select_string(value, "en") for name, value in shortened.items()}
     return fill_template(template, translated, "en")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import view_block
@@ -19,20 +19,37 @@ ranges of other directions are lengths [m], printed in mm."""
 
 
 def _join_limits(workspace: BaseWorkspace) -> doc.Text:
-    """Return the limits of all directions as one text, with one part per kind of limit.
+    """Return the limits as one text, each with the directions that it limits.
 
-    The joints of all joint limits are listed in a single part.
+    The joints of all joint limits are listed in a single part. The limit of most directions is the
+    first.
     """
-    found = [limit for limits in workspace.limits.values() for limit in limits]
-    joints = dict.fromkeys(
-        name
-        for limit in found
-        if isinstance(names := limit.values.get("joints"), tuple)
-        for name in names
-    )
-    codes = {limit.code: limit for limit in found if "joints" not in limit.values}
-    limits = [diagnose("workspace-ends-at-joint-limits", joints=[*joints])] if joints else []
-    return join_words(map(doc.diagnostic_text, [*limits, *codes.values()]), "semicolon")
+    limits: dict[str, Diagnostic] = {}
+    directions: dict[str, list[str]] = {}
+    joints: dict[str, None] = {}
+    for direction, ends in workspace.limits.items():
+        for limit in ends:
+            limits.setdefault(limit.code, limit)
+            limited = directions.setdefault(limit.code, [])
+            if direction not in limited:
+                limited.append(direction)
+            names = limit.values.get("joints")
+            joints |= dict.fromkeys(names if isinstance(names, tuple) else ())
+    if joints:
+        limits[_JOINT_LIMITS] = diagnose(_JOINT_LIMITS, joints=[*joints])
+    parts = [
+        text(
+            "limit-of-directions",
+            limit=doc.diagnostic_text(limits[code]),
+            directions=join_words(map(text, directions[code])),
+        )
+        for code in sorted(limits, key=lambda code: -len(directions[code]))
+    ]
+    return join_words(parts, "semicolon")
+
+
+_JOINT_LIMITS = "workspace-ends-at-joint-limits"
+"""Code of the limit of a direction at which joints are at their limits."""
 
 
 @build_document.register(BaseWorkspace)

@@ -21,7 +21,7 @@ def test_continuous_payload_equals_the_payload_at_that_effort(
         path = tmp_path / f"{option}.json"
         status, out, err = run_command(capfd, "payload", "v3", option, "0.6", "--json", str(path))
         assert status == 0, err
-        word = out.partition(" v3:")[0].replace(" with gravity compensation", "")
+        word = out.partition(" v3:")[0].replace(" only with gravity compensation", "")
         found[option] = word, json.loads(path.read_text())["mass"]
     assert found["--continuous"][1] == found["--effort"][1] > 0.5
     assert found["--continuous"][0] == "CARRIES (permanently)"

@@ -263,7 +263,7 @@ def test_servos_below_the_least_stiffness_get_one_that_stands(
 ) -> None:
     """Reference: the command with the stated kp stands without gravity compensation."""
     ended, out, _ = run_command(capfd, "stand", "v3", "--kp", "2.3")
-    assert (ended, out.startswith("HOLDS with gravity compensation v3: ")) == (0, True)
+    assert (ended, out.startswith("HOLDS only with gravity compensation v3: ")) == (0, True)
     stated = "kp 2.3 too soft without compensation: stands with "
     assert stated in out.splitlines()[1]
     number = out.partition(stated)[2].partition(";")[0]
