@@ -549,6 +549,25 @@ def test_exchanged_plugs_and_wrong_signs_are_named(
     assert sorted(joints) == sorted(robot.joint_names[joint] for joint in wrong)
 
 
+@pytest.mark.slow
+def test_exchange_that_shows_in_an_excluded_stand_alone_is_named(
+    robot: Robot, stands: MeasuredStands
+) -> None:
+    """The hip joints of the right legs are exchanged. Without the stand that contradicts, encoder
+    zeros explain the others.
+    """
+    order = np.arange(robot.nu)
+    order[[0, 6]] = [6, 0]
+    some = stands.select_rows(range(8))
+    exchanged = replace(some, command=some.command[:, order], position=some.position[:, order])
+    fit = fit_stands(robot, exchanged, priors=["kp=0"])
+    assert [note.code for note in fit.diagnostics if note.code == "stand-left-out"]
+    (failure,) = fit.failures
+    assert failure.code == "joints-exchanged"
+    named = {*failure.values["joints"], *failure.values["others"]}
+    assert named == {robot.joint_names[0], robot.joint_names[6]}
+
+
 def test_plugs_are_not_doubted_if_an_exchange_explains_less(
     robot: Robot, stands: MeasuredStands
 ) -> None:

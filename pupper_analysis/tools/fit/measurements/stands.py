@@ -21,6 +21,9 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.columns import Columns, MeasurementColumn, read_columns
 from pupper_analysis.tools.fit.measurements.log_quality import find_column_step, find_degrees
 
+MIN_STANDS = 3
+"""Smallest number of stands of a fit or a plan. Chosen, not tuned."""
+
 STAND_COLUMNS = (
     MeasurementColumn("stand", ""),
     MeasurementColumn("command.*", "position"),

@@ -30,7 +30,11 @@ from pupper_analysis.tools.fit.estimate import (
     Posterior,
     estimate_parameters,
 )
-from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, estimate_encoder_step
+from pupper_analysis.tools.fit.measurements.stands import (
+    MIN_STANDS,
+    MeasuredStands,
+    estimate_encoder_step,
+)
 from pupper_analysis.tools.fit.parameters import (
     AXES,
     KINDS,
@@ -444,9 +448,6 @@ KNOWN_MASS_FRACTION = 0.15
 """Default of the known mass that is added to the robot in some stands of a plan, as a fraction of
 the robot's mass: 480 g on Pupper v3. Measured: with 200 g alone, kp is determined to 12 to 14 %."""
 
-MIN_STANDS = 3
-"""Smallest number of stands of a fit or a plan. Chosen, not tuned."""
-
 _DEFAULT_ENCODER_STD = 2e-4
 """Standard deviation [rad] of a joint position if the readings show no encoder step: that of a
 noisy 14-bit encoder (step 3.8e-4 rad). Chosen, not tuned."""
@@ -526,7 +527,7 @@ def fit_stands(
         ).compute_log_evidence()
 
     try:
-        result = _fit_without_contradictions(fit, ordered)
+        result, doubted = _fit_without_contradictions(fit, ordered)
     except (MeasurementError, FitError) as error:
         if isinstance(error, FitError) and weight is not None:  # the load may be the cause
             unweighed = fit_stands(robot, stands, priors=priors, kp=kp, encoder=encoder)
@@ -537,9 +538,12 @@ def fit_stands(
         if wiring := find_wiring(robot, ordered, evidence, fit):
             raise MeasurementError(ordered.source, wiring.found) from error
         raise
-    # Exchanged plugs leave residuals that no parameter explains; a wrong scale and a slope do not.
-    searches_wiring = any(failure.code not in _UNRELATED_TO_WIRING for failure in result.failures)
-    wiring = find_wiring(robot, ordered, evidence, fit) if searches_wiring else None
+    # Exchanged plugs cause residuals or excluded stands; a wrong scale and a slope do not.
+    wiring = None
+    if any(failure.code not in _UNRELATED_TO_WIRING for failure in result.failures):
+        wiring = find_wiring(robot, ordered, evidence, fit)
+    elif doubted:
+        wiring = find_wiring(robot, ordered, evidence, fit, doubted)
     # The wiring explains the other failures.
     return replace(result, failures=(wiring.found,)) if wiring else result
 
@@ -550,16 +554,19 @@ _UNRELATED_TO_WIRING = (
     "ground-slopes",
 )
 """Codes of failures that a wrong assignment or sign of joints (exchanged plugs) does not cause. If
-there are no other failures, the fit does not search for such a mistake."""
+there are no other failures and no excluded stands, the fit does not search for such a mistake."""
 
 
 def _fit_without_contradictions(
     fit: Callable[[MeasuredStands], StandFit], stands: MeasuredStands
-) -> StandFit:
+) -> tuple[StandFit, list[int]]:
     """Fit measured stands; leave out, one by one, stands with contradictory foot contacts.
 
     In such a stand a foot that is listed as in the air would touch the ground, or the ground would
     pull a foot.
+
+    Returns:
+        Fit of the other stands, and the rows of the stands that were left out.
 
     Raises:
         MeasurementError: If more than a quarter would be left out (the first contradiction is
@@ -584,7 +591,8 @@ def _fit_without_contradictions(
                 [row for row, stand_name in enumerate(remaining.names) if stand_name != name]
             )
         else:
-            return replace(result, diagnostics=(*notes, *result.diagnostics))
+            left_out = [row for row, name in enumerate(stands.names) if name not in remaining.names]
+            return replace(result, diagnostics=(*notes, *result.diagnostics)), left_out
 
 
 _CONTRADICTION_CODES = ("foot-in-the-air-touches", "foot-would-pull")

@@ -36,14 +36,13 @@ from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import compute_utilisation, peak_utilisation
 from pupper_analysis.tools.fit.estimate import Posterior
-from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, format_stands
+from pupper_analysis.tools.fit.measurements.stands import MIN_STANDS, MeasuredStands, format_stands
 from pupper_analysis.tools.fit.parameters import ParameterTable, Prior, apply_priors, parse_priors
 from pupper_analysis.tools.fit.result import Estimate, classify_determination, describe_parameter
 from pupper_analysis.tools.fit.stands.equations import StandEquations
 from pupper_analysis.tools.fit.stands.fit import (
     KNOWN_MASS_FRACTION,
     LIMIT_MARGIN_STDS,
-    MIN_STANDS,
     estimate_com,
     get_stated_stiffness,
     list_inertials,

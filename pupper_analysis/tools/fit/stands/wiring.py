@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +18,12 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.robot.joints import leg_joints
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
+from pupper_analysis.tools.fit.measurements.stands import MIN_STANDS, MeasuredStands
 from pupper_analysis.tools.fit.result import Fit
+
+_MAX_WEIGHED_WIRINGS = 12
+"""Maximum number of wirings that are ranked by the evidence of all stands, if only some stands are
+doubted. A robot with 12 joints has 84 wirings with one error. Chosen, not tuned."""
 
 _MAX_FITTED_WIRINGS = 3
 """Maximum number of wirings (assignments of measured columns to joints, with signs) that are
@@ -93,6 +97,7 @@ def find_wiring(
     stands: MeasuredStands,
     evidence: Callable[[MeasuredStands], float],
     fit: Callable[[MeasuredStands], Fit],
+    doubted: Sequence[int] = (),
 ) -> Wiring | None:
     """Find the wiring (assignment and signs of the joints) with which the model explains stands.
 
@@ -105,6 +110,9 @@ def find_wiring(
         stands: Stands, joints in actuator order.
         evidence: Function that returns the log evidence of stands.
         fit: Function that fits stands.
+        doubted: Rows of stands that contradict the present wiring, if the others are explained.
+            Only the `_MAX_WEIGHED_WIRINGS` wirings that these stands make most probable are then
+            ranked by all stands, which is faster.
 
     Returns:
         First fitted wiring whose fit has no failures; None without such a wiring.
@@ -117,12 +125,20 @@ def find_wiring(
         except (PupperAnalysisError, np.linalg.LinAlgError):  # unreachable or not balanced
             return -math.inf
 
-    current_evidence = evaluate(stands)
-    ranked = [(evaluate(wiring.apply(stands)), wiring) for wiring in generate_wirings(robot)]
-    ranked = sorted(
-        (item for item in ranked if item[0] > current_evidence), key=lambda item: -item[0]
-    )
-    for _, wiring in ranked[:_MAX_FITTED_WIRINGS]:
+    def rank(wirings: Iterable[Wiring], weighed: MeasuredStands) -> list[Wiring]:
+        """Return the wirings that are more probable than the present one, the best first."""
+        present = evaluate(weighed)
+        ranked = [(evaluate(wiring.apply(weighed)), wiring) for wiring in wirings]
+        better = [item for item in ranked if item[0] > present]
+        return [wiring for _, wiring in sorted(better, key=lambda item: -item[0])]
+
+    wirings: Iterable[Wiring] = generate_wirings(robot)
+    if doubted:
+        others = [row for row in range(len(stands)) if row not in doubted]
+        num_others = max(0, MIN_STANDS - len(doubted))
+        few = stands.select_rows([*doubted, *others[:num_others]])
+        wirings = rank(wirings, few)[:_MAX_WEIGHED_WIRINGS]
+    for wiring in rank(wirings, stands)[:_MAX_FITTED_WIRINGS]:
         try:
             if fit(wiring.apply(stands)).explained:
                 return wiring
