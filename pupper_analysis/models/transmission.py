@@ -164,7 +164,8 @@ def fixed_tendon_levers(model: mujoco.MjModel) -> dict[int, dict[int, float]]:
     the actuator times the lever, which is the gear times the coefficient of the joint.
 
     Returns:
-        {actuator id: {joint id: lever}}, without levers that are zero.
+        {actuator id: {joint id: lever}} of all actuators at tendons, without levers that are zero;
+        an empty dictionary for a spatial tendon.
     """
     levers = {}
     at_tendons = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON.value)

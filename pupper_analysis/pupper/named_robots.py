@@ -38,7 +38,7 @@ _NAME = re.compile(r"\w[\w-]*")
 
 
 def is_variant(word: object) -> bool:
-    """Return True for a variant, or for its name if the current folder has no such file."""
+    """Return True for a variant, or its name if the current folder has no entry of that name."""
     if isinstance(word, VariantSpec):
         return True
     return isinstance(word, str | Path) and str(word) in VARIANTS and not Path(word).exists()
@@ -57,8 +57,8 @@ def find_model(
         Path, if the variant is a base model; otherwise the derived model in memory.
 
     Raises:
-        VariantError: If a word without suffix is probably a misspelled variant name, or the scales
-            give no valid model.
+        VariantError: If a word without suffix names no variant, existing path or published robot,
+            or the scales give no valid model.
         ModelError: If a base file is missing or damaged.
         OutputError: If the run will also write a base file of a scaled variant.
     """
@@ -96,8 +96,8 @@ def find_model_pair(
 
     Raises:
         ConfigurationError: If there is no ``mjcf`` and ``urdf`` is no variant.
-        VariantError: If a word without suffix is probably a misspelled variant name, or the scales
-            give no valid model.
+        VariantError: If a word without suffix names no variant, existing path or published robot,
+            or the scales give no valid model.
         ModelError: If a base file is missing or damaged.
         OutputError: If the run will also write a base file of a scaled variant.
     """

@@ -138,7 +138,8 @@ def weld_forces(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> dic
 
     Args:
         robot: Robot with the contacts of the task.
-        model: Model with the ground and the welds of the task (`build_on_ground`).
+        model: Model with the ground and the active welds of the task (`build_on_ground`,
+            `close_welds`).
         data: Data after ``mj_forward`` or a step.
 
     Returns:

@@ -473,7 +473,8 @@ def record_contacts(
     Torques [N m], forces [N] and foot positions [m] are means over the last second before the
     nudge. Contacts are not computed again for a state that is equal to the state evaluated before,
     within `_EQUAL_POSITION_ATOL` and `_EQUAL_SPEED_ATOL`, if each stance foot carries more than
-    ``MIN_PUSH_RATIO`` of the weight. States of the last second before the nudge are all evaluated.
+    ``MIN_PUSH_RATIO`` of the weight. All samples of the last second before the nudge are evaluated;
+    a sample is a state per `_SAMPLE_TIME`.
 
     Args:
         robot: The robot.

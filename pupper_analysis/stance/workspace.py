@@ -153,9 +153,10 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
 
 
 _LIMIT_DISTANCE = 0.01
-"""Distance of a joint from its limit [rad, m] at the end of an interval, below which the joint
-limit is the reported limit. Chosen: the ends are accurate to 0.4 mrad or 0.1 mm, and joints move
-several times as fast as the base."""
+"""Distance of a joint from its limit [rad, m], less the joint margin, at the end of an interval,
+below which the joint limit is the reported limit; and motion since the start [rad, m] above which a
+joint is reported. Chosen: the ends are accurate to 0.4 mrad or 0.1 mm, and joints move several
+times as fast as the base."""
 
 _EDGE_DISTANCE = 1e-3
 """Distance of a margin or clearance from the required value [m] at the end of an interval, below

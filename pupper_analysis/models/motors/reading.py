@@ -29,7 +29,8 @@ BAM_MODELS = {
     "m5": ("load_friction_motor",),
     "m6": ("load_friction_motor",),
 }
-"""{servo model: parameters of the load-dependent friction of a motor that drives}."""
+"""{servo model: parameter of the friction of a driving motor that is proportional to its load; ()
+without such a parameter}. Stribeck and quadratic terms of m4 to m6 are not read."""
 
 
 def list_motors() -> tuple[str, ...]:

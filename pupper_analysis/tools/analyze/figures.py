@@ -375,7 +375,8 @@ def render_variants(
     Args:
         robots_and_stands: (robot, stand) pairs.
         path: PNG file.
-        width: Width of the picture [pixels].
+        width: Width of the picture [pixels], rounded down to a multiple of the number of columns
+            (at most three).
 
     Returns:
         Picture that was written. Without OpenGL it is a line drawing, and the note states the

@@ -92,8 +92,9 @@ def _collect_numbers(
     """Return {(kind, link or joint): fitted value} to write to the files, and notes.
 
     The fitted values ``vector``, shape (n,), are those of the parameters of ``posterior``. Values
-    within `_UNCHANGED_STDS` standard deviations of the stated value are left out. A note names each
-    value that no file can state.
+    within `_UNCHANGED_STDS` standard deviations of the stated value are left out, and so are kinds
+    that no robot file contains, such as encoder offsets. A note names each servo gain or armature
+    that the files of this robot cannot state.
     """
     numbers: dict[PropertyKey, float | Array] = {}
     notes: list[Diagnostic] = []

@@ -200,7 +200,8 @@ def heat_plots(study: HeatStudy) -> list[doc.LinePlot]:
     """Return the plot of the temperatures over time.
 
     Raises:
-        ConfigurationError: If no temperature is known.
+        ConfigurationError: If no temperature of a loaded motor is known, or none rises to its limit
+            or final value in a positive time.
     """
     plots = list(_list_plots(study))
     if not plots:

@@ -38,8 +38,10 @@ _T = TypeVar("_T", float, NDArray[np.float64])
 """Type of a value that is interpolated: a number or an array."""
 
 _PATH_CONSTRAINTS = ("base-height", "base-place", "com-place", "support-margin", "footholds")
-"""Names of the stance constraints whose targets `interpolate_task` computes from the solved stances
-of a segment. Targets of other constraints are interpolated linearly between the two stand tasks."""
+"""Names of the stance constraints whose fields `interpolate_task` does not interpolate linearly
+between the two stand tasks: they follow from the solved stances of a segment, or, for the support
+margin, are checked instead of set. Fields with a value per joint, such as ``posture``, also follow
+from the solved stances."""
 
 UNLOADED_HEIGHT = 1e-12
 """Height [m] that a stand task states for a foot that touches the ground without load: a positive

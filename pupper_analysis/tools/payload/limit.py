@@ -98,12 +98,13 @@ def simulate_payload(
     Raises:
         ConfigurationError: If an argument is out of range, or the robot cannot stand.
         ModelError: If a joint has no motor, a joint has no position servo and kp and kd are not
-            both given, or the loaded model or the ground cannot be built.
-        UnknownNameError: If the task names a foot or joint, or ``point`` a frame, that the robot
-            does not have.
+            both given, the mass or inertia of a body is invalid, or the loaded model or the ground
+            cannot be built.
+        UnknownNameError: If the task names a foot, joint or contact, or ``point`` a frame, that the
+            robot does not have.
         StanceUnreachableError: If the loaded stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the loaded stance.
-        NotSettlingError: If the penetration depths of the loaded feet do not converge.
+        NotSettlingError: If the penetration depths of a robot without loops do not converge.
     """
     loaded, stand = solve_loaded_stand(robot, stance, mass, point)
     trial = simulate_nudges(

@@ -442,7 +442,7 @@ def apply_stance_values(task: StandTask, numbers: Mapping[str, float]) -> StandT
         numbers: {variable: value [m, rad]}; variables that are not stance variables are ignored.
 
     Raises:
-        ConfigurationError: If a value is out of range.
+        ConfigurationError: If a value is out of range, or contradicts another value of the task.
     """
     changes: dict[str, Any] = {}
     values = task.values()

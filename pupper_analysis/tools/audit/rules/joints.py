@@ -282,10 +282,11 @@ hinges, and smallest upper limit [rad], half a turn. Chosen; people write 3.1 an
 
 @rule
 def effort_or_velocity_zero(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find effort and velocity limits of zero on moving joints that mimic no joint.
+    """Find effort and velocity limits of zero on moving joints.
 
-    In an MJCF these are force ranges, or control ranges of torque motors, from 0 to 0, which MuJoCo
-    ignores. Nothing is found in an MJCF that MuJoCo refuses.
+    Joints of a URDF that mimic a joint are skipped. In an MJCF the limits are force ranges, or
+    control ranges of torque motors, from 0 to 0, which MuJoCo ignores. Nothing is found in an MJCF
+    that MuJoCo refuses, or in a USD.
     """
     if isinstance(robot, MjcfModel):
         for name, empty in null_efforts(robot.file).items() if robot.refusal is None else ():

@@ -470,7 +470,9 @@ def one_density(robot: RobotModel) -> Iterator[CheckFinding]:
         volume = _compute_link_volume(body)
         if not volume or robot.is_negligible(body):
             continue
-        if any(np.allclose((inertial.mass, volume), pair, rtol=COPY_RTOL) for pair in masses):
+        if any(
+            np.allclose((inertial.mass, volume), pair, rtol=COPY_RTOL, atol=0) for pair in masses
+        ):
             continue
         masses.append((inertial.mass, volume))
         densities[body.name] = inertial.mass / volume

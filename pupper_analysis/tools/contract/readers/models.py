@@ -116,6 +116,7 @@ def read_model_file(path: Path) -> RobotModel:
 
     Raises:
         ModelError: If the file cannot be read.
+        OutputError: If the run will write the file, or a file that a xacro file includes.
         MissingPackageError: If the reader of the format needs a package that is not installed.
     """
     reader = reader_of(path)

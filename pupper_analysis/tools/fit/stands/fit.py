@@ -189,6 +189,8 @@ def check_scale(
     Positions determine the ratio of kp to mass; the weight determines both. An error of the weight
     shifts all parameters a little, and no parameter by itself is far from the stated value.
     Therefore the mean of log kp, the logarithm of the total mass and the load are tested jointly.
+    The load is left out if a known mass was added in some stands: `check_surroundings` then tests
+    it.
 
     Args:
         robot: Robot.
@@ -382,13 +384,14 @@ def check_residuals(
 
 
 def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Iterator[Diagnostic]:
-    """Yield failures if estimates of ground, leg lengths or load contradict their priors.
+    """Yield failures if estimates of ground, leg lengths or load are improbable.
 
     Tested are the slope of the ground [rad], the softness of the ground (the factor on the
     penetration that the MJCF gives), the lengths of the legs, and the load on the feet in excess of
-    the masses. All parameters of a kind are tested jointly, by a chi2 test of the changes. The load
-    is tested only if a known mass was added in some stands, since only such a mass can contradict
-    the weight on the scale.
+    the masses. All parameters of a kind are tested jointly, by a chi2 test of the changes. The test
+    uses the priors; lengths with the default prior are tested with the smaller `_LENGTH_STD`. The
+    load is tested only if a known mass was added in some stands, since only such a mass can
+    contradict the weight on the scale.
 
     Args:
         posterior: Distribution of the parameters.
