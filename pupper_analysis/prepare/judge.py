@@ -41,10 +41,12 @@ from pupper_analysis.robot.build import report_placeholder_efforts
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used
+from pupper_analysis.simulation.settling import LARGE_NUDGE_SPEED
 from pupper_analysis.simulation.trial import (
     BASE_NUDGE_SPEED,
     NudgeTrial,
     is_near_limit,
+    simulate_large_nudges,
     simulate_nudges,
 )
 from pupper_analysis.simulation.verdict import (
@@ -82,8 +84,9 @@ def judge_simulation(
         alone: Simulation with position commands alone; None if there is none.
         statics: Static motor torques; None if torque limits are not part of the question.
         question: Question that the verdict answers.
-        trial: Result of nudges in all directions. If None, and ``fed`` passes, a stand that is near
-            a limit in ``statics``, or that fails without feed-forward, is nudged here.
+        trial: Result of nudges in all directions. If None, and ``fed`` passes, the stand is nudged
+            here, in all directions if it is near a limit in ``statics`` or fails without
+            feed-forward.
         kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
         kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 
@@ -284,25 +287,28 @@ def _fail_if_upset(
 ) -> Outcome:
     """Return the result of a simulation, marked as failed if the stand fails after a nudge.
 
-    ``fed`` is the result of the simulation with feed-forward. A nudge is a small velocity of the
-    base. If ``trial``, the result of the nudges, is None, the nudges are simulated here, but only
-    if the stand is near a limit or ``fragile``: it fails without feed-forward, and its contacts may
-    chatter after a nudge. A base that is fixed, or a stand without CoM margin, is not nudged.
+    ``fed`` is the result of the simulation with feed-forward. A nudge is a velocity of the base. If
+    ``trial``, the result of the nudges of ``simulate_nudges``, is None, these nudges are simulated
+    here if the stand is near a limit, or ``fragile``: it fails without feed-forward. Other stands
+    get the nudges of ``simulate_large_nudges``, after which only shaking is a failure. A base that
+    is fixed, or a stand without CoM margin, is not nudged.
     """
+    speed = BASE_NUDGE_SPEED
     if trial is None:
         if statics.com_margin is None or robot.is_base_fixed:  # a base that no nudge moves
             return fed
         held = solve_stand_as_simulated(robot, stand)
-        if not (fragile or is_near_limit(robot, held, statics)):
-            return fed
-        trial = simulate_nudges(robot, held, kp=kp, kd=kd)
+        if fragile or is_near_limit(robot, held, statics):
+            trial = simulate_nudges(robot, held, kp=kp, kd=kd)
+        else:
+            trial, speed = simulate_large_nudges(robot, held, kp=kp, kd=kd), LARGE_NUDGE_SPEED
     if trial.failure is None:
         return fed
-    speed, moment = Quantity(BASE_NUDGE_SPEED, "m/s"), Quantity(trial.time or 0.0, "s")
+    moment = Quantity(trial.time or 0.0, "s")
     if trial.shaking_speed is not None:
         upset = diagnose(
             "shakes-after-nudge",
-            speed=speed,
+            speed=Quantity(speed, "m/s"),
             part=trial.failing_parts[0],
             left=Quantity(trial.shaking_speed, trial.shaking_unit),
             time=moment,
@@ -313,7 +319,7 @@ def _fail_if_upset(
     else:
         upset = diagnose(
             "upset-by-nudge",
-            speed=speed,
+            speed=Quantity(speed, "m/s"),
             fell=trial.failed_nudges,
             nudges=trial.nudges,
             failure=Term(trial.failure.value),

@@ -86,11 +86,11 @@ of the nudge can refute the mode, which would have grown by a factor of 1000. Ch
 _SAMPLE_TIME = 0.02
 """Time between the states at which foot positions are evaluated [s]. Chosen, not tuned."""
 
-_BASE_NUDGE_SPEED = 0.05
+LARGE_NUDGE_SPEED = 0.05
 """Initial speed of the base [m/s] along both senses of each axis of the world in
-``calms_after_base_nudges``. Chosen, not tuned. Measured: with servos of our choice at 2 ms, the
-soles of the reduced Talos chatter after this nudge without end, at 0.1 to 0.7 rad/s, and are at
-rest after the nudge of ``nudge_state``."""
+``calms_after_base_nudges``, and in ``trial.simulate_large_nudges``. Chosen, not tuned. Measured:
+with servos of our choice at 2 ms, the soles of the reduced Talos chatter after this nudge without
+end, at 0.1 to 0.7 rad/s, and are at rest after the nudge of ``nudge_state``."""
 
 _MAX_BASE_NUDGE_TIME = 6.0
 """Longest simulated time after a nudge of the base [s]. Chosen as twice ``SHAKING_SECONDS``."""
@@ -175,7 +175,7 @@ def calms_after_base_nudges(
 ) -> bool:
     """Return True if the motion after a nudge of the base decays, for six directions.
 
-    The base starts in the stand, with feed-forward, at ``_BASE_NUDGE_SPEED`` along +x, -x, +y, -y,
+    The base starts in the stand, with feed-forward, at ``LARGE_NUDGE_SPEED`` along +x, -x, +y, -y,
     +z or -z of the world. Each simulation ends once the robot no longer shakes (speeds below
     ``MIN_SHAKING_SPEED``), and after ``_MAX_BASE_NUDGE_TIME`` at the latest. The result is False
     as soon as a simulation diverges, or the robot leaves the stand or shakes without decay for
@@ -204,7 +204,7 @@ def calms_after_base_nudges(
     model = held.drive.model
     base_velocity = 1 + model.nq + held.robot.mj_convention.qvel_index[:3]
     for axis in range(3):
-        for speed in (_BASE_NUDGE_SPEED, -_BASE_NUDGE_SPEED):
+        for speed in (LARGE_NUDGE_SPEED, -LARGE_NUDGE_SPEED):
             start = held.start.copy()
             start[base_velocity[axis]] += speed
             if not _calms_down(held, reference, start):

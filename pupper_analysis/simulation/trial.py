@@ -34,9 +34,11 @@ from pupper_analysis.simulation.rollout import (
     check_duration,
     make_stand_start,
     roll_out,
+    simulate_in_intervals,
     with_stand_contacts,
 )
-from pupper_analysis.simulation.shaking import SHAKING_SECONDS, ShakingRecord
+from pupper_analysis.simulation.settling import LARGE_NUDGE_SPEED
+from pupper_analysis.simulation.shaking import RECORD_INTERVAL, SHAKING_SECONDS, ShakingRecord
 from pupper_analysis.simulation.stability import evaluate_spectrum
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -254,6 +256,77 @@ def simulate_nudges(
         simulated=simulated * timestep,
         shaking_speed=first_run.shaking.speed if shakes else None,
         shaking_unit=f"{find_dof_unit(model, first_run.shaking.fastest_dof)}/s",
+    )
+
+
+def simulate_large_nudges(
+    robot: Robot,
+    stand: Stand,
+    *,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+) -> NudgeTrial:
+    """Simulate a stand after nudges of the base that may lift a sole, and look for shaking.
+
+    The base starts at ``LARGE_NUDGE_SPEED``, which is five times ``BASE_NUDGE_SPEED``, along +x,
+    -x, +y or -y of the world, or rotates about its z axis. A simulation ends once the robot no
+    longer shakes (``ShakingRecord.is_calm``), and after ``HOLD_DURATION`` at the latest. The only
+    failure is shaking without decay, as in ``simulate_nudges``; it ends the trial. A robot that
+    leaves the stand has no failure here: ``simulate_nudges`` decides whether it is fragile.
+
+    Args:
+        robot: The robot, with a free base.
+        stand: The stand, solved for the simulated ground.
+        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
+
+    Returns:
+        Whether the stand shakes; ``nudges`` is the number of simulated nudges.
+
+    Raises:
+        ConfigurationError: If an argument is out of range, the base is fixed and the stand has
+            stance feet, or the stand belongs to another robot.
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground cannot be added (``build_on_ground``).
+        StaticsInfeasibleError: If no contact forces balance the stand.
+    """
+    robot = with_stand_contacts(robot, stand)
+    held = make_stand_start(robot, stand, kp=kp, kd=kd)
+    robot, model = held.robot, held.drive.model
+    timestep = float(model.opt.timestep)
+    velocities = np.zeros((5, robot.nv))
+    velocities[:4, :2] = LARGE_NUDGE_SPEED * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
+    velocities[4, 5] = LARGE_NUDGE_SPEED / com_height_above_contacts(robot, stand)
+    columns = 1 + model.nq + robot.mj_convention.qvel_index
+    interval = max(2, round(RECORD_INTERVAL / timestep))
+    steps = round(HOLD_DURATION / RECORD_INTERVAL) * interval
+    simulated, nudges, event, record = 0, 0, None, ShakingRecord(model)
+    for velocity in velocities:
+        nudges += 1
+        start = held.start.copy()
+        start[columns] = velocity
+        record = ShakingRecord(model)
+        for states in simulate_in_intervals(model, start, held.ctrl, steps, interval):
+            simulated += len(states)
+            record.add(states)
+            if monitor.has_diverged(states, timestep) or record.is_calm:
+                break
+        else:
+            event = _find_shaking(model, record, HOLD_DURATION)
+        if event is not None:
+            break
+    time, failure, failing_parts = event or (None, None, ())
+    return NudgeTrial(
+        survived=event is None,
+        failure=failure,
+        failing_parts=failing_parts,
+        time=time,
+        failed_nudges=int(event is not None),
+        nudges=nudges,
+        duration=HOLD_DURATION,
+        simulated=simulated * timestep,
+        shaking_speed=None if event is None else record.speed,
+        shaking_unit=f"{find_dof_unit(model, record.fastest_dof)}/s",
     )
 
 
@@ -524,7 +597,10 @@ class _NudgedEvaluation:
             self._highest = np.maximum(self._highest, np.max(displacements, axis=0))
         if self.failure is None and not remaining:
             self.failure = self.saturated if self._is_saturated else self._lifted
-            self.failure = self.failure or self._find_shaking()
+            elapsed = float(self.state[0] - conditions.held.start[0])
+            self.failure = self.failure or _find_shaking(
+                conditions.held.drive.model, self.shaking, elapsed
+            )
         self.is_decided = (
             self.failure is not None
             or not remaining
@@ -587,21 +663,6 @@ class _NudgedEvaluation:
                     return self.saturated or (time, failure, tuple(where))
         self._slips = dict(zip(feet, slips[-1].tolist(), strict=True))
         return None
-
-    def _find_shaking(self) -> _Event | None:
-        """Return the failure at the end of the simulation if the robot shakes without decay.
-
-        The speeds are compared over three quarters of the simulated time: an oscillation with a
-        time constant below six times the simulated time counts as decaying.
-        """
-        elapsed = float(self.state[0] - self._conditions.held.start[0])
-        window = max(1, round(elapsed) // (SHAKING_SECONDS + 1))
-        if not self.shaking.is_sustained_over(window):
-            return None
-        model = self._conditions.held.drive.model
-        joint = int(model.dof_jntid[self.shaking.fastest_dof])
-        name = model.joint(joint).name or model.body(int(model.jnt_bodyid[joint])).name
-        return float(self.state[0]), Failure.SHAKING, (name,)
 
     def will_hold(
         self, states: Array, interval: float, slips: dict[str, float], remaining: float
@@ -713,6 +774,20 @@ class _NudgedEvaluation:
             if conditions.sample(lowered)[1]:
                 return True
         return False
+
+
+def _find_shaking(model: mujoco.MjModel, shaking: ShakingRecord, elapsed: float) -> _Event | None:
+    """Return the failure at the end of a simulation if the robot shakes without decay.
+
+    The speeds are compared over three quarters of the simulated time ``elapsed`` [s]: an
+    oscillation with a time constant below six times the simulated time counts as decaying.
+    """
+    window = max(1, round(elapsed) // (SHAKING_SECONDS + 1))
+    if not shaking.is_sustained_over(window):
+        return None
+    joint = int(model.dof_jntid[shaking.fastest_dof])
+    name = model.joint(joint).name or model.body(int(model.jnt_bodyid[joint])).name
+    return elapsed, Failure.SHAKING, (name,)
 
 
 def _order_failure(failed: tuple[_Event, _NudgedEvaluation]) -> tuple[float, float]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.prepare import judge
 from pupper_analysis.prepare.judge import _fail_if_upset, list_file_remarks
 from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.trial import (
@@ -18,6 +19,7 @@ from pupper_analysis.simulation.trial import (
     _find_failure_limits,
     is_near_limit,
     make_nudge_velocities,
+    simulate_large_nudges,
     simulate_nudges,
 )
 from pupper_analysis.simulation.verdict import Outcome
@@ -140,6 +142,38 @@ def test_shaking_is_a_failure_if_it_does_not_decay(
         assert (trial.failing_parts, trial.shaking_unit) == (("nod",), "rad/s")
         assert trial.time == pytest.approx(4.0)
         assert trial.shaking_speed == pytest.approx(speeds[3], rel=0.2)
+    large = simulate_large_nudges(robot, stand)
+    assert (large.survived, large.failure) == (not shakes, trial.failure)
+    assert (large.failing_parts, large.nudges) == ((("nod",), 1) if shakes else ((), 5))
+
+
+@pytest.mark.parametrize("shakes", [True, False])
+def test_stand_far_from_limits_fails_if_a_large_nudge_makes_it_shake(
+    shakes: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stub replaces the nudged simulation: v3 does not shake."""
+    robot, stand = load("v3"), stand_of("v3")
+    shaking = NudgeTrial(
+        survived=False,
+        failure=Failure.SHAKING,
+        failing_parts=("leg_front_r_1",),
+        time=12.0,
+        failed_nudges=1,
+        nudges=3,
+        duration=12.0,
+        simulated=15.0,
+        shaking_speed=0.4,
+        shaking_unit="rad/s",
+    )
+    if shakes:
+        monkeypatch.setattr(judge, "simulate_large_nudges", lambda *_arguments, **_gains: shaking)
+    fed = Outcome(passed=True, failures=(), duration=12.0)
+    statics = stand_statics(robot, stand)
+    judged = _fail_if_upset(robot, stand, fed, statics, None, None, None, fragile=False)
+    assert judged.passed != shakes
+    if shakes:
+        (failure,) = judged.failures
+        assert "nudged at 50 mm/s, it shakes without decay: leg_front_r_1" in str(failure)
 
 
 def test_shaking_after_a_nudge_is_reported_with_its_speed() -> None:
