@@ -118,6 +118,24 @@ def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]
     return vector
 
 
+def check_names(name: str, values: Iterable[str]) -> tuple[str, ...]:
+    """Return an iterable of names as a tuple; the elements are not checked.
+
+    An element that is no text is an unknown name (`UnknownNameError`) for the caller.
+
+    Args:
+        name: Name of the argument, for the message.
+        values: Value of the argument.
+
+    Raises:
+        ConfigurationError: If the value is a text, or no iterable.
+    """
+    is_scalar_array = isinstance(values, np.ndarray) and not values.ndim
+    if is_scalar_array or isinstance(values, str | bytes) or not isinstance(values, Iterable):
+        check_type(name, values, Iterable[str])
+    return tuple(values)
+
+
 MAX_LENGTH = 1000.0
 """Maximum absolute value of a length or coordinate [m]. No robot is larger; the bound prevents
 overflow in later computations."""

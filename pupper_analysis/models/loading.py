@@ -102,9 +102,14 @@ class FormatReader(Protocol):
 
 
 def reader_of(path: str | Path | ModelObject) -> FormatReader | None:
-    """Return the reader for a file by suffix; None for URDF, MJCF, unknown suffixes and objects."""
+    """Return the reader for a file by suffix; None for URDF, MJCF, unknown suffixes and objects.
+
+    Raises:
+        ConfigurationError: If ``path`` is neither a path, a text nor a robot in memory.
+    """
     if is_object(path):
         return None
+    check_type("path", path, str | Path)
     model_format = find_format(Path(cast(str | Path, path)))
     return (
         None
@@ -171,7 +176,8 @@ def read_as_urdf(
         packages: {ROS package: its folder}, for ``package://`` in a URDF.
 
     Raises:
-        ConfigurationError: If ``model`` is a ``pin.GeometryModel``, which contains shapes only.
+        ConfigurationError: If ``model`` is neither a path, a text nor a robot in memory, or is a
+            ``pin.GeometryModel``, which contains shapes only.
         ModelError: If the file or object cannot be read, or is not a URDF.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
         MissingPackageError: If a package that the reader of the format needs is not installed.
@@ -199,7 +205,8 @@ def read_as_mjcf(
         packages: {ROS package: its folder}, for ``package://`` in a published name.
 
     Raises:
-        ConfigurationError: If ``model`` is a ``pin.GeometryModel``, which contains shapes only.
+        ConfigurationError: If ``model`` is neither a path, a text nor a robot in memory, or is a
+            ``pin.GeometryModel``, which contains shapes only.
         ModelError: If the file or object cannot be read or compiled, or is not an MJCF.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
         MissingPackageError: If a package that the reader of the format needs is not installed.

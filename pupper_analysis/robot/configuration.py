@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pupper_analysis.base.arguments import check_type, check_vector
+from pupper_analysis.base.arguments import check_names, check_type, check_vector, real_array
 from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.base.arrays import cross_matrices, rotation_from_quaternion
 from pupper_analysis.base.diagnostics import diagnose
@@ -281,8 +281,11 @@ class Configuration(Pictured):
         return self._structure.sort_columns(jacobian)
 
     def _foot_frames(self, feet: Iterable[str]) -> list[int]:
-        """Return the Pinocchio frames of contact points; UnknownNameError for an unknown point."""
-        frames, names = self._structure.feet, tuple(feet)
+        """Return the Pinocchio frames of contact points; UnknownNameError for an unknown point.
+
+        ConfigurationError if ``feet`` is a text or no iterable.
+        """
+        frames, names = self._structure.feet, check_names("feet", feet)
         try:
             return [frames[name] for name in names]
         except (KeyError, TypeError):  # TypeError: a value without hash
@@ -337,6 +340,7 @@ class Configuration(Pictured):
             feet: Names of the contact points.
 
         Raises:
+            ConfigurationError: If ``feet`` is a text or no iterable.
             UnknownNameError: If there is no such contact point.
         """
         placements = self._data.oMf
@@ -354,6 +358,7 @@ class Configuration(Pictured):
         """Return the rotations (n, 3, 3) from the frames of contact points to world axes.
 
         Raises:
+            ConfigurationError: If ``feet`` is a text or no iterable.
             UnknownNameError: If there is no such contact point.
         """
         placements = self._data.oMf
@@ -366,6 +371,7 @@ class Configuration(Pictured):
         J qvel = (linear velocity of the centre [m/s], angular velocity [rad/s]), in world axes.
 
         Raises:
+            ConfigurationError: If ``feet`` is a text or no iterable.
             UnknownNameError: If there is no such contact point.
         """
         return self._jacobians(feet)
@@ -377,12 +383,14 @@ class Configuration(Pictured):
             feet: Contact points; all by default.
 
         Raises:
+            ConfigurationError: If ``feet`` is a text or no iterable.
             UnknownNameError: If there is no such contact point.
         """
+        names = self.robot.contact_points if feet is None else check_names("feet", feet)
         positions = self.foot_positions()
         return {
             self.robot.check_foot(foot): positions[foot] - self.robot.contact_radius[foot] * UP
-            for foot in (self.robot.contact_points if feet is None else feet)
+            for foot in names
         }
 
     def point_jacobians(self, feet: Sequence[str], offsets: Array) -> Array:
@@ -515,8 +523,15 @@ class Configuration(Pictured):
             Generalised forces that the motors must exert, same shape.
 
         Raises:
-            ConfigurationError: If a closed loop is singular.
+            ConfigurationError: If ``forces`` has another shape or is no array of numbers, or if a
+                closed loop is singular.
         """
+        forces = real_array("forces", forces)
+        if forces.ndim not in (1, 2) or len(forces) != self.robot.nv:
+            message = diagnose(
+                "array-of-another-shape", size=self.robot.nv, shape=str(forces.shape)
+            )
+            raise ConfigurationError("forces", message)
         closure = self.robot.closure
         if closure is None:
             return forces

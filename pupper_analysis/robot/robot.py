@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pupper_analysis.base.arguments import check_vector
+from pupper_analysis.base.arguments import check_names, check_vector
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
@@ -745,10 +745,18 @@ class Robot(EngineModels):
         raise UnknownNameError(self.name, "foot", point, self.contact_points)
 
     def feet_with(self, points: Iterable[str]) -> tuple[str, ...]:
-        """Return the feet that have at least one of the contact points ``points``."""
-        requested = set(points)
+        """Return the feet that have at least one of the contact points ``points``.
+
+        Other names in ``points``, such as those of welds, are ignored.
+
+        Raises:
+            ConfigurationError: If ``points`` is a text or no iterable.
+        """
+        requested = check_names("points", points)  # an element may have no hash
         return tuple(
-            foot for foot, foot_points in self.feet.items() if not requested.isdisjoint(foot_points)
+            foot
+            for foot, foot_points in self.feet.items()
+            if any(point in requested for point in foot_points)
         )
 
     def per_foot(self, forces: Mapping[str, Array]) -> dict[str, Array]:

@@ -16,7 +16,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.conversion import pinocchio_from_urdf
-from pupper_analysis.models.loading import read_model
+from pupper_analysis.models.loading import read_as_mjcf, read_as_urdf, read_model
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
@@ -52,6 +52,12 @@ def get_refusal(read: Callable[[], object]) -> str:
     message = str(caught.value)
     assert "\n" not in message
     return message
+
+
+@pytest.mark.parametrize("read", [read_as_urdf, read_as_mjcf, read_model])
+def test_number_in_place_of_a_path_is_refused(read: Callable[[object], object]) -> None:
+    with pytest.raises(pa.ConfigurationError, match="path"):
+        read(5)
 
 
 @pytest.mark.parametrize("case", corpus.MALFORMED)

@@ -16,7 +16,7 @@ from tests.support.engines import (
     make_free_mechanism,
 )
 from tests.support.states import positions, random_state, velocities
-from tests.support.variants import NAMES, load
+from tests.support.variants import NAMES, load, stand_of
 
 GRAVITY = 9.81  # [m/s^2]
 
@@ -254,6 +254,30 @@ def test_names_that_are_no_texts_are_refused_as_unknown(name: object) -> None:
             call(name)
         assert refusal.value.name is name
         assert refusal.value.known
+
+
+@pytest.mark.parametrize(
+    "method", ["contact_points", "foot_centres", "foot_rotations", "foot_twist_jacobians"]
+)
+@pytest.mark.parametrize("feet", [5, "FL", np.array(1.0)])
+def test_feet_that_are_no_iterable_are_refused(method: str, feet: object) -> None:
+    with pytest.raises(pa.ConfigurationError, match="feet"):
+        getattr(pa.Configuration(load("v3"), stand_of("v3").qpos), method)(feet)
+
+
+@pytest.mark.parametrize("points", [5, "FL"])
+def test_points_that_are_no_iterable_of_names_are_refused(points: object) -> None:
+    with pytest.raises(pa.ConfigurationError, match="points"):
+        load("v3").feet_with(points)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("forces", [np.zeros(12), np.zeros((12, 18)), np.zeros((18, 1, 1)), "18"])
+def test_forces_of_another_shape_are_not_transferred(forces: object) -> None:
+    config = pa.Configuration(load("v3"), stand_of("v3").qpos)
+    with pytest.raises(pa.ConfigurationError, match="forces"):
+        config.transfer_to_motors(forces)  # type: ignore[arg-type]
+    load_per_joint = np.arange(18.0)
+    np.testing.assert_array_equal(config.transfer_to_motors(load_per_joint), load_per_joint)
 
 
 def test_unknown_contact_points_are_refused_by_all_methods() -> None:
