@@ -181,7 +181,7 @@ def _write_designs(
     passed = True
     for number in dict.fromkeys(numbers):
         written = write_design(study, number, folder)
-        _show_document(written_document(written), style, everything)
+        _show_document(written_document(written, study.base), style, everything)
         for path in (written.urdf, written.mjcf, written.stance):
             shared.confirm_written(path)
         passed = passed and written.passed

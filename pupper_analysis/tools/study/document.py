@@ -119,7 +119,7 @@ def _describe_best(outcome: StudyOutcome) -> Iterator[doc.Words]:
     yield text(
         "best-design" if outcome.requirements else "best-of-all",
         number=number,
-        values=doc.Name(_format_design(best[list(dict.fromkeys(columns))])),
+        values=doc.Name(_format_design(best[list(dict.fromkeys(columns))], outcome.units)),
         **values,
     )
     if len(outcome.front) > 1:
@@ -143,7 +143,7 @@ def _describe_metric_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
     metric = measured[0].metric
     values = outcome.table[metric].to_numpy(dtype=float)
     designs = outcome.table[list(outcome.variables)]
-    scale, unit = _find_shown_unit(metric)
+    scale, unit = _find_shown_unit(metric, outcome.units)
     least, greatest = (
         (f"{scale * values[row]:.4g}", designs.iloc[row])
         for row in (int(np.nanargmin(values)), int(np.nanargmax(values)))
@@ -154,31 +154,31 @@ def _describe_metric_range(outcome: StudyOutcome) -> Iterator[doc.Words]:
         unit=doc.Name(f" {unit}" if unit else ""),
         least=least[0],
         greatest=greatest[0],
-        at_least=doc.Name(_format_design(least[1])),
-        at_greatest=doc.Name(_format_design(greatest[1])),
+        at_least=doc.Name(_format_design(least[1], outcome.units)),
+        at_greatest=doc.Name(_format_design(greatest[1], outcome.units)),
     )
 
 
-def _format_design(values: pd.Series[Any]) -> str:
+def _format_design(values: pd.Series[Any], units: Mapping[str, str]) -> str:
     """Return the values of a row as ``name value unit``, separated by commas.
 
-    ``values`` maps columns of the study's table to values in the unit of the column.
+    ``values`` maps columns of the study's table to values in the unit of the column (``units``).
     """
     shown = []
     for name, value in values.items():
-        unit = find_column_unit(str(name))
+        unit = units.get(str(name), "")
         number = f"{value:.4g}" if isinstance(value, float) else str(value)
         shown.append(f"{name} {number}{f' {unit}' if unit not in ('', '1') else ''}")
     return ", ".join(shown)
 
 
-def _find_shown_unit(column: str) -> tuple[float, str]:
+def _find_shown_unit(column: str, units: Mapping[str, str]) -> tuple[float, str]:
     """Return the factor and the unit with which reports of a study print a column.
 
     Lengths of metrics are in mm, angles in degrees, and utilisations in %. Variables keep the unit
-    of the study file.
+    of the study file. ``units`` contains the unit of each column in the table.
     """
-    unit = find_column_unit(column)
+    unit = units.get(column, "")
     metric = METRICS.get(column.partition(".")[0])
     if metric is None:
         return 1.0, unit
@@ -187,10 +187,9 @@ def _find_shown_unit(column: str) -> tuple[float, str]:
     return READ_IN.get(unit, (1.0, unit))
 
 
-def _format_shown_label(column: str) -> str:
+def _format_shown_label(column: str, units: Mapping[str, str]) -> str:
     """Return the name of a metric, followed by the unit of printed values in parentheses."""
-    _, unit = _find_shown_unit(column)
-    return f"{column} ({unit})" if unit else column
+    return format_column_label(column, _find_shown_unit(column, units)[1])
 
 
 def _text_column(name: str) -> doc.Column:
@@ -207,9 +206,11 @@ def _make_metric_table(outcome: StudyOutcome) -> doc.Table:
     """Create the table of metrics: smallest, median and largest value, and number of designs."""
     rows: list[tuple[doc.Cell, ...]] = [
         (
-            doc.Name(_format_shown_label(summary.metric)),
+            doc.Name(_format_shown_label(summary.metric, outcome.units)),
             *(
-                doc.number_cell(value, ".5g", scale=_find_shown_unit(summary.metric)[0])
+                doc.number_cell(
+                    value, ".5g", scale=_find_shown_unit(summary.metric, outcome.units)[0]
+                )
                 for value in (summary.minimum, summary.median, summary.maximum)
             ),
             doc.number_cell(summary.designs, ".0f"),
@@ -270,10 +271,13 @@ def _make_front_blocks(outcome: StudyOutcome) -> list[doc.Block]:
     blocks: list[doc.Block] = []
     if len(objectives) == 2:
         x_axis, y_axis = (
-            doc.Axis(doc.Name(f"{name}, {sense}"), _find_shown_unit(name)[1], ".4g")
+            doc.Axis(doc.Name(f"{name}, {sense}"), _find_shown_unit(name, outcome.units)[1], ".4g")
             for name, sense in objectives.items()
         )
-        x, y = (_find_shown_unit(name)[0] * front[name].to_numpy(float) for name in objectives)
+        x, y = (
+            _find_shown_unit(name, outcome.units)[0] * front[name].to_numpy(float)
+            for name in objectives
+        )
         line = doc.Series(text("no-other-design-beats-these"), x, y, points=True)
         blocks.append(
             doc.LinePlot(text("designs-worth-building-the-front"), x_axis, y_axis, [line])
@@ -283,7 +287,7 @@ def _make_front_blocks(outcome: StudyOutcome) -> list[doc.Block]:
     variables = [name for name in outcome.variables if name not in objectives]
     measured = [summary.metric for summary in outcome.measured if summary.metric not in objectives]
     columns = [*objectives, *variables, *measured[:_MAX_FRONT_METRICS]]
-    return [*blocks, _make_row_table(title, front, columns, outcome.table)]
+    return [*blocks, _make_row_table(title, front, columns, outcome)]
 
 
 def _make_effect_table(outcome: StudyOutcome) -> list[doc.Block]:
@@ -327,22 +331,23 @@ def _make_design_table(outcome: StudyOutcome) -> doc.Table:
     """Create the table of the first `MAX_TABLE_ROWS` designs, with a note about the others."""
     measured = [summary.metric for summary in outcome.measured]
     columns = [*outcome.variables, *measured]
-    return replace(_make_row_table(text("designs-title"), outcome.table, columns), detail=True)
+    return replace(
+        _make_row_table(text("designs-title"), outcome.table, columns, outcome), detail=True
+    )
 
 
 def _make_row_table(
     title: doc.Words,
     table: pd.DataFrame,
     columns: Sequence[str],
-    all_rows: pd.DataFrame | None = None,
+    outcome: StudyOutcome,
 ) -> doc.Table:
     """Create a table of designs.
 
-    The first column is the row number of the design in ``all_rows`` (the complete table of the
-    study; by default ``table``), as for ``--write``.
+    The first column is the row number of the design in the complete table of ``outcome``, as for
+    ``--write``.
     """
-    all_rows = table if all_rows is None else all_rows
-    numbers = {design: number for number, design in enumerate(all_rows["design"], start=1)}
+    numbers = {design: number for number, design in enumerate(outcome.table["design"], start=1)}
     present_columns = [name for name in columns if name in table]
     has_failures = "failure" in table and table["failure"].notna().any()
     rows: list[tuple[doc.Cell, ...]] = []
@@ -353,7 +358,7 @@ def _make_row_table(
             if isinstance(row[name], str):  # the name of a motor
                 cells.append(doc.Name(row[name]))
                 continue
-            value = _find_shown_unit(name)[0] * float(row[name])
+            value = _find_shown_unit(name, outcome.units)[0] * float(row[name])
             cells.append(doc.number_cell(value if math.isfinite(value) else None, ".5g"))
         if has_failures:
             kind = row["failure"]
@@ -361,7 +366,10 @@ def _make_row_table(
         rows.append(tuple(cells))
     header = [
         _number_column("ordinal", "1"),
-        *(doc.Column(doc.Name(name), _find_shown_unit(name)[1]) for name in present_columns),
+        *(
+            doc.Column(doc.Name(name), _find_shown_unit(name, outcome.units)[1])
+            for name in present_columns
+        ),
     ]
     if has_failures:
         header.append(_text_column("failure"))
@@ -409,14 +417,14 @@ def metrics_document() -> doc.Document:
 # Written designs, and the progress bar of a run.
 
 
-def written_document(written: WrittenDesign) -> doc.Document:
-    """Create the report of a design that was written to files.
+def written_document(written: WrittenDesign, robot: Robot) -> doc.Document:
+    """Create the report of a design of a study of ``robot`` that was written to files.
 
     A table compares the metrics that the study measured with the metrics of the written files.
     """
     rows = tuple(
         (
-            doc.Name(format_column_label(name)),
+            doc.Name(format_column_label(name, find_column_unit(name, robot))),
             doc.number_cell(value, ".6g"),
             doc.number_cell(written.file_values[name], ".6g"),
         )

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, NotStandingError, PupperAnalysisError
 from pupper_analysis.base.tools import find_tool_modules
+from pupper_analysis.base.units import EFFORT_UNIT, STIFFNESS_UNIT
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.own_run import own_run
@@ -300,15 +301,15 @@ def _max_friction_utilisation(design: Design) -> float:
 
 
 def _compute_minimum_stiffness(design: Design) -> float:
-    """Return the smallest uniform kp [N m/rad] with which the robot stands without feed-forward."""
+    """Return the smallest uniform kp [N m/rad, N/m] that holds the robot without feed-forward."""
     return minimum_stiffness(design.robot, design.stand)
 
 
 _METRICS_OF_DESIGNS = (
     Metric("total_mass", lambda d: d.robot.total_mass, "kg"),
     Metric("peak_utilisation", lambda d: _find_peak(d.statics.motor_utilisation), "1"),
-    Metric("peak_torque", lambda d: _find_peak(d.statics.joint_torques), "N m"),
-    Metric("torque", lambda d: d.map_to_joints(d.statics.joint_torques), "N m"),
+    Metric("peak_torque", lambda d: _find_peak(d.statics.joint_torques), EFFORT_UNIT),
+    Metric("torque", lambda d: d.map_to_joints(d.statics.joint_torques), EFFORT_UNIT),
     Metric("utilisation", lambda d: d.map_to_joints(d.statics.motor_utilisation), "1"),
     Metric("friction_utilisation", _max_friction_utilisation, "1"),
     Metric("com_margin", lambda d: d.stand.com_margin, "m"),
@@ -319,7 +320,7 @@ _METRICS_OF_DESIGNS = (
     Metric("rest_utilisation", lambda d: d.utilisation_at_rest(), "1"),
     Metric("stands", _check_stand, "1", fallen=0.0),
     Metric("set_down", survives_set_down, "1", simulates=True, fallen=0.0),
-    Metric("minimum_stiffness", _compute_minimum_stiffness, "N m/rad", simulates=True),
+    Metric("minimum_stiffness", _compute_minimum_stiffness, STIFFNESS_UNIT, simulates=True),
     Metric("height_range", lambda d: d.compute_base_range("height"), "m", simulates=True),
     Metric("roll_range", lambda d: d.compute_base_range("roll"), "rad", simulates=True),
     Metric("pitch_range", lambda d: d.compute_base_range("pitch"), "rad", simulates=True),

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,8 +23,10 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import HINGE_UNITS, MIXED_UNITS
 from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.present.verdict import make_keyframe_run_clauses, make_servo_clause
+from pupper_analysis.robot.joints import get_common_units
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.stance.fields import FIELDS
@@ -104,6 +106,7 @@ class StudyOutcome(Result):
         rests_on: Assumptions of the stands: simulation of the published file, added servos.
         variables: {variable: values or distribution, as in the study file}.
         table: A row per stored design.
+        units: {variable or metric: unit in ``table``}; empty for ratios and factors.
         designs: Number of designs of the study.
         measured: Summary of each metric.
         failures: Failed designs by kind, the most frequent first.
@@ -119,6 +122,7 @@ class StudyOutcome(Result):
     rests_on: tuple[Diagnostic, ...]
     variables: dict[str, dict[str, Any]]
     table: pd.DataFrame
+    units: dict[str, str]
     designs: int
     measured: tuple[MetricSummary, ...]
     failures: tuple[Failures, ...]
@@ -171,6 +175,7 @@ def study_outcome(
         rests_on=list_stand_assumptions(study.base),
         variables={name: variable.to_dict() for name, variable in study.variables.items()},
         table=table,
+        units={name: find_column_unit(name, study.base) for name in (*variables, *metrics)},
         designs=len(study),
         measured=tuple(_summarise_metric(table, name, spread_variables, study) for name in metrics),
         failures=_group_failures(table),
@@ -290,7 +295,7 @@ def _summarise_metric(
     study_metric = metric_by_name[name if name in metric_by_name else name.partition(".")[0]]
     return MetricSummary(
         metric=name,
-        unit=study_metric.unit,
+        unit=find_column_unit(name, study.base) or study_metric.unit,
         minimum=float(column.min()),
         median=float(column.median()),
         maximum=float(column.max()),
@@ -426,11 +431,32 @@ def _assign_cells(values: Array) -> Array:
     return cells
 
 
-def find_column_unit(column: str) -> str:
+def find_column_unit(column: str, robot: Robot) -> str:
     """Return the unit of a column of a study's table (metric or variable).
 
-    Empty for ratios and factors.
+    Empty for ratios and factors. The unit of torques and stiffnesses depends on the joints: all
+    joints of the robot, or the joint of a column ``METRIC.JOINT``.
+
+    Args:
+        column: Column of the table.
+        robot: Robot of the study.
     """
+    joint = column.partition(".")[2]
+    joints = (joint,) if joint in robot.joint_names else robot.joint_names
+    quantity = _QUANTITIES.get(unit := _find_stated_unit(column))
+    return unit if quantity is None else str(getattr(get_common_units(robot, joints), quantity))
+
+
+_QUANTITIES = {
+    asdict(units)[quantity]: quantity
+    for units in (HINGE_UNITS, MIXED_UNITS)
+    for quantity in ("effort", "stiffness", "damping")
+}
+"""{stated unit of a metric or variable: field of ``JointUnits``}, if it depends on the joints."""
+
+
+def _find_stated_unit(column: str) -> str:
+    """Return the unit of a column for any robot; empty for ratios and factors."""
     if column.partition(":")[0] in COM_OFFSET_KINDS:
         return "m"
     if column.partition(":")[0] in (*JOINT_STANCE_KINDS, *LINK_STANCE_KINDS):
@@ -446,9 +472,8 @@ def find_column_unit(column: str) -> str:
     return "" if unit in ("1", "-") else unit
 
 
-def format_column_label(column: str) -> str:
-    """Return the name of a column of a study's table (metric or variable), with its unit."""
-    unit = find_column_unit(column)
+def format_column_label(column: str, unit: str) -> str:
+    """Return the name of a column of a study's table, with its unit in parentheses if not empty."""
     return f"{column} ({unit})" if unit else column
 
 

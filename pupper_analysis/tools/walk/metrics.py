@@ -9,6 +9,7 @@ from typing import Any
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, NotStandingError
+from pupper_analysis.base.units import EFFORT_UNIT
 
 
 def _make_policy_metric(
@@ -49,7 +50,7 @@ def _make_policy_metric(
 
 
 def _read_largest_torque(gait: Any) -> float:
-    """Return the rms torque of the motor with the largest rms torque [N m].
+    """Return the rms torque of the motor with the largest rms torque [N m, N].
 
     Raises:
         NotStandingError: If the robot falls: the torques until the fall say nothing about walking.
@@ -76,7 +77,7 @@ METRICS: dict[str, dict[str, Any]] = {
     "walk_torque": {
         **_COMMON_ARGUMENTS,
         "of_file": partial(_make_policy_metric, _read_largest_torque),
-        "unit": "N m",
+        "unit": EFFORT_UNIT,
     },
 }
 """{metric of this tool for studies: arguments of `Metric`}; see `study`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -15,8 +16,11 @@ from pupper_analysis.tools.study.design import from_record, to_record
 from pupper_analysis.tools.study.outcome import (
     _assign_cells,
     compute_main_effects,
+    find_column_unit,
     pareto_front,
 )
+from tests.support.legged import quadruped_with_slides
+from tests.support.variants import load
 
 
 def test_pareto_front_dominates_all_other_designs() -> None:
@@ -127,3 +131,24 @@ def test_recorded_diagnostics_render_in_each_language() -> None:
         again = from_record(json.loads(json.dumps(to_record(kept))))
         assert again == kept
         assert (again.text("en"), again.text("zh")) == (kept.text("en"), kept.text("zh"))
+
+
+def test_units_of_torques_and_stiffnesses_are_those_of_the_joints(tmp_path: Path) -> None:
+    """A slide has forces in N; values of hinges and slides together have both units."""
+    robot = pa.load_robot(quadruped_with_slides(tmp_path))
+    units = {
+        "torque.FL_knee": "N",
+        "torque.FL_pitch": "N m",
+        "peak_torque": "N m or N",
+        "walk_torque": "N m or N",
+        "minimum_stiffness": "N m/rad or N/m",
+        "kp": "N m/rad or N/m",
+        "kd": "N m s/rad or N s/m",
+        "utilisation.FL_knee": "",
+        "sag": "m",
+        "payload": "kg",
+        "mass:base": "",
+    }
+    assert {column: find_column_unit(column, robot) for column in units} == units
+    hinges = {"torque.leg_front_l_1": "N m", "peak_torque": "N m", "minimum_stiffness": "N m/rad"}
+    assert {column: find_column_unit(column, load("v3")) for column in hinges} == hinges
