@@ -25,6 +25,13 @@ from pupper_analysis.robot.coordinates import (
     PinocchioConvention,
     normalise_quaternion,
 )
+from pupper_analysis.robot.engine_types import (
+    MujocoModel,
+    MujocoSpec,
+    PinocchioData,
+    PinocchioGeometryModel,
+    PinocchioModel,
+)
 from pupper_analysis.robot.mujoco_spec import make_mujoco_spec
 from pupper_analysis.robot.shapes import CarriedShape, may_touch
 
@@ -34,8 +41,8 @@ class EngineModels:
 
     if TYPE_CHECKING:
         description: Description
-        pin_model: pin.Model
-        mj_model: mujoco.MjModel
+        pin_model: PinocchioModel
+        mj_model: MujocoModel
         floating: bool
         pin_convention: PinocchioConvention
         mj_convention: MujocoConvention
@@ -52,17 +59,18 @@ class EngineModels:
         def shapes(self) -> tuple[CarriedShape, ...]:
             """Collision shapes of the robot's MuJoCo model, including feet and a fixed base."""
 
-    def pin_data(self) -> pin.Data:
+    def pin_data(self) -> PinocchioData:
         """Return new Pinocchio data of ``pin_model``."""
         return self.pin_model.createData()
 
-    def mj_spec(self) -> mujoco.MjSpec:
+    def mj_spec(self) -> MujocoSpec:
         """Return a new MuJoCo spec of the robot with floor and servos; the caller may change it.
 
         ``mj_spec().compile()`` returns a model with the same values as ``mj_model``. Meshes keep
         the paths of the file, or their contents if the robot was loaded from a spec in memory or
         converted from a URDF. The spec can be attached to another spec.
         """
+        spec: MujocoSpec
         spec, _, _ = make_mujoco_spec(self.description, fixed_base=not self.floating)
         for joint in spec.joints:  # as in `mj_model`: gravity compensation is a passive force
             joint.actgravcomp = 0
@@ -70,7 +78,7 @@ class EngineModels:
         return spec
 
     @cached_property
-    def collision_model(self) -> pin.GeometryModel:
+    def collision_model(self) -> PinocchioGeometryModel:
         """Pinocchio's geometry model with the collision shapes of ``mj_model``; cached.
 
         The shapes are primitives and convex hulls of meshes on the joints of ``pin_model``, without
@@ -79,7 +87,8 @@ class EngineModels:
         Raises:
             ModelError: If Pinocchio's collision library does not support a geom.
         """
-        model, result = self.pin_model, pin.GeometryModel()
+        model = self.pin_model
+        result: PinocchioGeometryModel = pin.GeometryModel()
         for shape in self.shapes:
             frame = model.getFrameId(shape.link, pin.FrameType.BODY)
             owner = model.frames[frame]

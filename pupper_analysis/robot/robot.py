@@ -39,6 +39,7 @@ from pupper_analysis.robot.closure import Closure, find_closure
 from pupper_analysis.robot.contact import ContactParameters, ground_geom
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.engine_models import EngineModels
+from pupper_analysis.robot.engine_types import MujocoModel, PinocchioModel
 from pupper_analysis.robot.shapes import CarriedShape, shapes_of
 from pupper_analysis.robot.structure import Structure
 
@@ -282,8 +283,8 @@ class Robot(EngineModels):
 
     name: str
     description: Description
-    pin_model: pin.Model
-    mj_model: mujoco.MjModel
+    pin_model: PinocchioModel
+    mj_model: MujocoModel
     floating: bool
     base: str
     mj_base: str
