@@ -40,7 +40,7 @@ def is_menagerie_name(word: str) -> bool:
         return len(parts) > 1
     if len(parts) > 2 or "_" not in parts[0] or not _NAME.fullmatch(parts[0]):
         return False
-    return parts[0] in _list_robots()
+    return parts[0] in list_menagerie_robots()
 
 
 def _exists(word: str) -> bool:
@@ -68,7 +68,7 @@ def find_menagerie_file(word: str) -> Path:
     package, clone = _import_package(), _find_clone()
     if package is None and clone is None:
         raise ModelError(word, diagnose("menagerie-not-installed"))
-    known = _list_robots()
+    known = list_menagerie_robots()
     if name not in known:
         raise UnknownNameError("MuJoCo Menagerie", "robot", name, known)
     robot = package.get(name) if package is not None and name in package.names() else None
@@ -121,7 +121,7 @@ def _find_clone() -> Path | None:
     return next((folder for folder in folders if folder.is_dir()), None)
 
 
-def _list_robots() -> tuple[str, ...]:
+def list_menagerie_robots() -> tuple[str, ...]:
     """Return the names of the robots that the package lists, or that the clone contains."""
     package, clone = _import_package(), _find_clone()
     names = set(package.names()) if package is not None else set()

@@ -40,12 +40,14 @@ ModelObject: TypeAlias = (
     | mujoco.MjModel
     | pin.Model
     | pin.GeometryModel
+    | pin.RobotWrapper
     | UrdfObject
     | UrdfFile
     | MjcfFile
 )
-"""Robot in memory. A ``pin.GeometryModel`` contains the shapes of a ``pin.Model``. ``UrdfFile`` and
-``MjcfFile`` are files that have been read, or models that were derived in memory."""
+"""Robot in memory. A ``pin.GeometryModel`` contains the shapes of a ``pin.Model``; a
+``pin.RobotWrapper`` contains both. ``UrdfFile`` and ``MjcfFile`` are files that have been read, or
+models that were derived in memory."""
 
 
 def is_object(model: object) -> bool:
@@ -53,7 +55,7 @@ def is_object(model: object) -> bool:
     if isinstance(model, str):
         return model.lstrip("\ufeff \t\r\n").startswith("<")
     kinds = (
-        *(mujoco.MjSpec, mujoco.MjModel, pin.Model, pin.GeometryModel),
+        *(mujoco.MjSpec, mujoco.MjModel, pin.Model, pin.GeometryModel, pin.RobotWrapper),
         *(UrdfFile, MjcfFile),
     )
     return isinstance(model, kinds) or (
@@ -131,7 +133,8 @@ def read_objects(
     Meshes of a geometry model are in a private temporary folder, which is removed at the end.
 
     Args:
-        models: Objects; a ``pin.GeometryModel`` belongs to the only ``pin.Model``.
+        models: Objects; a ``pin.GeometryModel`` belongs to the only ``pin.Model``. Of a
+            ``pin.RobotWrapper``, the model and the collision model are read.
         packages: Folders of ROS packages, for ``package://`` in a URDF.
 
     Raises:
@@ -139,8 +142,9 @@ def read_objects(
             belong to exactly one ``pin.Model`` among the objects.
         ModelError: If no robot can be made of an object; the message names the reason.
     """
-    shapes = [model for model in models if isinstance(model, pin.GeometryModel)]
-    others = [model for model in models if not isinstance(model, pin.GeometryModel)]
+    parts = [part for model in models for part in _unwrap(model)]
+    shapes = [model for model in parts if isinstance(model, pin.GeometryModel)]
+    others = [model for model in parts if not isinstance(model, pin.GeometryModel)]
     owners = [model for model in others if isinstance(model, pin.Model)]
     if len(shapes) > 1 or (shapes and len(owners) != 1):
         raise ConfigurationError("model", diagnose("geometry-without-model"))
@@ -150,6 +154,14 @@ def read_objects(
     with TemporaryDirectory() as folder:
         files = [_read_object(model, geometry, packages, Path(folder)) for model in others]
         yield ObjectFiles(tuple(files), owners[0] if owners else None, Path(folder))
+
+
+def _unwrap(model: ModelObject | str) -> tuple[ModelObject | str, ...]:
+    """Return the model and the collision model of a ``pin.RobotWrapper``; other objects alone."""
+    if not isinstance(model, pin.RobotWrapper):
+        return (model,)
+    shapes = model.collision_model
+    return (model.model,) if shapes is None else (model.model, shapes)
 
 
 def _is_geometry_of(geometry: pin.GeometryModel, model: pin.Model) -> bool:

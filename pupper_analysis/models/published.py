@@ -6,8 +6,10 @@ downloaded.
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import os
+import pkgutil
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -18,7 +20,12 @@ from typing import Final
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.base.runs import register_input
-from pupper_analysis.models.menagerie import find_menagerie_file, is_menagerie_name
+from pupper_analysis.models.menagerie import (
+    MENAGERIE_FOLDER,
+    find_menagerie_file,
+    is_menagerie_name,
+    list_menagerie_robots,
+)
 from pupper_analysis.models.places import Place, make_file_error, one_line
 from pupper_analysis.models.xml import LFS_POINTER
 
@@ -116,6 +123,32 @@ def is_published_name(word: str) -> bool:
     return _is_description(word) or is_menagerie_name(word)
 
 
+_MIN_NAME_SIMILARITY: Final = 0.75
+"""Smallest similarity (`difflib`, 0 to 1) of a published name that an error message proposes.
+Chosen, not tuned."""
+
+
+def list_similar_published_names(word: str) -> list[str]:
+    """Return up to three names of published robots that are similar to a word, best first.
+
+    The names are those of MuJoCo Menagerie (installed package or clone) and of the package
+    ``robot_descriptions``, if it is installed.
+    """
+    name = word.removeprefix(DESCRIPTION_PREFIX).removeprefix(f"{MENAGERIE_FOLDER}/").lower()
+    known = [*_list_descriptions(), *list_menagerie_robots()]
+    return difflib.get_close_matches(name, known, cutoff=_MIN_NAME_SIMILARITY)
+
+
+def _list_descriptions() -> list[str]:
+    """Return the names of all descriptions of ``robot_descriptions``; empty if not installed."""
+    try:
+        package = importlib.import_module("robot_descriptions")
+    except ImportError:
+        return []
+    modules = pkgutil.iter_modules(package.__path__)
+    return [module.name for module in modules if _BARE_DESCRIPTION.fullmatch(module.name)]
+
+
 def _is_description(word: str) -> bool:
     """Return True if a word names a robot description.
 
@@ -159,7 +192,7 @@ def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> 
     except ImportError as error:
         raise ModelError(word, diagnose("descriptions-not-installed")) from error
     if not _DESCRIPTION_NAME.fullmatch(name):
-        raise ModelError(word, diagnose("no-such-description", name=name))
+        raise ModelError(word, diagnose("no-such-description", name=name, alike=[]))
     description = _import_cached_description(word, name, cache)
     for attribute in ("MJCF_PATH", "URDF_PATH", "XACRO_PATH"):
         if hasattr(description, attribute):
@@ -227,7 +260,9 @@ def _import_cached_description(source: str, name: str, cache: ModuleType) -> Mod
     try:
         return importlib.import_module(f"robot_descriptions.{name}")
     except ModuleNotFoundError as error:
-        raise ModelError(source, diagnose("no-such-description", name=name)) from error
+        similar = list_similar_published_names(name)
+        problem = diagnose("no-such-description", name=name, alike=similar)
+        raise ModelError(source, problem) from error
     except _NotCachedError as error:
         raise ModelError(source, diagnose("description-not-cached", name=name)) from error
     finally:
@@ -271,6 +306,8 @@ def expand_xacro(
     except ModelError:
         raise
     except Exception as error:  # Python code in a macro may raise any exception
+        if isinstance(error.__context__, ModelError):  # xacro encloses the error of `find`
+            raise error.__context__ from None
         problem = diagnose("xacro-not-expanded", message=one_line(error))
         raise make_file_error(Place(path), problem) from error
     files = [path, *map(Path, getattr(xacro, "all_includes", ())[before:])]

@@ -8,16 +8,18 @@ from pathlib import Path
 
 import pytest
 
+from pupper_analysis import load_robot
 from pupper_analysis.base.errors import (
     ConfigurationError,
     ModelError,
     OutputError,
     UnknownNameError,
+    VariantError,
 )
 from pupper_analysis.base.runs import ensure_run
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.published import find_file
+from pupper_analysis.models.published import find_file, list_similar_published_names
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.pupper.variant_files import parse_robot_word
 
@@ -88,6 +90,27 @@ def test_description_without_prefix_is_found_unless_a_file_has_its_name(
     assert parse_robot_word("rex_description") == ("rex_description",)
     (tmp_path / "rex_description").write_text(URDF)
     assert find_file("rex_description") == Path("rex_description")
+
+
+@pytest.mark.parametrize(
+    ("word", "names"),
+    [
+        ("rex_descripton", ["rex_description"]),
+        ("rexx_description", ["rex_description"]),
+        ("unitree_g02", ["unitree_go2"]),
+        ("mujoco_menagerie/unitree_g02", ["unitree_go2"]),
+        ("nobody", []),
+    ],
+)
+def test_error_about_a_name_proposes_similar_published_names(
+    word: str, names: list[str], descriptions: Path
+) -> None:
+    """Best first; nothing is downloaded."""
+    assert not descriptions.exists()
+    assert list_similar_published_names(word)[:1] == names
+    with pytest.raises((ModelError, VariantError, UnknownNameError), match="|".join(names) or "v3"):
+        load_robot(word)
+    assert not descriptions.exists()
 
 
 @pytest.mark.parametrize("place", ["given", "above", "inside", "ros", "ament"])
@@ -240,6 +263,7 @@ def test_missing_package_of_xacro_names_the_option(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="--package rex_parts=FOLDER") as caught:
         read_model(file)
     assert "\n" not in str(caught.value)
+    assert str(caught.value).count("rex_parts=") == 1  # xacro encloses and repeats the error
     folder = tmp_path / "elsewhere"
     folder.mkdir()
     (folder / "parts.xacro").write_text(PARTS)

@@ -273,9 +273,10 @@ def load_robot(
     Args:
         *models: Path of a URDF or an MJCF, or of both, in any order; a name in MuJoCo Menagerie
             or ``robot_descriptions``; ``package://NAME/FILE``; or a robot in memory: its
-            XML text, ``mujoco.MjSpec``, ``mujoco.MjModel``, ``yourdfpy.URDF``, or ``pin.Model``
-            with or without its ``pin.GeometryModel`` of collision shapes. Objects are not
-            modified. ``pa.load_robot`` also accepts the name of a variant, such as ``"v3"``.
+            XML text, ``mujoco.MjSpec``, ``mujoco.MjModel``, ``yourdfpy.URDF``,
+            ``pin.RobotWrapper``, or ``pin.Model`` with or without its ``pin.GeometryModel`` of
+            collision shapes. Objects are not modified. ``pa.load_robot`` also accepts the name of
+            a variant, such as ``"v3"``.
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
         take: ``"urdf"`` or ``"mjcf"``: of two files, use this file alone.

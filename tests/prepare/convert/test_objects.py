@@ -136,13 +136,14 @@ def test_robot_of_urdf_in_memory_equals_robot_of_file(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("flyer", [True, False], ids=["free flyer", "no free flyer"])
-def test_robot_of_pinocchio_model_equals_robot_of_file(flyer: bool, from_urdf: pa.Robot) -> None:
+@pytest.mark.parametrize("kind", ["free flyer", "no free flyer", "wrapper"])
+def test_robot_of_pinocchio_model_equals_robot_of_file(kind: str, from_urdf: pa.Robot) -> None:
     """Legs make the base free, as for a URDF, which has no free flyer either."""
-    base = (pin.JointModelFreeFlyer(),) if flyer else ()
+    base = () if kind == "no free flyer" else (pin.JointModelFreeFlyer(),)
     model = pin.buildModelFromUrdf(str(V3_URDF), *base)
     shapes = pin.buildGeomFromUrdf(model, str(V3_URDF), pin.GeometryType.COLLISION)
-    robot = pa.load_robot(model, shapes)
+    whole = pin.RobotWrapper(model, collision_model=shapes)
+    robot = pa.load_robot(whole) if kind == "wrapper" else pa.load_robot(model, shapes)
     assert_equal_robots(robot, from_urdf)
     assert robot.floating
     assert len(robot.feet) == 4
@@ -384,6 +385,7 @@ TWO_ROBOTS = ARM_MJCF.replace(
         (lambda: (mujoco.MjSpec.from_string(TWO_ROBOTS.format(more="")),), "lower|other"),
         (lambda: (read_spec(), read_spec()), "one file"),
         (lambda: (pin.Model(),), "joint"),
+        (lambda: (pin.RobotWrapper(pin.Model()),), "joint"),
         (lambda: (two_flyers(),), "first, second"),
         (lambda: (with_joint(pin.JointModelSpherical()),), "odd.*Spherical"),
         (lambda: (with_joint(pin.JointModelPlanar()),), "odd.*Planar"),
@@ -393,7 +395,16 @@ TWO_ROBOTS = ARM_MJCF.replace(
     ],
     ids=[
         *("number", "class", "empty spec", "root", "not closed", "unknown element", "two robots"),
-        *("two specs", "empty model", "two free flyers", "ball", "planar", "slide", "shapes alone"),
+        *(
+            "two specs",
+            "empty model",
+            "empty wrapper",
+            "two free flyers",
+            "ball",
+            "planar",
+            "slide",
+            "shapes alone",
+        ),
         "shapes of another model",
     ],
 )
