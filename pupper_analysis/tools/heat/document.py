@@ -24,6 +24,14 @@ _MAX_CURVES = 4
 """Largest number of motors in the plot of temperatures: the hottest motors. Chosen, not tuned."""
 
 
+_LIMIT_TEMPERATURE = "limit_temperature"
+"""Name of the largest permitted temperature of the winding in `MotorHeat.unknown`."""
+
+_EXAMPLE_LIMIT = 100.0
+"""Limit temperature [degC] of the next command if a motor's data lack it, as an example that the
+user replaces. Chosen, not tuned."""
+
+
 @build_document.register(HeatStudy)
 def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
     """Create the report of the heat of a stance; see ``build_document``."""
@@ -61,10 +69,14 @@ def _select_verdict(study: HeatStudy) -> str:
 def _select_next_step(study: HeatStudy) -> NextStep:
     """Return the command to run next.
 
-    `best` if a motor is too weak or overheats, `payload` if the study passes, otherwise `stand`.
+    `best` if a motor is too weak or overheats, `payload` if the study passes, `heat` with an
+    example of ``--limit`` if only the limit temperature is unknown, otherwise `stand`.
     """
     if study.overheats or study.weak:
         return NextStep("best", ("utilisation",))
+    lacking = {number for motor in study.motors if motor.torque for number in motor.unknown}
+    if lacking == {_LIMIT_TEMPERATURE} and not study.omitted:
+        return NextStep("heat", ("--limit", f"{_EXAMPLE_LIMIT:g}"))
     return NextStep("payload" if study.passed else "stand")
 
 
@@ -128,6 +140,7 @@ def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
             "heat-unknown",
             motor=doc.Name(name),
             numbers=join_words([doc.Name(number) for number in numbers]),
+            limit=_LIMIT_TEMPERATURE in numbers,
         )
     if study.omitted:
         yield text(

@@ -133,6 +133,7 @@ def _describe_worst_posture(hold: Hold) -> doc.Words:
         joint=doc.Name(worst.joint_names[index]),
         tool=doc.Name(hold.tool.name),
         payload=_format_payload_limit(payload),
+        unstated=math.isnan(payload),
     )
 
 
