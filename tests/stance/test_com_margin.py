@@ -39,7 +39,7 @@ def test_refusal_of_a_com_margin_states_its_limit() -> None:
     error = get_refusal(robot, task)
     assert error.shortfall == {}
     assert [str(one) for one in error.blocked] == ["the com is 31.3 mm inside the support polygon"]
-    assert "com in the support polygon (margin >= 40 mm)" in str(error)
+    assert "CoM in the support polygon (margin >= 40 mm)" in str(error)
     assert set(error.limits) == {"offset", "com_margin"}
     for name, limit in error.limits.items():
         assert pa.solve_stand(robot, replace(task, **limit)).solved, name

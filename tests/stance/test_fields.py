@@ -158,7 +158,7 @@ def test_task_text_has_fixed_order_and_units() -> None:
     assert str(task) == (
         "height 120.0 mm, roll 1.5 deg, pitch 0.0 deg, yaw 0.0 deg, base (10, -20) mm from the "
         "centre, FR at (100, -200) mm, FL moved by (3, 4) mm, RL lifted 50 mm, slope 6.0 deg, "
-        "rising towards 77 deg, RR on 8 mm, com in the support polygon (margin >= 9 mm), "
+        "rising towards 77 deg, RR on 8 mm, CoM in the support polygon (margin >= 9 mm), "
         "joint-limit margin 11.0 deg, ground clearance 13 mm, links 14 mm apart, "
         "*elbow* at 0.5236 rad or m"
     )
@@ -204,6 +204,6 @@ def test_examples_of_options_are_in_mm_or_degrees() -> None:
 def test_text_of_a_task_states_a_requested_position_of_the_com() -> None:
     assert "com" not in str(pa.StandTask(com="centre", com_margin=0.01))
     for margin in (0.0, 0.01):
-        said = f"com in the support polygon (margin >= {1e3 * margin:.0f} mm)"
+        said = f"CoM in the support polygon (margin >= {1e3 * margin:.0f} mm)"
         assert said in str(pa.StandTask(com="inside", com_margin=margin))
     assert "com at (10, 20) mm" in str(pa.StandTask(com=(0.01, 0.02)))

@@ -146,7 +146,7 @@ def _compare_page(found: Agreement, page: Page, stance: dict[str, Any]) -> None:
             (get_display_scales(stance["units"]) * stance["joint_positions"]).tolist(),
         ),
         ("height", [whole["height of the base"]], [1e3 * stance["stand"]["task"]["height"]]),
-        ("com", [whole["com margin"]], [1e3 * stance["stand"]["com_margin"]]),
+        ("com", [whole["CoM margin"]], [1e3 * stance["stand"]["com_margin"]]),
     ]
     if near is not None:
         asked.append(("clearance", [whole["ground clearance"]], [1e3 * near["distance"]]))

@@ -284,7 +284,7 @@ FL, FR, RL = ({foot: 0.02} for foot in ("FL", "FR", "RL"))
         ([Task(), Task()], 1e6, 50.0, "samples"),
         ([Task(), Task(ground=pa.Ground(slope=0.1))], 1.0, 50.0, "different grounds"),
         ([Task(com="inside"), Task(com=(0.0, 0.0))], 1.0, 50.0, "inside"),
-        ([Task(), Task(offset=(0.0, 0.0))], 1.0, 50.0, "offset: a path moves the com"),
+        ([Task(), Task(offset=(0.0, 0.0))], 1.0, 50.0, "offset: a path moves the CoM"),
         ([Task(), Task(contacts={"FL": WALL})], 1.0, 50.0, "contacts: a path is of feet"),
         ([Task(), Task(foot_offsets={"FL": (0.01, 0.0)})], 1.0, 50.0, "FL carries load between"),
         ([Task(swing=FL), Task(swing=FR)], 1.0, 50.0, "only 2 feet carry between stances 1 and"),
