@@ -206,4 +206,4 @@ def test_text_of_a_task_states_a_requested_position_of_the_com() -> None:
     for margin in (0.0, 0.01):
         said = f"CoM in the support polygon (margin >= {1e3 * margin:.0f} mm)"
         assert said in str(pa.StandTask(com="inside", com_margin=margin))
-    assert "com at (10, 20) mm" in str(pa.StandTask(com=(0.01, 0.02)))
+    assert "CoM at (10, 20) mm" in str(pa.StandTask(com=(0.01, 0.02)))
