@@ -116,7 +116,7 @@ def search_near_stand(context: SearchContext, goal: Goal, near: Stand) -> Stand 
     """
     found = search_from_joints(context, goal, near.joint_positions(context.robot))
     if found is None and goal.com_is_free:
-        found = solve_constraints(context, goal, near.qpos)
+        found, _ = solve_constraints(context, goal, near.qpos)
     return found
 
 
@@ -136,7 +136,9 @@ def search_from_joints(context: SearchContext, goal: Goal, joints: Array) -> Sta
     return _StandSearch(context, goal).add(context.solver.solve_from_joints(goal, joints))
 
 
-def solve_constraints(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:
+def solve_constraints(
+    context: SearchContext, goal: Goal, qpos: Array
+) -> tuple[Stand | None, float]:
     """Search for the stand of a goal by the nonlinear program, from an initial configuration.
 
     Args:
@@ -145,11 +147,13 @@ def solve_constraints(context: SearchContext, goal: Goal, qpos: Array) -> Stand 
         qpos: Initial configuration, shape (nq,).
 
     Returns:
-        Solved stand; None if the program does not reach a stand.
+        Solved stand; None if the program does not reach a stand. And the smallest foot error that
+        was found without a stand [m]: a minimum that exceeds ``NEAR_MISS`` is out of reach; 0 if
+        the foot error was not minimised.
     """
     there, programme = _StandSearch(context, goal), StanceProgram(context.shapes, goal)
     stand = there.solve_program(programme, qpos) or there.solve_from_minimum(programme, qpos)
-    return stand if stand is not None and stand.solved else None
+    return stand if stand is not None and stand.solved else None, min(there.misses, default=0.0)
 
 
 def search_from_configuration(context: SearchContext, goal: Goal, qpos: Array) -> Stand | None:

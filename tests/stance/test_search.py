@@ -283,7 +283,7 @@ def test_solved_constraints_keep_feet_ground_clearance_and_com_margin() -> None:
     stand = pa.solve_stand(robot, task, explain=False)
     assert stand.ground_clearance is not None
     required = replace(task, ground_clearance=stand.ground_clearance.distance + 1e-3)
-    found = solve_constraints(SearchContext(robot), make_goal(robot, required, {}), stand.qpos)
+    found, _ = solve_constraints(SearchContext(robot), make_goal(robot, required, {}), stand.qpos)
     assert found is not None
     assert found.ground_clearance is not None
     assert found.ground_clearance.distance >= required.ground_clearance - 1e-6
