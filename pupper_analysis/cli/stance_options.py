@@ -421,7 +421,7 @@ def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") 
 
     Raises:
         UnknownNameError: If a pattern matches no joint.
-        ConfigurationError: If a text has another form.
+        ConfigurationError: If a text is neither a number nor ``PATTERN=NUMBER`` (``*knee*=12``).
     """
     efforts: dict[str, float] = {}
     for pattern, value in _parse_assignments(option, texts):

@@ -181,7 +181,8 @@ NUMERICS_CODES = ("timestep", "iterations")
 constraint solver."""
 
 COMMAND_CODES = ("bias", "gain", "gear")
-"""Codes of the causes that change the position that a servo command specifies."""
+"""Codes of the causes of a failed run of a file that change the position that a servo command
+specifies. Only these are tested if nothing holds a joint, or its ctrl belongs to another pose."""
 
 
 def _make_switch(*changes: tuple[str, Any, Any]) -> Callable[[mujoco.MjModel], None]:

@@ -154,7 +154,8 @@ def find_final_spectrum(
 
     If the simulation has failed (``has_fallen``), the initial state is evaluated, since the modes
     that upset the robot grow there. If the final state is not at rest, the simulation is repeated
-    from the initial state for `SETTLING_TIME`, and the state of `judge_settled` is evaluated.
+    from the initial state for `SETTLING_TIME`, and the state that `judge_settled` returns is
+    evaluated.
 
     Args:
         drive: MuJoCo model with servos.

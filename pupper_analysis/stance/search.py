@@ -415,10 +415,11 @@ def minimise_foot_errors(
 
 
 def flatten_soles(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
-    """Reduce the tilt of soles on legs with fewer than six joints, by moving a free CoM.
+    """Reduce the tilt of soles on legs with fewer than six joints, by moving the CoM.
 
-    Such legs may tilt the soles to bring the CoM to the target. Servos that press these soles flat
-    would give torques that the static balance lacks.
+    IK may tilt the soles of such legs to bring the CoM to ``goal.place``. Servos that press these
+    soles flat would give torques that the static balance lacks. The CoM is moved only if the task
+    permits any position inside the support region (``com_is_free``).
 
     Args:
         context: Search context of the robot.
@@ -426,8 +427,8 @@ def flatten_soles(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
         stand: Stand of the goal with tilted soles.
 
     Returns:
-        The stand with smaller foot errors. The unchanged stand if the CoM is not free, or no solved
-        stand with smaller foot errors is found.
+        The stand with smaller foot errors, which the tilt causes. The unchanged stand if the task
+        fixes the CoM, or no solved stand with smaller foot errors is found.
     """
     robot = context.robot
     if not goal.com_is_free:

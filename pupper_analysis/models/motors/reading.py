@@ -29,8 +29,9 @@ BAM_MODELS = {
     "m5": ("load_friction_motor",),
     "m6": ("load_friction_motor",),
 }
-"""{servo model: parameter of the friction of a driving motor that is proportional to its load; ()
-without such a parameter}. Stribeck and quadratic terms of m4 to m6 are not read."""
+"""{friction model of BAM (Better Actuator Models): parameter of the friction of a driving motor that
+is proportional to its load; () without such a parameter}. Stribeck and quadratic terms of m4 to m6
+are not read."""
 
 
 def list_motors() -> tuple[str, ...]:

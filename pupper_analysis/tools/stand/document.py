@@ -434,8 +434,9 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
 def _is_settled_state_detail(stance: Stance, settled: SteadyState) -> bool:
     """Return True if the report lists the equilibrium without feed-forward only as a detail.
 
-    This is so if the equilibrium ``settled`` has no failures and a release margin of at least
-    `RELEASE_MARGIN`, or if the verdict already states that the robot fails without feed-forward.
+    This is so if the equilibrium ``settled`` has no failures, and the feet stay in place when the
+    feed-forward is removed (``release_margin`` of at least `RELEASE_MARGIN`), or if the verdict
+    already states that the robot fails without feed-forward.
     """
     lasting = not settled.failures and settled.release_margin >= RELEASE_MARGIN
     return lasting or _is_failure_without_feedforward_stated(stance)
