@@ -1,9 +1,12 @@
 # Types of numbers, arrays and methods of the engines' models. The packages pinocchio and mujoco
 # contain no type information, so each class inherits from an untyped class: other attributes
 # remain available, as Any, and each model is accepted by the functions of its engine.
+# Pyright treats a field whose class has an untyped base as a possible descriptor of unknown type,
+# unless the class states the result of __get__: the model itself.
 # tests/robot/test_engine_types.py compares the types with the installed engines.
 
 from collections.abc import Sequence
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -11,6 +14,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 class PinocchioModel(pin.Model):  # type: ignore[misc]
+    def __get__(self, instance: object, owner: type | None = None) -> Self: ...
+
     armature: NDArray[np.float64]
     children: Sequence[Sequence[int]]
     damping: NDArray[np.float64]
@@ -105,10 +110,14 @@ class PinocchioData(pin.Data):  # type: ignore[misc]
     vxI: Sequence[NDArray[np.float64]]
 
 class PinocchioGeometryModel(pin.GeometryModel):  # type: ignore[misc]
+    def __get__(self, instance: object, owner: type | None = None) -> Self: ...
+
     collisionPairMapping: NDArray[np.int32]
     ngeoms: int
 
 class MujocoModel(mujoco.MjModel):  # type: ignore[misc]
+    def __get__(self, instance: object, owner: type | None = None) -> Self: ...
+
     actuator_acc0: NDArray[np.float64]
     actuator_actadr: NDArray[np.int32]
     actuator_actearly: NDArray[np.bool_]

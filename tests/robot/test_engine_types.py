@@ -58,8 +58,8 @@ def test_declared_types_are_those_of_the_engine(name: str, tiny: pa.Robot) -> No
         if not has_type(getattr(model, attribute, None), declared)
     }
     assert not wrong
-    methods = [node.name for node in CLASSES[name].body if isinstance(node, ast.FunctionDef)]
-    assert all(callable(getattr(model, method)) for method in methods)
+    methods = {node.name for node in CLASSES[name].body if isinstance(node, ast.FunctionDef)}
+    assert all(callable(getattr(model, method)) for method in methods - {"__get__"})
 
 
 def test_classes_are_those_of_the_engines() -> None:

@@ -34,7 +34,7 @@ def _join_limits(workspace: BaseWorkspace) -> doc.Text:
             if direction not in limited:
                 limited.append(direction)
             names = limit.values.get("joints")
-            joints |= dict.fromkeys(names if isinstance(names, tuple) else ())
+            joints |= dict.fromkeys(map(str, names) if isinstance(names, tuple) else ())
     if joints:
         limits[_JOINT_LIMITS] = diagnose(_JOINT_LIMITS, joints=[*joints])
     parts = [
