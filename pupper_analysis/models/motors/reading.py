@@ -29,7 +29,7 @@ BAM_MODELS = {
     "m5": ("load_friction_motor",),
     "m6": ("load_friction_motor",),
 }
-"""{friction model of BAM (Better Actuator Models): parameter of the friction of a driving motor that
+"""{friction model of BAM (Better Actuator Models): parameter of a driving motor's friction that
 is proportional to its load; () without such a parameter}. Stribeck and quadratic terms of m4 to m6
 are not read."""
 
