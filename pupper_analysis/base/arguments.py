@@ -363,4 +363,4 @@ def _describe_type(option: Any) -> Diagnostic | Term:
         return Term("a mapping of names")
     if option in _TYPE_NAMES:
         return Term(_TYPE_NAMES[option])
-    return diagnose("object-of", type=name)
+    return diagnose("object-of", type=name, vowel=name[:1].lower() in "aeiou")

@@ -80,6 +80,8 @@ class LazyGroup(click.Group):
         name = args[0]
         if not name.startswith("-") and self.get_command(ctx, name) is None:
             alike = difflib.get_close_matches(name, list_tools())
+            if not alike and f"--{name}" in (word for one in self.params for word in one.opts):
+                alike = [f"--{name}"]
             hint = f"Did you mean {' or '.join(alike)}?" if alike else ""
             raise click.UsageError(f"No such command {name!r}. {hint}".strip(), ctx)
         return super().resolve_command(ctx, args)

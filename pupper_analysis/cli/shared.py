@@ -482,14 +482,17 @@ def _find_similar_options(unknown: str, known: Sequence[str]) -> list[str]:
 def _find_options_about(unknown: str, parameters: Sequence[click.Parameter]) -> list[str]:
     """Return the options whose help contains the words of an unknown option, such as ``--impulse``.
 
-    A plural with s counts, too. Empty if more than `_MAX_OPTIONS_ABOUT` options contain the words.
+    A plural with s counts, too. Empty if more than `_MAX_OPTIONS_ABOUT` options contain the words,
+    or a word is shorter than `_MIN_WORD_LENGTH`.
 
     Args:
         unknown: Unknown option.
         parameters: Parameters of the command.
     """
     words = unknown.strip("-").lower().split("-")
-    patterns = [re.compile(rf"\b{re.escape(word)}s?\b") for word in words if word]
+    if min(map(len, words)) < _MIN_WORD_LENGTH:
+        return []
+    patterns = [re.compile(rf"\b{re.escape(word)}s?\b") for word in words]
     found = [
         max(option.opts, key=len)
         for option in parameters
@@ -502,6 +505,10 @@ def _find_options_about(unknown: str, parameters: Sequence[click.Parameter]) -> 
 _MAX_OPTIONS_ABOUT = 3
 """Maximum number of options that `_find_options_about` returns: a word of more options, such as
 "robot", does not identify an option. Chosen, not tuned."""
+
+_MIN_WORD_LENGTH = 4
+"""Minimum length [characters] of the words of an option that `_find_options_about` searches for:
+shorter words, such as "x" or "at", occur everywhere. Chosen, not tuned."""
 
 
 FORCE_HELP: Final = (

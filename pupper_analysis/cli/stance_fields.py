@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -262,7 +263,12 @@ def read_stance_file(path: Path) -> dict[str, Any]:
     for key, value in values.items():
         option = key.replace("_", "-")
         if option not in parameters:
-            unknown = diagnose("no-option-of-a-stance", given=key, known=sorted(parameters))
+            unknown = diagnose(
+                "no-option-of-a-stance",
+                given=key,
+                alike=difflib.get_close_matches(option, parameters, 1),
+                known=sorted(parameters),
+            )
             raise ConfigurationError(str(path), unknown)
         typed = _format_as_typed(path, key, value)
         field = OPTION_FIELDS.get(parameters[option])

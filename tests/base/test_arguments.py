@@ -155,7 +155,7 @@ def test_invalid_field_of_a_dataclass_raises(kind: type, junk: Any) -> None:
         (lambda: pa.analyze_variant("v3"), "robot: 'v3' is not a Robot; use pa.load_robot"),
         (lambda: pa.solve_stand(load("v3"), 0.12), "task: 0.12 is not a StandTask or None"),
         (lambda: pa.solve_stand(load("v3"), explain="x"), "explain: 'x' is not True or False"),
-        (lambda: pa.stance.stance_path(load("v3"), ["x"], 1.0), "each a StandTask"),
+        (lambda: pa.stance.stance_path(load("v3"), ["x"], 1.0), "each element a StandTask"),
         (lambda: pa.load_variant(5), "name 5 is not valid; known variants"),
         (lambda: pa.cross_check(load("v3"), seed=-1), "seed: -1 is not a whole number"),
         (lambda: pa.audit_model(5), "path: 5 is not a text or a path"),

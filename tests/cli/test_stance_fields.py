@@ -137,7 +137,7 @@ def test_contacts_are_typed_and_written_into_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("hight = 3", "it has no option 'hight'"),
+        ("hight = 3", "it has no option 'hight'; did you mean height?"),
         ("height = true", "height: give a number"),
         ("height = '3parsec'", "is no length"),
         ("height = ", "not a TOML file"),

@@ -103,10 +103,14 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
 
     If this payload is unknown, unlimited or zero, or the posture fails, the next command is
     `audit`, which checks the files; `crosscheck` if the difference of two files explains a failure.
+    After a failure with a payload, it is `hold` without the payload, which finds the largest.
     """
     payload = hold.payload.worst_posture_mass
     if not hold.passed:
-        return select_step_after_failure(hold.verdict, doc.NextStep("audit"))
+        step = doc.NextStep("audit")
+        if hold.carried > 0:
+            step = doc.NextStep("hold", omitted=("--payload",))
+        return select_step_after_failure(hold.verdict, step)
     if not math.isfinite(payload) or payload <= 0:
         return doc.NextStep("audit")
     carried = hold.carried + round_mass_down(payload)

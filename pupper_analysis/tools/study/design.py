@@ -6,6 +6,7 @@ any language.
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import math
 from collections.abc import Mapping
@@ -476,7 +477,11 @@ def check_variable_name(name: str, source: RobotSource) -> None:
     """
     known_names = (*source.scales, *FIELD_OF_VARIABLE, MOTOR_KIND)
     if VariablePattern.parse(name) is None and name not in known_names:
-        finding = diagnose("no-number-to-vary", known=known_names)
+        finding = diagnose(
+            "no-number-to-vary",
+            alike=difflib.get_close_matches(name, known_names, cutoff=0.75),
+            known=known_names,
+        )
         raise ConfigurationError(f"vary[{name!r}]", finding)
 
 

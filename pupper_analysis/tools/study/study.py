@@ -77,6 +77,13 @@ from pupper_analysis.tools.study.variables import Sampling, Variable, make_varia
 if TYPE_CHECKING:
     import pandas as pd
 
+_REQUIRED_KEYS = {
+    "robot": 'robot = "v3"',
+    "vary": "vary = {leg_scale = [1.0, 1.2]}",
+    "measure": 'measure = ["peak_utilisation"]',
+}
+"""{required key of a study: example of its line in a TOML file}."""
+
 STUDY_KEYS = (
     "robot",
     "vary",
@@ -375,9 +382,9 @@ class Study:
         unknown = [key for key in data if key not in STUDY_KEYS]
         if unknown:
             raise ConfigurationError(unknown[0], diagnose("study-key-unknown", known=STUDY_KEYS))
-        for key in ("robot", "vary", "measure"):
+        for key, example in _REQUIRED_KEYS.items():
             if key not in data:
-                raise ConfigurationError(key, diagnose("study-must-say"))
+                raise ConfigurationError(key, diagnose("study-key-missing", example=example))
         options = dict(data)
         stand = options.pop("stand", {})
         check_type("stand", stand, Mapping[str, Any])

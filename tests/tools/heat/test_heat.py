@@ -102,6 +102,9 @@ def test_unknown_numbers_are_named_and_do_not_pass() -> None:
     assert first.startswith("UNKNOWN v3: the data of Dynamixel XM540-W270 lack")
     assert "winding_resistance, winding_capacity" in first
     assert "A at 12 V" in second
+    lacking = answer("heat", "v3", "--motor", "mit-mini-cheetah").stdout
+    assert "lack limit_temperature; state the limit temperature with --limit DEGC" in lacking
+    assert "next: pupper-analysis heat v3 --motor mit-mini-cheetah --limit 100" in lacking
     few = answer("heat", "v3", "--motor", "*_1=dephy-actpack")
     assert few.returncode == 1
     assert "no motor assigned to leg_front_r_2" in few.stdout

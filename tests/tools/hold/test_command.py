@@ -46,6 +46,7 @@ def test_weak_motors_give_exit_status_1_and_invalid_input_is_refused(
     files: tuple[str, str], capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     status, output, _ = run_command(capfd, "hold", *files, "--payload", "3")
+    assert f"  next: pupper-analysis hold {' '.join(files)}\n" in output
     assert status == 1
     assert "FAILS arm" in output
     assert "OVERLOADED: the motors cannot hold it: elbow" in output
