@@ -13,6 +13,7 @@ import itertools
 import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -102,9 +103,38 @@ def add_loop_motors(robot: Robot) -> Robot:
     return rebuild_robot(robot, mjcf=spec)
 
 
-def add_position_servos(
-    robot: Robot, stand: Stand, original: MjcfFile
-) -> tuple[Robot, Array, Array, int]:
+class _Candidate(NamedTuple):
+    """Gains and time step of added servos that are tried.
+
+    Attributes:
+        divisor: Number by which the time step of the file is divided.
+        kp: Stiffness of all servos, shape (nu,) [N m/rad, N/m].
+        kd: Damping of all servos, shape (nu,) [N m s/rad, N s/m].
+    """
+
+    divisor: int
+    kp: Array
+    kd: Array
+
+
+class AddedServos(NamedTuple):
+    """Robot with added servos.
+
+    Attributes:
+        robot: Robot with servos.
+        kp: Stiffness of all servos, zero for dependent joints, shape (nu,) [N m/rad, N/m].
+        kd: Damping of all servos, zero for dependent joints, shape (nu,) [N m s/rad, N s/m].
+        num_rest_modes: Number of modes in which the robot comes to rest: 2 with and without
+            feed-forward, 1 with feed-forward alone, 0.
+    """
+
+    robot: Robot
+    kp: Array
+    kd: Array
+    num_rest_modes: int
+
+
+def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> AddedServos:
     """Add position servos to the joints without one, with gains that hold a stand.
 
     Candidates of gains and time step are tried in order. A candidate is chosen if the robot comes
@@ -126,124 +156,145 @@ def add_position_servos(
         robot: Robot.
         stand: Stand.
         original: MJCF of the robot.
+    """
+    trials = _ServoTrials(robot, stand, original)
+    file = None if original.of_urdf else compile_published_model(original, robot)
+    resting = chattering = good = None
+    for candidate in trials.find_resting_candidates(False, True):
+        if good and candidate.divisor > 1:
+            break  # no further candidate has the time step of the file
+        resting = resting or candidate
+        if not trials.agrees_with_prediction(candidate):
+            continue
+        if not trials.calms_down(candidate):
+            chattering = chattering or candidate
+            continue
+        good = good or candidate
+        made = _build_with_servos(robot, candidate, original)
+        _, kp, kd = candidate
+        if candidate.divisor > 1 or file is None:
+            return AddedServos(made, kp, kd, 2)
+        if settles_in_place(file, _record_added_servos(made, kp, kd, original), stand.qpos):
+            return AddedServos(made, kp, kd, 2)
+    fed = None if resting else trials.choose_calm_candidate()
+    chosen = good or chattering or resting or fed or trials.candidates[0]
+    made = _build_with_servos(robot, chosen, original)
+    return AddedServos(made, chosen.kp, chosen.kd, 2 if resting else int(fed is not None))
 
-    Returns:
-        Robot with servos; stiffness, shape (nu,) [N m/rad], and damping, shape (nu,) [N m s/rad],
-        of all servos, zero for dependent joints; number of modes in which the robot comes to rest:
-        2 with and without feed-forward, 1 with feed-forward alone, 0.
+
+def _list_candidates(robot: Robot, stand: Stand, *, of_urdf: bool) -> list[_Candidate]:
+    """Return the gains and time steps that are tried, in this order.
+
+    First are the deflections of `_SAG_CANDIDATES` with the time step of the file; then, unless the
+    robot is described by a URDF alone (``of_urdf``), those with reduced damping; then smaller time
+    steps. Joints with servos keep their gains.
     """
     own_gains = list_position_servos(robot)
     torques = stand_statics(robot, stand).joint_torques
-    limits = {limit.joint: limit for limit in robot.efforts}
-
-    def built(parts: int, kp: Array, kd: Array) -> Robot:
-        """Return the robot with servos; the time step is divided by ``parts``."""
-        timestep = float(robot.description.mjcf.option.timestep) / parts
-        given = robot.description.with_additions(*make_missing_servos(robot, kp, kd, timestep))
-        copy_visual_option(given.mjcf, original.spec)
-        return rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=limits)
-
-    light_candidates = (
-        []
-        if original.of_urdf
-        else list(
-            itertools.product(
-                TIMESTEP_DIVISORS[:1], _LIGHT_SAG_CANDIDATES, (_LIGHT_DAMPING_FACTOR,)
-            )
-        )
+    usual = list(itertools.product(TIMESTEP_DIVISORS, _SAG_CANDIDATES, (1.0,)))
+    light = itertools.product(
+        TIMESTEP_DIVISORS[:1], _LIGHT_SAG_CANDIDATES, (_LIGHT_DAMPING_FACTOR,)
     )
-    usual_candidates = list(itertools.product(TIMESTEP_DIVISORS, _SAG_CANDIDATES, (1.0,)))
+    num_undivided = len(_SAG_CANDIDATES)
     candidates = []
-    for parts, sag, damping_factor in [
-        *usual_candidates[: len(_SAG_CANDIDATES)],
-        *light_candidates,
-        *usual_candidates[len(_SAG_CANDIDATES) :],
+    for divisor, sag, damping_factor in [
+        *usual[:num_undivided],
+        *([] if of_urdf else light),
+        *usual[num_undivided:],
     ]:
-        gains = suggest_standing_gains(robot, stand, torques, sag, parts, damping_factor)
-        candidates.append((parts, *_merge_gains(robot, own_gains, *gains)))
-    file = None if original.of_urdf else compile_published_model(original, robot)
+        gains = suggest_standing_gains(robot, stand, torques, sag, divisor, damping_factor)
+        candidates.append(_Candidate(divisor, *_merge_gains(robot, own_gains, *gains)))
+    return candidates
 
-    timestep = float(robot.mj_model.opt.timestep)
-    first_tried = robot.description.with_additions(
-        *make_missing_servos(robot, *candidates[0][1:], timestep)
-    )
-    trial = rebuild_robot(robot, mjcf=first_tried.mjcf, efforts=limits)
 
-    results: dict[tuple[int, bool], bool] = {}
-    chattering_divisors: set[int] = set()
+def _build_with_servos(robot: Robot, candidate: _Candidate, original: MjcfFile) -> Robot:
+    """Return the robot with the servos and the time step of a candidate."""
+    divisor, kp, kd = candidate
+    timestep = float(robot.description.mjcf.option.timestep) / divisor
+    given = robot.description.with_additions(*make_missing_servos(robot, kp, kd, timestep))
+    copy_visual_option(given.mjcf, original.spec)
+    efforts = {limit.joint: limit for limit in robot.efforts}
+    return rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=efforts)
 
-    def rests_with(number: int, *, fed: bool) -> bool:
-        """Return True if the robot comes to rest with the servo gains of a candidate.
 
-        ``number`` is the index of the candidate. The static motor torques are added to the commands
-        if ``fed``. Each case is simulated once.
-        """
-        parts, kp, kd = candidates[number]
-        trial.mj_model.opt.timestep = timestep / parts
-        if (number, fed) not in results:
-            results[number, fed] = comes_to_rest(trial, stand, feedforward=fed, kp=kp, kd=kd)
-        return results[number, fed]
+class _ServoTrials:
+    """Simulations of a robot in a stand with candidate gains of added servos.
 
-    def find_resting_candidates(*feedforward: bool) -> Iterator[tuple[int, Array, Array]]:
-        """Yield the candidates (time step divisor, kp, kd) with which the robot comes to rest.
+    Attributes:
+        candidates: Gains and time steps, in the order of the trials.
+    """
+
+    def __init__(self, robot: Robot, stand: Stand, original: MjcfFile) -> None:
+        self.candidates = _list_candidates(robot, stand, of_urdf=original.of_urdf)
+        self._stand, self._has_urdf_alone = stand, original.of_urdf
+        self._timestep = float(robot.mj_model.opt.timestep)
+        _, kp, kd = self.candidates[0]
+        description = robot.description.with_additions(
+            *make_missing_servos(robot, kp, kd, self._timestep)
+        )
+        efforts = {limit.joint: limit for limit in robot.efforts}
+        self._robot = rebuild_robot(robot, mjcf=description.mjcf, efforts=efforts)
+        self._results: dict[tuple[int, bool], bool] = {}
+        self._chattering_divisors: set[int] = set()
+
+    def find_resting_candidates(self, *feedforward: bool) -> Iterator[_Candidate]:
+        """Yield the candidates with which the robot comes to rest, and set the robot's time step.
 
         ``feedforward`` lists the simulations: with (True) or without (False) feed-forward.
         Simulations without feed-forward run first: most candidates that fall do so in such a
-        simulation, within seconds.
+        simulation, within seconds. If the robot has a URDF alone, candidates with a divisor of the
+        time step with which contacts chattered are omitted (`calms_down`).
         """
-        for number, candidate in enumerate(candidates):
-            report_progress("servos", number, len(candidates))
-            if original.of_urdf and candidate[0] in chattering_divisors:
+        for number, candidate in enumerate(self.candidates):
+            report_progress("servos", number, len(self.candidates))
+            if self._has_urdf_alone and candidate.divisor in self._chattering_divisors:
                 continue
-            if all(rests_with(number, fed=fed) for fed in sorted(feedforward)):
+            if all(self._comes_to_rest(number, fed=fed) for fed in sorted(feedforward)):
                 yield candidate
 
-    resting = chattering = good = None
-    for parts, kp, kd in find_resting_candidates(False, True):
-        if good and parts > 1:
-            break  # no further candidate has the time step of the file
-        resting = resting or (parts, kp, kd)
-        if not _is_as_predicted(trial, stand, kp, kd):
-            continue
-        if not calms_after_base_nudges(trial, stand, kp=kp, kd=kd):
-            chattering = chattering or (parts, kp, kd)
-            chattering_divisors.add(parts)
-            continue
-        good = good or (parts, kp, kd)
-        made = built(parts, kp, kd)
-        if parts > 1 or file is None:
-            return made, kp, kd, 2
-        if settles_in_place(file, _record_added_servos(made, kp, kd, original), stand.qpos):
-            return made, kp, kd, 2
-    fed = (
-        None
-        if resting
-        else _choose_calm_candidate(
-            trial, stand, find_resting_candidates(True), chattering_divisors
-        )
-    )
-    parts, kp, kd = good or chattering or resting or fed or candidates[0]
-    return built(parts, kp, kd), kp, kd, 2 if resting else int(fed is not None)
+    def _comes_to_rest(self, number: int, *, fed: bool) -> bool:
+        """Return True if the robot comes to rest with the candidate of an index.
 
+        The static motor torques are added to the commands if ``fed``. Each case is simulated once.
+        """
+        divisor, kp, kd = self.candidates[number]
+        self._robot.mj_model.opt.timestep = self._timestep / divisor
+        if (number, fed) not in self._results:
+            self._results[number, fed] = comes_to_rest(
+                self._robot, self._stand, feedforward=fed, kp=kp, kd=kd
+            )
+        return self._results[number, fed]
 
-def _choose_calm_candidate(
-    robot: Robot,
-    stand: Stand,
-    candidates: Iterator[tuple[int, Array, Array]],
-    chattering_divisors: set[int],
-) -> tuple[int, Array, Array] | None:
-    """Return the first candidate that calms down after nudges of the base, or else the first.
+    def agrees_with_prediction(self, candidate: _Candidate) -> bool:
+        """Return True if the robot rests as predicted (`_is_as_predicted`).
 
-    None without candidates. The time step divisors of rejected candidates are added to
-    ``chattering_divisors``, in place. The iterator sets the time step of ``robot``.
-    """
-    first = None
-    for parts, kp, kd in candidates:
-        if calms_after_base_nudges(robot, stand, kp=kp, kd=kd):
-            return parts, kp, kd
-        first = first or (parts, kp, kd)
-        chattering_divisors.add(parts)
-    return first
+        The time step is that of the last candidate of `find_resting_candidates`.
+        """
+        return _is_as_predicted(self._robot, self._stand, candidate.kp, candidate.kd)
+
+    def calms_down(self, candidate: _Candidate) -> bool:
+        """Return True if the motion after nudges of the base decays; otherwise record the divisor.
+
+        The time step is that of the last candidate of `find_resting_candidates`.
+        """
+        _, kp, kd = candidate
+        is_calm = calms_after_base_nudges(self._robot, self._stand, kp=kp, kd=kd)
+        if not is_calm:
+            self._chattering_divisors.add(candidate.divisor)
+        return is_calm
+
+    def choose_calm_candidate(self) -> _Candidate | None:
+        """Return the first candidate with feed-forward that calms down, or else the first.
+
+        The candidates are those with which the robot comes to rest with feed-forward. None without
+        such candidates.
+        """
+        first = None
+        for candidate in self.find_resting_candidates(True):
+            if self.calms_down(candidate):
+                return candidate
+            first = first or candidate
+        return first
 
 
 def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
@@ -321,11 +372,11 @@ def _add_servos_of_stand(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
     stand = start.solve_nominal_stand(robot)
     if stand is None:
         return add_fixed_base_servos(robot, mjcf)
-    built, kp, kd, rests = add_position_servos(robot, stand, mjcf)
-    made, messages = _report_added_servos(robot, built, mjcf, kp, kd)
-    if not rests:
+    added = add_position_servos(robot, stand, mjcf)
+    made, messages = _report_added_servos(robot, added.robot, mjcf, added.kp, added.kd)
+    if not added.num_rest_modes:
         messages.append(diagnose("no-servos-bring-it-to-rest"))
-    elif rests == 1:
+    elif added.num_rest_modes == 1:
         messages.append(diagnose("rests-with-feed-forward-alone"))
     return made, messages
 

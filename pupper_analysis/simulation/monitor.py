@@ -8,7 +8,7 @@ those of a rollout, with mean torques and forces. All states are MuJoCo's mjSTAT
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Container, Iterable
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import mujoco
@@ -491,11 +491,9 @@ def record_contacts(
     touched: dict[str, float] = {}
     surfaces: dict[str, Diagnostic | None] = {}
     unloaded: dict[str, float] = {}
-    torques = np.zeros(robot.nu)
-    total = {name: np.zeros(3) for name in (*robot.feet, *robot.fixed_parts)}
+    means = _SettledMeans(robot, model)
     carrying = robot.feet_with(stand.stance_feet)
-    feet = {foot: np.zeros(3) for foot in robot.contact_points}
-    count, touching, pressed = 0, set[tuple[str, str]](), set[tuple[str, str]]()
+    touching, pressed = set[tuple[str, str]](), set[tuple[str, str]]()
     is_footless = robot.is_base_fixed and not stand.stance_feet
     min_force = MIN_PUSH_RATIO * robot.usual_weight
     last_second = range(settling - round(MEASURING_TIME / model.opt.timestep), settling)
@@ -523,37 +521,74 @@ def record_contacts(
         touched |= dict.fromkeys(on_ground, float(state[0]))
         unloaded |= dict.fromkeys(idle_feet, float(state[0]))
         if is_measured:
-            count += 1
+            means.add(sampler.data, sample.forces)
             pushing = find_pushing_bodies(model, sampler.data, min_force)
             touching |= {pair for pair in pushing if "world" not in pair}
-            torques += sampler.data.qfrc_actuator[robot.mj_convention.qvel_index[-robot.nu :]]
-            for name, force in (sample.forces | weld_forces(robot, model, sampler.data)).items():
-                total[name] += force
-            for foot, centre in foot_centres(robot, sampler.data).items():
-                feet[foot] += centre
-    failures = [
-        diagnose(
+    idle = {foot: moment for foot, moment in unloaded.items() if foot in loaded}
+    return ContactRecord(
+        failures=tuple(_list_contact_failures(touched, surfaces, idle, pressed)),
+        touching=tuple(sorted(touching - pressed)),
+        torques=means.torques / means.count,
+        forces={foot: force / means.count for foot, force in means.forces.items()},
+        feet_settled={foot: place / means.count for foot, place in means.positions.items()},
+        lifted={foot: moment for foot, moment in sorted(unloaded.items()) if foot not in loaded},
+    )
+
+
+class _SettledMeans:
+    """Sums over states of a settled robot, from which means are computed.
+
+    Attributes:
+        count: Number of states.
+        torques: Sum of the actuator forces of the joints, shape (nu,) [N m, N].
+        forces: {foot or weld: sum of the forces on this part, shape (3,) [N]}.
+        positions: {contact point: sum of positions in the world, shape (3,) [m]}.
+    """
+
+    def __init__(self, robot: Robot, model: mujoco.MjModel) -> None:
+        self._robot, self._model = robot, model
+        self.count = 0
+        self.torques = np.zeros(robot.nu)
+        self.forces = {name: np.zeros(3) for name in (*robot.feet, *robot.fixed_parts)}
+        self.positions = {foot: np.zeros(3) for foot in robot.contact_points}
+
+    def add(self, data: mujoco.MjData, foot_forces: Mapping[str, Array]) -> None:
+        """Add a state, with evaluated contacts, and with the ground forces on the feet [N]."""
+        self.count += 1
+        joints = self._robot.mj_convention.qvel_index[-self._robot.nu :]
+        self.torques += data.qfrc_actuator[joints]
+        welds = weld_forces(self._robot, self._model, data)
+        for name, force in {**foot_forces, **welds}.items():
+            self.forces[name] += force
+        for foot, centre in foot_centres(self._robot, data).items():
+            self.positions[foot] += centre
+
+
+def _list_contact_failures(
+    touched: Mapping[str, float],
+    surfaces: Mapping[str, Diagnostic | None],
+    idle: Mapping[str, float],
+    pressed: Collection[tuple[str, str]],
+) -> Iterator[Diagnostic]:
+    """Yield the failures: bodies on the ground, idle feet, and pairs of parts in contact.
+
+    Args:
+        touched: {body other than a foot of the stance: first time on the ground [s]}.
+        surfaces: {body: surface that the body touches; None for the floor}.
+        idle: {foot that must carry load: first time without load [s]}.
+        pressed: Pairs of bodies that press on each other, for a fixed base without feet.
+    """
+    for body, moment in sorted(touched.items()):
+        yield diagnose(
             "body-touches-ground",
             subject=("body", body),
             surface=surfaces.get(body),
             time=Quantity(moment, "s"),
         )
-        for body, moment in sorted(touched.items())
-    ]
-    failures += [
-        diagnose("foot-idle", subject=("foot", foot), time=Quantity(moment, "s"))
-        for foot, moment in sorted(unloaded.items())
-        if foot in loaded
-    ]
-    failures += [diagnose("parts-touch", bodies=pair) for pair in sorted(pressed)]
-    return ContactRecord(
-        failures=tuple(failures),
-        touching=tuple(sorted(touching - pressed)),
-        torques=torques / count,
-        forces={foot: force / count for foot, force in total.items()},
-        feet_settled={foot: position / count for foot, position in feet.items()},
-        lifted={foot: moment for foot, moment in sorted(unloaded.items()) if foot not in loaded},
-    )
+    for foot, moment in sorted(idle.items()):
+        yield diagnose("foot-idle", subject=("foot", foot), time=Quantity(moment, "s"))
+    for pair in sorted(pressed):
+        yield diagnose("parts-touch", bodies=pair)
 
 
 def find_pushing_bodies(

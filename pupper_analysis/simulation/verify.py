@@ -7,7 +7,7 @@ positions with the statics. `mujoco_balance_residual` evaluates the balance with
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -306,67 +306,36 @@ def verify_stand(
         reference.has_collapsed,
         until_failure=until_failure,
     )
-    predicted = robot.per_foot(prediction.contact_forces)
-    normals = stand.lift_directions(robot)
-    total_load = sum(force[2] for force in predicted.values())
-    if robot.fixed_parts:  # a weld may carry more than the weight, or pull down
-        total_load = robot.weight
-    force_scale = MIN_FORCE_SCALE * total_load
-    shares = {foot: float(force @ normals[foot]) / total_load for foot, force in predicted.items()}
+    total_load = _compute_total_load(robot, prediction)
+    shares = _compute_load_shares(robot, stand, prediction, total_load)
     loaded = {foot for foot, share in shares.items() if share >= monitor.LIGHT_FOOT_LOAD}
     record = record_contacts(robot, drive.model, stand, run.states, ctrl, run.settling, loaded)
-    result = replace(
-        _compare_with_prediction(
-            robot, stand, drive, prediction, run, record, reference, force_scale
-        ),
-        feedforward=feedforward,
+    result = _compare_with_prediction(
+        robot, stand, drive, prediction, run, record, reference, MIN_FORCE_SCALE * total_load
     )
+    result = replace(result, feedforward=feedforward)
     failures = _find_standing_failures(robot, reference, run.states, record, result)
     if failures:
         failures += find_creep(robot, stand, prediction)
-    nudge, lifted = result.nudge, record.lifted
+    nudge = result.nudge
     # A light foot may bounce although the samples of the record show no lift.
     bounces = bool(
-        len(loaded) < len(predicted)
+        len(loaded) < len(shares)
         and not failures
         and nudge is not None
         and not nudge.decayed
         and remains_small(drive.model, run.states[-1], ctrl, nudge)
     )
     failures += find_instability(result.stability, nudge, bounces=bounces)
-    mismatch = describe_model_mismatch(robot, result.mujoco_residual, robot.usual_weight)
-    # Torques of another robot may unload a foot on which the simulated robot need not stand.
-    stays = not failures or bool(
-        feedforward
-        and mismatch
-        and not result.collapses
-        and all(failure.code == "foot-idle" for failure in failures)
-    )
+    stays = not failures or _are_failures_of_mismatch(robot, result, failures)
     if feedforward:
         failures += _find_deviations(robot, stand, record, result, stays=stays)
         failures += _describe_height_loss(result, reference.com_height)
         failures.sort(key=lambda failure: failure.code != TWO_ROBOTS_CODE)  # the cause first
-    elif (
-        settled is not None
-        and not settled.failures
-        and robot.is_base_fixed
-        and not stand.stance_feet
-    ):
+    elif settled is not None and not settled.failures and _is_fixed_without_feet(robot, stand):
         failures += _compare_with_equilibrium(robot, result, settled)
     failures += find_chatter(robot, drive, run.states, ctrl) if failures else []
-    notes = [
-        diagnose(
-            "light-foot-lifts",
-            subject=("foot", foot),
-            share=Quantity(shares.get(foot, 0.0), "1"),
-            time=Quantity(moment, "s"),
-        )
-        for foot, moment in lifted.items()
-    ]
-    if bounces and nudge is not None:
-        after = Quantity(nudge.duration, "s")
-        further = Quantity(BOUNCING_TIME, "s")
-        notes.append(diagnose("light-foot-bounces", left=nudge.left, after=after, further=further))
+    notes = _describe_light_feet(record.lifted, shares, nudge if bounces else None)
     if not result.collapses:
         notes += describe_refuted(result.stability)
     judged = replace(
@@ -379,6 +348,74 @@ def verify_stand(
     )
     vars(judged)["_stand"] = simulated
     return judged
+
+
+def _compute_total_load(robot: Robot, prediction: GravityCompensation) -> float:
+    """Return the load on all feet [N]: the sum of vertical forces, or the weight with a weld.
+
+    A weld may carry more than the weight, or pull down.
+    """
+    if robot.fixed_parts:
+        return robot.weight
+    predicted = robot.per_foot(prediction.contact_forces)
+    return float(sum(force[2] for force in predicted.values()))
+
+
+def _compute_load_shares(
+    robot: Robot, stand: Stand, prediction: GravityCompensation, total_load: float
+) -> dict[str, float]:
+    """Return {foot: predicted normal force / ``total_load`` [N]}."""
+    normals = stand.lift_directions(robot)
+    predicted = robot.per_foot(prediction.contact_forces)
+    return {foot: float(force @ normals[foot]) / total_load for foot, force in predicted.items()}
+
+
+def _are_failures_of_mismatch(
+    robot: Robot, result: StandVerification, failures: Sequence[Diagnostic]
+) -> bool:
+    """Return True if idle feet are the only failures, and the files describe different robots.
+
+    Torques of another robot may unload a foot on which the simulated robot need not stand. False
+    without feed-forward, and if the robot collapses.
+    """
+    mismatch = describe_model_mismatch(robot, result.mujoco_residual, robot.usual_weight)
+    return bool(
+        result.feedforward
+        and mismatch
+        and not result.collapses
+        and all(failure.code == "foot-idle" for failure in failures)
+    )
+
+
+def _is_fixed_without_feet(robot: Robot, stand: Stand) -> bool:
+    """Return True if the base is fixed and no foot of the stand carries load."""
+    return robot.is_base_fixed and not stand.stance_feet
+
+
+def _describe_light_feet(
+    lifted: Mapping[str, float], shares: Mapping[str, float], bounce: Nudge | None
+) -> list[Diagnostic]:
+    """Return a note for each lifted foot with little load, and one if such a foot bounces.
+
+    Args:
+        lifted: {foot: time of the first lift [s]}.
+        shares: {foot: share of the total load [1]}.
+        bounce: Response to the nudge if a foot bounces; otherwise None.
+    """
+    notes = [
+        diagnose(
+            "light-foot-lifts",
+            subject=("foot", foot),
+            share=Quantity(shares.get(foot, 0.0), "1"),
+            time=Quantity(moment, "s"),
+        )
+        for foot, moment in lifted.items()
+    ]
+    if bounce is not None:
+        after = Quantity(bounce.duration, "s")
+        further = Quantity(BOUNCING_TIME, "s")
+        notes.append(diagnose("light-foot-bounces", left=bounce.left, after=after, further=further))
+    return notes
 
 
 CREEP_TIME = 10.0
@@ -657,6 +694,9 @@ def friction_and_deadband(robot: Robot, kp: Array) -> tuple[Array, Array]:
 
     The deadband is friction / kp: the position deviation at which dry friction balances the servo;
     0 for a joint with kp = 0. ``kp`` has the shape (nu,) [N m/rad, N/m].
+
+    Returns:
+        Dry friction, shape (nu,) [N m, N]; deadband, shape (nu,) [rad, m].
     """
     friction = robot.mj_model.dof_frictionloss[robot.mj_convention.qvel_index[-robot.nu :]]
     return friction, np.divide(friction, kp, out=np.zeros(robot.nu), where=kp > 0)

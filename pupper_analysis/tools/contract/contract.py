@@ -20,7 +20,7 @@ from pupper_analysis.base.results import Result, shorten_paths
 from pupper_analysis.models.published import PACKAGE_PREFIX, find_file, is_published_name
 from pupper_analysis.pupper.named_robots import find_files, is_variant, refuse_unknown_variant
 from pupper_analysis.pupper.variants import VariantSpec
-from pupper_analysis.tools.contract.facts import Fact, Role
+from pupper_analysis.tools.contract.facts import Fact, JointSource, Role
 from pupper_analysis.tools.contract.findings import (
     DefaultPoseStand,
     Disagreement,
@@ -165,15 +165,7 @@ def _compare_sources(
     """
     requests, folders = split_arguments(sources)
     read, errors = read_sources(requests)
-    models = [source for source in read if source.role is Role.MODEL]
-    if not models:
-        for error in errors:  # its source may be ``file:line``
-            file = error.source.rpartition(":")[0] or error.source
-            if Path(file).suffix.lower() in models_reader.FILE_SUFFIXES:
-                raise error
-        raise ConfigurationError("sources", diagnose("contract-without-model"))
-    # The joint order is that of the MJCF if there is one: trainers and engines use this order.
-    models.sort(key=lambda source: source.path.suffix.lower() not in (".xml", ".mjcf"))
+    models = _select_models(read, errors)
     names, notes = match_joint_names(models, names)
     model = read_model_file(models[0].path)
     joints = RobotJoints.from_model(model, models[0].order, names)
@@ -184,23 +176,16 @@ def _compare_sources(
     first, *rest = make_names_distinct(
         [models[0], *(source for source in read if source is not models[0])]
     )
-    placed = list[PlacedSource]()
-    for source in (first, *rest):
-        placed_source = assign_joints(source, joints, rest)
-        try:
-            notes += check_source(placed_source, first)
-        except ModelError as error:
-            errors.append(error)
-            continue
-        placed.append(placed_source)
-    others = [one for one in placed if one.source.role is not Role.MODEL]
-    if errors and not others:
+    placed, placing_notes, placing_errors = _place_sources(first, rest, joints)
+    notes += placing_notes
+    errors += placing_errors
+    if errors and all(source.source.role is Role.MODEL for source in placed):
         raise errors[0]
     unread = [diagnose("contract-unread", file=error.source, why=error.cause) for error in errors]
     unread += find_lost_quantities(placed)
     notes = [note for note in notes if note not in unread] + note_servo_damping(placed)
     placed.sort(key=lambda source: list(Role).index(source.source.role))
-    poses = tuple[DefaultPoseStand, ...]()
+    poses: tuple[DefaultPoseStand, ...] = ()
     if stand:
         # Imported late: this module imports PlaCo, which `check` does not need.
         from pupper_analysis.tools.contract.poses import stand_poses
@@ -253,12 +238,51 @@ def _find_model_files(
     return found, variants
 
 
+def _select_models(read: Sequence[JointSource], errors: Sequence[ModelError]) -> list[JointSource]:
+    """Return the sources that are models, MJCFs first: trainers and engines use their joint order.
+
+    Raises:
+        ConfigurationError: If there is no model, and no model file in ``errors``.
+        ModelError: If there is no model: the error of the first model file that cannot be read.
+    """
+    models = [source for source in read if source.role is Role.MODEL]
+    if not models:
+        for error in errors:  # its source may be ``file:line``
+            file = error.source.rpartition(":")[0] or error.source
+            if Path(file).suffix.lower() in models_reader.FILE_SUFFIXES:
+                raise error
+        raise ConfigurationError("sources", diagnose("contract-without-model"))
+    return sorted(models, key=lambda source: source.path.suffix.lower() not in (".xml", ".mjcf"))
+
+
+def _place_sources(
+    first: JointSource, others: Sequence[JointSource], joints: RobotJoints
+) -> tuple[list[PlacedSource], list[Diagnostic], list[ModelError]]:
+    """Assign the statements of all sources to joints of the robot.
+
+    Args:
+        first: Model that defines the joint order.
+        others: Other sources.
+        joints: Joints of the robot.
+
+    Returns:
+        Sources that can be compared; notes about these; errors of the other sources.
+    """
+    placed, notes, errors = list[PlacedSource](), list[Diagnostic](), list[ModelError]()
+    for source in (first, *others):
+        placed_source = assign_joints(source, joints, others)
+        try:
+            notes += check_source(placed_source, first)
+        except ModelError as error:
+            errors.append(error)
+            continue
+        placed.append(placed_source)
+    return placed, notes, errors
+
+
 def _summarise_source(placed_source: PlacedSource) -> SourceRead:
     """Return the summary of a source for the result: name, role, joint order, observations."""
-    source, seen = (
-        placed_source.source,
-        tuple(term.name for term in placed_source.source.observations),
-    )
+    source = placed_source.source
     return SourceRead(
         source.name,
         str(source.path),
@@ -266,5 +290,5 @@ def _summarise_source(placed_source: PlacedSource) -> SourceRead:
         placed_source.order,
         placed_source.how,
         placed_source.unknown,
-        seen,
+        tuple(term.name for term in source.observations),
     )

@@ -29,6 +29,9 @@ _SKIPPED_FOLDERS = (*GENERATED_FOLDERS, "logs", "thirdparty", "__pycache__")
 def read_sources(requests: Sequence[Request]) -> tuple[list[JointSource], list[ModelError]]:
     """Read files, and return their sources, and the errors of files that cannot be used.
 
+    Returns:
+        Sources of all files; errors of the files that cannot be used.
+
     Raises:
         ModelError: If a file does not exist, or if no file can be used: the first error.
     """
@@ -68,6 +71,9 @@ def split_arguments(sources: Sequence[str | Path]) -> tuple[list[Request], list[
 
     ``FILE:NAME`` is split if no file has this whole name. Modules that a file imports are searched
     in the folders.
+
+    Returns:
+        Requests, one per file; folders.
     """
     folders, files = [], list[tuple[Path, str]]()
     for source in sources:
@@ -143,6 +149,9 @@ def read_folder(
     Python modules, and files of the sources ``read``, are not read. A deployment is kept if it
     names all joints, or if the order consists of joints of the robot. Other deployments are counted
     in a note, as are files that cannot be read.
+
+    Returns:
+        Sources that belong to the robot; notes.
     """
     known_paths = {source.path.absolute() for source in read}
     fitting, num_rejected, refused = list[JointSource](), 0, list[str]()

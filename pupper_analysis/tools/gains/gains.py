@@ -8,6 +8,7 @@ encoders bound the gains of each joint separately.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -303,39 +304,14 @@ def study_gains(
     gains = _Gains(loop, np.array(held.drive.kp), np.array(held.drive.kd))
     groups = group_joints(robot, gains.kp, gains.kd)
     num_parts = _NUM_BOUNDS + len(groups) + 2 * _CURVE_HALF_LENGTH + 1
-    stiffness, damping = gains.find_stable_pair()
-
-    def with_stiffness(factor: float) -> _Pair:
-        """Return kp = ``factor`` times the stand's kp, and the kd of ``find_stable_pair``.
-
-        Units: kp [N m/rad], kd [N m s/rad], shape (nu,) each.
-        """
-        return gains.scale_gains(factor, damping)
-
-    def with_damping(factor: float) -> _Pair:
-        """Return the kp of ``find_stable_pair``, and kd = ``factor`` times the stand's kd.
-
-        Units: kp [N m/rad], kd [N m s/rad], shape (nu,) each.
-        """
-        return gains.scale_gains(stiffness, factor)
-
-    report_progress(_STAGE, 0, num_parts)
-    least, largest = gains.find_stable_factors(with_stiffness, stiffness)
-    least_kp = gains.make_bound(least, with_stiffness, below=True)
-    report_progress(_STAGE, 1, num_parts)
-    largest_kp = gains.make_bound(largest, with_stiffness, below=False)
-    report_progress(_STAGE, 2, num_parts)
-    _, end = gains.find_stable_factors(with_damping, damping)
-    largest_kd = gains.make_bound(end, with_damping, below=False)
-    report_progress(_STAGE, _NUM_BOUNDS, num_parts)
+    stable_pair = gains.find_stable_pair()
+    stable, least_kp, largest_kp, largest_kd = _find_common_bounds(gains, stable_pair, num_parts)
     alone = failure = None
     if robot.floating:
         failure = find_sag_failure(held.robot, settled, kp=gains.kp)
-        try:
+        with contextlib.suppress(NoStiffnessError):
             alone = minimum_stiffness(robot, settled)
-        except NoStiffnessError:
-            alone = None
-    recommended = gains.recommend_factors((least, largest), alone)
+    recommended = gains.recommend_factors(stable, alone)
     classes = []
     for count, members in enumerate(groups):
         report_progress(_STAGE, _NUM_BOUNDS + count, num_parts)
@@ -345,7 +321,7 @@ def study_gains(
                 members,
                 least_kp,
                 largest_kd,
-                (stiffness, damping),
+                stable_pair,
                 recommended,
                 error,
                 encoder_bits,
@@ -380,6 +356,48 @@ def study_gains(
         recommended_kp_factor=recommended[0],
         recommended_kd_factor=recommended[1],
     )
+
+
+def _find_common_bounds(
+    gains: _Gains, stable_pair: tuple[float, float], num_parts: int
+) -> tuple[tuple[float | None, float | None], GainBound, GainBound, GainBound]:
+    """Find the bounds of stiffness and damping for all joints together.
+
+    Args:
+        gains: Gains of the stand.
+        stable_pair: Factors on the stand's kp and kd with which the stand is stable.
+        num_parts: Number of parts of the stage, for reports of progress.
+
+    Returns:
+        Smallest and largest stable factor on kp, None if not found; smallest kp; largest kp;
+        largest kd.
+    """
+    stiffness, damping = stable_pair
+
+    def with_stiffness(factor: float) -> _Pair:
+        """Return kp = ``factor`` times the stand's kp, and the kd of ``stable_pair``.
+
+        Units: kp [N m/rad], kd [N m s/rad], shape (nu,) each.
+        """
+        return gains.scale_gains(factor, damping)
+
+    def with_damping(factor: float) -> _Pair:
+        """Return the kp of ``stable_pair``, and kd = ``factor`` times the stand's kd.
+
+        Units: kp [N m/rad], kd [N m s/rad], shape (nu,) each.
+        """
+        return gains.scale_gains(stiffness, factor)
+
+    report_progress(_STAGE, 0, num_parts)
+    least, largest = gains.find_stable_factors(with_stiffness, stiffness)
+    least_kp = gains.make_bound(least, with_stiffness, below=True)
+    report_progress(_STAGE, 1, num_parts)
+    largest_kp = gains.make_bound(largest, with_stiffness, below=False)
+    report_progress(_STAGE, 2, num_parts)
+    _, end = gains.find_stable_factors(with_damping, damping)
+    largest_kd = gains.make_bound(end, with_damping, below=False)
+    report_progress(_STAGE, _NUM_BOUNDS, num_parts)
+    return (least, largest), least_kp, largest_kp, largest_kd
 
 
 def _check_resolution(error: float | None, encoder_bits: int | None) -> None:

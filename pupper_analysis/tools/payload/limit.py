@@ -8,9 +8,9 @@ returns the smallest bound with the cause. `simulate_payload` simulates a single
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -333,72 +333,58 @@ def payload_limit(
     # Raise, with an explanation, if the stance has no stand without payload.
     stand_statics(robot, solve_stand_as_simulated(robot, solve_stand(robot, task)))
     search = _PayloadSearch(robot, task, place, kp, kd)
-    bounds = search.find_bounds()
-    binding = min(bounds, key=lambda name: bounds[name].mass)
+    simulations = _PayloadSimulations(robot, task, place, kp, kd)
+    bounds = _add_simulated_bounds(search.find_bounds(), simulations)
+    return _make_payload_limit(robot, place, bounds, search, simulations)
+
+
+def _find_binding(bounds: Mapping[str, Bound]) -> str:
+    """Return the name of the smallest bound; of equal bounds, the first."""
+    return min(bounds, key=lambda name: bounds[name].mass)
+
+
+def _add_simulated_bounds(
+    bounds: Mapping[str, Bound], simulations: _PayloadSimulations
+) -> dict[str, Bound]:
+    """Return the bounds of stance, motors and servos, corrected and completed by simulations.
+
+    If the servos set the smallest bound, simulations may raise it (`_raise_servo_bound`).
+    ``simulation`` is infinite if the smallest bound holds in simulation, or is 0 or infinite.
+    """
+    completed = dict(bounds)
+    if _find_binding(completed) == "servos":
+        completed["servos"] = _raise_servo_bound(completed, simulations.holds)
+    static_limit = completed[_find_binding(completed)].mass
+    completed["simulation"] = (
+        _bisect_simulation_bound(static_limit, simulations)
+        if 0 < static_limit < math.inf
+        else Bound(math.inf, Failure.NOTHING, ())
+    )
+    return completed
+
+
+def _make_payload_limit(
+    robot: Robot,
+    place: Tool,
+    bounds: Mapping[str, Bound],
+    search: _PayloadSearch,
+    simulations: _PayloadSimulations,
+) -> PayloadLimit:
+    """Create the result: the smallest bound, the stand with this mass, and the verdict.
+
+    The verdict and the trial are those with ``VERIFIED_FRACTION`` of a finite limit. If the limit
+    is 0 or infinite, the verdict is that without payload, and there is no trial.
+    """
+    binding = _find_binding(bounds)
     mass_limit = bounds[binding].mass
-
-    @cache
-    def judge_payload(mass: float) -> Verdict:
-        """Return the verdict of the stance with a payload [kg], as ``stand`` judges it."""
-        loaded = with_payload(robot, mass, place)
-        trial = simulate_nudged(mass) if mass else None
-        verdict = judge_stand(loaded, solve_stand(loaded, task), trial=trial, kp=kp, kd=kd)
-        return replace(verdict, question=Question.CARRIES)
-
-    def judge_with_feedforward(mass: float, trial: PayloadTrial | None) -> Verdict:
-        """Return the verdict of the stance with a payload [kg], simulated with feed-forward only.
-
-        The simulation with position commands alone is left out, since it does not decide whether
-        the verdict passes; so are tests of growing modes if the response to the nudge has decided.
-        ``trial`` contains simulations of the loaded stand after nudges, if any.
-        """
-        loaded = with_payload(robot, mass, place)
-        stand = solve_stand(loaded, task)
-        held = solve_stand_as_simulated(loaded, stand)
-        return judge_simulation(
-            loaded,
-            stand,
-            verify_stand(loaded, held, kp=kp, kd=kd, until_failure=True),
-            statics=stand_statics(loaded, held),
-            trial=trial,
-            kp=kp,
-            kd=kd,
-        )
-
-    def holds_as_stand(mass: float) -> bool:
-        """Return True if the stance holds with a payload [kg], simulated with feed-forward."""
-        try:
-            return _holds_in_simulation(judge_with_feedforward(mass, None))
-        except (StanceUnreachableError, StaticsInfeasibleError, NotSettlingError):
-            return False
-
-    @cache
-    def simulate_nudged(mass: float) -> PayloadTrial:
-        """Simulate the stance with a payload [kg] and nudges, until the first failure is known."""
-        return simulate_payload(robot, task, mass, place, kp=kp, kd=kd, until_failure=True)
-
-    if binding == "servos":
-        bounds["servos"] = _raise_servo_bound(bounds, holds_as_stand)
-        binding = min(bounds, key=lambda name: bounds[name].mass)
-        mass_limit = bounds[binding].mass
-    simulation = Bound(math.inf, Failure.NOTHING, ())
-    if 0 < mass_limit < math.inf:
-        simulation = _bisect_simulation_bound(
-            mass_limit,
-            judge_payload,
-            lambda mass: judge_with_feedforward(mass, simulate_nudged(mass)),
-            simulate_nudged,
-        )
-    bounds["simulation"] = simulation
-    if simulation.mass < mass_limit:
-        binding, mass_limit = "simulation", simulation.mass
     has_finite_limit = 0 < mass_limit < math.inf
     loaded_stand = search.get_loaded_stand(mass_limit if math.isfinite(mass_limit) else 0.0)
     unknown_limits = _find_unknown_limits(robot, place)
     is_powerless = any(limit.without_torque for limit in list_driven_limits(robot))
     assert loaded_stand.stand is not None
     assert loaded_stand.statics is not None
-    verdict = judge_payload(VERIFIED_FRACTION * mass_limit if has_finite_limit else 0.0)
+    verified_mass = VERIFIED_FRACTION * mass_limit
+    verdict = simulations.judge(verified_mass if has_finite_limit else 0.0)
     is_unknown = bool(unknown_limits) or verdict.code is VerdictCode.MASSES_UNKNOWN
     known_code = EffortCode.ZERO if is_powerless else EffortCode.STATED
     return PayloadLimit(
@@ -423,8 +409,71 @@ def payload_limit(
         torque_units=loaded_stand.statics.torque_units,
         contact_forces=loaded_stand.statics.contact_forces,
         verdict=verdict,
-        trial=simulate_nudged(VERIFIED_FRACTION * mass_limit) if has_finite_limit else None,
+        trial=simulations.simulate_nudged(verified_mass) if has_finite_limit else None,
     )
+
+
+class _PayloadSimulations:
+    """Simulations of a stance with a payload. Results of `judge` and `simulate_nudged` are kept."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        task: StandTask,
+        place: Tool,
+        kp: ArrayLike | None,
+        kd: ArrayLike | None,
+    ) -> None:
+        self._robot, self._task, self._place = robot, task, place
+        self._kp, self._kd = kp, kd
+        self._trials: dict[float, PayloadTrial] = {}
+        self._verdicts: dict[float, Verdict] = {}
+
+    def simulate_nudged(self, mass: float) -> PayloadTrial:
+        """Simulate the stance with a payload [kg] and nudges, until the first failure is known."""
+        if mass not in self._trials:
+            robot, task, place = self._robot, self._task, self._place
+            self._trials[mass] = simulate_payload(
+                robot, task, mass, place, kp=self._kp, kd=self._kd, until_failure=True
+            )
+        return self._trials[mass]
+
+    def judge(self, mass: float) -> Verdict:
+        """Return the verdict of the stance with a payload [kg], as ``stand`` judges it."""
+        if mass not in self._verdicts:
+            loaded = with_payload(self._robot, mass, self._place)
+            trial = self.simulate_nudged(mass) if mass else None
+            stand = solve_stand(loaded, self._task)
+            verdict = judge_stand(loaded, stand, trial=trial, kp=self._kp, kd=self._kd)
+            self._verdicts[mass] = replace(verdict, question=Question.CARRIES)
+        return self._verdicts[mass]
+
+    def judge_with_feedforward(self, mass: float, trial: PayloadTrial | None) -> Verdict:
+        """Return the verdict of the stance with a payload [kg], simulated with feed-forward only.
+
+        The simulation with position commands alone is left out, since it does not decide whether
+        the verdict passes; so are tests of growing modes if the response to the nudge has decided.
+        ``trial`` contains simulations of the loaded stand after nudges, if any.
+        """
+        loaded = with_payload(self._robot, mass, self._place)
+        stand = solve_stand(loaded, self._task)
+        held = solve_stand_as_simulated(loaded, stand)
+        return judge_simulation(
+            loaded,
+            stand,
+            verify_stand(loaded, held, kp=self._kp, kd=self._kd, until_failure=True),
+            statics=stand_statics(loaded, held),
+            trial=trial,
+            kp=self._kp,
+            kd=self._kd,
+        )
+
+    def holds(self, mass: float) -> bool:
+        """Return True if the stance holds with a payload [kg], simulated with feed-forward."""
+        try:
+            return _holds_in_simulation(self.judge_with_feedforward(mass, None))
+        except (StanceUnreachableError, StaticsInfeasibleError, NotSettlingError):
+            return False
 
 
 def _find_unknown_limits(robot: Robot, place: Tool) -> tuple[str, ...]:
@@ -477,46 +526,37 @@ def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool])
     )
 
 
-def _bisect_simulation_bound(
-    static_limit: float,
-    judge_payload: Callable[[float], Verdict],
-    judge_with_feedforward: Callable[[float], Verdict],
-    simulate_nudged: Callable[[float], PayloadTrial],
-) -> Bound:
+def _bisect_simulation_bound(static_limit: float, simulations: _PayloadSimulations) -> Bound:
     """Return the largest mass of which ``VERIFIED_FRACTION`` holds in simulation.
 
-    The bound is infinite if ``static_limit`` [kg] holds, and 0 if the stance fails without payload.
-    Static bounds apply to an undisturbed stand. Only a simulation shows a foot that lifts, a sole
-    that pivots or a motor that saturates after a nudge, and errors of the files.
+    The bound is infinite if ``static_limit`` [kg], the smallest static bound, holds, and 0 if the
+    stance fails without payload. Static bounds apply to an undisturbed stand. Only a simulation
+    shows a foot that lifts, a sole that pivots or a motor that saturates after a nudge, and errors
+    of the files.
 
     The bound is usually just below the static limit. Therefore the mass is reduced from this limit
     until a mass holds. The first step is about ``SIMULATION_RTOL`` of the limit; each further step
-    is twice as large. Then the interval is bisected.
-
-    Args:
-        static_limit: Smallest static bound [kg].
-        judge_payload: Function that judges a mass [kg]; used for the static limit and for 0.
-        judge_with_feedforward: Function that judges a mass without the simulation of position
-            commands alone; used for the other masses.
-        simulate_nudged: Function that simulates a mass with nudges.
+    is twice as large. Then the interval is bisected. The static limit and the stance without
+    payload are judged as by ``stand``; other masses without position commands alone.
     """
 
     def find_cause(mass: float) -> FailureCause:
         """Return why a simulation with ``VERIFIED_FRACTION`` of a mass [kg] fails; else None."""
-        judge = judge_payload if mass == static_limit else judge_with_feedforward
-        trial = simulate_nudged(VERIFIED_FRACTION * mass)
+        verified_mass = VERIFIED_FRACTION * mass
+        trial = simulations.simulate_nudged(verified_mass)
         if trial.failure is not None:
             return trial.failure, trial.failing_parts
-        return (
-            None
-            if _holds_in_simulation(judge(VERIFIED_FRACTION * mass))
-            else (Failure.SIMULATED, ())
+        verdict = (
+            simulations.judge(verified_mass)
+            if mass == static_limit
+            else simulations.judge_with_feedforward(verified_mass, trial)
         )
+        return None if _holds_in_simulation(verdict) else (Failure.SIMULATED, ())
 
     cause = find_cause(static_limit)
     if cause is None:
         return Bound(math.inf, Failure.NOTHING, ())
-    if not _holds_in_simulation(judge_payload(0.0)):
+    if not _holds_in_simulation(simulations.judge(0.0)):
         return Bound(0.0, Failure.UNLOADED, ())
     high, distance = static_limit, _FIRST_DISTANCE_RATIO * SIMULATION_RTOL * static_limit
     low = high - distance

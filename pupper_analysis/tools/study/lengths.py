@@ -133,6 +133,18 @@ def _normalise(vector: Array) -> Array:
     return normalised
 
 
+def evaluate_neutral_poses(robot: Robot) -> tuple[Configuration, mujoco.MjData]:
+    """Evaluate the poses of all links with all joints at zero, in both engines.
+
+    Returns:
+        Pinocchio's configuration; MuJoCo's data, with kinematics.
+    """
+    config, data = Configuration(robot, robot.neutral()), mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, robot.neutral())
+    mujoco.mj_kinematics(robot.mj_model, data)
+    return config, data
+
+
 def stretch_links(
     robot: Robot, trees: tuple[UrdfTree, SpecTree], factors: Mapping[str, float]
 ) -> float:
@@ -156,9 +168,7 @@ def stretch_links(
     """
     urdf, mjcf = trees
     source = robot.description.mjcf_source
-    config, data = Configuration(robot, robot.neutral()), mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, robot.neutral())
-    mujoco.mj_kinematics(robot.mj_model, data)
+    config, data = evaluate_neutral_poses(robot)
     model = compile_spec(
         mjcf.spec.copy(), source
     )  # compiled again: earlier factors may have changed masses

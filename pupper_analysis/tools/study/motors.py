@@ -66,6 +66,9 @@ def make_motor_variable(name: str, requested: object) -> tuple[Variable, dict[fl
         requested: Names of motors or files, or a single one; or a variable in the form of
             `Variable.to_dict`.
 
+    Returns:
+        Variable; {code of the variable: motor}.
+
     Raises:
         ConfigurationError: If the value is no list of texts or is empty, or a motor occurs twice.
         UnknownNameError: If no motor has the name.

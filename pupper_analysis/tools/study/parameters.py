@@ -30,7 +30,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.fields import FIELDS
-from pupper_analysis.tools.study.lengths import stretch_links
+from pupper_analysis.tools.study.lengths import evaluate_neutral_poses, stretch_links
 
 # Names of factors and offsets, and the joints and bodies that match.
 
@@ -434,9 +434,7 @@ def move_coms(robot: Robot, trees: tuple[UrdfTree, SpecTree], offsets: Mapping[s
         offsets: {joint: offset, shape (3,) [m], in the axes of the URDF's link that the joint
             moves}; ``""`` is the base.
     """
-    config, data = Configuration(robot, robot.neutral()), mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, robot.neutral())
-    mujoco.mj_kinematics(robot.mj_model, data)
+    config, data = evaluate_neutral_poses(robot)
     urdf, mjcf = trees
     for joint, offset in offsets.items():
         link = urdf.moved_by(joint) or robot.base

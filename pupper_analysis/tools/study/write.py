@@ -118,31 +118,9 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
         raise ConfigurationError("number", finding)
     row = table.iloc[number - 1]
     codes = {name: variable.code_of(row[name]) for name, variable in study.variables.items()}
-    builder = DesignBuilder(
-        study.make_source_with_visuals(),
-        study.task,
-        study.point,
-        study.motors,
-        study.present_motor,
-    )
-    try:
-        design = builder.design(codes)
-        bare = builder.robot_without_payload(codes)
-    except PupperAnalysisError as error:
-        finding = diagnose("design-makes-no-robot", number=number, reason=error.diagnostic)
-        raise ConfigurationError("number", finding) from error
+    design, bare = _build_design(study, codes, number)
     design_folder = Path(folder) / f"design-{number}"
-    packages = getattr(getattr(study.source, "files", None), "options", {}).get("packages")
-    contents = dict(_make_files(bare.description, packages))
-    contents[Path("stance.toml")] = format_stance(design.stand.task).encode()
-    write_all(
-        [
-            Writing(design_folder / place, content, MODEL_KIND)
-            for place, content in contents.items()
-            if not _has_content(design_folder / place, content)
-        ]
-    )
-    urdf, mjcf = (design_folder / place for place in contents if place.suffix in (".urdf", ".xml"))
+    urdf, mjcf, stance = _write_design_files(study, design, bare, design_folder)
     loaded, options = _reload_files(bare, urdf, mjcf)
     payload = codes.get("payload", 0.0)
     if payload:
@@ -159,7 +137,6 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
         if name in row and _is_finite_number(row[name])
     }
     remeasured = {name: value for name, value in remeasured.items() if name in measured}
-    stance = design_folder / "stance.toml"
     options = ["pupper-analysis", "stand", str(urdf), str(mjcf), *options, "--stance", str(stance)]
     return WrittenDesign(
         number=number,
@@ -170,16 +147,77 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
         study_values=measured,
         file_values=remeasured,
         command=shlex.join(options),
-        failures=tuple(
-            diagnose(
-                "written-design-differs", number=number, metric=name, found=value, measured=expected
-            )
-            for name, value in remeasured.items()
-            if not abs(value - (expected := measured[name]))
-            <= _METRIC_RTOL * max(abs(expected), _METRIC_RTOL)
-        ),
+        failures=tuple(_list_changed_metrics(number, measured, remeasured)),
         warnings=tuple(_warn_of_set_down(reloaded)),
     )
+
+
+def _build_design(study: Study, codes: Mapping[str, float], number: int) -> tuple[Design, Robot]:
+    """Build the design of a row, and its robot without payload, with visual meshes.
+
+    ``codes`` contains the value of each variable.
+
+    Raises:
+        ConfigurationError: If the robot of the design cannot be built.
+    """
+    builder = DesignBuilder(
+        study.make_source_with_visuals(),
+        study.task,
+        study.point,
+        study.motors,
+        study.present_motor,
+    )
+    try:
+        return builder.design(codes), builder.robot_without_payload(codes)
+    except PupperAnalysisError as error:
+        finding = diagnose("design-makes-no-robot", number=number, reason=error.diagnostic)
+        raise ConfigurationError("number", finding) from error
+
+
+def _write_design_files(
+    study: Study, design: Design, bare: Robot, folder: Path
+) -> tuple[Path, Path, Path]:
+    """Write the models of the robot without payload ``bare``, and the stance.
+
+    Files that exist with the same content are not written.
+
+    Returns:
+        Paths of the URDF, the MJCF and the stance.
+
+    Raises:
+        OutputError: If a file cannot be written, or exists with other content.
+    """
+    packages = getattr(getattr(study.source, "files", None), "options", {}).get("packages")
+    contents = dict(_make_files(bare.description, packages))
+    stance = Path("stance.toml")
+    contents[stance] = format_stance(design.stand.task).encode()
+    write_all(
+        [
+            Writing(folder / place, content, MODEL_KIND)
+            for place, content in contents.items()
+            if not _has_content(folder / place, content)
+        ]
+    )
+    urdf, mjcf = (folder / place for place in contents if place.suffix in (".urdf", ".xml"))
+    return urdf, mjcf, folder / stance
+
+
+def _list_changed_metrics(
+    number: int, measured: Mapping[str, float], remeasured: Mapping[str, float]
+) -> Iterator[Diagnostic]:
+    """Yield a finding for each metric whose value with the files differs by `_METRIC_RTOL`.
+
+    Args:
+        number: Row of the table.
+        measured: {metric: value in the table}.
+        remeasured: {metric: value with the written files}.
+    """
+    for name, value in remeasured.items():
+        expected = measured[name]
+        if not abs(value - expected) <= _METRIC_RTOL * max(abs(expected), _METRIC_RTOL):
+            yield diagnose(
+                "written-design-differs", number=number, metric=name, found=value, measured=expected
+            )
 
 
 def _warn_of_set_down(design: Design) -> Iterator[Diagnostic]:

@@ -7,8 +7,8 @@ changes.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -168,41 +168,17 @@ def write_numbers(
     robots = pair_robots(matched, align_robot(matched.robot, tolerances))
     changes = NumberChanges(robots, resolve_numbers(matched, numbers))
     check_robot_matches_files(robot, changes)
-    documents, unwritten, layout = (
-        dict[Path, XmlDocument](),
-        dict[PropertyKey, Diagnostic](),
-        list[FileLayout](),
+    in_urdf = _EditedFile() if urdf_path is None else _edit_urdf(urdf, robots, changes)
+    in_mjcf = (
+        _EditedFile(unwritten=_refuse_mjcf_numbers(changes))
+        if mjcf_path is None
+        else _edit_mjcf(mjcf, robots, changes)
     )
-    if urdf_path is not None:
-        documents[urdf.path] = read_xml_bytes(urdf.path)
-        into_urdf = UrdfSide(
-            tree=UrdfTree(documents[urdf.path].root), sides=robots, target=changes.make_tree("urdf")
-        )
-        kinds = (*BODY_KINDS, "damping", "friction")
-        into_urdf.plan([key for key in changes.wanted if key[0] in kinds])
-        unwritten |= into_urdf.unwritten
-        layout.append(list_urdf_files(urdf))
-    if mjcf_path is not None:
-        elements = EditableMjcf(mjcf)
-        documents |= elements.documents
-        gains = {
-            key: float(value) for key, value in changes.wanted.items() if key[0] in SERVO_KINDS
-        }
-        into_mjcf = MjcfSide(
-            file=mjcf,
-            elements=elements,
-            sides=robots,
-            target=changes.make_tree("mjcf"),
-            gains=gains,
-        )
-        into_mjcf.plan([key for key in changes.wanted if key not in gains])
-        unwritten |= into_mjcf.unwritten
-        layout.append(list_mjcf_files(mjcf))
-    else:
-        mjcf_only = [key for key in changes.wanted if key[0] in (*SERVO_KINDS, "armature")]
-        unwritten |= dict.fromkeys(mjcf_only, diagnose("mjcf-alone-states-it"))
+    unwritten = {**in_urdf.unwritten, **in_mjcf.unwritten}
     if unwritten:
         raise make_refusal(robot, unwritten)
+    documents = {**in_urdf.documents, **in_mjcf.documents}
+    layout = [*in_urdf.layout, *in_mjcf.layout]
     if len(layout) == 2:
         layout = list(combine_layouts(*layout))
     places = {copies.main: copies.copy_paths[copies.main] for copies in layout}
@@ -210,17 +186,67 @@ def write_numbers(
         urdf=None if urdf_path is None else places[urdf_path],
         mjcf=None if mjcf_path is None else places[mjcf_path],
         edits=list_edits(documents.values()),
-        contents={
-            place: documents[file].render()
-            if file in documents
-            else read_input(file, MAX_FILE_BYTES)
-            for copies in layout
-            for file, place in copies.copy_paths.items()
-        },
+        contents=_render_files(documents, layout),
         sources=tuple(file for copies in layout for file in copies.files),
     )
     try_files(written.contents, changes, (urdf, written.urdf), (mjcf, written.mjcf), names)
     return written
+
+
+@dataclass(frozen=True, eq=False)
+class _EditedFile:
+    """Model file with new numbers in memory; empty without a file.
+
+    Attributes:
+        documents: {path: edited XML document} of the file and its includes.
+        unwritten: {property: reason} of the numbers that the file cannot state.
+        layout: Files that the model needs, with their paths in the output folder.
+    """
+
+    documents: Mapping[Path, XmlDocument] = field(default_factory=dict)
+    unwritten: Mapping[PropertyKey, Diagnostic] = field(default_factory=dict)
+    layout: tuple[FileLayout, ...] = ()
+
+
+def _edit_urdf(urdf: UrdfFile, robots: MatchedRobots, changes: NumberChanges) -> _EditedFile:
+    """Write the numbers that a URDF can state into its document in memory."""
+    document = read_xml_bytes(urdf.path)
+    side = UrdfSide(tree=UrdfTree(document.root), sides=robots, target=changes.make_tree("urdf"))
+    kinds = (*BODY_KINDS, "damping", "friction")
+    side.plan([key for key in changes.wanted if key[0] in kinds])
+    return _EditedFile({urdf.path: document}, side.unwritten, (list_urdf_files(urdf),))
+
+
+def _edit_mjcf(mjcf: MjcfFile, robots: MatchedRobots, changes: NumberChanges) -> _EditedFile:
+    """Write all numbers into the documents of an MJCF in memory."""
+    elements = EditableMjcf(mjcf)
+    gains = {key: float(value) for key, value in changes.wanted.items() if key[0] in SERVO_KINDS}
+    side = MjcfSide(
+        file=mjcf,
+        elements=elements,
+        sides=robots,
+        target=changes.make_tree("mjcf"),
+        gains=gains,
+    )
+    side.plan([key for key in changes.wanted if key not in gains])
+    return _EditedFile(elements.documents, side.unwritten, (list_mjcf_files(mjcf),))
+
+
+def _refuse_mjcf_numbers(changes: NumberChanges) -> dict[PropertyKey, Diagnostic]:
+    """Return {property: reason} of the numbers that only an MJCF can state: gains and armatures."""
+    mjcf_only = [key for key in changes.wanted if key[0] in (*SERVO_KINDS, "armature")]
+    return dict.fromkeys(mjcf_only, diagnose("mjcf-alone-states-it"))
+
+
+def _render_files(
+    documents: Mapping[Path, XmlDocument], layout: Sequence[FileLayout]
+) -> dict[Path, bytes]:
+    """Return {path in the output folder: content}; files other than ``documents`` are copied."""
+    return {
+        place: documents[file].render() if file in documents else read_input(file, MAX_FILE_BYTES)
+        for copies in layout
+        for file, place in copies.copy_paths.items()
+    }
 
 
 def _make_urdf(robot: Robot) -> UrdfFile:

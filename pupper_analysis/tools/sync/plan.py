@@ -357,6 +357,9 @@ def combine_layouts(urdf: FileLayout, mjcf: FileLayout) -> tuple[FileLayout, Fil
 
     If the top folder of one model contains that of the other, all files keep their relative
     positions. Otherwise the files of the MJCF get a separate folder.
+
+    Returns:
+        Layout of the URDF's files; layout of the MJCF's files.
     """
     for top in (urdf.top, mjcf.top):
         if all(layout.top.is_relative_to(top) for layout in (urdf, mjcf)):

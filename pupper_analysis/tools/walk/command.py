@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,12 +30,14 @@ from pupper_analysis.cli.stance_options import (
 from pupper_analysis.tools.walk.options import COMMAND_OPTION, CONTRACT_OPTION, load_walking_robot
 
 if TYPE_CHECKING:
+    from pupper_analysis.base.array_types import Array
     from pupper_analysis.models.motors.motor import Motor
     from pupper_analysis.robot.robot import Robot
     from pupper_analysis.tools.contract.deployment import Deployment
     from pupper_analysis.tools.walk.gait import Walk
     from pupper_analysis.tools.walk.intervals import TrackedIntervals
     from pupper_analysis.tools.walk.orders import Orders
+    from pupper_analysis.tools.walk.policy import Policy
     from pupper_analysis.tools.walk.response import ResponseMap
     from pupper_analysis.tools.walk.trace import TraceCheck
 
@@ -163,24 +166,12 @@ def command(
     _refuse_idle_options(
         init=init, orders=orders, response=response, trace=trace is not None, vary=vary is not None
     )
-    from pupper_analysis.tools.contract.contract import TRACED
     from pupper_analysis.tools.contract.deployment import read_deployment
-    from pupper_analysis.tools.walk.falls import find_fall_tests
-    from pupper_analysis.tools.walk.gait import (
-        DEFAULT_SECONDS,
-        parse_walking_command,
-        simulate_walk,
-    )
-    from pupper_analysis.tools.walk.intervals import (
-        QUANTITIES,
-        read_measured_intervals,
-        tracked_intervals,
-    )
+    from pupper_analysis.tools.walk.gait import parse_walking_command
     from pupper_analysis.tools.walk.orders import rank_orders
     from pupper_analysis.tools.walk.policy import Policy, select_policy, split_sources
     from pupper_analysis.tools.walk.response import DEFAULT_LIMITS, map_response
     from pupper_analysis.tools.walk.runs import replace_efforts
-    from pupper_analysis.tools.walk.trace import check_trace, read_trace
 
     checked_command = parse_walking_command(command_text)
     words, sources = split_sources(words)
@@ -206,36 +197,84 @@ def command(
             limits = DEFAULT_LIMITS if typed is ParameterSource.DEFAULT else checked_command
             result = map_response(robot, loaded_policy, limits, **arguments)
         elif vary is not None:
-            measured = (
-                None
-                if fitted is None
-                else read_measured_intervals(fitted, robot, loaded_policy.contract.latency)
-            )
-            quantities = tuple(QUANTITIES) if vary == "all" else tuple(vary.split(","))
-            result = tracked_intervals(
-                robot,
-                loaded_policy,
-                checked_command,
-                quantities=quantities,
-                measured=measured,
-                **arguments,
+            result = _vary_quantities(
+                robot, loaded_policy, checked_command, vary, fitted, arguments
             )
         else:
-            check = None if trace is None else check_trace(robot, loaded_policy, read_trace(trace))
-            if check is not None and not check.passed:
-                result = check
-            else:
-                result = simulate_walk(
-                    robot, loaded_policy, checked_command, motors=assigned, **arguments
-                )
-                result = result if check is None else replace(result, evidence=TRACED, trace=check)
-                tests = find_fall_tests(
-                    robot, loaded_policy, result, arguments.get("seconds", DEFAULT_SECONDS)
-                )
-                result = replace(result, fall_tests=tests)
+            result = _simulate_checked_walk(
+                robot, loaded_policy, checked_command, trace, assigned, arguments
+            )
     shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)
+
+
+def _vary_quantities(
+    robot: Robot,
+    policy: Policy,
+    velocity: Array,
+    vary: str,
+    fitted: Path | None,
+    arguments: Mapping[str, Any],
+) -> TrackedIntervals:
+    """Find the intervals of ``--vary`` in which the commanded velocity is tracked.
+
+    Args:
+        robot: Robot.
+        policy: Policy.
+        velocity: Commanded velocity, shape (3,): forward, left [m/s], yaw rate [rad/s].
+        vary: Names of the quantities, separated by commas; "all" for all.
+        fitted: JSON of a fit, whose intervals are compared; None without ``--fit``.
+        arguments: Typed ``seconds`` and ``seeds``.
+    """
+    from pupper_analysis.tools.walk.intervals import (
+        QUANTITIES,
+        read_measured_intervals,
+        tracked_intervals,
+    )
+
+    measured = (
+        None if fitted is None else read_measured_intervals(fitted, robot, policy.contract.latency)
+    )
+    quantities = tuple(QUANTITIES) if vary == "all" else tuple(vary.split(","))
+    return tracked_intervals(
+        robot, policy, velocity, quantities=quantities, measured=measured, **arguments
+    )
+
+
+def _simulate_checked_walk(
+    robot: Robot,
+    policy: Policy,
+    velocity: Array,
+    trace: Path | None,
+    motors: dict[str, Motor],
+    arguments: Mapping[str, Any],
+) -> Walk | TraceCheck:
+    """Simulate a walk, with tests of the causes of falls, after a check of a recorded trace.
+
+    If the trace does not agree with the policy, the check alone is returned.
+
+    Args:
+        robot: Robot.
+        policy: Policy.
+        velocity: Commanded velocity, shape (3,): forward, left [m/s], yaw rate [rad/s].
+        trace: Recorded trace; None without ``--trace``.
+        motors: {joint: motor} of ``--motor``.
+        arguments: Typed ``seconds`` and ``seeds``.
+    """
+    from pupper_analysis.tools.contract.contract import TRACED
+    from pupper_analysis.tools.walk.falls import find_fall_tests
+    from pupper_analysis.tools.walk.gait import DEFAULT_SECONDS, simulate_walk
+    from pupper_analysis.tools.walk.trace import check_trace, read_trace
+
+    check = None if trace is None else check_trace(robot, policy, read_trace(trace))
+    if check is not None and not check.passed:
+        return check
+    walk = simulate_walk(robot, policy, velocity, motors=motors, **arguments)
+    if check is not None:
+        walk = replace(walk, evidence=TRACED, trace=check)
+    duration = arguments.get("seconds", DEFAULT_SECONDS)
+    return replace(walk, fall_tests=find_fall_tests(robot, policy, walk, duration))
 
 
 def _parse_motor_limits(

@@ -389,17 +389,7 @@ def make_contract(
     Raises:
         ModelError: If a key is unknown, missing or not valid, or a size does not fit the network.
     """
-    values: dict[str, Any] = {}
-    places: dict[str, str] = {}
-    origins: dict[str, str] = {}
-    for stated in statements:
-        for key in stated.values:
-            if key not in _CONTRACT_KEYS:
-                problem = diagnose("contract-key-unknown", key=key, known=_CONTRACT_KEYS)
-                raise ModelError(stated.file, problem)
-            places[key] = stated.places.get(key, stated.file)
-            origins[key] = stated.origins.get(key, str(Origin.STATED))
-        values |= stated.values
+    values, places, origins = _merge_statements(statements)
     merged = _MergedValues(values, places, path, outputs)
     terms = _read_terms(merged)
     joints = _read_joints(merged)
@@ -408,23 +398,18 @@ def make_contract(
         problem = diagnose("contract-value", given=str(layout), known=(BY_FRAME, BY_TERM))
         raise merged.make_error("layout", problem)
     phases = values.get("phase-offsets", ())
-    offsets = merged.vector("phase-offsets", 0.0, len(phases) if isinstance(phases, list) else 1)
-    scale = merged.vector("action-scale", None)
-    default = merged.vector("default", None)
-    if scale is None or default is None:
-        key = "action-scale" if scale is None else "default"
-        raise merged.make_error(key, diagnose("contract-lacks", key=key))
-    lower, upper = merged.vector("lower", -math.inf), merged.vector("upper", math.inf)
-    signs = merged.vector("signs", 1.0)
+    num_phases = len(phases) if isinstance(phases, list) else 1
+    offsets = _require_vector(merged, "phase-offsets", 0.0, num_phases)
+    scale = _require_vector(merged, "action-scale", None)
+    default = _require_vector(merged, "default", None)
+    lower = _require_vector(merged, "lower", -math.inf)
+    upper = _require_vector(merged, "upper", math.inf)
+    signs = _require_vector(merged, "signs", 1.0)
     offset = merged.vector("action-offset", None)
     effort = merged.vector("effort", None)
     for key in _CONTRACT_KEYS:
         if key not in places:
             places[key], origins[key] = "", str(_UNSTATED_ORIGINS.get(key, Origin.UNKNOWN))
-    assert lower is not None
-    assert upper is not None
-    assert signs is not None
-    assert offsets is not None
     _check_ranges(merged, lower, upper, effort, signs)
     history, newest_first = _read_history(merged)
     contract = PolicyContract(
@@ -453,13 +438,57 @@ def make_contract(
         origins=origins,
     )
     contract = _set_number_of_feet(contract, inputs)
-    for term in terms:
-        size = np.size(term.scale)
-        if size not in (1, contract.term_size(term)):
-            problem = diagnose("no-numbers", count=contract.term_size(term))
-            raise merged.make_error(f"observation: {term.name}", problem)
+    _check_scales(merged, contract)
     _check_observation(merged, contract, inputs)
     return contract
+
+
+def _merge_statements(
+    statements: Sequence[Statements],
+) -> tuple[dict[str, Any], dict[str, str], dict[str, str]]:
+    """Merge the keys of several files, of which the last has precedence.
+
+    Returns:
+        {key: value}; {key: file, or file with the place of the value}; {key: origin of the value}.
+
+    Raises:
+        ModelError: If a key is unknown.
+    """
+    values: dict[str, Any] = {}
+    places: dict[str, str] = {}
+    origins: dict[str, str] = {}
+    for stated in statements:
+        for key in stated.values:
+            if key not in _CONTRACT_KEYS:
+                problem = diagnose("contract-key-unknown", key=key, known=_CONTRACT_KEYS)
+                raise ModelError(stated.file, problem)
+            places[key] = stated.places.get(key, stated.file)
+            origins[key] = stated.origins.get(key, str(Origin.STATED))
+        values |= stated.values
+    return values, places, origins
+
+
+def _require_vector(
+    merged: _MergedValues, key: str, default: float | None, size: int | None = None
+) -> Array:
+    """Return the numbers of a key, as `_MergedValues.vector`; a missing key is an error.
+
+    Raises:
+        ModelError: If the key is missing and has no ``default``, or the value is not valid.
+    """
+    vector = merged.vector(key, default, size)
+    if vector is None:
+        raise merged.make_error(key, diagnose("contract-lacks", key=key))
+    return vector
+
+
+def _check_scales(merged: _MergedValues, contract: PolicyContract) -> None:
+    """Raise a ModelError if the scale of a term is neither one number nor one per element."""
+    for term in contract.terms:
+        size = contract.term_size(term)
+        if np.size(term.scale) not in (1, size):
+            problem = diagnose("no-numbers", count=size)
+            raise merged.make_error(f"observation: {term.name}", problem)
 
 
 def _set_number_of_feet(contract: PolicyContract, inputs: int) -> PolicyContract:

@@ -266,6 +266,15 @@ def test_payload_of_a_study_is_sought_at_its_payload_point(
     assert seen == [point]
 
 
+def make_simulations(judge: Callable[[float], Any], simulate: Callable[[float], Any]) -> Any:
+    """Represent `_PayloadSimulations` by a function of the verdict and one of the trial."""
+    return SimpleNamespace(
+        judge=judge,
+        judge_with_feedforward=lambda mass, _: judge(mass),
+        simulate_nudged=simulate,
+    )
+
+
 def bisect_bound(most: float, *, verdict: float = math.inf, nudged: float = math.inf) -> Bound:
     def tried(mass: float) -> Any:
         falls = mass > nudged
@@ -274,7 +283,7 @@ def bisect_bound(most: float, *, verdict: float = math.inf, nudged: float = math
     def judged(mass: float) -> Any:
         return SimpleNamespace(passed=mass <= verdict, code="")
 
-    return payload._bisect_simulation_bound(most, judged, judged, tried)
+    return payload._bisect_simulation_bound(most, make_simulations(judged, tried))
 
 
 @pytest.mark.parametrize("most", [39.0, 9.0, 3.3])
@@ -323,7 +332,7 @@ def test_few_masses_are_simulated_if_the_bound_is_near_the_static_limit(
     def judged(_: float) -> Any:
         return SimpleNamespace(passed=True, code="")
 
-    limit = payload._bisect_simulation_bound(40.0, judged, judged, fails)
+    limit = payload._bisect_simulation_bound(40.0, make_simulations(judged, fails))
     assert len(tried) <= most
     assert nudged / (1 + SIMULATION_RTOL) <= VERIFIED_FRACTION * limit.mass <= nudged
 

@@ -152,22 +152,7 @@ def plan_stands(
         robot, (0.0, 0.0, _compute_base_top(robot)) if added_at is None else added_at
     )
     loaded_robot = with_payload(robot, added, (place.link, *place.offset))
-    candidates: list[_Candidate] = []
-    for variant in [robot] if loaded_robot is robot else [robot, loaded_robot]:
-        generator = RandomStands(variant, rng, kp, prior_list)
-        num_draws = (
-            _CANDIDATES_PER_STAND * count
-            if loaded_robot is robot
-            else -(-_CANDIDATES_PER_STAND * count // 2)
-        )
-        draws = generator.draw_stands(num_draws)
-        added_mass = 0.0 if variant is robot else added
-        candidates += [
-            _make_candidate(robot, stand, sagged, stiffness, math.pi * (index % 2), added_mass)
-            for index, (stand, sagged) in enumerate(draws)
-        ]
-        if len(draws) < min(count, num_draws):
-            raise MeasurementError(robot.name, generator.explain_shortage(count))
+    candidates = _draw_candidates(robot, loaded_robot, added, count, stiffness, kp, rng, prior_list)
     stands = _make_measured_stands(
         robot.name, [candidate.planned for candidate in candidates], place
     )
@@ -180,32 +165,86 @@ def plan_stands(
     chosen = choose_stands(
         informations, table.precision, count, lifted, count // _STANDS_PER_LIFTED_FOOT
     )
-    information = table.precision + np.sum([informations[place] for place in chosen], axis=0)
-    deviation = np.sqrt(np.diag(np.linalg.inv(information)))
+    information = table.precision + np.sum([informations[index] for index in chosen], axis=0)
     return StandPlan(
         name=robot.name,
         slides=tuple(joint for joint in robot.joint_names if is_slide(robot, joint)),
-        stands=tuple(
-            replace(candidate.planned, name=f"s{number:02d}")
-            for number, candidate in enumerate(
-                sorted(
-                    (candidates[index] for index in chosen),
-                    key=lambda candidate: candidate.sort_key,
-                ),
-                1,
-            )
-        ),
-        expected=tuple(
-            describe_parameter(
-                parameter,
-                parameter.stated,
-                parameter.width * float(ratio),
-                classify_determination(float(ratio) ** 2),
-            )
-            for parameter, ratio in zip(table.parameters, deviation, strict=True)
-        ),
+        stands=_number_stands([candidates[index] for index in chosen]),
+        expected=_expect_estimates(table, information),
         candidates=len(candidates),
         place=place if loaded_robot is not robot else None,
+    )
+
+
+def _draw_candidates(
+    robot: Robot,
+    loaded_robot: Robot,
+    added: float,
+    count: int,
+    stiffness: Array,
+    kp: ArrayLike | None,
+    rng: np.random.Generator,
+    priors: Sequence[Prior],
+) -> list[_Candidate]:
+    """Draw the random stands from which the stands of a plan are chosen.
+
+    Half of the stands has a heading of 180 deg. If there is a known mass, half of the stands
+    carries this mass.
+
+    Args:
+        robot: Robot without the known mass.
+        loaded_robot: Robot with the known mass; ``robot`` if there is none.
+        added: Known mass [kg].
+        count: Number of stands of the plan.
+        stiffness: Servo stiffness, shape (nu,) [N m/rad].
+        kp: Servo stiffness that the caller requests, scalar or shape (nu,) [N m/rad].
+        rng: Generator of random numbers, which is advanced.
+        priors: Prior standard deviations.
+
+    Raises:
+        MeasurementError: If too few random stands are in reach, held by the servos and within the
+            torque limits.
+    """
+    variants = [robot] if loaded_robot is robot else [robot, loaded_robot]
+    num_draws = -(-_CANDIDATES_PER_STAND * count // len(variants))  # rounded up
+    candidates: list[_Candidate] = []
+    for variant in variants:
+        generator = RandomStands(variant, rng, kp, priors)
+        draws = generator.draw_stands(num_draws)
+        added_mass = 0.0 if variant is robot else added
+        candidates += [
+            _make_candidate(robot, stand, sagged, stiffness, math.pi * (index % 2), added_mass)
+            for index, (stand, sagged) in enumerate(draws)
+        ]
+        if len(draws) < min(count, num_draws):
+            raise MeasurementError(robot.name, generator.explain_shortage(count))
+    return candidates
+
+
+def _number_stands(candidates: Sequence[_Candidate]) -> tuple[PlannedStand, ...]:
+    """Return the stands of candidates in the order of measurement, named s01, s02 etc."""
+    ordered = sorted(candidates, key=lambda candidate: candidate.sort_key)
+    return tuple(
+        replace(candidate.planned, name=f"s{number:02d}")
+        for number, candidate in enumerate(ordered, 1)
+    )
+
+
+def _expect_estimates(table: ParameterTable, information: Array) -> tuple[Estimate, ...]:
+    """Return the parameters with the stated values and the expected intervals.
+
+    ``information`` is the information matrix of all measured stands and the priors, shape (n, n),
+    in units of the parameters' widths.
+    """
+    deviation = np.sqrt(np.diag(np.linalg.inv(information)))
+    return tuple(
+        describe_parameter(
+            parameter,
+            parameter.stated,
+            parameter.width * float(ratio),
+            classify_determination(float(ratio) ** 2),
+        )
+        for parameter, ratio in zip(table.parameters, deviation, strict=True)
     )
 
 
