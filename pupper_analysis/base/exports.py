@@ -27,6 +27,9 @@ def make_lazy_exports(
     Args:
         package: ``__name__`` of the package.
         file: ``__file__`` of the package.
+
+    Returns:
+        ``__getattr__`` of the package; ``__dir__``; ``__all__``, the exported names.
     """
     stub = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8"))
     imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]

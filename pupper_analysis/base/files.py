@@ -300,6 +300,9 @@ def _nearest_existing(folder: Path) -> Path:
 def resolve_target(path: Path) -> tuple[Path, os.stat_result | None]:
     """Return a path with links resolved, and the status of the file there (None if missing).
 
+    Returns:
+        Path of the file behind all links; status of this file, None if it does not exist.
+
     Raises:
         OSError: If the status cannot be read, for example without permission.
     """

@@ -199,6 +199,9 @@ def decode_input(path: Path, data: bytes) -> str:
 def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
     """Return the text and the values of a TOML file.
 
+    Returns:
+        Text of the file; {key: value} of the top level.
+
     Raises:
         InputError: If the file cannot be read, is no UTF-8 text, is no valid TOML (with the line,
             if known), or has a key longer than `_MAX_KEY_LENGTH` or a text longer than

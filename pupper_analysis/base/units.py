@@ -135,6 +135,9 @@ def convert_to_display(value: float, unit: str) -> tuple[str, float]:
     Args:
         value: Position or deviation [rad, m].
         unit: Unit of ``value``: rad or m.
+
+    Returns:
+        Displayed unit; value in this unit.
     """
     factor, shown = READ_IN[unit]
     return "°" if shown == "deg" else shown, factor * value

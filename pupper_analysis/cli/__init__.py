@@ -74,6 +74,9 @@ class LazyGroup(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Return name, command and further arguments; the first argument names the command.
 
+        Returns:
+            Name of the command; command; arguments after the name.
+
         Raises:
             click.UsageError: If there is no such command; the message suggests similar names.
         """

@@ -695,6 +695,9 @@ def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
     A variant has both formats, and represents the format that the other file does not have. Files
     that cannot be read keep the typed order.
 
+    Returns:
+        Path of the URDF; path of the MJCF. One of both may be the name of a variant.
+
     Raises:
         ConfigurationError: If both files are URDFs, or both are MJCFs.
     """

@@ -474,6 +474,9 @@ def apply_motors(
         robot: Robot.
         effort: Texts of ``--effort``.
 
+    Returns:
+        Robot with the limits; {joint: motor}.
+
     Raises:
         UnknownNameError: If a pattern matches no joint, or the text names no motor.
         ConfigurationError: If a pattern matches a slide.

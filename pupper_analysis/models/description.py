@@ -92,5 +92,9 @@ class Description:
         return (diagnose("on-balls-for-soles", count=count),) if count else ()
 
     def trees(self) -> tuple[UrdfTree, SpecTree]:
-        """Return the URDF and the MJCF as trees of links: copies that the caller may modify."""
+        """Return the URDF and the MJCF as trees of links: copies that the caller may modify.
+
+        Returns:
+            URDF; MJCF.
+        """
         return UrdfTree.of(self.urdf), SpecTree(self.mjcf.copy())

@@ -33,7 +33,12 @@ def is_at_one_joint(model: mujoco.MjModel, actuator: int) -> bool:
 
 
 def list_actuator_targets(model: mujoco.MjModel, actuator: int) -> tuple[mujoco.mjtObj, list[int]]:
-    """Return the object type and the ids of the targets of an actuator; -1 for a missing target."""
+    """Return the object type and the ids of the targets of an actuator; -1 for a missing target.
+
+    Returns:
+        Object type, such as mjOBJ_JOINT; two ids of this type, of which the second is -1 for most
+        transmissions.
+    """
     kind = mujoco.mjtTrn(int(model.actuator_trntype[actuator])).name.removeprefix("mjTRN_")
     type_name = {"JOINTINPARENT": "JOINT", "SLIDERCRANK": "SITE", "SO3": "SITE"}.get(kind, kind)
     return getattr(mujoco.mjtObj, f"mjOBJ_{type_name}"), model.actuator_trnid[actuator].tolist()

@@ -61,6 +61,9 @@ numbers are refused. Products of six such numbers do not overflow."""
 def parse_xml(path: Path) -> tuple[str, etree._Element]:
     """Return the text of a file, and the root element without comments and default namespace.
 
+    Returns:
+        Text as read; root element.
+
     Raises:
         ModelError: If the file cannot be read, has a DOCTYPE, is not well-formed, exceeds a limit,
             or uses xacro in another file than a URDF.

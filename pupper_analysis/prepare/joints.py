@@ -101,6 +101,9 @@ def couple_mimics(matched: Match, description: Description) -> tuple[Description
     Args:
         matched: Matched joints of both files.
         description: Description.
+
+    Returns:
+        Description with the couplings; notes.
     """
     spec = description.mjcf.copy()
     driven = {actuator.target for actuator in spec.actuators}

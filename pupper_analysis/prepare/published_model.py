@@ -166,6 +166,9 @@ def with_requested_gains(
         kp: Requested stiffness [N m/rad], scalar or (nu,); None: value of the prepared robot.
         kd: Requested damping [N m s/rad], scalar or (nu,); None: value of the prepared robot.
 
+    Returns:
+        Published model with the gains; robot with the same gains, for comparisons.
+
     Raises:
         ConfigurationError: If a gain is not a number, has another shape or is out of range.
         ModelError: If a joint has no motor, or the motor is no position servo and kp and kd are not

@@ -581,6 +581,9 @@ def pair_cells(first: float, second: float, form: str) -> tuple[Number, Number]:
         first: Number, in the displayed unit.
         second: Number, in the displayed unit.
         form: Format specification with the smallest number of digits, such as ``".4g"``.
+
+    Returns:
+        Cell of ``first``; cell of ``second``.
     """
     texts = format_pair(float(first) + 0.0, float(second) + 0.0, form)
     return Number(texts[0], float(first)), Number(texts[1], float(second))

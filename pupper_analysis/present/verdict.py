@@ -184,6 +184,9 @@ def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text,
 
     The short answer contains statements against the stand, warnings, assumptions, and the codes of
     `_LEADING_CODES`, good or bad. A keyframe run that supports the stand is not part of it.
+
+    Returns:
+        Lines of the short answer; further lines.
     """
     clauses, lines = verdict_clauses(verdict), verdict_lines(verdict)
     quiet = [

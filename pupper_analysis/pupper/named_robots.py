@@ -94,6 +94,9 @@ def find_model_pair(
         urdf: URDF, or a variant.
         mjcf: MJCF, or a variant; None for the MJCF of the variant ``urdf``.
 
+    Returns:
+        URDF; MJCF. Each is a file or an object as `find_model` returns it.
+
     Raises:
         ConfigurationError: If there is no ``mjcf`` and ``urdf`` is no variant.
         VariantError: If a word without suffix names no variant, existing path or published robot,
@@ -114,6 +117,9 @@ def find_files(variant: str | Path | VariantSpec, folder: Path) -> tuple[Path, P
         variant: Variant, or its name.
         folder: Temporary folder, to which the files of a scaled variant are written, as by
             ``write_variant``.
+
+    Returns:
+        Path of the URDF; path of the MJCF.
 
     Raises:
         VariantError: If the scales give no valid model.

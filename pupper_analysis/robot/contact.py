@@ -250,6 +250,9 @@ def find_ground_contacts(
         model: MuJoCo model.
         data: Data after ``mj_collision``.
         foot_geoms: {geom id: foot}.
+
+    Returns:
+        Names of the feet in contact; names of the other bodies in contact.
     """
     acting = find_acting_contacts(data)
     pairs, bodies = data.contact.geom[acting], list_contact_bodies(model, data)[acting]

@@ -264,5 +264,10 @@ class MujocoConvention:
         data.qvel[self.qvel_index] = 0.0 if qvel is None else qvel
 
     def read_state(self, data: mujoco.MjData) -> tuple[Array, Array]:
-        """Return qpos (nq,) and qvel (nv,) of MuJoCo's data, with joints in actuator order."""
+        """Return qpos (nq,) and qvel (nv,) of MuJoCo's data, with joints in actuator order.
+
+        Returns:
+            qpos, shape (nq,); qvel, shape (nv,): base velocity linear in the world frame, angular
+            in the base frame.
+        """
         return data.qpos[self.qpos_index], data.qvel[self.qvel_index]

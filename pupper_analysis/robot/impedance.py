@@ -59,6 +59,9 @@ def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
     stiffness and damping.
 
     Source: getsolparam in MuJoCo's ``engine_core_constraint.c``, which prints a warning.
+
+    Returns:
+        Time constant [s]; damping ratio [1]. Or, neither positive: -stiffness; -damping.
     """
     first, second = (float(value) for value in solref)
     return (first, second) if (first > 0) == (second > 0) else _DEFAULT_REFERENCE
@@ -74,6 +77,9 @@ def solimp_impedance(solimp: tuple[float, ...], violation: float) -> tuple[float
     Args:
         solimp: Parameters from ``clip_solimp``.
         violation: Violation of the constraint [m, rad]; for a contact, penetration plus margin.
+
+    Returns:
+        Impedance d [1]; derivative [1/m, 1/rad].
     """
     dmin, dmax, width, midpoint, power = solimp
     if dmin == dmax or width <= mujoco.mjMINVAL:

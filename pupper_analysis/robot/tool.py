@@ -185,6 +185,9 @@ def split_place(point: Any) -> tuple[str, Any]:
 
     Args:
         point: (frame, x, y, z) [m], or coordinates (x, y, z) [m] in the base frame.
+
+    Returns:
+        Name of the frame, "" for the base; coordinates (x, y, z) [m].
     """
     if (
         isinstance(point, Sequence)

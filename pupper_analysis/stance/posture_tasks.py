@@ -55,6 +55,9 @@ class WholeBody(Protocol):
 
         The configuration q is that of PlaCo's robot, shape (nq,), always with a free base. The
         derivatives of n distances have the shape (n, nq); those by the pose of the base are zero.
+
+        Returns:
+            Derivatives, shape (n, nq); configuration, shape (nq,).
         """
 
 

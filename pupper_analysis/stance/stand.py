@@ -96,6 +96,9 @@ def solve_stand(
 def resolve_stance(robot: Robot, stance: StandTask | Stand) -> tuple[Robot, Stand]:
     """Return a robot with the contacts of a stance, and its stand; a task is solved.
 
+    Returns:
+        Robot with the contacts of the stance; stand of this robot.
+
     Raises:
         ConfigurationError: If a stand belongs to another robot, or no stand can satisfy a task.
         UnknownNameError: If a task contains an unknown foot, joint or contact.

@@ -88,6 +88,10 @@ def format_pair(
         first: Number.
         second: Number of the same type and unit.
         spec: Format specification of both, with the smallest number of digits, such as ``.3g``.
+
+    Returns:
+        Texts of ``first`` and of ``second``, with units; equal if the numbers are equal, or differ
+        only after `_MAX_DIGITS` digits.
     """
     texts = _format_value(first, spec), _format_value(second, spec)
     if texts[0] != texts[1] or first == second:

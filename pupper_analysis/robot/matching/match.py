@@ -265,7 +265,11 @@ class Match:
         return UrdfTree.of(self.robot.description.urdf)
 
     def sources(self, urdf: UrdfFile, mjcf: MjcfFile) -> tuple[Sources, Sources]:
-        """Return objects that locate values (file and line) in the matched URDF and MJCF."""
+        """Return objects that locate values (file and line) in the matched URDF and MJCF.
+
+        Returns:
+            Locations in the URDF; locations in the MJCF.
+        """
         base = tuple(dict.fromkeys((self.robot.base, self.reference.base)))
         frames = self.robot.description.frames
         urdf_sources = UrdfSources(

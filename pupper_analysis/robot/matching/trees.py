@@ -40,6 +40,9 @@ def kinematic_trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:
 
     The tree of a robot with a free base is expressed in the base frame, with a fixed base in the
     world frame.
+
+    Returns:
+        Tree of the URDF; tree of the MJCF.
     """
     frames = {**robot.description.contact_points, **robot.description.frames}
     urdf = multibody.from_pinocchio(

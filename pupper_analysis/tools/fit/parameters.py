@@ -351,6 +351,9 @@ class ParameterTable:
 
         Values that are not estimated are taken from ``stated``. The CoM is in the frame of
         ``stated``.
+
+        Returns:
+            Mass [kg]; CoM, shape (3,) [m].
         """
         mass = self.get_value(vector, "mass", link, "", stated.mass)
         return mass, self.get_com(vector, link, stated.lever)

@@ -126,6 +126,9 @@ class JointMotions:
         Args:
             qpos: Posture, shape (nu,).
             motion: Index of the motion.
+
+        Returns:
+            Lower bound; upper bound [rad, m].
         """
         moving, lead = self.moved[motion], self.free[motion]
         if self.nonlinear[motion]:

@@ -237,6 +237,9 @@ class Session:
         """Return the solved stance that the page shows, and the predicted sag.
 
         The sag is a message if there is no equilibrium, and None until computed.
+
+        Returns:
+            Solved stance, None before the first; predicted sag, a message, or None.
         """
         with self._lock:
             return self._answer, self._sag

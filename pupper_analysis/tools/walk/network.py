@@ -123,6 +123,9 @@ def lstm(
         bias: Biases, shape (4 u,).
 
     Source: Hochreiter and Schmidhuber, 1997, with the forget gate of Gers et al., 2000.
+
+    Returns:
+        Hidden state, shape (runs, 1, u); cell state, shape (runs, 1, u).
     """
     size = hidden.shape[-1]
     total = np.matmul(value, input_weights) + np.matmul(hidden, state_weights) + bias
@@ -193,6 +196,9 @@ class Network:
         Args:
             observations: Observations, shape (runs, inputs).
             memory: Recurrent states, from `initial_memory` or from the previous call.
+
+        Returns:
+            Actions, shape (runs, outputs); recurrent states for the next call.
         """
         values: dict[str, Any] = dict(self.constants)
         values[self.observation] = np.ascontiguousarray(observations)[:, None, :]

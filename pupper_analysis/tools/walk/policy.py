@@ -166,6 +166,9 @@ def select_policy(policy: Path | None, sources: Sequence[str]) -> tuple[Path, tu
         policy: Typed policy; None without.
         sources: Files of a policy, deployment or trainer.
 
+    Returns:
+        File of the policy; other sources, in the given order.
+
     Raises:
         ConfigurationError: If there are several policies, or none.
     """
@@ -187,6 +190,9 @@ def read_statements(
     path: Path, deployment: Deployment | None = None
 ) -> tuple[Network, list[Statements]]:
     """Read the network of a policy, and the contract keys of policy file and deployment.
+
+    Returns:
+        Network; contract keys of the policy file and, if any, of the deployment.
 
     Raises:
         MissingPackageError: If the policy is TorchScript and torch is not installed.

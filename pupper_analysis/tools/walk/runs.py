@@ -239,6 +239,9 @@ def replace_efforts(
         policy: Policy.
         efforts: {joint of the robot: limit [N m]}; both are returned unchanged without efforts.
 
+    Returns:
+        Robot; policy.
+
     Raises:
         ConfigurationError: If a limit is not positive and finite.
         ModelError: If the policy does not fit the robot.
@@ -515,6 +518,9 @@ def measure_lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
     Args:
         stage: Policy on the robot.
         states: States, shape (..., size).
+
+    Returns:
+        Tilt, shape (...) [rad]; height loss, shape (...) [m].
     """
     upright, index = stage.upright, stage.robot.mj_convention.qpos_index
     up = rotations_from_quaternions(states[..., 1 + index[3:7]])[..., 2, :]

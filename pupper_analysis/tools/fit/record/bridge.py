@@ -93,6 +93,9 @@ def open_bridge(name: str, robot: Robot) -> tuple[Bridge, Operator]:
         name: ``NAME`` or ``NAME:ARGUMENTS`` of a bridge of this package or of an entry point.
         robot: Robot, with the values of the files.
 
+    Returns:
+        Bridge; operator.
+
     Raises:
         ConfigurationError: If there is no bridge of this name, or it cannot be opened.
     """

@@ -136,6 +136,10 @@ def assemble_trace(series: Series, source: str) -> tuple[dict[str, Array], int]:
         series: Messages.
         source: Bridge, for messages of errors.
 
+    Returns:
+        {name: array with a row per action}, with ``time`` [s] from the first row; number of actions
+        that were left out.
+
     Raises:
         MeasurementError: If fewer than `MIN_ACTIONS` rows remain.
     """

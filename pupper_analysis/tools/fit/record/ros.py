@@ -137,6 +137,9 @@ def open_ros(robot: Robot, arguments: str) -> tuple[RosBridge, Terminal]:
         robot: Robot.
         arguments: ``state=TOPIC;command=TOPIC;order=JOINT,...``, each part optional.
 
+    Returns:
+        Bridge; operator.
+
     Raises:
         ConfigurationError: If ROS 2 is not installed, an argument is unknown, or a topic is silent
             or belongs to other joints.

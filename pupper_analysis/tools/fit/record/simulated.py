@@ -209,6 +209,9 @@ def open_simulated(robot: Robot, arguments: str) -> tuple[SimulatedRobot, Simula
         arguments: ``SEED`` or ``SEED;kp=60`` (seed of the perturbations, stated stiffness
             [N m/rad]); empty for seed 0.
 
+    Returns:
+        The simulated robot, twice: as the bridge and as the operator.
+
     Raises:
         ConfigurationError: If the seed or the stiffness is invalid.
     """

@@ -112,5 +112,9 @@ class TypedBridge(WallClock):
 
 
 def open_typed(robot: Robot, _: str) -> tuple[TypedBridge, Terminal]:
-    """Return a bridge whose joint positions are typed by a person, and an operator's terminal."""
+    """Return a bridge whose joint positions are typed by a person, and an operator's terminal.
+
+    Returns:
+        Bridge; operator.
+    """
     return TypedBridge(robot), Terminal()

@@ -885,6 +885,9 @@ def predict_noise(
         stands: Stands, from whose positions the encoder step is estimated.
         encoder: Standard deviation of a joint position [rad]. If None, it is derived from the
             encoder step, or is a default if no step is found.
+
+    Returns:
+        Expected noise; dry friction of the joints, shape (nu,) [N m].
     """
     torque_scale = robot.weight * robot.stand_height
     if encoder is None:
