@@ -4,6 +4,8 @@ follow.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from pupper_analysis.prepare.servo_tuning import (
     suggest_fixed_base_gains,
     suggest_standing_gains,
 )
+from tests.support.legged import quadruped_with_slides
 from tests.support.variants import load
 
 ROD = """<mujoco><option timestep="{step}"/><worldbody><body>
@@ -35,6 +38,21 @@ def test_most_loaded_joint_deflects_by_the_requested_sag() -> None:
     kp, kd = suggest_standing_gains(robot, stand, torques, 0.02)
     assert np.all((kp <= required.stiffness(0.02)) & (kp > 0.9 * required.stiffness(0.02)))
     np.testing.assert_allclose(kd, 0.05 * kp, rtol=0.1)
+
+
+def test_slides_of_a_leg_are_as_stiff_at_the_foot_as_hinges(tmp_path: Path) -> None:
+    """Closed form: kp of a slide = kp of a hinge / lever^2, with half of the stand height as lever.
+
+    The stiffness of all joints is below the bound of the time step.
+    """
+    robot = pa.load_robot(quadruped_with_slides(tmp_path))
+    lever = robot.stand_height / 2
+    torques = np.ones(robot.nu)
+    required = ServoRequirement.of_stand(robot, robot.home, torques)
+    stiffness = dict(zip(robot.joint_names, required.stiffness(0.05), strict=True))
+    assert 0.1 < lever < 1.0
+    assert stiffness["FL_knee"] == pytest.approx(stiffness["FL_pitch"] / lever**2, rel=1e-9)
+    assert stiffness["FL_knee"] < required.max_stiffness.max()
 
 
 def test_no_joint_is_stiffer_than_a_step_can_follow() -> None:
