@@ -442,12 +442,16 @@ class WorkerPool:
         return any(process.exitcode == TIME_LIMIT_EXIT_CODE for process in self._processes)
 
     def end_processes(self) -> None:
-        """End the worker processes; those of an executor that the caller passed keep running."""
+        """End the worker processes; those of an executor that the caller passed keep running.
+
+        A process that the system could not start is skipped.
+        """
         if self._given_executor is None and self._executor is not None:
             self._executor.shutdown(wait=False, cancel_futures=True)
-            for process in self._processes:
+            started = [process for process in self._processes if process.pid is not None]
+            for process in started:
                 process.terminate()
-            for process in self._processes:
+            for process in started:
                 process.join()
             self._executor, self._num_submitted = None, 0
 
