@@ -205,6 +205,19 @@ def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text,
     return first, tuple(line for line, less in zip(lines, quiet, strict=True) if less)
 
 
+def report_refused_file(verdict: Verdict) -> tuple[Text, ...]:
+    """Return the warning that MuJoCo refuses the published file, since meshes are missing.
+
+    Empty if MuJoCo does not refuse the file, or if there is no run from a keyframe. The short
+    answer contains this warning before all others.
+    """
+    run = verdict.keyframe_run
+    if run is None or not run.missing:
+        return ()
+    names = [name.replace("\\", "/").rpartition("/")[2] for name in run.missing]
+    return (diagnostic_text(diagnose("file-refused-by-mujoco", missing=names), "warn"),)
+
+
 _MIN_STATED_CLEARANCE = 1e-3
 """Height [m] of the robot above the ground at reset, above which the message about the simulation
 from a keyframe states the height. Chosen, not tuned."""
@@ -286,7 +299,8 @@ def judged_document(
         reasons, findings = (*leading, number, *reasons), (*limits, *others)
     else:
         reasons = (*leading, *reasons) if reasons else ()
-        findings = (number, *limits, *(first if judged.passed else ()), *others)
+        warnings = (*limits, *first) if judged.passed else limits
+        findings = (number, *report_refused_file(judged.verdict), *warnings, *others)
     return Document(
         kind,
         Name(judged.name),

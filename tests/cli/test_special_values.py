@@ -137,7 +137,7 @@ def list_arguments(folder: Path, row: dict[str, str]) -> list[str]:
     path = write_edited(folder, name, row["edit"])
     pair = {"arm.urdf": "arm.xml", "arm.xml": "arm.urdf"}
     beside = folder / "unedited"
-    beside.mkdir()
+    beside.mkdir(exist_ok=True)
     match command:
         case "crosscheck":
             other = write_edited(beside, pair[name], "")

@@ -55,6 +55,7 @@ from pupper_analysis.present.documents.standing import (
 from pupper_analysis.present.verdict import (
     join_ground_touches,
     qualify_verdict_word,
+    report_refused_file,
     split_verdict_lines,
 )
 from pupper_analysis.robot.robot import Robot
@@ -105,7 +106,11 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
         passed=analysis.verified,
         verdict=_make_verdict_word(analysis),
         failures=failures[:_MAX_SHOWN_FAILURES],
-        findings=(load, *(() if failures else warnings), height),
+        findings=(
+            load,
+            *(() if failures else (*report_refused_file(analysis.verdict), *warnings)),
+            height,
+        ),
         details=(
             *others,
             *failures[_MAX_SHOWN_FAILURES:],
