@@ -297,6 +297,7 @@ def _describe_servo_gains(stance: Stance) -> Iterable[doc.Words]:
     kp, kd = (one.kp, one.kd) if scales else (1.0, 1.0)
     units = servos.units
     bounded = most is not None and math.isfinite(most)
+    over = most is not None and most < 1
     yield text(
         "servo-gains" if scales else "servo-factors",
         kp=f"{one.kp:.3g}",
@@ -305,7 +306,9 @@ def _describe_servo_gains(stance: Stance) -> Iterable[doc.Words]:
         kd_unit=units.damping,
         least="" if least is None else f"{_round_bound(least * kp):g}",
         most=f"{_round_bound(most * kd):g}" if most is not None and bounded else "",
-        over="over" if most is not None and bounded and most < 1 else "",
+        added=bool(stance.verdict.servos.made),
+        over=over,
+        within=bounded and not over,
         step=f"{1e3 * servos.timestep:.3g}",
         implicit=servos.integrator if implicit else "",
     )
