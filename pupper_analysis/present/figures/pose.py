@@ -221,7 +221,7 @@ def make_pose_figure(
         Line2D([], [], color=_NEAR_COLOUR, lw=3, **leg, label="leg"),
         Line2D([], [], color=drawing.BLACK_COLOUR, marker="o", ls="", ms=6, label="foot"),
         *([Line2D([], [], **_SWING_STYLE, label="swing foot")] if stand.task.swing else []),
-        Patch(facecolor=_BASE_FILL_COLOUR, edgecolor=_BASE_EDGE_COLOUR, label="base"),
+        Patch(facecolor=_BASE_FILL_COLOUR, edgecolor=_BASE_EDGE_COLOUR, label="base (boxes)"),
         Line2D(
             [],
             [],
