@@ -138,7 +138,7 @@ def write_height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             _mark_first_contact(axes, run, heights)
         axes.axhline(0.0, color=drawing.GREEN_COLOUR, ls=(0, (2, 3)), lw=1.2)
         axes.set_xlabel("time (s)", size=drawing.FONT_SIZE)
-        axes.set_ylabel("height less task (mm)", size=drawing.FONT_SIZE)
+        axes.set_ylabel("height minus task (mm)", size=drawing.FONT_SIZE)
         axes.grid(color=drawing.GRID_COLOUR)
         axes.legend(fontsize=drawing.FONT_SIZE - 1, frameon=False, loc="upper right")
         lowest = min(axes.get_ylim()[0], -MIN_SHOWN_LOSS)
