@@ -157,7 +157,7 @@ def record_calls(words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> lis
 
     command, fit = "pupper_analysis.tools.fit.command", "pupper_analysis.tools.fit"
     shared = "pupper_analysis.cli.shared"
-    replace(f"{command}.print_notes")
+    replace(f"{command}.print_robot_notes")
     monkeypatch.setattr(f"{command}.parse_gain", lambda name, words, robot: words)
     replace(f"{command}.load_selected_robot", SimpleNamespace(name="robot"))
     replace(f"{command}._select_next_step")

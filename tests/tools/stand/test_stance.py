@@ -9,11 +9,12 @@ from typing import Any
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.present.document import Table
+from pupper_analysis.present.document import Table, get_english
 from pupper_analysis.present.documents.standing import simulated_table
 from pupper_analysis.tools.stand.document import stance_document
 from pupper_analysis.tools.stand.stance import study_stance
-from tests.support.legged import quadruped
+from tests.support.legged import quadruped, rewrite_file
+from tests.support.slips import standing
 
 STIFFNESS = 6000.0
 """Stiffness of the servos of the knees [N/m]."""
@@ -70,3 +71,19 @@ def test_effort_of_a_slide_is_asked_for_in_newtons(tmp_path: Path) -> None:
     notes = " ".join(str(note) for note in pa.robot.with_efforts(robot, {"FL_knee": 30.0}).notes)
     assert "FL_knee 30 N" in notes
     assert "30 N m" not in notes
+
+
+@pytest.mark.slow
+def test_refusal_of_the_file_by_mujoco_is_among_the_first_findings(tmp_path: Path) -> None:
+    """MuJoCo refuses the file, since a mesh is missing; the package leaves the mesh out.
+
+    The second line on the terminal starts with the first finding after the number.
+    """
+    pair = standing(tmp_path)
+    mesh = '<asset><mesh file="gone.stl"/></asset><worldbody>'
+    geom = '<geom type="mesh" mesh="gone" contype="0" conaffinity="0"/>'
+    rewrite_file(pair.mjcf, ("<worldbody>", mesh), ("<inertial", f"{geom}<inertial"), count=1)
+    robot = pa.load_robot(*pair)
+    document = stance_document(study_stance(robot, pa.StandTask()), robot)
+    findings = [get_english(words) for words in document.findings]
+    assert "MuJoCo refuses the file: gone.stl missing" in findings[:2]
