@@ -16,10 +16,16 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.cli.next_step import print_next_step
 from pupper_analysis.models.transmission import MadeServo
 from pupper_analysis.prepare.judge import describe_frictionless_feet, describe_missing_masses
+from pupper_analysis.prepare.limits import (
+    describe_zero_torque_limits,
+    loads_motor_without_torque,
+    springs_replace_motors,
+)
 from pupper_analysis.prepare.self_check import (
     compare_nominal_stand,
     explain_own_run,
@@ -43,6 +49,7 @@ from pupper_analysis.robot.servos import (
 from pupper_analysis.simulation.monitor import ContactSampler, StandCheck, StandReference
 from pupper_analysis.simulation.rollout import full_state, settled_activations
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
+from pupper_analysis.stance.stand import solve_stand, stand_statics
 
 DROP_SECONDS = 6.0
 """Duration of a simulated drop [s]. v3 lands after 0.18 s and is steady to 0.005 mm after 2.3 s."""
@@ -235,7 +242,8 @@ def list_contradictions(robot: Robot) -> tuple[str, ...]:
 
     The simulated drop uses the prepared robot, in which, for example, bad servos are replaced. The
     reasons are replaced servos, a failure of the unmodified MJCF from its keyframe, ball joints
-    with which the unmodified MJCF deviates from the nominal stand, and feet without friction.
+    with which the unmodified MJCF deviates from the nominal stand, loaded motors without torque,
+    and feet without friction.
     """
     replaced: tuple[MadeServo, ...] = ()
     with contextlib.suppress(ModelError):  # torque motors have no servo
@@ -251,8 +259,25 @@ def list_contradictions(robot: Robot) -> tuple[str, ...]:
         *make_replaced_clauses(replaced),
     )
     slippery = describe_frictionless_feet(robot, robot.contact_points) if robot.floating else None
-    messages = tuple(str(clause) for clause in clauses if not clause.good)
-    return messages if slippery is None else (*messages, str(slippery))
+    messages = [str(clause) for clause in clauses if not clause.good]
+    others = (_describe_loaded_zero_motors(robot), slippery)
+    return (*messages, *(str(message) for message in others if message is not None))
+
+
+def _describe_loaded_zero_motors(robot: Robot) -> Diagnostic | None:
+    """Create the message about motors without torque that must hold a load in the nominal stand.
+
+    None if the nominal stand does not load such motors, or if springs hold their joints. Damping
+    and friction may hold such joints for longer than a drop is simulated.
+    """
+    message = describe_zero_torque_limits(robot)
+    if message is None:
+        return None
+    with contextlib.suppress(PupperAnalysisError):
+        statics = stand_statics(robot, solve_stand(robot, explain=False))
+        if not loads_motor_without_torque(robot, statics) or springs_replace_motors(robot, statics):
+            return None
+    return message
 
 
 def format_drop(result: Drop) -> tuple[str, str]:
