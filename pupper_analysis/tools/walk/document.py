@@ -70,6 +70,7 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
         findings=(
             *(_list_causes_of_fall(walk) if fallen else ()),
             speed,
+            *(() if fallen else _report_zero_torque_limits(walk)),
             torque,
             *(_describe_region(walk) if walk.within_region else ()),
             *_list_warnings(walk),
@@ -104,6 +105,7 @@ def _list_causes_of_fall(walk: Walk) -> Iterable[doc.Words]:
 
     Other remarks about the files follow.
     """
+    yield from _report_zero_torque_limits(walk)
     yield from _list_limit_warnings(walk)
     errors = [remark for remark in walk.remarks if remark.severity is Severity.ERROR]
     yield from map(doc.diagnostic_text, errors)
@@ -230,12 +232,16 @@ def _describe_region(walk: Walk) -> Iterable[doc.Words]:
     )
 
 
-def _list_limit_warnings(walk: Walk) -> Iterable[doc.Words]:
-    """Yield warnings on motors with a torque limit of zero, and on used motors without a limit."""
-    peak = _max_over_runs(walk, "torque_peak")
+def _report_zero_torque_limits(walk: Walk) -> Iterable[doc.Words]:
+    """Yield a warning on motors with a torque limit of zero; nothing without such motors."""
     null = [joint for joint, limit in zip(walk.joints, walk.limits, strict=True) if limit <= 0]
     if null:
         yield text("walk-without-torque", joints=tuple(null))
+
+
+def _list_limit_warnings(walk: Walk) -> Iterable[doc.Words]:
+    """Yield a warning on used motors without a torque limit; nothing without such motors."""
+    peak = _max_over_runs(walk, "torque_peak")
     unknown = np.flatnonzero(np.isinf(walk.limits) & (peak > 0))
     if unknown.size:
         yield text(
