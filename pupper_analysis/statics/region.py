@@ -32,6 +32,11 @@ Such points are no corners: for a direction perpendicular to a side of the regio
 returns any point of this side. Its solutions are accurate to about 1e-8 m."""
 
 
+REGION_TOLERANCE = 1e-5
+"""Largest distance [m] between the computed polygon and the support region. Chosen: with 48 fixed
+directions the distance was up to 0.3 mm on v3 with random slopes of the contacts."""
+
+
 @dataclass(frozen=True, eq=False)
 class SupportRegion(Tabular):
     """Horizontal CoM positions for which contact forces in equilibrium exist.
@@ -80,8 +85,8 @@ def support_region(
     with the static load l of gravity and the Jacobian J of the contact points.
 
     On level ground, without torque limits and prescribed forces, the region is the convex hull of
-    the contact points. Otherwise the result is the convex hull of the region's extreme points in 48
-    directions, which is slightly smaller than the region.
+    the contact points. Otherwise the result is the convex hull of extreme points of the region. It
+    is within the region, and its distance to the edge of the region is at most 0.01 mm.
 
     Args:
         config: State of the robot. The velocity is ignored.
@@ -118,6 +123,7 @@ def support_region(
             carrying.stated,
             np.zeros((0, 4)),
             inequalities,
+            REGION_TOLERANCE,
         )
     com = config.center_of_mass()[:2]
     corners = _make_polygon(found)

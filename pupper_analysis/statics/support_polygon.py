@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -200,11 +200,15 @@ def find_extreme_positions(
     stated: tuple[Array, Array] | None,
     grips: Array,
     inequalities: tuple[Array, Array] | None = None,
+    tolerance: float | None = None,
 ) -> tuple[Corner, ...]:
-    """Compute the farthest CoM position with equilibrium in each of `SIDES` directions.
+    """Compute the farthest CoM position with equilibrium in several horizontal directions.
 
-    The directions are horizontal. The result, points (x, y) [m] in the world frame, is empty if no
-    CoM position allows equilibrium. A direction in which the cone program fails is left out.
+    The result, points (x, y) [m] in the world frame, is empty if no CoM position allows
+    equilibrium. A direction in which the cone program fails is left out. Without ``tolerance`` the
+    number of directions is `SIDES`. With ``tolerance`` it is at least `_FIRST_SIDES`: the normal of
+    a side is added as long as the region may extend beyond the side by more than ``tolerance``
+    (Bretl and Lall 2008, section IV).
 
     Args:
         points: Shape (n, 3) [m]; contact points in the world frame.
@@ -215,6 +219,8 @@ def find_extreme_positions(
         grips: Shape (g, 4), g >= 0: position [m] and force limit in units of the weight.
         inequalities: Further bounds on the forces f, in units of the weight: rows and upper bounds
             of ``rows @ f <= upper``, for example torque limits.
+        tolerance: Largest distance [m] between the region and the convex hull of the result; None:
+            not bounded.
     """
     count = len(points)
     positions = np.vstack([points, grips[:, :3]])
@@ -238,18 +244,81 @@ def find_extreme_positions(
     forces_to_com = np.vstack(
         [-moments[1], moments[0]]
     )  # com x e_z equals the moment of the forces
-    corners, failures = list[Corner](), 0
-    for angle in 2 * math.pi / SIDES * np.arange(SIDES):
+
+    def find_extreme(angle: float) -> Corner | None:
+        """Return the farthest CoM position in a direction; None if the cone program fails."""
         direction = np.array([math.cos(angle), math.sin(angle)])
         forces = problem.maximize(direction @ forces_to_com, friction, bounded, limit)
         if forces is None:
-            failures += 1
-            if not corners and failures == _MIN_FAILURES:
-                return ()
-            continue
+            return None
         x, y = (forces_to_com @ forces).tolist()
-        corners.append((x, y))
+        return x, y
+
+    sides = SIDES if tolerance is None else _FIRST_SIDES
+    found, failures = list[tuple[float, Corner]](), 0
+    for angle in (2 * math.pi / sides * np.arange(sides)).tolist():
+        corner = find_extreme(angle)
+        if corner is not None:
+            found.append((angle, corner))
+            continue
+        failures += 1
+        if not found and failures == _MIN_FAILURES:
+            return ()
+    corners = [corner for _, corner in found]
+    if tolerance is not None and found:
+        following = [*found[1:], (found[0][0] + 2 * math.pi, found[0][1])]
+        corners += _refine_sides(list(zip(found, following, strict=True)), find_extreme, tolerance)
     return tuple(corners)
+
+
+_FIRST_SIDES = 12
+"""Number of directions in which the boundary of the support region is computed before directions
+are added up to a tolerance. Chosen, not tuned."""
+
+
+def _refine_sides(
+    sides: list[tuple[tuple[float, Corner], tuple[float, Corner]]],
+    find_extreme: Callable[[float], Corner | None],
+    tolerance: float,
+) -> list[Corner]:
+    """Return further extreme points, so that the hull differs from the region by ``tolerance``.
+
+    The region is convex, so that beyond a side it is within the triangle of the side and the
+    tangents at both ends.
+
+    Args:
+        sides: Sides of the region's inner approximation, counter-clockwise: (angle of a tangent's
+            normal, its point) for both ends.
+        find_extreme: Function that returns the extreme point in a direction, given as an angle.
+        tolerance: Largest height of the triangle [m].
+    """
+    corners: list[Corner] = []
+    while sides:
+        start, end = sides.pop()
+        (first, (x0, y0)), (last, (x1, y1)) = start, end
+        length, turn = math.hypot(x1 - x0, y1 - y0), last - first
+        # Angles between the side and the tangents at both ends; both are 0 for an exact side.
+        normal = math.atan2(x0 - x1, y1 - y0)
+        before = (normal - first + math.pi) % (2 * math.pi) - math.pi
+        after = turn - before
+        if length <= tolerance or min(before, after) <= 0 or turn >= math.pi:
+            continue
+        if length * math.sin(before) * math.sin(after) / math.sin(turn) <= tolerance:
+            continue
+        corner = find_extreme(first + before)
+        if corner is None:
+            continue
+        depth = math.cos(normal) * (corner[0] - x0) + math.sin(normal) * (corner[1] - y0)
+        if depth > _MIN_DEPTH:
+            corners.append(corner)
+            middle = (first + before, corner)
+            sides += [(start, middle), (middle, end)]
+    return corners
+
+
+_MIN_DEPTH = 1e-7
+"""Distance [m] of an extreme point from a side of the support region, up to which the side counts
+as exact. Solutions of the cone program are accurate to about 1e-8 m."""
 
 
 def support_polygon(contacts: Array) -> Array:
