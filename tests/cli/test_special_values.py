@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import mujoco
 import pytest
 
 from pupper_analysis import cli
+from tests.support import every_command
 from tests.support.commands import run_command
 from tests.support.legged import quadruped
 from tests.support.repository import ROOT
@@ -84,6 +86,26 @@ SPECIAL_VALUES = {
     ("armature", "absent"),
 }
 """{(attribute, value)}: the values that were read as favourable ones in earlier versions."""
+
+ROBOT_COMMANDS = {"stand", "live", "gains", "walk", "study", "push", "path", "payload", "best"}
+"""Commands about a standing robot. Each has a row for each value of ``ROBOT_VALUES``."""
+
+ROBOT_VALUES = {
+    *(("effort", "0", "quad.urdf"), ("effort", "absent", "quad.urdf")),
+    *(("kp", "0", "quad.xml"), ("ctrlrange of a servo", "0 0", "quad.xml")),
+    *(("forcerange", "0 0", "quad.xml"), ("actuatorfrcrange of the rolls", "0 0", "quad.xml")),
+    *(("range", "0 to 0", "quad.xml"), ("mass of a calf", "0", "quad.xml")),
+    ("friction of all geoms", "0", "quad.xml"),
+}
+"""{(attribute, value, file)}. A velocity limit concerns ``path`` and ``walk`` only; the quadruped
+has no armature; a ``ctrlrange`` of a motor is a torque limit, as ``forcerange`` is."""
+
+LONG_CASES = {
+    ("kp", "0", "quad.xml"): {"best"},
+    ("friction of all geoms", "0", "quad.xml"): {"push", "study"},
+}
+"""{value: commands without a row, which need more than 10 s}. ``push`` and ``study`` have rows for
+a ground without friction ("condim 1"), ``best`` for a ``forcerange`` of zero."""
 
 COMMANDS_WITHOUT_ROWS = {"analyze", "check", "fit", "heat", "workspace"}
 """``analyze`` reads variants of Pupper only, ``check`` runs the functions of ``audit``,
@@ -169,17 +191,39 @@ def list_arguments(folder: Path, row: dict[str, str]) -> list[str]:
     return [str(path), *OPTIONS.get(command, ())]
 
 
+@pytest.fixture(scope="module")
+def find_folder(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[Callable[[dict[str, str]], Path]]:
+    """Return the folder of a row's edit. The commands of ``ROBOT_COMMANDS`` share its robot."""
+    folders: dict[tuple[str, ...], Path] = {}
+
+    def find(row: dict[str, str]) -> Path:
+        key = row["attribute"], row["value"], row["file"], row["edit"]
+        if row["command"] not in ROBOT_COMMANDS:
+            return tmp_path_factory.mktemp("edit")
+        if key not in folders:
+            folders[key] = tmp_path_factory.mktemp("edit")
+        return folders[key]
+
+    with every_command.share_robots():
+        yield find
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("row", rows())
 def test_command_output_equals_the_row_of_the_table(
-    row: dict[str, str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    row: dict[str, str],
+    find_folder: Callable[[dict[str, str]], Path],
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     """Exit status, first word, code in JSON; an unknown limit gives neither a number nor "any
     mass".
     """
-    command, output = row["command"], tmp_path / "out.json"
+    command, folder = row["command"], find_folder(row)
+    output = folder / f"{command}.json"
     asked = [] if command == "live" else ["--json", str(output)]
-    status, out, err = run_command(capfd, command, *list_arguments(tmp_path, row), *asked)
+    status, out, err = run_command(capfd, command, *list_arguments(folder, row), *asked)
     assert status == int(row["exit status"]), out + err
     assert "unexpected" not in err
     lines = [line for line in out.splitlines() if not line.startswith(("note: ", "… "))]
@@ -231,6 +275,18 @@ def test_each_special_value_has_rows_for_the_commands_that_read_files() -> None:
     }
     missing = {value: FILE_COMMANDS - found for value, found in commands.items()}
     assert not {value: lacking for value, lacking in missing.items() if lacking}
+
+
+def test_each_special_value_has_rows_for_the_commands_about_standing_robots() -> None:
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        table = list(csv.DictReader(file))
+    for value in ROBOT_VALUES:
+        found = {
+            row["command"]
+            for row in table
+            if (row["attribute"], row["value"], row["file"]) == value
+        }
+        assert found >= ROBOT_COMMANDS - LONG_CASES.get(value, set()), value
 
 
 def test_each_command_has_rows() -> None:
