@@ -20,6 +20,7 @@ from pupper_analysis import cli
 from tests.support import every_command
 from tests.support.commands import run_command
 from tests.support.legged import quadruped
+from tests.support.patience import PATIENCE
 from tests.support.repository import ROOT
 from tests.tools.walk import made
 
@@ -62,6 +63,7 @@ kp: [100.0, 100.0]
 
 STUDY = """robot = "{file}"
 measure = ["peak_utilisation", "rest_utilisation", "verified"]
+time_limit = {limit}
 [vary]
 payload = { values = [0.0] }
 """
@@ -182,7 +184,7 @@ def list_arguments(folder: Path, row: dict[str, str]) -> list[str]:
             return [*OPTIONS["best"], str(path)]
         case "study":
             study = folder / "study.toml"
-            study.write_text(STUDY.replace("{file}", name))
+            study.write_text(STUDY.replace("{file}", name).replace("{limit}", str(PATIENCE)))
             return [str(study), "-o", str(folder / "designs"), "--workers", "1"]
         case "walk":
             pose = {"default_joint_pos": [0.0, 0.6, -1.2] * 4, "kp": 150.0, "kd": 5.0}
