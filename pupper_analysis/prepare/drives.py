@@ -103,7 +103,7 @@ def add_loop_motors(robot: Robot) -> Robot:
     return rebuild_robot(robot, mjcf=spec)
 
 
-class _Candidate(NamedTuple):
+class _ServoCandidate(NamedTuple):
     """Gains and time step of added servos that are tried.
 
     Attributes:
@@ -182,7 +182,7 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
     return AddedServos(made, chosen.kp, chosen.kd, 2 if resting else int(fed is not None))
 
 
-def _list_candidates(robot: Robot, stand: Stand, *, of_urdf: bool) -> list[_Candidate]:
+def _list_candidates(robot: Robot, stand: Stand, *, of_urdf: bool) -> list[_ServoCandidate]:
     """Return the gains and time steps that are tried, in this order.
 
     First are the deflections of `_SAG_CANDIDATES` with the time step of the file; then, unless the
@@ -203,11 +203,11 @@ def _list_candidates(robot: Robot, stand: Stand, *, of_urdf: bool) -> list[_Cand
         *usual[num_undivided:],
     ]:
         gains = suggest_standing_gains(robot, stand, torques, sag, divisor, damping_factor)
-        candidates.append(_Candidate(divisor, *_merge_gains(robot, own_gains, *gains)))
+        candidates.append(_ServoCandidate(divisor, *_merge_gains(robot, own_gains, *gains)))
     return candidates
 
 
-def _build_with_servos(robot: Robot, candidate: _Candidate, original: MjcfFile) -> Robot:
+def _build_with_servos(robot: Robot, candidate: _ServoCandidate, original: MjcfFile) -> Robot:
     """Return the robot with the servos and the time step of a candidate."""
     divisor, kp, kd = candidate
     timestep = float(robot.description.mjcf.option.timestep) / divisor
@@ -237,7 +237,7 @@ class _ServoTrials:
         self._results: dict[tuple[int, bool], bool] = {}
         self._chattering_divisors: set[int] = set()
 
-    def find_resting_candidates(self, *feedforward: bool) -> Iterator[_Candidate]:
+    def find_resting_candidates(self, *feedforward: bool) -> Iterator[_ServoCandidate]:
         """Yield the candidates with which the robot comes to rest, and set the robot's time step.
 
         ``feedforward`` lists the simulations: with (True) or without (False) feed-forward.
@@ -265,14 +265,14 @@ class _ServoTrials:
             )
         return self._results[number, fed]
 
-    def agrees_with_prediction(self, candidate: _Candidate) -> bool:
+    def agrees_with_prediction(self, candidate: _ServoCandidate) -> bool:
         """Return True if the robot rests as predicted (`_is_as_predicted`).
 
         The time step is that of the last candidate of `find_resting_candidates`.
         """
         return _is_as_predicted(self._robot, self._stand, candidate.kp, candidate.kd)
 
-    def calms_down(self, candidate: _Candidate) -> bool:
+    def calms_down(self, candidate: _ServoCandidate) -> bool:
         """Return True if the motion after nudges of the base decays; otherwise record the divisor.
 
         The time step is that of the last candidate of `find_resting_candidates`.
@@ -283,7 +283,7 @@ class _ServoTrials:
             self._chattering_divisors.add(candidate.divisor)
         return is_calm
 
-    def choose_calm_candidate(self) -> _Candidate | None:
+    def choose_calm_candidate(self) -> _ServoCandidate | None:
         """Return the first candidate with feed-forward that calms down, or else the first.
 
         The candidates are those with which the robot comes to rest with feed-forward. None without

@@ -84,9 +84,9 @@ def judge_simulation(
         alone: Simulation with position commands alone; None if there is none.
         statics: Static motor torques; None if torque limits are not part of the question.
         question: Question that the verdict answers.
-        trial: Result of nudges in all directions. If None, and ``fed`` passes, the stand is nudged
-            here, in all directions if it is near a limit in ``statics`` or fails without
-            feed-forward.
+        trial: Result of nudges in all directions. If None, if ``fed`` passes and ``statics`` is
+            given, a stand on a free base is nudged here: in all directions if it is near a limit
+            in ``statics`` or fails without feed-forward.
         kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
         kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 

@@ -364,7 +364,7 @@ def _compute_total_load(robot: Robot, prediction: GravityCompensation) -> float:
 def _compute_load_shares(
     robot: Robot, stand: Stand, prediction: GravityCompensation, total_load: float
 ) -> dict[str, float]:
-    """Return {foot: predicted normal force / ``total_load`` [N]}."""
+    """Return {foot: predicted normal force, as a fraction of ``total_load`` [N]}."""
     normals = stand.lift_directions(robot)
     predicted = robot.per_foot(prediction.contact_forces)
     return {foot: float(force @ normals[foot]) / total_load for foot, force in predicted.items()}

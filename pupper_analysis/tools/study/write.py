@@ -205,7 +205,7 @@ def _write_design_files(
 def _list_changed_metrics(
     number: int, measured: Mapping[str, float], remeasured: Mapping[str, float]
 ) -> Iterator[Diagnostic]:
-    """Yield a finding for each metric whose value with the files differs by `_METRIC_RTOL`.
+    """Yield a finding for each metric whose values differ by more than `_METRIC_RTOL`, relative.
 
     Args:
         number: Row of the table.

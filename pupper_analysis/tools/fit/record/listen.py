@@ -128,7 +128,7 @@ def assemble_trace(series: Series, source: str) -> tuple[dict[str, Array], int]:
     """Return the arrays of a trace with a row per action, and the number of left out actions.
 
     An action belongs to the observation that is nearest in time. A row contains, of each signal of
-    the robot, the last message before this observation. Actions are left out if another action is
+    the robot, the last message up to this observation. Actions are left out if another action is
     nearer to their observation, or if a signal has not been received yet. A signal without messages
     is no array of the trace.
 
