@@ -41,7 +41,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, resolve_servo_gains
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, format_stands, read_stands
-from pupper_analysis.tools.fit.parameters import KINDS, list_bodies
+from pupper_analysis.tools.fit.parameters import PARAMETER_KINDS, list_bodies
 from pupper_analysis.tools.fit.record.recorder import LEAD_RATIOS
 from pupper_analysis.tools.fit.stands.fit import (
     KNOWN_MASS_FRACTION,
@@ -128,7 +128,7 @@ def plant_errors(robot: Robot, rng: np.random.Generator) -> Planted:
         truth |= {f"{kind} {n}": float(one) for n, one in zip(names, values, strict=True)}
     true = replace(scale_robot(robot, factors), fingerprint=robot.fingerprint)
     scale = 1 + SCALE_RTOL * rng.normal()
-    widths = [KINDS[kind].width for kind in ("added", "place", "place", "place")]
+    widths = [PARAMETER_KINDS[kind].width for kind in ("added", "place", "place", "place")]
     added = np.array([1.0, 0.0, 0.0, 0.0]) + widths * rng.normal(size=4)
     return Planted(robot, true, stiffness, offsets, truth, scale, added)
 
@@ -229,7 +229,10 @@ def draw_disturbance(planted: Planted, kp: np.ndarray, seed: int) -> tuple[Plant
         seed: Seed of the random numbers.
     """
     load, slope, band, *legs = np.random.default_rng([seed, 77]).normal(size=8)[:7]
-    robot, width = planted.stated, {one: KINDS[one].width for one in ("load", "slope", "deadband")}
+    robot, width = (
+        planted.stated,
+        {one: PARAMETER_KINDS[one].width for one in ("load", "slope", "deadband")},
+    )
     lasts = [robot.joint_names[joint] for joint in last_joints(robot)]
     longer = {f"length:{n}": 1 + 0.005 * one for n, one in zip(lasts, legs, strict=False)}
     true = replace(scale_robot(planted.robot, longer), fingerprint=robot.fingerprint)

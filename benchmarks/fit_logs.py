@@ -49,7 +49,7 @@ from pupper_analysis.robot.servos import Gains, model_with_servos, resolve_servo
 from pupper_analysis.tools.fit.measurements.log import Log
 from pupper_analysis.tools.fit.motions.fit import fit_motion
 from pupper_analysis.tools.fit.motions.rollouts import MovingBodies
-from pupper_analysis.tools.fit.parameters import KINDS as KINDS_OF_FIT
+from pupper_analysis.tools.fit.parameters import PARAMETER_KINDS as KINDS_OF_FIT
 from pupper_analysis.tools.fit.parameters import list_bodies
 from pupper_analysis.tools.fit.result import Determined, MotionFit
 from pupper_analysis.tools.study.parameters import scale_robot

@@ -41,7 +41,7 @@ precision."""
 _NOTHING = "&ndash;"
 """HTML of an absent value."""
 
-Row = tuple[str, str, str]
+TableRow = tuple[str, str, str]
 """Name, HTML of the value, unit."""
 
 
@@ -60,7 +60,7 @@ def render_result(result: object) -> str:
     return render_table(kind.__name__, rows)
 
 
-def render_table(caption: str, rows: Iterable[Row]) -> str:
+def render_table(caption: str, rows: Iterable[TableRow]) -> str:
     """Return an HTML table with the columns field, value and unit.
 
     Args:

@@ -161,13 +161,13 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
     Raises:
         ConfigurationError: If the text has another form, or a value is out of range.
     """
-    from pupper_analysis.robot.plane import KINDS, Bar, Contact, Plane, Slope, Weld
+    from pupper_analysis.robot.plane import PLANE_NORMALS, Bar, Contact, Plane, Slope, Weld
 
     surface, *parts = (part.strip() for part in text.split(","))
     kind, _, first = surface.partition(":")
     numbers = [first, *(part for part in parts if "=" not in part)]
     valid_words: tuple[str, ...] = ("mu", "place", "offset", "radius", "force", "grip")
-    sizes = {"plane": 6, "bar": 7, "slope": 1, **dict.fromkeys(KINDS, 1)}
+    sizes = {"plane": 6, "bar": 7, "slope": 1, **dict.fromkeys(PLANE_NORMALS, 1)}
     if surface == "weld" and numbers == [""]:
         numbers, valid_words = [], ("place", "offset")
     elif sizes.get(kind) != len(numbers) or not first:
@@ -206,7 +206,7 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
         if kind == "bar":
             x, y, z, *way, radius = lengths
             return Contact(Bar((x, y, z), (way[0], way[1], way[2]), radius, friction), **properties)
-        x, y, z, *normal = lengths if kind == "plane" else (0.0, 0.0, 0.0, *KINDS[kind])
+        x, y, z, *normal = lengths if kind == "plane" else (0.0, 0.0, 0.0, *PLANE_NORMALS[kind])
         plane = Plane((x, y, z), (normal[0], normal[1], normal[2]), friction)
         return Contact(plane if kind == "plane" else plane.with_parameter(lengths[0]), **properties)
     except ConfigurationError as error:

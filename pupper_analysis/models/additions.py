@@ -12,9 +12,12 @@ from dataclasses import dataclass, fields
 from typing import ClassVar, Final
 
 from pupper_analysis.base.diagnostics import Diagnostic
-from pupper_analysis.models.attributes import Number
+from pupper_analysis.models.attributes import AttributeValue
 
-STIFF_FRICTION_OPTIONS: Final[Mapping[str, Number]] = {"cone": "elliptic", "impratio": 100.0}
+STIFF_FRICTION_OPTIONS: Final[Mapping[str, AttributeValue]] = {
+    "cone": "elliptic",
+    "impratio": 100.0,
+}
 """Options for contacts without creep: elliptic cone, friction 100 times as stiff as the normal
 direction, as in MuJoCo Menagerie. With MuJoCo's defaults (pyramidal cone, impratio 1) feet creep:
 Go2 by 58 mm/s on a slope of 17 degrees (slope 0.35). A pyramidal cone with impratio 10 oscillates.
@@ -63,7 +66,7 @@ class Options(Addition):
 
     verb = "set_options"
 
-    values: Mapping[str, Number]
+    values: Mapping[str, AttributeValue]
 
 
 @dataclass(frozen=True)

@@ -309,7 +309,7 @@ forces), shapes and flags (`robot.compare.mjcf_only`).
 
 # Names and values of additions to an MJCF, in memory or in a new file.
 
-Number = float | str
+AttributeValue = float | str
 """Number, or the text of a value in another file, such as ``elliptic``."""
 
 FLOOR_NAME: Final = "floor"

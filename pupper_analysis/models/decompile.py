@@ -35,10 +35,10 @@ model with one of these elements cannot be converted to a spec, and is refused."
 # Fields of the elements of a spec that are copied from the arrays of a model. A tuple contains the
 # common name of both; a mapping is {field of the spec: array of the model without the prefix}.
 
-_BODY_FIELDS: Final = ("pos", "quat", "ipos", "iquat", "mass", "inertia", "gravcomp")
+_SPEC_BODY_FIELDS: Final = ("pos", "quat", "ipos", "iquat", "mass", "inertia", "gravcomp")
 """Fields of a body that are copied from the arrays ``body_`` of the model."""
 
-_JOINT_FIELDS: Final = {
+_SPEC_JOINT_FIELDS: Final = {
     **{name: name for name in ("type", "pos", "axis", "range", "margin", "group")},
     **{name: name for name in ("actfrcrange", "actgravcomp", "limited", "actfrclimited")},
     "solref_limit": "solref",
@@ -251,7 +251,7 @@ class _SpecWriter:
             bodies.append(body)
             body.mocap = bool(model.body_mocapid[index] >= 0)
             body.explicitinertial = True
-            _copy_fields(body, model, "body", index, {name: name for name in _BODY_FIELDS})
+            _copy_fields(body, model, "body", index, {name: name for name in _SPEC_BODY_FIELDS})
         for index in range(model.njnt):
             self._add_joint(bodies[model.jnt_bodyid[index]], index)
         for index in range(model.ngeom):
@@ -273,7 +273,7 @@ class _SpecWriter:
         """Add a joint to its body, with the fields of the model."""
         model = self.model
         joint = body.add_joint(name=self._names["joint", index])
-        _copy_fields(joint, model, "jnt", index, _JOINT_FIELDS)
+        _copy_fields(joint, model, "jnt", index, _SPEC_JOINT_FIELDS)
         dof, address = int(model.jnt_dofadr[index]), int(model.jnt_qposadr[index])
         _copy_fields(joint, model, "dof", dof, _DOF_FIELDS)
         joint.stiffness = _with_polynomial(model.jnt_stiffness, model.jnt_stiffnesspoly, index)

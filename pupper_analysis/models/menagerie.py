@@ -18,7 +18,7 @@ from pupper_analysis.base.errors import ModelError, UnknownNameError
 MENAGERIE_FOLDER: Final = "mujoco_menagerie"
 """Name of a clone, and prefix of names, as in ``mujoco_menagerie/unitree_go2``."""
 
-_NAME: Final = re.compile(r"[a-z0-9_]+")
+_ROBOT_NAME_PATTERN: Final = re.compile(r"[a-z0-9_]+")
 """Pattern of the name of a robot of MuJoCo Menagerie, such as ``unitree_go2``."""
 
 _MAX_NAME_LENGTH: Final = 200
@@ -38,7 +38,7 @@ def is_menagerie_name(word: str) -> bool:
         return False
     if parts[0] == MENAGERIE_FOLDER:
         return len(parts) > 1
-    if len(parts) > 2 or "_" not in parts[0] or not _NAME.fullmatch(parts[0]):
+    if len(parts) > 2 or "_" not in parts[0] or not _ROBOT_NAME_PATTERN.fullmatch(parts[0]):
         return False
     return parts[0] in list_menagerie_robots()
 

@@ -26,13 +26,13 @@ from pupper_analysis.models.attributes import (
     FLOOR_NAME,
     HOME_KEYFRAME,
     IMU_SENSORS,
+    AttributeValue,
     JointAttribute,
-    Number,
 )
 from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, JointKind, add_plane, compile_spec
 from pupper_analysis.models.xml import make_unique_name
 
-_OPTION_VALUES: Final[dict[tuple[str, Number], Any]] = {
+_OPTION_VALUES: Final[dict[tuple[str, AttributeValue], Any]] = {
     ("cone", "elliptic"): mujoco.mjtCone.mjCONE_ELLIPTIC,
     ("cone", "pyramidal"): mujoco.mjtCone.mjCONE_PYRAMIDAL,
     ("integrator", "implicitfast"): mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
@@ -244,7 +244,7 @@ class SpecTree:
             setattr(element, attribute.mjcf[0], values if len(values) > 1 else values[0])
         element.springdamper = (0.0, 0.0)
 
-    def set_options(self, values: Mapping[str, Number]) -> None:
+    def set_options(self, values: Mapping[str, AttributeValue]) -> None:
         """Set attributes of the MJCF's ``<option>``, for example ``{"cone": "elliptic"}``.
 
         Texts must be in `_OPTION_VALUES`; numbers are set as they are.
@@ -282,7 +282,7 @@ class SpecTree:
             self.spec.add_sensor(name=kind, type=sensor, objtype=object_type, objname=site)
 
     def add_coupling(
-        self, follower: str, leader: str, multiplier: Number, offset: Number
+        self, follower: str, leader: str, multiplier: AttributeValue, offset: AttributeValue
     ) -> mujoco.MjsEquality:
         """Couple a joint to another: q_follower = offset + multiplier q_leader.
 
@@ -355,7 +355,7 @@ class SpecTree:
         joint: str,
         kp: float,
         kd: float,
-        limits: tuple[Number, Number] | None = None,
+        limits: tuple[AttributeValue, AttributeValue] | None = None,
     ) -> None:
         """Change the last actuator of a joint to a position servo, or add a servo.
 

@@ -30,7 +30,7 @@ from pupper_analysis.robot.joints import is_slide
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 
-Gains = tuple[Array, Array]
+GainArrays = tuple[Array, Array]
 """Servo stiffness kp [N m/rad] and damping kd [N m s/rad], shape (nu,) each."""
 
 DEFAULT_SAG = 0.02
@@ -200,7 +200,7 @@ class ServoRequirement:
 
 def suggest_standing_gains(
     robot: Robot, stand: Stand, torques: Array, sag: float, parts: int = 1, damping: float = 1.0
-) -> Gains:
+) -> GainArrays:
     """Compute servo gains for a standing robot, rounded down to two digits.
 
     Args:
@@ -219,7 +219,7 @@ def suggest_standing_gains(
     return kp, np.array([_round_to_two_digits(value) for value in damping * _DAMPING_TIME * kp])
 
 
-def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) -> Gains:
+def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) -> GainArrays:
     """Compute servo gains for a fixed base, with critical damping kd = 2 sqrt(kp I).
 
     I is the smallest inertia at the joint in random poses, with the other joints free. The gains

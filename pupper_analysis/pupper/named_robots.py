@@ -33,7 +33,7 @@ _MAX_WORD_LENGTH = 200
 """Largest number of characters of a word that can be a misspelled variant name. Chosen, not tuned:
 longer texts are XML."""
 
-_NAME = re.compile(r"\w[\w-]*")
+_WORD_PATTERN = re.compile(r"\w[\w-]*")
 """Pattern of a word that may be the name of a variant: no suffix, folder, prefix or XML."""
 
 
@@ -159,7 +159,7 @@ def refuse_unknown_variant(word: str, *, is_robot: bool = True) -> None:
     Raises:
         VariantError: If the word is refused; the message lists the similar variants, or all.
     """
-    if len(word) > _MAX_WORD_LENGTH or not _NAME.fullmatch(word) or word in VARIANTS:
+    if len(word) > _MAX_WORD_LENGTH or not _WORD_PATTERN.fullmatch(word) or word in VARIANTS:
         return
     if Path(word).exists() or is_published_name(word):
         return

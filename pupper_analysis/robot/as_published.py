@@ -76,7 +76,7 @@ replaces ``MAX_TORQUE_DEVIATION`` there. MuJoCo's import of a URDF keeps the col
 file, whose contacts are at slightly different positions than those of the computed spheres (Go2:
 0.065)."""
 
-MAX_JOINT_DEVIATION = 0.02
+MAX_PUBLISHED_DEVIATION = 0.02
 """Largest deviation of a joint position [rad, m] with which a simulation of the published MJCF with
 feed-forward agrees with the computed equilibrium. Pupper v3 deviates by 5e-5. Chosen, not tuned."""
 
@@ -289,9 +289,9 @@ class PublishedRun:
 
         The torque error is at most ``MAX_TORQUE_DEVIATION`` (for a URDF
         ``MAX_IMPORTED_TORQUE_DEVIATION``); with feed-forward, the joint error is also at most
-        ``MAX_JOINT_DEVIATION``.
+        ``MAX_PUBLISHED_DEVIATION``.
         """
-        near = not self.feedforward or self.joint_error <= MAX_JOINT_DEVIATION
+        near = not self.feedforward or self.joint_error <= MAX_PUBLISHED_DEVIATION
         most = MAX_IMPORTED_TORQUE_DEVIATION if self.imported else MAX_TORQUE_DEVIATION
         return not self.collapses and self.torque_error <= most and near
 

@@ -19,7 +19,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnos
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.units import READ_IN, UNIT_FACTORS, find_untyped_degrees
 
-Point = tuple[float, float, float]
+Position3 = tuple[float, float, float]
 """Point or vector (x, y, z)."""
 
 MAX_FRICTION = 1e6
@@ -37,8 +37,8 @@ class Plane:
         friction: Friction coefficient; that of the ground by default.
     """
 
-    point: Point = field(metadata={"unit": "m"})
-    normal: Point
+    point: Position3 = field(metadata={"unit": "m"})
+    normal: Position3
     friction: float | None = field(default=None, metadata={"unit": "1"})
 
     def __post_init__(self) -> None:
@@ -48,8 +48,8 @@ class Plane:
 
     @property
     def kind(self) -> str:
-        """Kind of plane, a key of ``KINDS`` (wall, table or ceiling); "" for another normal."""
-        return next((name for name, out in KINDS.items() if out == self.normal), "")
+        """Key of ``PLANE_NORMALS`` (wall, table or ceiling); "" for another normal."""
+        return next((name for name, out in PLANE_NORMALS.items() if out == self.normal), "")
 
     @property
     def _parameter_sign(self) -> float:
@@ -79,7 +79,7 @@ class Plane:
         nearest: Array = place - self.signed_distance(place) * np.array(self.normal)
         return nearest
 
-    def contact_plane(self, _point: Point) -> Plane:
+    def contact_plane(self, _point: Position3) -> Plane:
         """Return this plane unchanged; the point is ignored, because the plane has a position.
 
         `Slope.contact_plane` and `Bar.contact_plane` use the point, so all three have the same
@@ -120,7 +120,7 @@ class Slope:
         object.__setattr__(self, "friction", _check_friction("slope.friction", self.friction))
 
     @property
-    def normal(self) -> Point:
+    def normal(self) -> Position3:
         """Unit normal (x, y, z) out of this inclined plane, in the world frame."""
         return slope_normal(self.angle, self.uphill)
 
@@ -133,7 +133,7 @@ class Slope:
         """Return a copy of this inclined plane with another angle to the horizontal [rad]."""
         return replace(self, angle=number)
 
-    def contact_plane(self, point: Point) -> Plane:
+    def contact_plane(self, point: Position3) -> Plane:
         """Return the plane with this slope through a point (x, y, z) [m] of the world frame."""
         return Plane(point, self.normal, self.friction)
 
@@ -151,8 +151,8 @@ class Bar:
         friction: Friction coefficient; that of the ground by default.
     """
 
-    point: Point = field(metadata={"unit": "m"})
-    direction: Point
+    point: Position3 = field(metadata={"unit": "m"})
+    direction: Position3
     radius: float = field(metadata={"unit": "m"})
     friction: float | None = field(default=None, metadata={"unit": "1"})
 
@@ -174,7 +174,7 @@ class Bar:
         """Return this bar at another height: ``number`` [m] is the new z of ``point``."""
         return replace(self, point=(*self.point[:2], number))
 
-    def point_above(self, x: float, y: float) -> Point:
+    def point_above(self, x: float, y: float) -> Position3:
         """Return a point (x, y, z) [m] above this bar, near a horizontal position (x, y) [m].
 
         The start is the point of the bar's axis that is nearest to (x, y) in the horizontal plane.
@@ -188,7 +188,7 @@ class Bar:
         result: list[float] = (np.array(self.point) + distance * along + upward).tolist()
         return _check_position("place", result)
 
-    def contact_plane(self, point: Point) -> Tangent:
+    def contact_plane(self, point: Position3) -> Tangent:
         """Return the tangent plane at the point of the bar nearest to a point (x, y, z) [m].
 
         Raises:
@@ -244,8 +244,8 @@ class Contact:
     """
 
     plane: Plane | Slope | Bar
-    place: Point | None = field(default=None, metadata={"unit": "m"})
-    offset: Point = field(default=(0.0, 0.0, 0.0), metadata={"unit": "m"})
+    place: Position3 | None = field(default=None, metadata={"unit": "m"})
+    offset: Position3 = field(default=(0.0, 0.0, 0.0), metadata={"unit": "m"})
     radius: float | None = field(default=None, metadata={"unit": "m"})
     force: float | None = field(default=None, metadata={"unit": "N"})
     grip: float | None = field(default=None, metadata={"unit": "N"})
@@ -350,8 +350,8 @@ class Weld:
 
     plane: ClassVar[None] = None
     has_angle: ClassVar[bool] = False
-    place: Point | None = field(default=None, metadata={"unit": "m"})
-    offset: Point = field(default=(0.0, 0.0, 0.0), metadata={"unit": "m"})
+    place: Position3 | None = field(default=None, metadata={"unit": "m"})
+    offset: Position3 = field(default=(0.0, 0.0, 0.0), metadata={"unit": "m"})
 
     def __post_init__(self) -> None:
         if self.place is not None:
@@ -447,7 +447,7 @@ def contact_of(data: Any) -> Contact | Weld:
         raise ConfigurationError("contact", problem) from error
 
 
-KINDS: dict[str, Point] = {
+PLANE_NORMALS: dict[str, Position3] = {
     "wall": (-1.0, 0.0, 0.0),
     "table": (0.0, 0.0, 1.0),
     "ceiling": (0.0, 0.0, -1.0),
@@ -459,13 +459,14 @@ def describe_surface(kind: str, foot: str) -> Diagnostic:
     """Describe the surface that a foot or hand touches instead of the floor: "wall of left_palm".
 
     Args:
-        kind: Key of ``KINDS``, ``"bar"`` or ``"step"``; empty for a plane with another normal.
+        kind: Key of ``PLANE_NORMALS``, ``"bar"`` or ``"step"``; empty for a plane with another
+            normal.
         foot: Foot or hand.
     """
     return diagnose("surface-of-contact", kind=Term(kind or "plane"), contact=foot)
 
 
-def slope_normal(angle: float, uphill: float) -> Point:
+def slope_normal(angle: float, uphill: float) -> Position3:
     """Return the unit normal of a sloped plane, in the world frame.
 
     Args:
@@ -512,7 +513,7 @@ def _check_friction(name: str, value: float | None) -> float | None:
     return friction
 
 
-def _check_direction(name: str, value: Any) -> Point:
+def _check_direction(name: str, value: Any) -> Position3:
     """Return a vector (x, y, z), divided by its norm.
 
     Raises:
@@ -525,7 +526,7 @@ def _check_direction(name: str, value: Any) -> Point:
     return x / size, y / size, z / size
 
 
-def _check_position(name: str, value: Any) -> Point:
+def _check_position(name: str, value: Any) -> Position3:
     """Return a position (x, y, z) [m] as floats.
 
     Raises:

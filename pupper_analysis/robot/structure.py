@@ -259,7 +259,7 @@ def _sort_depth_first(model: pin.Model, preferred_order: Sequence[int]) -> Itera
         stack += children.get(joint, ())
 
 
-Place = tuple[Array, Array]
+PoseArrays = tuple[Array, Array]
 """Pose: rotation matrix (3, 3) and position (3,) [m]."""
 
 
@@ -286,7 +286,7 @@ class Kinematics:
         self._structure, self._model = structure, structure.model
         self._q = structure.convention.unit_q
         self._data = structure.model.createData()
-        self.links: dict[str, Place] = {}
+        self.links: dict[str, PoseArrays] = {}
         self._feet: dict[str, Array] = {}
         self._com = np.zeros(0)
 

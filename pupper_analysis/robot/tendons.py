@@ -20,7 +20,7 @@ SUPPORTED_EQUALITIES = frozenset(
 )
 """Types of equality constraints that computed stances satisfy (see ``closure``)."""
 
-_DISABLING_FLAGS = (
+_LIMIT_DISABLING_BITS = (
     mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value | mujoco.mjtDisableBit.mjDSBL_LIMIT.value
 )
 """MuJoCo's disable flags with which ranges of tendons have no effect."""
@@ -53,5 +53,5 @@ def report_ignored_tendon_ranges(model: mujoco.MjModel) -> list[Diagnostic]:
         lower, upper = model.tendon_range[tendon].tolist()
         subject = ("tendon", str(model.tendon(tendon).name) or f"#{tendon}")
         messages.append(diagnose("tendon-with-range", subject=subject, lower=lower, upper=upper))
-    are_enforced = messages and not model.opt.disableflags & _DISABLING_FLAGS
+    are_enforced = messages and not model.opt.disableflags & _LIMIT_DISABLING_BITS
     return [diagnose("tendon-ranges-not-kept", tendons=messages)] if are_enforced else []

@@ -26,7 +26,7 @@ from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.contact import ContactParameters, ground_geom, list_contact_bodies
 from pupper_analysis.robot.floor import find_floor, is_fixed, rotate_floor
 from pupper_analysis.robot.ground import Ground
-from pupper_analysis.robot.plane import KINDS, describe_surface
+from pupper_analysis.robot.plane import PLANE_NORMALS, describe_surface
 from pupper_analysis.robot.robot import Robot, Touching
 
 
@@ -177,7 +177,7 @@ def find_touched_surface(
 
 
 def _find_surface_kind(model: mujoco.MjModel, geom: int) -> str:
-    """Return the kind of a step, plane or bar in the model: a key of ``KINDS``, "bar" or "step".
+    """Return the kind of a surface: "step", "bar", or for a plane a key of ``PLANE_NORMALS``.
 
     A step, and a plane parallel to the ground, is "step". The result is empty for another plane.
 
@@ -193,7 +193,11 @@ def _find_surface_kind(model: mujoco.MjModel, geom: int) -> str:
         mujoco.mju_rotVecQuat(normal, np.array([0.0, 0.0, 1.0]), model.geom_quat[of])
     if np.allclose(normals[0], normals[1], atol=_NORMAL_ATOL):
         return "step"
-    kinds = (kind for kind, out in KINDS.items() if np.allclose(normals[0], out, atol=_NORMAL_ATOL))
+    kinds = (
+        kind
+        for kind, out in PLANE_NORMALS.items()
+        if np.allclose(normals[0], out, atol=_NORMAL_ATOL)
+    )
     return next(kinds, "")
 
 

@@ -115,7 +115,7 @@ class Tool(Result):
         return load
 
 
-Place = Sequence[float] | Sequence[str | float] | Tool
+FramePoint = Sequence[float] | Sequence[str | float] | Tool
 """Point of a robot: (x, y, z) [m] in the base frame, (frame, x, y, z) [m], or a `Tool`."""
 
 
@@ -152,7 +152,7 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
     raise UnknownNameError(robot.name, "frame", link, tuple(known))
 
 
-def find_place(robot: Robot, point: Place) -> Tool:
+def find_place(robot: Robot, point: FramePoint) -> Tool:
     """Convert a position in the frame of a link, site, body or geom to a `Tool`.
 
     A `Tool` is a point of a robot: link of the URDF, offset (3,) [m] in the link frame, and the
@@ -287,7 +287,7 @@ _PAYLOAD_NAME = "payload"
 def with_payload(
     robot: Robot,
     mass: float,
-    point: Place = (0.0, 0.0, 0.0),
+    point: FramePoint = (0.0, 0.0, 0.0),
 ) -> Robot:
     """Return a robot with a point mass welded to both models.
 

@@ -51,7 +51,7 @@ _MIN_HEIGHT_RATIO = 1e-3
 """Lower bound of a relaxed value that must stay positive (``open`` in ``fields.toml``), relative to
 the requested value. Chosen, not tuned."""
 
-_ROUNDING = 1e-12
+_ROUNDING_ATOL = 1e-12
 """Difference from the requested value [m, rad] below which a relaxed value is set to the requested
 value. Chosen as the size of rounding errors."""
 
@@ -326,13 +326,13 @@ def round_outward(
 def _round_number(number: float, usual: float, requested: float, *, angle: bool) -> float:
     """Round a relaxed ``number`` [m, or rad if ``angle``] away from the ``requested`` value.
 
-    A number within `_ROUNDING` of ``requested`` becomes ``requested``. The number is unchanged if
-    it equals ``usual`` (the value in the stand of the default `StandTask`), or if the rounded
+    A number within `_ROUNDING_ATOL` of ``requested`` becomes ``requested``. The number is unchanged
+    if it equals ``usual`` (the value in the stand of the default `StandTask`), or if the rounded
     number would equal or pass ``usual``.
     """
     unit = math.radians(1.0) if angle else 1e-3  # degrees, millimetres
     value, nominal = number / unit, usual / unit
-    if abs(number - requested) < _ROUNDING:
+    if abs(number - requested) < _ROUNDING_ATOL:
         return requested
     if number == usual:
         return number

@@ -24,7 +24,7 @@ from pupper_analysis.base.minpack import find_root
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, borrow
-from pupper_analysis.robot.tool import Place, with_payload
+from pupper_analysis.robot.tool import FramePoint, with_payload
 from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.judge import attach_robot
 from pupper_analysis.stance.problem import make_goal
@@ -223,7 +223,7 @@ def _deflect_couplings(robot: Robot, qpos: Array) -> Array:
 
 
 def solve_loaded_stand(
-    robot: Robot, stance: StandTask | Stand, mass: float, point: Place
+    robot: Robot, stance: StandTask | Stand, mass: float, point: FramePoint
 ) -> tuple[Robot, Stand]:
     """Add a payload to a robot, and solve a stand of the loaded robot.
 

@@ -21,7 +21,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.tool import Place, Tool, find_place, find_tool
+from pupper_analysis.robot.tool import FramePoint, Tool, find_place, find_tool
 
 MIN_LEVER_ARM = 1e-9
 """Lever arm of a force about a hinge [m], or force component along a slide [1], below which the
@@ -141,7 +141,7 @@ class ForcePolytope(Tabular):
 
 
 @check_arguments
-def force_polytope(config: Configuration, point: str | Place) -> ForcePolytope:
+def force_polytope(config: Configuration, point: str | FramePoint) -> ForcePolytope:
     """Compute the external forces on a foot, hand or other point that the motors withstand.
 
     The base is held, and gravity and springs act. For the largest straight push of a foot:
@@ -184,8 +184,8 @@ def force_polytope(config: Configuration, point: str | Place) -> ForcePolytope:
     )
 
 
-def _find_point(config: Configuration, point: str | Place) -> Tool:
-    """Return the `Tool` (a point on a link) that a name or a `Place` specifies.
+def _find_point(config: Configuration, point: str | FramePoint) -> Tool:
+    """Return the `Tool` (a point on a link) that a name or a `FramePoint` specifies.
 
     The tool of a foot is at the mean position of the foot's contact points in ``config``.
     """

@@ -15,7 +15,7 @@ import numpy as np
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.motors.units import KINDS
+from pupper_analysis.models.motors.units import UNIT_KINDS
 
 MAX_STALL_RATIO = 1.1
 """Largest ratio between a stated stall torque and Kt V N / R of the same motor; a motor with a
@@ -35,8 +35,10 @@ differ by up to sqrt(3)."""
 
 
 def _number(kind: str) -> float | None:
-    """Return a dataclass field for a number of a kind in ``KINDS``; None (unknown) by default."""
-    found: float | None = field(default=None, metadata={"kind": kind, "unit": KINDS[kind].unit})
+    """Return a dataclass field for a number of a kind in ``UNIT_KINDS``; by default None."""
+    found: float | None = field(
+        default=None, metadata={"kind": kind, "unit": UNIT_KINDS[kind].unit}
+    )
     return found
 
 

@@ -16,7 +16,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError, UnknownNameError
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input, read_toml
 from pupper_analysis.models.motors.motor import NUMBERS, Motor
-from pupper_analysis.models.motors.units import KINDS, parse_motor_quantity
+from pupper_analysis.models.motors.units import UNIT_KINDS, parse_motor_quantity
 
 _DATA = files("pupper_analysis.models.motors") / "data"
 """Folder of this package with a TOML file per motor."""
@@ -151,7 +151,7 @@ def _make_motor(
     """
     try:
         numbers = {
-            key: parse_motor_quantity(key, text, KINDS[NUMBERS[key]])
+            key: parse_motor_quantity(key, text, UNIT_KINDS[NUMBERS[key]])
             for key, text in stated.items()
         }
     except ConfigurationError as error:

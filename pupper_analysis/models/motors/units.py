@@ -47,7 +47,7 @@ class UnitKind:
     most: float = math.inf
 
 
-KINDS = {
+UNIT_KINDS = {
     "torque": UnitKind("N m", _TORQUE_FACTORS),
     "friction torque": UnitKind("N m", _TORQUE_FACTORS, zero=True),
     "torque constant": UnitKind(

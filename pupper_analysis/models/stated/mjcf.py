@@ -42,7 +42,7 @@ from pupper_analysis.models.stated.model import (
 )
 from pupper_analysis.models.stated.urdf import half_digit
 
-JOINT_KINDS: dict[int, str] = {
+JOINT_KIND_NAMES: dict[int, str] = {
     JointKind.FREE: FREE_JOINT,
     JointKind.BALL: BALL_JOINT,
     JointKind.SLIDE: SLIDE_JOINT,
@@ -148,7 +148,7 @@ def zero_configuration(model: mujoco.MjModel) -> Array:
     """Return qpos (nq,) with hinges and slides at zero; free and ball joints as in ``qpos0``."""
     qpos = np.array(model.qpos0)
     for joint in range(model.njnt):
-        if JOINT_KINDS[int(model.jnt_type[joint])] in (HINGE_JOINT, SLIDE_JOINT):
+        if JOINT_KIND_NAMES[int(model.jnt_type[joint])] in (HINGE_JOINT, SLIDE_JOINT):
             qpos[model.jnt_qposadr[joint]] = 0.0
     return qpos
 
@@ -199,7 +199,7 @@ def _make_joint(
         empty_range: Empty force range of the joint; see ``null_efforts``.
     """
     body = int(model.jnt_bodyid[joint])
-    kind = JOINT_KINDS[int(model.jnt_type[joint])]
+    kind = JOINT_KIND_NAMES[int(model.jnt_type[joint])]
     limited = bool(model.jnt_limited[joint]) and kind in (HINGE_JOINT, SLIDE_JOINT)
     lower, upper = model.jnt_range[joint] if limited else (-math.inf, math.inf)
     limit = resolve_effort_limit(model, joint, empty_range=empty_range)
@@ -281,7 +281,7 @@ def _make_inertial(
 # Parameters of other elements of an MJCF: geoms, contact pairs, options, keyframes.
 
 
-Value = tuple[float, ...]
+ParameterValues = tuple[float, ...]
 """Values of a parameter, flattened."""
 
 
@@ -323,7 +323,7 @@ def find_collidable_geoms(model: mujoco.MjModel) -> set[int]:
     return {*bits.tolist(), *model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
 
 
-def element_values(model: mujoco.MjModel, element: str, row: int) -> dict[str, Value]:
+def element_values(model: mujoco.MjModel, element: str, row: int) -> dict[str, ParameterValues]:
     """Return the compiled values of the attributes of an element in ``ELEMENT_ATTRIBUTES``.
 
     Args:
@@ -365,6 +365,6 @@ def select_rows(model: mujoco.MjModel, array: str, row: int) -> int | slice:
     return slice(int(model.jnt_dofadr[row]), int(next_address))
 
 
-def _to_tuple(value: object) -> Value:
+def _to_tuple(value: object) -> ParameterValues:
     """Return a number or an array as a flat tuple of floats."""
     return tuple(np.asarray(value, dtype=float).ravel().tolist())

@@ -223,7 +223,7 @@ def mesh_hull(path: Path) -> Mesh | None:
     return None if isinstance(result, Diagnostic) else result
 
 
-MAX_MESH_BYTES = 200_000_000
+MAX_READ_MESH_BYTES = 200_000_000
 """Maximum size of a mesh file [bytes]; the largest published meshes have a quarter of this size."""
 
 

@@ -18,7 +18,7 @@ from pupper_analysis.base.errors import ConfigurationError
 if TYPE_CHECKING:
     from pupper_analysis.robot.robot import Robot
 
-_FILE_OPTIONS = ("urdf", "mjcf")
+_MODEL_OPTIONS = ("urdf", "mjcf")
 """Options of ``load_robot`` that name files."""
 
 
@@ -52,13 +52,13 @@ class RobotFiles:
             """Return the absolute path of a model file."""
             return str(find_file(model, folders).absolute())
 
-        named = {name: absolute(options[name]) for name in _FILE_OPTIONS if name in options}
+        named = {name: absolute(options[name]) for name in _MODEL_OPTIONS if name in options}
         return RobotFiles(tuple(map(absolute, models)), {**options, **named})
 
     def __str__(self) -> str:
         names = (
             *self.models,
-            *(self.options[name] for name in _FILE_OPTIONS if name in self.options),
+            *(self.options[name] for name in _MODEL_OPTIONS if name in self.options),
         )
         return "+".join(Path(model).name for model in names)
 

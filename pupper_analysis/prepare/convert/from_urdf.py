@@ -30,7 +30,7 @@ from pupper_analysis.models.attributes import (
     FLOOR_NAME,
     PASSIVE_ATTRIBUTES,
     UNSTATED,
-    Number,
+    AttributeValue,
 )
 from pupper_analysis.models.conversion import UrdfImport
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text
@@ -140,7 +140,9 @@ class MjcfXml:
             if geom.get("class") == VISUAL_CLASS:
                 geom.getparent().remove(geom)
 
-    def add_coupling(self, follower: str, leader: str, multiplier: Number, offset: Number) -> None:
+    def add_coupling(
+        self, follower: str, leader: str, multiplier: AttributeValue, offset: AttributeValue
+    ) -> None:
         """Add an equality that couples two joints: q = offset + multiplier * q_leader [rad, m].
 
         Args:
@@ -159,7 +161,7 @@ class MjcfXml:
         )
 
 
-def format_xml_value(number: Number) -> str:
+def format_xml_value(number: AttributeValue) -> str:
     """Format a number as text for XML; text is returned unchanged."""
     return number if isinstance(number, str) else join_numbers(number)
 

@@ -145,7 +145,7 @@ def compare_collisions(
     return list(_compare_feet({name: limbs[name] for name in feet}, matched, urdf, mjcf)), []
 
 
-Limb = tuple[tuple[_PlacedShape, ...], tuple[_PlacedShape, ...]]
+MovingShapes = tuple[tuple[_PlacedShape, ...], tuple[_PlacedShape, ...]]
 """Collision shapes that move with a joint: in the URDF, in the MJCF."""
 
 
@@ -155,7 +155,7 @@ def _collect_limb_shapes(
     of_urdf: tuple[RobotModel, UrdfFile],
     of_mjcf: tuple[RobotModel, MjcfFile],
     data: mujoco.MjData,
-) -> Limb | None:
+) -> MovingShapes | None:
     """Return the collision shapes that move with a joint; None if a link or extent is unknown.
 
     Args:
@@ -228,7 +228,9 @@ def _find_ground_geoms(model: mujoco.MjModel) -> list[int]:
     ]
 
 
-def _find_foot_joints(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -> list[str]:
+def _find_foot_joints(
+    limbs: Mapping[str, MovingShapes], matched: Match, data: mujoco.MjData
+) -> list[str]:
     """Return the joints whose limb is low enough to end in a foot (``_FOOT_HEIGHT_RTOL``).
 
     The keys of ``limbs`` are joints, and ``data`` is the initial pose.
@@ -281,7 +283,7 @@ _DOWN_DIRECTION = np.array([[0.0, 0.0, -1.0]])
 
 
 def _compare_feet(
-    feet: Mapping[str, Limb], matched: Match, urdf: UrdfFile, mjcf: MjcfFile
+    feet: Mapping[str, MovingShapes], matched: Match, urdf: UrdfFile, mjcf: MjcfFile
 ) -> Iterator[Difference]:
     """Yield differences of the collision shapes of feet between URDF and MJCF.
 

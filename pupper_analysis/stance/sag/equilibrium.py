@@ -296,7 +296,7 @@ class EquilibriumScales:
         )
 
 
-Feet = Literal["pinned", "sliding"]
+SlipLaw = Literal["pinned", "sliding"]
 """Slip law of the feet: ``pinned`` feet hold tangential forces up to the limit of their friction,
 ``sliding`` feet hold none (final state of MuJoCo's creep)."""
 
@@ -367,7 +367,7 @@ class SagEquilibrium:
         robot: Robot,
         stand: Stand,
         kp: ArrayLike | None,
-        feet: Feet,
+        feet: SlipLaw,
     ) -> None:
         used = resolve_servo_gains(robot, kp, None if kp is None else 0.0)
         self.lower, self.upper = robot.effort_ranges.T

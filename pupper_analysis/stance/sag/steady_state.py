@@ -42,8 +42,8 @@ from pupper_analysis.stance.posture import LIMIT_TOLERANCE
 from pupper_analysis.stance.sag.equilibrium import (
     GROUND_NORMAL,
     Anchor,
-    Feet,
     SagEquilibrium,
+    SlipLaw,
     Solution,
 )
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -490,7 +490,7 @@ class SteadyState(Result):
             none.
     """
 
-    feet: Feet
+    feet: SlipLaw
     qpos: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})
     base_height: float = field(metadata={"unit": "m"})
     height_loss: float = field(metadata={"unit": "m"})
@@ -516,7 +516,7 @@ def steady_state(
     *,
     kp: ArrayLike | None = None,
     feedforward: bool = False,
-    feet: Feet = "pinned",
+    feet: SlipLaw = "pinned",
     seconds: float = 0.0,
 ) -> SteadyState:
     """Predict the rest position of a standing robot on position servos and soft ground.
@@ -571,7 +571,7 @@ def steady_state(
 
 
 def make_homotopy_path(
-    robot: Robot, stand: Stand, kp: ArrayLike | None, feet: Feet, *, exact: bool = False
+    robot: Robot, stand: Stand, kp: ArrayLike | None, feet: SlipLaw, *, exact: bool = False
 ) -> HomotopyPath:
     """Create the path along which the feed-forward of a stand is removed, at the start of the path.
 
@@ -707,7 +707,7 @@ def release_margin(path: HomotopyPath) -> float:
 
 
 def find_sag_failure(
-    robot: Robot, stand: Stand, *, kp: ArrayLike | None = None, feet: Feet = "pinned"
+    robot: Robot, stand: Stand, *, kp: ArrayLike | None = None, feet: SlipLaw = "pinned"
 ) -> Diagnostic | None:
     """Return the reason for which a robot does not stand without feed-forward; None if it stands.
 

@@ -20,7 +20,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import MIN_STIFFNESS
 from pupper_analysis.robot.stability import HOLD_DURATION
 from pupper_analysis.robot.touching import with_contacts
-from pupper_analysis.stance.sag.equilibrium import Anchor, EquilibriumScales, Feet, Solution
+from pupper_analysis.stance.sag.equilibrium import Anchor, EquilibriumScales, SlipLaw, Solution
 from pupper_analysis.stance.sag.steady_state import (
     CREEP_STEPS,
     HomotopyPath,
@@ -76,7 +76,7 @@ def minimum_stiffness(
     robot: Robot,
     stand: Stand,
     *,
-    feet: Feet = "pinned",
+    feet: SlipLaw = "pinned",
     tolerance: float = 0.01,
     ratios: ArrayLike | None = None,
 ) -> float:
@@ -162,7 +162,7 @@ def estimate_minimum_stiffness(
 
 
 def _bracket_stiffness(
-    robot: Robot, stand: Stand, feet: Feet, ratios: ArrayLike | None
+    robot: Robot, stand: Stand, feet: SlipLaw, ratios: ArrayLike | None
 ) -> tuple[_StiffnessSearch, float, float]:
     """Bracket the least kp [N m/rad] by powers of two.
 
@@ -322,7 +322,7 @@ class _StiffnessSearch:
         lost: Values for which continuation has found no stable equilibrium [N m/rad].
     """
 
-    def __init__(self, robot: Robot, stand: Stand, ratios: Array, feet: Feet) -> None:
+    def __init__(self, robot: Robot, stand: Stand, ratios: Array, feet: SlipLaw) -> None:
         self._robot, self._stand, self._ratios, self._feet = robot, stand, ratios, feet
         self._path: HomotopyPath | None = None
         self._anchors: dict[str, Anchor] = {}

@@ -15,7 +15,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.tool import Place
+from pupper_analysis.robot.tool import FramePoint
 from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand
@@ -62,7 +62,7 @@ def best_stance(
     objective: Objective | str = Objective.UTILISATION,
     *,
     task: StandTask | None = None,
-    point: Place = (0.0, 0.0, 0.0),
+    point: FramePoint = (0.0, 0.0, 0.0),
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> BestStance:
@@ -141,7 +141,7 @@ def _run_search(
     robot: Robot,
     objective: Objective | str,
     task: StandTask | None,
-    point: Place,
+    point: FramePoint,
     kp: ArrayLike | None,
 ) -> StanceSearch:
     """Run the search of `best_stance`, and return the finished search.
@@ -162,7 +162,7 @@ def _run_search(
 def _make_best_stance(
     search: StanceSearch,
     best: EvaluatedStance,
-    point: Place,
+    point: FramePoint,
     kp: ArrayLike | None,
     kd: ArrayLike | None,
 ) -> BestStance:
@@ -244,7 +244,7 @@ def study_best(
     robot: Robot,
     objective: Objective,
     task: StandTask,
-    point: Place = (0.0, 0.0, 0.0),
+    point: FramePoint = (0.0, 0.0, 0.0),
     *,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,

@@ -28,7 +28,7 @@ from pupper_analysis.base.progress import report_progress
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.robot.tool import Place, find_place
+from pupper_analysis.robot.tool import FramePoint, find_place
 from pupper_analysis.stance.stand import Stand, stand_contacts, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import differentiate_torques, peak_utilisation
@@ -161,7 +161,7 @@ class StanceSearch:
         robot: Robot,
         objective: Objective,
         task: StandTask | None = None,
-        point: Place = (0.0, 0.0, 0.0),
+        point: FramePoint = (0.0, 0.0, 0.0),
         kp: ArrayLike | None = None,
     ) -> None:
         self.robot, self.objective = robot, objective

@@ -22,10 +22,14 @@ from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.base.units import DOWNWARD_GRAVITY, select_joint_units
 from pupper_analysis.models.additions import Addition, Ball, Floor, StartKeyframe, apply_additions
-from pupper_analysis.models.attributes import FLOOR_NAME, HOME_KEYFRAME, IMU_SENSORS, Number
+from pupper_analysis.models.attributes import FLOOR_NAME, HOME_KEYFRAME, IMU_SENSORS, AttributeValue
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.stated.mjcf import Value, element_values, find_collidable_geoms
+from pupper_analysis.models.stated.mjcf import (
+    ParameterValues,
+    element_values,
+    find_collidable_geoms,
+)
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml import add_element, join_numbers, new_file_text
 from pupper_analysis.prepare.contact_points import compute_lowest_height
@@ -98,7 +102,7 @@ class NewMjcf(MjcfXml):
             if node.tag != "worldbody" and not len(node) and not node.attrib:
                 self.root.remove(node)
 
-    def set_options(self, values: Mapping[str, Number]) -> None:
+    def set_options(self, values: Mapping[str, AttributeValue]) -> None:
         """Set attributes of ``<option>``, for example ``{"timestep": 0.002}``."""
         option = self.root.find("option")
         if option is None:
@@ -143,7 +147,7 @@ class NewMjcf(MjcfXml):
         joint: str,
         kp: float,
         kd: float,
-        limits: tuple[Number, Number] | None = None,
+        limits: tuple[AttributeValue, AttributeValue] | None = None,
     ) -> None:
         """Add a position servo with the name of the joint.
 
@@ -602,7 +606,7 @@ def _list_lost_contact_numbers(model: mujoco.MjModel, robot: frozenset[int]) -> 
 
 def _find_changed_values(
     model: mujoco.MjModel, tag: str, rows: Iterable[int]
-) -> dict[str, list[Value]]:
+) -> dict[str, list[ParameterValues]]:
     """Find attribute values that differ from MuJoCo's defaults.
 
     Args:
@@ -617,7 +621,7 @@ def _find_changed_values(
     default = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>"
     )
-    defaults, changed = element_values(default, tag, 0), dict[str, list[Value]]()
+    defaults, changed = element_values(default, tag, 0), dict[str, list[ParameterValues]]()
     for row in rows:
         for attribute, value in element_values(model, tag, row).items():
             if value != defaults[attribute]:

@@ -246,9 +246,9 @@ Evaluation = dict[str, Array]
 """{quantity: values}: shape (rows, k) for the model, or (configurations, rows, k) for states."""
 
 BODIES, JOINTS, DOFS, FEET = "bodies", "joints", "dofs", "feet"
-"""Kinds of objects that the rows of a quantity describe, in `QUANTITIES`."""
+"""Kinds of objects that the rows of a quantity describe, in `COMPARED_QUANTITIES`."""
 
-QUANTITIES = {
+COMPARED_QUANTITIES = {
     "body masses": (BODIES, "kg"),
     "body coms": (BODIES, "m"),
     "body inertias": (BODIES, "kg m^2"),
@@ -288,7 +288,7 @@ def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
 
     Args:
         robot: Robot.
-        quantity: Key of ``QUANTITIES``.
+        quantity: Key of ``COMPARED_QUANTITIES``.
     """
     base = tuple(f"base {axis}" for axis in "xyz") + tuple(f"about {axis}" for axis in "xyz")
     rows = {
@@ -297,7 +297,7 @@ def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
         DOFS: (*(base if robot.floating else ()), *robot.joint_names),
         FEET: robot.contact_points,
     }
-    owner = QUANTITIES[quantity][0]
+    owner = COMPARED_QUANTITIES[quantity][0]
     return rows.get(owner, (owner,))
 
 
@@ -333,7 +333,7 @@ def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
         states: Configurations, velocities and joint torques, in MuJoCo's coordinates.
 
     Returns:
-        {quantity: values}, in the units of `QUANTITIES`.
+        {quantity: values}, in the units of `COMPARED_QUANTITIES`.
     """
     model, convention = robot.pin_model, robot.pin_convention
     rest = Configuration(robot, robot.neutral())
@@ -409,7 +409,7 @@ def evaluate_in_mujoco(
         states: Configurations, velocities and joint torques, in MuJoCo's coordinates.
 
     Returns:
-        {quantity: values}, in the units of `QUANTITIES`.
+        {quantity: values}, in the units of `COMPARED_QUANTITIES`.
     """
     data = mujoco.MjData(model)
     convention = MujocoConvention.from_model(model, robot.joint_names)
@@ -466,8 +466,8 @@ def _evaluate_at_rest(
 ) -> dict[str, ArrayLike]:
     """Return body and joint parameters of a MuJoCo model, {quantity: values}.
 
-    The quantities and their units are those of `QUANTITIES` that do not depend on the state, with a
-    row per body, joint or degree of freedom.
+    The quantities and their units are those of `COMPARED_QUANTITIES` that do not depend on the
+    state, with a row per body, joint or degree of freedom.
 
     Args:
         robot: Robot, whose joint order is used.
@@ -952,7 +952,7 @@ def _compare_evaluations(
     relative, deviation, scale, between, where = worst
     return QuantityCheck(
         name=name,
-        unit=getattr(units, QUANTITIES[name][1], QUANTITIES[name][1]),
+        unit=getattr(units, COMPARED_QUANTITIES[name][1], COMPARED_QUANTITIES[name][1]),
         scale=scale,
         deviation=deviation,
         relative=relative,
@@ -967,7 +967,8 @@ def _compare_evaluations(
 def _find_min_scale(name: str, evaluation: Evaluation) -> float:
     """Return the lower bound of the scale by which deviations of the quantity ``name`` are divided.
 
-    The bound is in the unit of the quantity (`QUANTITIES`); smaller values are rounding errors.
+    The bound is in the unit of the quantity (`COMPARED_QUANTITIES`); smaller values are rounding
+    errors.
     """
     if name in ("gravity", "bias forces"):  # a millionth of the weight
         return 1e-6 * EARTH_GRAVITY * float(np.abs(evaluation["mass matrix"]).max())

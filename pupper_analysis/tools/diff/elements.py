@@ -39,7 +39,7 @@ from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import COMPARISON_DIRECTIONS, Shape, read_shape
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.stated.mjcf import (
-    Value,
+    ParameterValues,
     element_values,
     find_collidable_geoms,
     joint_name,
@@ -67,7 +67,7 @@ class ModelElement:
         owners: Body of a geom, geoms of a pair, or bodies of an exclude.
     """
 
-    values: Mapping[str, Value]
+    values: Mapping[str, ParameterValues]
     place: Callable[[str], Place]
     shape: Shape | None = None
     touches: bool = True
@@ -261,7 +261,7 @@ SIMULATION_SECONDS = 2.0
 """Duration of a simulation of both versions [s], enough for a fall and for servos of some hertz to
 settle. Chosen, not tuned."""
 
-_MAX_STEPS = 4000
+_MAX_SIMULATION_STEPS = 4000
 """Largest number of time steps of a simulation; with a small time step the simulated time is
 shorter. Chosen, to bound the time."""
 
@@ -437,7 +437,9 @@ def _match_similar_shapes(
     return matches
 
 
-def _pair_numbers(first: ModelElement, second: ModelElement) -> dict[str, tuple[Value, Value]]:
+def _pair_numbers(
+    first: ModelElement, second: ModelElement
+) -> dict[str, tuple[ParameterValues, ParameterValues]]:
     """Return {attribute: numbers in both elements}. Friction is cut to the shorter list."""
     pairs = {}
     for word in dict.fromkeys((*first.values, *second.values)):
@@ -575,7 +577,7 @@ def _make_shape_key(old_shape: Shape, new_shape: Shape) -> tuple[object, ...]:
     return str(old_shape.diagnostic), str(new_shape.diagnostic)
 
 
-def _numbers_agree(first: Value, second: Value) -> bool:
+def _numbers_agree(first: ParameterValues, second: ParameterValues) -> bool:
     """Return True if two lists of numbers are equal within `NUMBER_RTOL`."""
     return len(first) == len(second) and np.allclose(first, second, rtol=NUMBER_RTOL, atol=1e-12)
 
@@ -872,7 +874,7 @@ def _simulate_model(
         mujoco.mj_resetDataKeyframe(model, data, 0)
     data.qvel += nudge
     step = float(model.opt.timestep)
-    seconds = min(SIMULATION_SECONDS, _MAX_STEPS * step)
+    seconds = min(SIMULATION_SECONDS, _MAX_SIMULATION_STEPS * step)
     ends = [*model.jnt_qposadr.tolist(), model.nq]
     places = [place for joint in joints for place in range(ends[joint], ends[joint + 1])]
     lengths = {JointKind.SLIDE: 1, JointKind.FREE: 3}

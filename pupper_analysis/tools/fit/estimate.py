@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import FitError
-from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTable
+from pupper_analysis.tools.fit.parameters import PARAMETER_KINDS, Parameter, ParameterTable
 
 _MAX_STEPS = 60
 """Upper bound of the Gauss-Newton steps of a fit. After these, the fit fails unless the predicted
@@ -163,7 +163,7 @@ class Posterior:
 
     @property
     def kinds(self) -> NDArray[np.str_]:
-        """Kind of each parameter, a key of ``parameters.KINDS``, shape (n,)."""
+        """Kind of each parameter, a key of ``parameters.PARAMETER_KINDS``, shape (n,)."""
         return np.array([parameter.kind for parameter in self.parameters], dtype=str)
 
     @property
@@ -241,7 +241,7 @@ def estimate_parameters(
     x = table.stated.copy() if start is None else np.array(start, dtype=float)
     if lower_bounds is None:
         lower_bounds = np.array(
-            [0.0 if KINDS[parameter.kind].positive else -np.inf for parameter in table]
+            [0.0 if PARAMETER_KINDS[parameter.kind].positive else -np.inf for parameter in table]
         )
     damping = 0.0
     for steps in range(1, _MAX_STEPS + 1):

@@ -50,7 +50,7 @@ class ParameterKind:
     common: float = 0.0
 
 
-KINDS: Mapping[str, ParameterKind] = {
+PARAMETER_KINDS: Mapping[str, ParameterKind] = {
     kind.name: kind
     for kind in (
         # Published masses are wrong by up to half; Stretch's base has 7 times its published mass.
@@ -106,9 +106,9 @@ KINDS: Mapping[str, ParameterKind] = {
 SURROUNDINGS_KINDS = (
     *("slope", "softness", "length", "moment", "deadband", "settling", "load", "added", "place"),
 )
-"""Keys of `KINDS` for the ground, the servos' friction and known masses, which no robot file
-contains and results list last. (``offset``, ``delay`` and ``lag`` are in no robot file either, but
-are listed with the robot.)"""
+"""Keys of `PARAMETER_KINDS` for the ground, the servos' friction and known masses, which no robot
+file contains and results list last. (``offset``, ``delay`` and ``lag`` are in no robot file either,
+but are listed with the robot.)"""
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class Parameter:
     """Scalar of a robot or its surroundings that a fit estimates.
 
     Attributes:
-        kind: Key of ``KINDS``.
+        kind: Key of ``PARAMETER_KINDS``.
         subject: Link, joint or foot; ``floor``, ``servos`` or ``scale`` for the surroundings.
         component: ``x``, ``y`` or ``z``; ``command`` or ``position`` of a lag; empty for a scalar.
         stated: Value of the model, in the kind's unit: the mean of the prior.
@@ -138,7 +138,7 @@ class Parameter:
     @property
     def unit(self) -> str:
         """SI unit of the values of a parameter, for example ``kg``; ``1`` for a factor."""
-        return KINDS[self.kind].unit
+        return PARAMETER_KINDS[self.kind].unit
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class Prior:
     """Prior of all parameters of a kind that match a pattern, for example ``com:base=5mm``.
 
     Attributes:
-        kind: Key of ``KINDS``.
+        kind: Key of ``PARAMETER_KINDS``.
         subject: Name of a link, joint or foot, or a pattern (``*knee*``); all by default.
         share: Standard deviation as a fraction of the stated value; NaN if ``width`` is set.
         width: Standard deviation in the kind's unit; NaN if ``share`` is set.
@@ -188,16 +188,20 @@ def parse_prior(text: str) -> Prior:
     """
     check_type("text", text, str)
     match = _PRIOR_PATTERN.fullmatch(text.strip())
-    kind = match and KINDS.get(match["kind"])
+    kind = match and PARAMETER_KINDS.get(match["kind"])
     if not match or kind is None:
-        raise ConfigurationError("prior", diagnose("no-prior", text=text, kinds=tuple(KINDS)))
+        raise ConfigurationError(
+            "prior", diagnose("no-prior", text=text, kinds=tuple(PARAMETER_KINDS))
+        )
     unit, subject = match["unit"].strip(), match["subject"] or "*"
     try:
         value = float(match["value"])
     except ValueError:
         value = math.nan
     if value != 0 and not _MIN_PRIOR_WIDTH < value < 1 / _MIN_PRIOR_WIDTH:
-        raise ConfigurationError("prior", diagnose("no-prior", text=text, kinds=tuple(KINDS)))
+        raise ConfigurationError(
+            "prior", diagnose("no-prior", text=text, kinds=tuple(PARAMETER_KINDS))
+        )
     if unit == "%":
         return Prior(kind.name, subject, share=value / 100)
     sizes = next(
@@ -237,7 +241,7 @@ def apply_priors(
     candidates, prior_list, used = list(stated), tuple(priors), set()
     parameters = []
     for kind, subject, component, value in candidates:
-        default = KINDS[kind]
+        default = PARAMETER_KINDS[kind]
         width = max(default.share * abs(value), default.width)
         for prior in prior_list:
             if prior.kind == kind and fnmatchcase(subject, prior.subject):
@@ -277,7 +281,7 @@ class ParameterTable:
         self.stated = np.array([parameter.stated for parameter in self.parameters])
         self.width = np.array([parameter.width for parameter in self.parameters])
         kinds = np.array([parameter.kind for parameter in self.parameters])
-        common = np.array([KINDS[parameter.kind].common for parameter in self.parameters])
+        common = np.array([PARAMETER_KINDS[parameter.kind].common for parameter in self.parameters])
         correlation = np.where(kinds[:, None] == kinds, common, 0.0)
         np.fill_diagonal(correlation, 1.0)
         self.precision = np.linalg.inv(correlation) if len(kinds) else correlation
@@ -305,7 +309,7 @@ class ParameterTable:
         """Find the parameters of a kind that are estimated, among subjects and components.
 
         Args:
-            kind: Key of ``KINDS``.
+            kind: Key of ``PARAMETER_KINDS``.
             subjects: Joints, feet or links; an entry may occur several times.
             components: Components of each subject.
 
@@ -322,7 +326,7 @@ class ParameterTable:
         """Return a copy in which the prior widths of a kind of parameter are scaled.
 
         Args:
-            kind: Key of ``KINDS``.
+            kind: Key of ``PARAMETER_KINDS``.
             factor: Factor on the prior standard deviations.
         """
         scaled = copy(self)
@@ -374,7 +378,7 @@ class ParameterTable:
 
         Args:
             vector: Parameters, shape (n,).
-            kind: Key of ``KINDS``.
+            kind: Key of ``PARAMETER_KINDS``.
             subjects: Names of k joints or links.
             stated: Values of subjects that are not estimated, shape (k,).
         """

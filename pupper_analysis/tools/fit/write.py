@@ -31,10 +31,10 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.parameters import AXES as COMPONENTS
-from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTable
+from pupper_analysis.tools.fit.parameters import PARAMETER_KINDS, Parameter, ParameterTable
 from pupper_analysis.tools.fit.result import PARAMETER_FIELDS
 from pupper_analysis.tools.sync.numbers import (
-    JOINT_KINDS,
+    JOINT_PARAMETER_KINDS,
     SERVO_KINDS,
     WrittenNumbers,
     write_numbers,
@@ -121,7 +121,7 @@ def _collect_numbers(
             notes.append(diagnose("not-in-the-files", parameter=parameter.name, why=why))
         elif parameter.kind in BODY_KINDS and parameter.component:
             _set_com_component(numbers, robot, parameter, value)
-        elif parameter.kind in (*BODY_KINDS, *JOINT_KINDS, *SERVO_KINDS):
+        elif parameter.kind in (*BODY_KINDS, *JOINT_PARAMETER_KINDS, *SERVO_KINDS):
             numbers[parameter.kind, parameter.subject] = value
     return numbers, notes
 
@@ -185,7 +185,9 @@ def draw_samples(
     table = ParameterTable(parameters)
     widths = np.array([parameter.width for parameter in parameters])
     scaled = np.linalg.cholesky(posterior.covariance / np.outer(widths, widths))
-    scales = np.array([KINDS[parameter.kind].factor for parameter in parameters], dtype=bool)
+    scales = np.array(
+        [PARAMETER_KINDS[parameter.kind].factor for parameter in parameters], dtype=bool
+    )
     deviations = np.zeros((0, len(vector)))
     for _ in range(_MAX_DRAW_ROUNDS):
         deviation = rng.standard_normal((count, len(vector))) @ (widths[:, None] * scaled).T
@@ -302,7 +304,7 @@ def write_fit(
     """
     folder, parameters = Path(folder), posterior.parameters
     lower_bounds = [
-        _MIN_FACTOR * parameter.stated if KINDS[parameter.kind].factor else -np.inf
+        _MIN_FACTOR * parameter.stated if PARAMETER_KINDS[parameter.kind].factor else -np.inf
         for parameter in parameters
     ]
     vector = _round_parameters(np.maximum(posterior.mean, lower_bounds), posterior)

@@ -41,7 +41,7 @@ _MAX_SPEED, _MAX_TURNING_RATE, _MAX_PUSH = 1.0, 2.0, 3.0
 [N s per kg of the robot]. Public policies are trained up to these commands; the range of pushes is
 that of `walk --vary`."""
 
-_AVERAGING_TIME, _TABLE_PERIOD, _FRAME_PERIOD = 1.0, 0.25, 0.04
+_AVERAGING_TIME, _TABLE_PERIOD, _FRAME_INTERVAL = 1.0, 0.25, 0.04
 """Averaging time of speeds and torques [s]; period of the tables [s]; period of the pictures [s].
 Chosen, not tuned."""
 
@@ -150,7 +150,7 @@ class WalkSession:
         runs, action = Lockstep(stage, [case]), stage.substeps * stage.timestep
         recent: deque[tuple[Array, Array]] = deque(maxlen=max(2, round(_AVERAGING_TIME / action)))
         draw_interval, table_interval = (
-            max(1, round(period / action)) for period in (_FRAME_PERIOD, _TABLE_PERIOD)
+            max(1, round(period / action)) for period in (_FRAME_INTERVAL, _TABLE_PERIOD)
         )
         due = time.monotonic()
         while not self._restart.is_set():

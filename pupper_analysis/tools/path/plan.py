@@ -154,7 +154,7 @@ def _find_fading_sets(place: PathPlace) -> list[tuple[tuple[str, ...], float, fl
     ]
 
 
-MAX_SAMPLES = 20_000
+MAX_PATH_SAMPLES = 20_000
 """Upper bound of the number of samples of a path, which bounds time and memory. Chosen, not
 tuned."""
 
@@ -381,12 +381,12 @@ def divide_by_limits(values: Array, limits: Array) -> Array:
     """
     sizes = np.abs(values)
     with np.errstate(divide="ignore", invalid="ignore"):
-        null = np.where(sizes > _ROUNDING, np.inf, 0.0)
+        null = np.where(sizes > _ZERO_ATOL, np.inf, 0.0)
         shares: Array = np.where(limits > 0, sizes / limits, null)
     return np.where(np.isinf(limits), np.nan, shares)
 
 
-_ROUNDING = 1e-9
+_ZERO_ATOL = 1e-9
 """Torque [N m] or speed [rad/s] of a joint up to which the value counts as zero (rounding). Chosen,
 not tuned."""
 
@@ -411,7 +411,7 @@ def _count_samples(seconds: float, rate: float, stances: Sequence[StandTask]) ->
     if seconds < MIN_DURATION:
         message = diagnose("shorter-than-least", seconds=seconds, least=MIN_DURATION)
         raise ConfigurationError("seconds", message)
-    if max(seconds * rate, MIN_SAMPLES_PER_SEGMENT * len(stances)) > MAX_SAMPLES:
-        message = diagnose("too-many-samples", most=MAX_SAMPLES)
+    if max(seconds * rate, MIN_SAMPLES_PER_SEGMENT * len(stances)) > MAX_PATH_SAMPLES:
+        message = diagnose("too-many-samples", most=MAX_PATH_SAMPLES)
         raise ConfigurationError("seconds, rate", message)
     return max(MIN_SAMPLES_PER_SEGMENT, math.ceil(seconds * rate / (len(stances) - 1) - 1e-9))

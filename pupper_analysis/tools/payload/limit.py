@@ -33,7 +33,7 @@ from pupper_analysis.robot.joints import find_footless_joints
 from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.servos import command_ranges, compute_command_lead, model_with_servos
 from pupper_analysis.robot.stability import HOLD_DURATION
-from pupper_analysis.robot.tool import Place, Tool, find_place, with_payload
+from pupper_analysis.robot.tool import FramePoint, Tool, find_place, with_payload
 from pupper_analysis.robot.touching import with_contacts
 from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.stability import evaluate_spectrum, evaluate_stability
@@ -69,7 +69,7 @@ def simulate_payload(
     robot: Robot,
     stance: StandTask | Stand,
     mass: float,
-    point: Place = (0.0, 0.0, 0.0),
+    point: FramePoint = (0.0, 0.0, 0.0),
     *,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
@@ -289,7 +289,7 @@ class PayloadLimit(Result):
 def payload_limit(
     robot: Robot,
     stance: StandTask | Stand | None = None,
-    point: Place = (0.0, 0.0, 0.0),
+    point: FramePoint = (0.0, 0.0, 0.0),
     *,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
@@ -573,7 +573,7 @@ def _holds_in_simulation(verdict: Verdict) -> bool:
     return verdict.passed or verdict.code in UNKNOWN_CODES
 
 
-_ROUNDING = 1 + 1e-9
+_TOLERANCE_FACTOR = 1 + 1e-9
 """Factor on the tolerance of a bisection [1], so that a bracket whose width equals the tolerance up
 to rounding is not bisected again. Chosen far above rounding errors."""
 
@@ -598,7 +598,7 @@ def _bisect_mass(
     """
     assert cause is not None
     rounds = 0
-    while high - low > _ROUNDING * (resolution := max(tolerance, relative_tolerance * low)):
+    while high - low > _TOLERANCE_FACTOR * (resolution := max(tolerance, relative_tolerance * low)):
         rounds_left = math.ceil(math.log2((high - low) / resolution))
         report_progress("payload", rounds, rounds + rounds_left)
         rounds += 1

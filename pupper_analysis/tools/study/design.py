@@ -551,14 +551,14 @@ def classify_failure(error: BaseException) -> str:
 
 def measure_design(
     builder: DesignBuilder, numbers: Mapping[str, float], metrics: tuple[Metric, ...]
-) -> Row:
+) -> DesignRow:
     """Build a design, evaluate all metrics, and return the row of the table with the results.
 
     After a failure the other metrics are still evaluated; the row records the first failure. A
     metric may define a value for robots that do not stand (``fallen``), which it gets if the error
     is in `STAND_FAILURES`. ``numbers`` are {variable: value in the unit of the variable}.
     """
-    row: Row = dict.fromkeys(FAILURE_COLUMNS)
+    row: DesignRow = dict.fromkeys(FAILURE_COLUMNS)
     try:
         design = builder.design(numbers)
     except Exception as error:
@@ -579,7 +579,7 @@ def measure_design(
     return row
 
 
-Row = dict[str, Any]
+DesignRow = dict[str, Any]
 """Row of the table of a study: {column: value}."""
 
 FAILURE_COLUMNS = ("failure", "failed_metric", "reason", "diagnostic")
@@ -587,7 +587,7 @@ FAILURE_COLUMNS = ("failure", "failed_metric", "reason", "diagnostic")
 be built); the reason in English; the reason as the record of a diagnostic (JSON)."""
 
 
-def make_failure_columns(kind: str, reason: Diagnostic) -> Row:
+def make_failure_columns(kind: str, reason: Diagnostic) -> DesignRow:
     """Return the table columns that describe why a design failed, except ``failed_metric``.
 
     Args:
@@ -610,7 +610,7 @@ def measure_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, fl
     return row
 
 
-def _make_columns(name: str, measured: Any) -> Row:
+def _make_columns(name: str, measured: Any) -> DesignRow:
     """Return the columns of a metric, {``NAME``, or ``NAME.KEY`` per key of a mapping: number}."""
     if isinstance(measured, Mapping):
         return {f"{name}.{key}": _to_float(name, value) for key, value in measured.items()}

@@ -33,7 +33,7 @@ from pupper_analysis.present.verdict import make_keyframe_run_clauses
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import resolve_servo_gains
 from pupper_analysis.robot.stability import Stability
-from pupper_analysis.robot.tool import Place
+from pupper_analysis.robot.tool import FramePoint
 from pupper_analysis.simulation.causes import describe_growth
 from pupper_analysis.simulation.monitor import StandReference, has_diverged
 from pupper_analysis.simulation.rollout import make_stand_start, roll_out
@@ -71,7 +71,7 @@ class Design:
     robot: Robot
     stand: Stand
     own_servos: bool = True
-    point: Place = (0.0, 0.0, 0.0)
+    point: FramePoint = (0.0, 0.0, 0.0)
     motors: Mapping[str, Motor] = field(default_factory=dict)
     _results: dict[Any, Any] = field(default_factory=dict, repr=False)
 

@@ -43,8 +43,8 @@ from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.study.design import (
     DesignBuilder,
+    DesignRow,
     RobotSource,
-    Row,
     is_servo_variable,
     make_failure_columns,
     measure_design,
@@ -105,7 +105,7 @@ class ChunkOutcome:
         seconds: Duration of the evaluation [s].
     """
 
-    rows: tuple[Row, ...]
+    rows: tuple[DesignRow, ...]
     seconds: float
 
 
@@ -486,7 +486,7 @@ class StudyRun:
         self.work, self.variables, self.limit = work, variables, limit
         self.store, self.report = store, report
         self.progress = Progress(total)
-        self._rows: list[Row] = []
+        self._rows: list[DesignRow] = []
         self._start_time = self._last_write_time = time.monotonic()
         self._crashes: Counter[str] = Counter()
         self._suspects: deque[Chunk] = deque()
@@ -678,7 +678,7 @@ class StudyRun:
             columns = make_failure_columns("crashed", diagnose("design-ended-its-worker"))
         self._store_rows(({"design": name, **values, **columns},))
 
-    def _store_rows(self, rows: Iterable[Row]) -> None:
+    def _store_rows(self, rows: Iterable[DesignRow]) -> None:
         """Collect the result rows of designs for the next shard; count designs and failures."""
         for row in rows:
             self._rows.append(row)

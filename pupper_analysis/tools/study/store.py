@@ -28,7 +28,7 @@ from pupper_analysis.base.files import Writing, remove_stale_files, write_all, w
 from pupper_analysis.base.inputs import MAX_TEXT_BYTES, read_input
 from pupper_analysis.base.kinds import EDITED_KIND, MODEL_KIND, OWN_KIND
 from pupper_analysis.base.locks import lock_file
-from pupper_analysis.tools.study.design import FAILURE_COLUMNS, Row
+from pupper_analysis.tools.study.design import FAILURE_COLUMNS, DesignRow
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -125,7 +125,7 @@ class Store:
             raise StudyError(self.folder, diagnose("study-of-another-format", format=FOLDER_FORMAT))
         return request
 
-    def write(self, rows: Sequence[Row]) -> None:
+    def write(self, rows: Sequence[DesignRow]) -> None:
         """Write table rows as a shard (Parquet file), whose name is a hash of the designs.
 
         Raises:

@@ -34,7 +34,7 @@ from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.robot.plane import Contact, Weld
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.tool import Place, split_place, with_payload
+from pupper_analysis.robot.tool import FramePoint, split_place, with_payload
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.stance.task import StandTask
@@ -230,7 +230,7 @@ def _warn_of_set_down(design: Design) -> Iterator[Diagnostic]:
         yield diagnose("stands-only-undisturbed", height=1e3 * SET_DOWN_HEIGHT)
 
 
-def format_place(point: Place) -> str:
+def format_place(point: FramePoint) -> str:
     """Return a position as the option ``--payload-at`` accepts it: ``x,y,z`` [m], or with a frame.
 
     Args:

@@ -367,7 +367,7 @@ def make_unified_diff(path: Path, before: bytes, after: bytes) -> str:
 FILE_SIDES: Final = ("urdf", "mjcf")
 """Names of the files whose value the user can choose for a difference, as in ``urdf: mass``."""
 
-_JOINT_KINDS: Final = (
+_JOINT_PROPERTIES: Final = (
     "position",
     "rotation",
     "axis",
@@ -390,7 +390,7 @@ def format_owner_name(difference: Difference) -> str:
     """
     if difference.kind in BODY_KINDS:
         return f"link {find_subject_link(difference)}"
-    if difference.kind in _JOINT_KINDS:
+    if difference.kind in _JOINT_PROPERTIES:
         return f"joint {difference.element}"
     if difference.kind == "frame":
         return f"frame {difference.element}"

@@ -348,7 +348,7 @@ def _find_wrong_numbers(
             ):
                 kind = next((k for k in BODY_KINDS if (k, mover) in changes.wanted), "mass")
                 yield kind, mover
-        for kind, (name, joint) in product(JOINT_KINDS, trees[side].joints.items()):
+        for kind, (name, joint) in product(JOINT_PARAMETER_KINDS, trees[side].joints.items()):
             values = [
                 float(getattr(tree_joint, kind)) for tree_joint in (joint, target.joints[name])
             ]
@@ -365,7 +365,7 @@ def _find_wrong_numbers(
 # Numbers by base and joints, and the target trees of both models.
 
 
-JOINT_KINDS = ("damping", "friction", "armature")
+JOINT_PARAMETER_KINDS = ("damping", "friction", "armature")
 """Kinds of numbers of a joint that `write_numbers` accepts."""
 SERVO_KINDS = ("kp", "kd")
 """Kinds of numbers of a position servo that `write_numbers` accepts."""
@@ -489,7 +489,7 @@ class NumberChanges:
         for mover in self.movers:
             bodies[mover] = self._change_body(bodies[mover], mover)
         for (kind, name), value in self.wanted.items():
-            if kind in JOINT_KINDS:
+            if kind in JOINT_PARAMETER_KINDS:
                 total = float(value) + float(self._motor_values.get(kind, {}).get(name, 0.0))
                 changed: dict[str, Any] = {BY_KIND[kind].field: total}
                 joints[name] = replace(joints[name], **changed)

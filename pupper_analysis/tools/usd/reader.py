@@ -30,7 +30,7 @@ from pupper_analysis.models.spec_tree import (
     set_inertia,
     write_joint_parameter,
 )
-from pupper_analysis.models.stated.mjcf import JOINT_KINDS
+from pupper_analysis.models.stated.mjcf import JOINT_KIND_NAMES
 from pupper_analysis.models.stated.model import (
     BALL_JOINT,
     FIXED_JOINT,
@@ -176,7 +176,7 @@ def _add_urdf_joint(
         element.add_mimic(*mimic)
 
 
-_JOINT_TYPES = {kind: mujoco.mjtJoint(int(number)) for number, kind in JOINT_KINDS.items()}
+_JOINT_TYPES = {kind: mujoco.mjtJoint(int(number)) for number, kind in JOINT_KIND_NAMES.items()}
 """{joint kind: type in MuJoCo}."""
 
 

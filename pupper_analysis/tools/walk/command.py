@@ -228,7 +228,7 @@ def _vary_quantities(
         arguments: Typed ``seconds`` and ``seeds``.
     """
     from pupper_analysis.tools.walk.intervals import (
-        QUANTITIES,
+        VARIED_QUANTITIES,
         read_measured_intervals,
         tracked_intervals,
     )
@@ -236,7 +236,7 @@ def _vary_quantities(
     measured = (
         None if fitted is None else read_measured_intervals(fitted, robot, policy.contract.latency)
     )
-    quantities = tuple(QUANTITIES) if vary == "all" else tuple(vary.split(","))
+    quantities = tuple(VARIED_QUANTITIES) if vary == "all" else tuple(vary.split(","))
     return tracked_intervals(
         robot, policy, velocity, quantities=quantities, measured=measured, **arguments
     )

@@ -147,7 +147,7 @@ def _scale_legs(stage: Stage, model: mujoco.MjModel, value: float) -> None:
     model.site_pos[np.isin(model.site_bodyid, leg_bodies)] *= value
 
 
-QUANTITIES: Mapping[str, VariedQuantity] = {
+VARIED_QUANTITIES: Mapping[str, VariedQuantity] = {
     "mass": VariedQuantity("x", 1.0, (0.25, 4.0), _scale_base_mass),
     "com": VariedQuantity("m", 0.0, (-0.1, 0.1), _shift_base_com),
     "friction": VariedQuantity("x", 1.0, (0.05, 4.0), _scale_friction),
@@ -174,7 +174,7 @@ class TrackedInterval(Result):
     """Interval of a quantity within which a policy tracks the command, for each seed.
 
     Attributes:
-        quantity: An element of `QUANTITIES`.
+        quantity: An element of `VARIED_QUANTITIES`.
         unit: Unit; ``x`` for a factor.
         nominal: Value of the unchanged robot.
         least: Smallest tracked value found, shape (seeds,).
@@ -302,13 +302,13 @@ def make_changed_case(stage: Stage, name: str, value: float, command: Array, see
 
     Args:
         stage: Robot, policy and model of the simulation.
-        name: Key of `QUANTITIES`, such as ``"mass"`` or ``"push-left"``.
-        value: Value in the unit of the quantity (`QUANTITIES`); of a push, the velocity change of
-            the robot [m/s].
+        name: Key of `VARIED_QUANTITIES`, such as ``"mass"`` or ``"push-left"``.
+        value: Value in the unit of the quantity (`VARIED_QUANTITIES`); of a push, the velocity
+            change of the robot [m/s].
         command: Command, shape (3,) [m/s, m/s, rad/s].
         seed: Seed of the case.
     """
-    quantity, latency = QUANTITIES[name], stage.policy.contract.latency
+    quantity, latency = VARIED_QUANTITIES[name], stage.policy.contract.latency
     if name in _PUSH_DIRECTIONS:
         impulse = value * stage.robot.total_mass
         push = (impulse * _PUSH_DIRECTIONS[name][0], impulse * _PUSH_DIRECTIONS[name][1])
@@ -376,7 +376,7 @@ def _make_interval(
             for seed, value in values.items()
         )
 
-    quantity = QUANTITIES[name]
+    quantity = VARIED_QUANTITIES[name]
     return TrackedInterval(
         name,
         quantity.unit,
@@ -401,12 +401,12 @@ def _make_brackets(names: Iterable[str], seeds: Iterable[int]) -> dict[_BracketK
     value is NaN if the bound is the nominal value: there is nothing to search.
 
     Args:
-        names: Names of `QUANTITIES`.
+        names: Names of `VARIED_QUANTITIES`.
         seeds: Seeds with which the unchanged robot tracks.
     """
     brackets: dict[_BracketKey, list[float]] = {}
     for name in names:
-        quantity = QUANTITIES[name]
+        quantity = VARIED_QUANTITIES[name]
         for side, bound in enumerate(quantity.range):
             for seed in seeds:
                 violated = math.nan if bound == quantity.nominal else bound
@@ -426,7 +426,7 @@ def _select_trial_values(
             second value.
     """
     return {
-        key: QUANTITIES[key[0]].compute_midpoint(satisfied, violated) if halve else violated
+        key: VARIED_QUANTITIES[key[0]].compute_midpoint(satisfied, violated) if halve else violated
         for key, (satisfied, violated) in brackets.items()
         if not math.isnan(violated)
     }
@@ -439,7 +439,7 @@ def tracked_intervals(
     command: ArrayLike = (0.5, 0.0, 0.0),
     *,
     seeds: int = DEFAULT_SEEDS,
-    quantities: tuple[str, ...] = tuple(QUANTITIES),
+    quantities: tuple[str, ...] = tuple(VARIED_QUANTITIES),
     seconds: float = DEFAULT_SECONDS,
     measured: Mapping[str, tuple[float, float]] | None = None,
     workers: int | None = None,
@@ -460,7 +460,8 @@ def tracked_intervals(
         command: Forward speed, speed to the left [m/s], and turning rate to the left [rad/s].
         seeds: Number of initial states per value: seed 0 is the default pose at rest, the other
             seeds are random states.
-        quantities: Names of `QUANTITIES`. ``strength`` is left out if no motor has a force limit.
+        quantities: Names of `VARIED_QUANTITIES`. ``strength`` is left out if no motor has a force
+            limit.
         seconds: Duration of each run [s], 3 to 600.
         measured: {quantity: interval of the real robot}; see `read_measured_intervals`.
         workers: Number of threads; by default the number of cores.
@@ -473,8 +474,8 @@ def tracked_intervals(
     checked_command = check_command(command)
     check_runs(seeds, seconds, WARM_UP_SECONDS)
     for name in quantities:
-        if name not in QUANTITIES:
-            problem = diagnose("none-of", value=name, known=tuple(QUANTITIES))
+        if name not in VARIED_QUANTITIES:
+            problem = diagnose("none-of", value=name, known=tuple(VARIED_QUANTITIES))
             raise ConfigurationError("vary", problem)
     stage = prepare_stage(robot, policy)
     outcomes: dict[tuple[str, float, int], Tracking] = {}
@@ -546,7 +547,7 @@ QUANTITY_OF_FIT_KIND: Mapping[str, str] = {
 def read_measured_intervals(
     path: str | Path, robot: Robot, latency: float = 0.0
 ) -> dict[str, tuple[float, float]]:
-    """Read the 95 % intervals that a fit found for the real robot, as values of `QUANTITIES`.
+    """Read the 95 % intervals of a fit of the real robot, as values of `VARIED_QUANTITIES`.
 
     ``mass`` (factor on the stated mass) and ``com`` (forward displacement [m]) are those of the
     base. ``kp`` and ``kd`` are factors on the stated gains, from the lowest to the highest end of

@@ -35,7 +35,7 @@ from pupper_analysis.tools.walk.runs import (
 MIN_SAMPLES = 20
 """Smallest number of samples of a trace; with fewer, the file is refused. Chosen, not tuned."""
 
-MAX_DELAY = 10
+MAX_DELAY_SAMPLES = 10
 """Largest delay that is searched, in samples. Chosen: 0.2 s at 50 Hz."""
 
 MATCH_RTOL, MATCH_ATOL = 0.02, 1e-4
@@ -388,12 +388,12 @@ def _agrees(seen: Array, expected: Array) -> bool:
 
 
 def _list_delays(seen: Array, expected: Array) -> Iterator[tuple[int, Array, Array]]:
-    """Yield delays from -2 to `MAX_DELAY` samples, the shortest first, with shifted signals.
+    """Yield delays from -2 to `MAX_DELAY_SAMPLES`, the shortest first, with shifted signals.
 
     A delay is positive if ``seen`` is later than ``expected``. The signals are cut to the samples
     that both have after the shift.
     """
-    for delay in sorted(range(-2, MAX_DELAY + 1), key=abs):
+    for delay in sorted(range(-2, MAX_DELAY_SAMPLES + 1), key=abs):
         count = len(seen) - abs(delay)
         if delay >= 0:
             yield delay, seen[delay:], expected[:count]

@@ -17,7 +17,7 @@ from pupper_analysis.models.motors.reading import (
     read_bam_parameters,
     read_motor,
 )
-from pupper_analysis.models.motors.units import KINDS, parse_motor_quantity
+from pupper_analysis.models.motors.units import UNIT_KINDS, parse_motor_quantity
 
 TEXT = """name = "test"
 source = "bench"
@@ -51,7 +51,7 @@ def write(tmp_path: Path, text: str) -> Path:
 )
 def test_numbers_are_converted_from_their_unit(kind: str, text: object, value: float) -> None:
     """Reference: definitions of the units (a kgf is 9.80665 N)."""
-    assert parse_motor_quantity("number", text, KINDS[kind]) == pytest.approx(value, rel=1e-12)
+    assert parse_motor_quantity("number", text, UNIT_KINDS[kind]) == pytest.approx(value, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_numbers_with_another_unit_or_range_are_refused(
     kind: str, text: object, words: str
 ) -> None:
     with pytest.raises(ConfigurationError, match=words):
-        parse_motor_quantity("number", text, KINDS[kind])
+        parse_motor_quantity("number", text, UNIT_KINDS[kind])
 
 
 def test_a_file_contains_numbers_with_units(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.posture import find_posture, held_stand
 from pupper_analysis.stance.sag import steady_state as settle
-from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium, integrate_step
+from pupper_analysis.stance.sag.equilibrium import SagEquilibrium, SlipLaw, integrate_step
 from pupper_analysis.stance.sag.steady_state import (
     HomotopyPath,
     find_slipping_points,
@@ -42,7 +42,7 @@ def firm_grip(model: mujoco.MjModel) -> None:
 
 @pytest.mark.parametrize("feet", ["pinned", "sliding"])
 @pytest.mark.parametrize("name", SETTLING)
-def test_forces_of_a_steady_state_balance_in_mujoco(name: str, feet: Feet) -> None:
+def test_forces_of_a_steady_state_balance_in_mujoco(name: str, feet: SlipLaw) -> None:
     """Reference: MuJoCo's bias forces, Jacobians and penetrations at the predicted positions."""
     robot, stand = load(name), stand_of(name)
     pose = steady_state(robot, stand, feet=feet)
@@ -308,7 +308,7 @@ def test_steady_state_fails_if_creep_ends_the_equilibrium() -> None:
     [("long-leg", "pinned", 1.0, firm_grip), ("v3", "sliding", 0.1, fast_creep)],
 )
 def test_simulation_collapses_below_the_minimum_stiffness(
-    name: str, feet: Feet, kd: float, ground: Callable[[mujoco.MjModel], None]
+    name: str, feet: SlipLaw, kd: float, ground: Callable[[mujoco.MjModel], None]
 ) -> None:
     """Reference: simulations with stiffness 5 % above and 10 % below the minimum."""
     robot, stand = load(name), stand_of(name)

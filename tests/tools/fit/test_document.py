@@ -13,7 +13,7 @@ from pupper_analysis.present.document import BarPlot
 from pupper_analysis.present.documents.registry import build_report, make_document
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.tools.fit.estimate import Posterior
-from pupper_analysis.tools.fit.parameters import KINDS, SURROUNDINGS_KINDS, Parameter
+from pupper_analysis.tools.fit.parameters import PARAMETER_KINDS, SURROUNDINGS_KINDS, Parameter
 from pupper_analysis.tools.fit.result import (
     Determined,
     Estimate,
@@ -134,7 +134,7 @@ def write_document(name: str) -> str:
     return write_markdown(build_report([("", RESULTS[name]())]))
 
 
-@pytest.mark.parametrize("kind", [one for one in KINDS if one not in SURROUNDINGS_KINDS])
+@pytest.mark.parametrize("kind", [one for one in PARAMETER_KINDS if one not in SURROUNDINGS_KINDS])
 def test_each_kind_of_number_that_may_be_determined_has_a_table(kind: str) -> None:
     one = Parameter(kind, "servos", "", 1.0, 0.1)
     known = describe_parameter(one, 1.5, 0.01, Determined.DATA)

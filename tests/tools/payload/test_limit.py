@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import pupper_analysis as pa
 from pupper_analysis.robot.stability import HOLD_DURATION
-from pupper_analysis.robot.tool import Place, find_tool, with_payload
+from pupper_analysis.robot.tool import FramePoint, find_tool, with_payload
 from pupper_analysis.simulation import trial
 from pupper_analysis.simulation.rollout import STATE_SPEC, make_stand_start
 from pupper_analysis.simulation.stability import stand_stability
@@ -42,7 +42,9 @@ ON_TOP = (0.0, 0.0, 0.05)
 STIFF = {"kp": 60.0, "kd": 0.8}
 
 
-def check_typed_back(robot: pa.Robot, point: Place, **gains: float) -> pa.analysis.PayloadLimit:
+def check_typed_back(
+    robot: pa.Robot, point: FramePoint, **gains: float
+) -> pa.analysis.PayloadLimit:
     """Assert that a stand holds with 97 % of a payload limit and fails with 103 %; return the
     limit.
 

@@ -17,7 +17,7 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.tools.walk.document import intervals_document
 from pupper_analysis.tools.walk.gait import evaluate_tracking
 from pupper_analysis.tools.walk.intervals import (
-    QUANTITIES,
+    VARIED_QUANTITIES,
     WARM_UP_SECONDS,
     TrackedIntervals,
     make_changed_case,
@@ -122,7 +122,7 @@ def test_sliding_friction_of_geoms_and_of_pairs_is_scaled(pair: str) -> None:
         </worldbody><contact>{pair}</contact></mujoco>"""
     )
     stated = contact_friction(model)
-    change = QUANTITIES["friction"].apply
+    change = VARIED_QUANTITIES["friction"].apply
     assert change is not None
     change(None, model, 0.5)  # type: ignore[arg-type]
     np.testing.assert_allclose(contact_friction(model), stated * [0.5, 0.5, 1, 1, 1])

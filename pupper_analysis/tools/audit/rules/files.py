@@ -22,7 +22,7 @@ from pupper_analysis.models.stated.model import (
     MjcfModel,
     UrdfModel,
 )
-from pupper_analysis.models.stated.urdf import MAX_MESH_BYTES, MESH_SUFFIXES, read_mesh_file
+from pupper_analysis.models.stated.urdf import MAX_READ_MESH_BYTES, MESH_SUFFIXES, read_mesh_file
 from pupper_analysis.tools.audit.registry import rule
 
 
@@ -120,7 +120,7 @@ def find_mesh_problem(path: Path) -> Diagnostic | None:
     """Return the reason why a file is not a valid mesh.
 
     STL and OBJ files are parsed; a COLLADA file must contain the word ``COLLADA`` near the start.
-    Other formats, and files larger than ``MAX_MESH_BYTES`` bytes, are checked by suffix only.
+    Other formats, and files larger than ``MAX_READ_MESH_BYTES`` bytes, are checked by suffix only.
 
     Returns:
         Message; None if no error was found.
@@ -129,7 +129,7 @@ def find_mesh_problem(path: Path) -> Diagnostic | None:
     if ending not in _MESH_SUFFIXES and find_format(path) is None:
         return diagnose("mesh-of-no-format", ending=ending)
     try:
-        if path.stat().st_size > MAX_MESH_BYTES:
+        if path.stat().st_size > MAX_READ_MESH_BYTES:
             return None
         start = b""
         if ending == ".dae":

@@ -272,7 +272,7 @@ def ground_not_met(robot: MjcfModel) -> Iterator[CheckFinding]:
     model = robot.mj_model
     if (
         model is None
-        or not (model.jnt_type == FREE_JOINT).any()
+        or not (model.jnt_type == FREE_JOINT_TYPE).any()
         or model.npair
         or robot.file.missing_collision_meshes
     ):
@@ -293,14 +293,14 @@ _CONTACTS_OFF_FLAGS = (
 """Bits of ``disableflags`` that disable contacts."""
 
 
-FREE_JOINT = mujoco.mjtJoint.mjJNT_FREE.value
+FREE_JOINT_TYPE = mujoco.mjtJoint.mjJNT_FREE.value
 """MuJoCo's joint type of a free joint, compared with ``MjModel.jnt_type``."""
 
 
 def _has_free_root(model: mujoco.MjModel, geom: int) -> bool:
     """Return True if the tree of a geom begins with a free joint."""
     joint = model.body_jntadr[model.body_rootid[model.geom_bodyid[geom]]]
-    return bool(joint >= 0 and model.jnt_type[joint] == FREE_JOINT)
+    return bool(joint >= 0 and model.jnt_type[joint] == FREE_JOINT_TYPE)
 
 
 def _list_colliding_geoms(model: mujoco.MjModel) -> Iterator[int]:

@@ -262,9 +262,9 @@ def find_column_step(column: Array) -> float:
     """Estimate the step (resolution) of a joint's encoder from measured positions.
 
     The step is the largest number of which the differences between successive sorted positions are
-    multiples. The `_MAX_STEPS` smallest differences above `_MIN_ENCODER_STEP` are tested. Candidate
-    steps are the smallest difference and its integer fractions, down to 1 / `_MAX_PARTS` of it and
-    to `_MIN_ENCODER_STEP`.
+    multiples. The `_MAX_TESTED_STEPS` smallest differences above `_MIN_ENCODER_STEP` are tested.
+    Candidate steps are the smallest difference and its integer fractions, down to 1 / `_MAX_PARTS`
+    of it and to `_MIN_ENCODER_STEP`.
 
     Args:
         column: Positions of a joint, shape (n,) [rad].
@@ -273,7 +273,7 @@ def find_column_step(column: Array) -> float:
         Step [rad]; 0 if no candidate fits, or there are fewer than `_MIN_STEPS` differences.
     """
     steps = np.diff(np.sort(column))
-    steps = np.sort(steps[steps > _MIN_ENCODER_STEP])[:_MAX_STEPS]
+    steps = np.sort(steps[steps > _MIN_ENCODER_STEP])[:_MAX_TESTED_STEPS]
     if len(steps) < _MIN_STEPS:
         return 0.0
     divisors = np.arange(1, 1 + min(_MAX_PARTS, int(steps.min() / _MIN_ENCODER_STEP)))
@@ -299,7 +299,7 @@ _MULTIPLE_TOLERANCE = 0.05
 which the difference counts as a multiple of the step. Covers rounding in the file. Chosen, not
 tuned."""
 
-_MAX_STEPS = 50
+_MAX_TESTED_STEPS = 50
 """Largest number of differences between readings (the smallest ones) that are tested as multiples
 of an encoder step. A tested step has the rounding error of the smallest difference, which has a
 larger effect on the ratios of large differences. Fifty random differences are multiples of a step

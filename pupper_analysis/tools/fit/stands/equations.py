@@ -22,7 +22,7 @@ from pupper_analysis.robot.joints import leg_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.estimate import LinearisedResiduals, Posterior
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
-from pupper_analysis.tools.fit.parameters import AXES, KINDS, ParameterTable, list_bodies
+from pupper_analysis.tools.fit.parameters import AXES, PARAMETER_KINDS, ParameterTable, list_bodies
 
 _TILT_HEIGHT_INDICES = [3, 4, 2]
 """Indices in qvel of a stand's base unknowns: rotations about the base x and y axes, and height.
@@ -89,7 +89,7 @@ class StandNoise:
     """
 
     encoder: float
-    moment: float = KINDS["moment"].width
+    moment: float = PARAMETER_KINDS["moment"].width
     flatness: float = 3e-4
     friction: float = 1.0
 
@@ -356,7 +356,7 @@ class StandRows:
         Args:
             rows: Derivatives of k residuals by all n parameters, shape (k, n); changed in place.
             derivatives: Derivatives by each component of each subject, in this order, shape (k, c).
-            kind: Kind of the parameters, a key of ``KINDS``.
+            kind: Kind of the parameters, a key of ``PARAMETER_KINDS``.
             subjects: Joints, feet or links. Derivatives of an entry that occurs several times are
                 summed.
             components: Components of each subject.

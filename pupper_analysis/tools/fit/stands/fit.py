@@ -37,7 +37,7 @@ from pupper_analysis.tools.fit.measurements.stands import (
 )
 from pupper_analysis.tools.fit.parameters import (
     AXES,
-    KINDS,
+    PARAMETER_KINDS,
     SURROUNDINGS_KINDS,
     Parameter,
     ParameterTable,
@@ -409,8 +409,8 @@ def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Ite
         parameters = [posterior.parameters[index] for index in indices]
         width = np.array([parameter.width for parameter in parameters])
         # A prior of the user replaces the tolerance of parts.
-        uses_length_std = kind == "length" and (width == KINDS[kind].width).all()
-        expected_ratio = _LENGTH_STD / KINDS[kind].width if uses_length_std else 1.0
+        uses_length_std = kind == "length" and (width == PARAMETER_KINDS[kind].width).all()
+        expected_ratio = _LENGTH_STD / PARAMETER_KINDS[kind].width if uses_length_std else 1.0
         surprise, rank, innovation = _compute_surprise(
             posterior, np.eye(len(posterior.parameters))[indices], expected_ratio
         )
@@ -487,8 +487,8 @@ def fit_stands(
     CoM positions of all moving bodies, encoder offsets, kp, and lengths of the legs' last links;
     and of the surroundings for example slope and softness of the ground (``list_parameters``). The
     equations are defined by ``StandEquations``; the priors are normal distributions about the
-    files' values (``parameters.KINDS``). The unevenness of the ground, the moments on feet and the
-    random part of dry friction are estimated by maximum evidence.
+    files' values (``parameters.PARAMETER_KINDS``). The unevenness of the ground, the moments on
+    feet and the random part of dry friction are estimated by maximum evidence.
 
     Stands with contradictory data, for example a carrying foot that would have to pull, are left
     out with a note: one by one, at most a quarter.
@@ -1141,7 +1141,7 @@ class LogCoordinates:
     """
 
     def __init__(self, table: ParameterTable) -> None:
-        kinds = [KINDS[parameter.kind] for parameter in table]
+        kinds = [PARAMETER_KINDS[parameter.kind] for parameter in table]
         self._factors = np.array([kind.factor for kind in kinds], dtype=bool)
         self._stated = table.stated
         is_bounded = np.array([kind.positive for kind in kinds], dtype=bool) & ~self._factors

@@ -29,7 +29,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import is_slide
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import compute_command_lead
-from pupper_analysis.robot.tool import Place, Tool, find_place, with_payload
+from pupper_analysis.robot.tool import FramePoint, Tool, find_place, with_payload
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.stand import solve_stand
@@ -108,7 +108,7 @@ def plan_stands(
     priors: Sequence[Prior | str] = (),
     kp: ArrayLike | None = None,
     added: float | None = None,
-    added_at: Place | None = None,
+    added_at: FramePoint | None = None,
     seed: int = 0,
 ) -> StandPlan:
     """Choose the stands whose measurement determines the parameters best (D-optimal design).
