@@ -562,7 +562,7 @@ def _format_command(command: Array) -> doc.Name:
 
 
 def _name_quantity(name: str) -> doc.Text:
-    """Return the readable name of a quantity, from its key in `QUANTITIES`."""
+    """Return the readable name of a quantity, from its key in `VARIED_QUANTITIES`."""
     return text(f"walk-quantity-{name}")
 
 
