@@ -170,7 +170,7 @@ def provide_files(folder: Path, block: Block) -> None:
     """Put the files that a block names into a folder: links to the checkout, and the reader's
     files.
     """
-    if "analysis check" in block.text:
+    if "analysis check" in block.text and "examples/" not in block.text:
         own_files.write_models(folder, block.text)
     else:
         # The URDF names its meshes from its own folder, beside that of the MJCF.
