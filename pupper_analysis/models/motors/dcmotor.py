@@ -20,7 +20,8 @@ def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> 
     """Return the motor of a ``dcmotor`` actuator.
 
     An armature of zero, the thermal numbers of an actuator without thermal model, and limits that
-    are not set are unknown. A gear has no losses in this actuator.
+    are not set are unknown. The supply voltage is the largest control, and unknown for an actuator
+    whose control is no voltage (attribute ``input``). A gear has no losses in this actuator.
 
     Args:
         model: MuJoCo model.
@@ -36,6 +37,7 @@ def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> 
     gain, dynamics = model.actuator_gainprm[actuator], model.actuator_dynprm[actuator]
     heats = dynamics[2] > 0 and dynamics[3] > 0
     limited, high = bool(model.actuator_forcelimited[actuator]), model.actuator_forcerange[actuator]
+    has_voltage = model.actuator_ctrlspec[actuator] == mujoco.mjtCtrlInput.mjINPUT_VOLTAGE.value
     control = int(model.actuator_ctrladr[actuator])
     return Motor(
         name=name,
@@ -51,7 +53,7 @@ def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> 
         ambient_temperature=float(dynamics[4]) if heats else None,
         rotor_inertia=float(model.actuator_armature[actuator]) or None,
         supply_voltage=float(np.abs(model.actuator_ctrlrange[control]).max())
-        if model.actuator_ctrllimited[control]
+        if has_voltage and model.actuator_ctrllimited[control]
         else None,
         current_limit=float(high[1] / gain[1]) if limited and high[1] > 0 else None,
     )
@@ -70,7 +72,7 @@ def list_dcmotors(model: mujoco.MjModel, source: str) -> dict[str, Motor]:
         ModelError: If the numbers of a motor contradict each other.
     """
     found = {}
-    for actuator in range(model.nu):
+    for actuator in range(model.nactuator):
         is_motor = model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_DCMOTOR.value
         at_joint = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT.value
         if is_motor and at_joint:

@@ -11,7 +11,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.motors.dcmotor import make_dcmotor_element, read_dcmotor
+from pupper_analysis.models.motors.dcmotor import (
+    list_dcmotors,
+    make_dcmotor_element,
+    read_dcmotor,
+)
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.reading import find_motor
 from pupper_analysis.models.motors.thermal import ThermalNetwork, compute_continuous_torque
@@ -198,3 +202,25 @@ def test_energy_of_a_simulated_motor_is_balanced() -> None:
     assert electrical == pytest.approx(kinetic + copper + friction, rel=1e-6)
     assert drawn == pytest.approx(electrical, rel=0.01)  # the voltage meets the earlier velocity
     assert copper > 0.1 * electrical
+
+
+def test_motors_with_several_controls_or_none_are_all_read() -> None:
+    """Indices of actuators are no indices of controls. Reference: the stated motor constants."""
+    inputs = {"pos vel": None, "none": None, "voltage": 12.0, "pos": None}
+    bodies = "".join(
+        f'<body pos="{number} 0 0"><joint name="j{number}"/><geom size="0.1"/></body>'
+        for number in range(len(inputs))
+    )
+    motors = "".join(
+        f'<dcmotor joint="j{number}" motorconst="{number + 1}" resistance="2" input="{kind}"'
+        + (' ctrlrange="-12 12"/>' if kind in ("voltage", "pos") else "/>")
+        for number, kind in enumerate(inputs)
+    )
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>"
+    )
+    found = list_dcmotors(model, "bench")
+    assert {name: motor.torque_constant for name, motor in found.items()} == {
+        f"j{number}": number + 1.0 for number in range(len(inputs))
+    }
+    assert [motor.supply_voltage for motor in found.values()] == [*inputs.values()]
