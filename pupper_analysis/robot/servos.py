@@ -215,7 +215,8 @@ def write_position_servos(
 ) -> None:
     """Make actuators position servos without filter, in place; gears and ranges are kept.
 
-    The activation states of removed filters remain in the model, without effect.
+    The activation states of removed filters remain in the model (``na``), but belong to no
+    actuator: the force of an actuator with activation states does not depend on its control.
 
     Args:
         model: MuJoCo model.
@@ -227,6 +228,7 @@ def write_position_servos(
     model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
     model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE.value
     model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value
+    model.actuator_actnum[actuators], model.actuator_actadr[actuators] = 0, -1
     model.actuator_gainprm[actuators, 0] = np.asarray(kp) / squared
     model.actuator_biasprm[actuators, 0] = 0.0
     model.actuator_biasprm[actuators, 1] = -np.asarray(kp) / squared

@@ -18,7 +18,11 @@ import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.pupper.variant_files import load_variant
-from pupper_analysis.robot.servos import model_with_servos, with_options
+from pupper_analysis.robot.servos import (
+    model_with_servos,
+    with_options,
+    write_position_servos,
+)
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from tests.support.engines import change_model, evaluate_mujoco
 from tests.support.legged import Pair, quadruped, rewrite_file
@@ -359,3 +363,22 @@ def test_diff_compares_the_range_of_each_control_of_a_motor(tmp_path: Path) -> N
     new.write_text(text.replace('ctrlrange="-30 30"', 'ctrlrange="-30 40"', 1))
     (change,) = (c for c in pa.diff_models(old, new).changes if c.kind == "motor")
     assert change.message.startswith("motor #3: ctrlrange (-30, 30) in the old file")
+
+
+def test_rewritten_servo_with_a_filter_follows_its_control() -> None:
+    """Reference: a servo without filter, with the same gains, in MuJoCo."""
+    text = (
+        "<mujoco><worldbody><body><joint name='hinge' axis='0 1 0'/>"
+        "<geom size='0.1' pos='0.3 0 0' mass='1'/></body></worldbody>"
+        "<actuator><position joint='hinge' kp='{}' kv='{}' {}/></actuator></mujoco>"
+    )
+    filtered = mujoco.MjModel.from_xml_string(text.format(20, 1, "timeconst='0.05'"))
+    write_position_servos(filtered, np.array([0]), 200.0, 10.0)
+    angles = []
+    for model in (filtered, mujoco.MjModel.from_xml_string(text.format(200, 10, ""))):
+        data = mujoco.MjData(model)
+        data.ctrl[0] = 0.5
+        mujoco.mj_step(model, data, 1000)
+        angles.append(float(data.qpos[0]))
+    assert angles[0] == pytest.approx(angles[1], abs=1e-12)
+    assert angles[0] == pytest.approx(0.5, abs=0.02)
