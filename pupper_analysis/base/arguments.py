@@ -103,7 +103,8 @@ def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]
         size: Required number of elements.
 
     Raises:
-        ConfigurationError: If the shape differs, or an element is not finite.
+        ConfigurationError: If the values are no real numbers (`real_array`), the shape differs, or
+            an element is not finite.
     """
     vector = real_array(name, values)
     if vector.shape != (size,):

@@ -1218,7 +1218,8 @@ def parse_place(option: str, text: str) -> tuple[str | float, ...]:
         (x, y, z) [m], or the frame's name followed by (x, y, z) [m] in this frame.
 
     Raises:
-        ConfigurationError: If the text has another form; the message names the option.
+        ConfigurationError: If the text has another form, or a length is probably in mm; the message
+            names the option.
     """
     is_frame = text.count(",") in (0, 3) and not _NUMBER_START.match(text)
     frame, _, place = text.partition(",") if is_frame else ("", "", text)

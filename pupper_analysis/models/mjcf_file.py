@@ -693,7 +693,7 @@ class MjcfFile:
 
     @property
     def missing_collision_meshes(self) -> tuple[str, ...]:
-        """Names of the missing files of collision meshes."""
+        """Names of the missing mesh files of geoms that can collide, without those of the world."""
         return self._list_missing_values("touching")
 
     @property
@@ -949,9 +949,10 @@ def _compile_file(
 def _parse_spec(
     tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
-    """Parse an MJCF, and remove elements whose files are missing; also return diagnostics.
+    """Parse an MJCF, and remove meshes and textures without files; also return diagnostics.
 
-    ``index`` finds the elements of the file by tag and name (`index_of`).
+    ``index`` finds the elements of the file by tag and name (`index_of`). ModelError if MuJoCo
+    cannot parse the file, or the mass of a body depends on a missing mesh.
     """
     try:
         with silence_mujoco():

@@ -300,8 +300,10 @@ class _ServoTrials:
 def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Add position servos with suggested gains at joints without one, and return notes.
 
-    The gains hold the nominal stand; without such a stand the gains are for a fixed base. Torque
-    limits of zero are ignored in the choice, and apply again to the returned robot.
+    Passive joints, and dependent joints of loops, get none. The robot comes to rest in the nominal
+    stand with these gains, if possible; otherwise a note reports it. The time step may be reduced.
+    Without a nominal stand the gains are for a fixed base. Torque limits of zero, except those of
+    passive joints, are ignored in the choice, and apply again to the returned robot.
 
     Returns:
         Robot with servos, and notes.

@@ -742,9 +742,10 @@ def find_difference_causes(
     """Find elements of a published MJCF that cause the deviation from the predicted stand.
 
     Groups of candidate elements are disabled in a copy of the model. If the simulation then agrees
-    with the prediction, or at least its torques do, the causes are the elements of the group that
-    break this agreement when they alone are enabled again. Empty for a file with a servo whose
-    stiffness is zero or negative.
+    with the prediction, apart from a CoM height error of up to `MAX_REMAINING_SINKAGE`, the causes
+    are the elements of the group that break this agreement when they alone are enabled again. Empty
+    if no group restores the agreement, and for a file with a servo whose stiffness is zero or
+    negative.
 
     Args:
         published: Published model.

@@ -207,8 +207,9 @@ def solve_stands(
     tasks with an ``ik_seed``, a free CoM or ``self_clearance``, and for robots with redundant
     joints, since the result then depends on the initial guess.
 
-    Each stand satisfies its task to 1e-9 m or rad, as a stand of `solve_stand` does. If a leg has
-    several IK branches, a sequence keeps the branch of the first stand as long as possible.
+    Each stand satisfies its task as a stand of `solve_stand` does: to 1e-9 m or rad, or 0.05 mm for
+    a sole on a leg with fewer than six joints. If a leg has several IK branches, a sequence keeps
+    the branch of the first stand as long as possible.
 
     Args:
         robot: Robot with a floating base.

@@ -547,7 +547,7 @@ class ConvertedMjcf:
             visuals: True to include visual geoms.
 
         Raises:
-            ModelError: If MuJoCo refuses the MJCF.
+            ModelError: If MuJoCo refuses the MJCF, or a number of the compiled model is not valid.
         """
         draft, assets = self.mjcf.copy(), dict[str, bytes]()
         if not visuals:

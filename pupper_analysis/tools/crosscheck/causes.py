@@ -1083,7 +1083,8 @@ Chosen, not tuned."""
 def find_foreign_inertials(case: PatternCase) -> PatternFindings:
     """Find bodies with the inertial of another body: mass, CoM and inertia all differ.
 
-    The mass must differ by at least 10 %, and no other cause may explain the differences.
+    The mass must differ by at least 10 %, and no cause found before may explain one of the
+    differences.
     """
     kinds = ("mass", "com", "inertia")
     foreign = []

@@ -138,7 +138,9 @@ def _select_next_step(study: GainStudy) -> NextStep:
 def _make_class_table(study: GainStudy) -> doc.Table:
     """Create the table of the joint classes (joints with equal gains), a row per class.
 
-    The columns are present, smallest or largest, and recommended kp [N m/rad] and kd [N m s/rad].
+    The columns are kp: present, smallest, limit by the torque, recommended; and kd: present,
+    largest, largest if it alone is scaled, limit by the encoder, recommended. The units are those
+    of the joints: N m/rad, or N/m for slides, and so on.
     """
     rows: list[tuple[doc.Cell, ...]] = [
         (

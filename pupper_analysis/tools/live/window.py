@@ -148,6 +148,9 @@ def make_home_data(robot: Robot) -> mujoco.MjData:
 def view_robot(robot: Robot, *, headless: bool) -> None:
     """Show a robot at the keyframe ``home`` until the window is closed.
 
+    A free base is raised until the lowest foot is `DROP_HEIGHT` above the ground, if the feet are
+    near the ground (`make_home_data`).
+
     The sliders "Control" of the viewer command the servos. A robot with a fixed base is shown
     without gravity.
 

@@ -506,7 +506,8 @@ class StudyRun:
             workers: Number of workers, or None.
 
         Raises:
-            StudyError: If the workers do not start, have other package versions, or are lost.
+            StudyError: If stored results cannot be read, or the workers do not start, have other
+                package versions, lack a module, or are lost.
             OutputError: If the results cannot be written.
         """
         pool = WorkerPool(executor, workers)

@@ -273,7 +273,8 @@ def is_absent(
     """Return True if a file states no value for a number in which URDF and MJCF differ.
 
     Engines read a missing limit as infinite, a missing damping or friction as 0, and the mass of a
-    link without <inertial> as 0. A URDF must state an effort; exporters write 0 if unknown.
+    link without <inertial> as 0; a stated mass of 0 or below counts as no value. A URDF must state
+    an effort; exporters write 0 if unknown, so an effort of 0 or below counts as no value.
 
     Args:
         key: Kind and element of the differing number.

@@ -294,8 +294,8 @@ def check_runs(seeds: int, seconds: float, warm_up: float) -> None:
     """Check the number of runs, the duration [s] and the warm-up [s] of walking simulations.
 
     Raises:
-        ConfigurationError: Unless there are 1 to 1000 seeds, and the runs take 3 to 600 s and at
-            least 1 s more than the warm-up.
+        ConfigurationError: Unless there are 1 to 1000 seeds, the runs take 3 to 600 s, and the
+            warm-up is not negative and at least 1 s shorter than the runs.
     """
     for name, value, low, high in (
         ("seconds", seconds, 3, 600),

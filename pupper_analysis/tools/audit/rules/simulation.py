@@ -266,8 +266,9 @@ def _round_depth(depth: float) -> Quantity:
 def ground_not_met(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find floating robots of which no shape can touch the ground, or whose contacts are disabled.
 
-    In a file without ground, a plane with MuJoCo's default contact bits is assumed. Files with
-    <pair> elements or missing meshes are skipped.
+    In a file without ground, a plane with MuJoCo's default contact bits is assumed. Skipped are
+    files that MuJoCo refuses, that have <pair> elements, or that lack meshes of shapes that can
+    collide.
     """
     model = robot.mj_model
     if (

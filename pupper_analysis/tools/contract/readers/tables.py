@@ -464,7 +464,10 @@ def is_trainer_config(root: LocatedValue) -> bool:
 def read_settings(root: LocatedValue) -> Iterator[Statement]:
     """Yield the joint values, global settings and observation scales in a legged_gym configuration.
 
-    ``root`` is the top of the configuration.
+    ``root`` is the top of the configuration. An armature of 0 is left out.
+
+    Raises:
+        ModelError: If an entry of the user's ``pupper-analysis.toml`` is not valid.
     """
     for rule in load_key_rules("trainer", root.place.file):
         node = root.get(*rule.path)

@@ -148,7 +148,8 @@ class SimulatedRobot:
         """Reset the simulation to the commanded posture, at rest, `_DROP_HEIGHT` above the ground.
 
         Args:
-            swing: Feet in the air; the base is level when the other feet stand on the ground.
+            swing: Feet in the air. The base is rotated such that the other feet are on level ground
+                (`compute_level_base`).
         """
         robot, joints = self._loaded, self.sent[-1] - self.offset
         contact_points = [
