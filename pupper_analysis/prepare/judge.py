@@ -290,8 +290,8 @@ def _fail_if_upset(
     ``fed`` is the result of the simulation with feed-forward. A nudge is a velocity of the base. If
     ``trial``, the result of the nudges of ``simulate_nudges``, is None, these nudges are simulated
     here if the stand is near a limit, or ``fragile``: it fails without feed-forward. Other stands
-    get the nudges of ``simulate_large_nudges``, after which only shaking is a failure. A base that
-    is fixed, or a stand without CoM margin, is not nudged.
+    get the nudges of ``simulate_large_nudges``, after which only shaking and divergence are
+    failures. A base that is fixed, or a stand without CoM margin, is not nudged.
     """
     speed = BASE_NUDGE_SPEED
     if trial is None:

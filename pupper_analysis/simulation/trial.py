@@ -270,9 +270,10 @@ def simulate_large_nudges(
 
     The base starts at ``LARGE_NUDGE_SPEED``, which is five times ``BASE_NUDGE_SPEED``, along +x,
     -x, +y or -y of the world, or rotates about its z axis. A simulation ends once the robot no
-    longer shakes (``ShakingRecord.is_calm``), and after ``HOLD_DURATION`` at the latest. The only
-    failure is shaking without decay, as in ``simulate_nudges``; it ends the trial. A robot that
-    leaves the stand has no failure here: ``simulate_nudges`` decides whether it is fragile.
+    longer shakes (``ShakingRecord.is_calm``), and after ``HOLD_DURATION`` at the latest. Failures
+    are shaking without decay and divergence, as in ``simulate_nudges``; the first ends the trial. A
+    robot that leaves the stand has no failure here: ``simulate_nudges`` decides whether it is
+    fragile.
 
     Args:
         robot: The robot, with a free base.
@@ -281,7 +282,7 @@ def simulate_large_nudges(
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
 
     Returns:
-        Whether the stand shakes; ``nudges`` is the number of simulated nudges.
+        Outcome; ``nudges`` is the number of simulated nudges.
 
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed and the stand has
@@ -300,7 +301,8 @@ def simulate_large_nudges(
     columns = 1 + model.nq + robot.mj_convention.qvel_index
     interval = max(2, round(RECORD_INTERVAL / timestep))
     steps = round(HOLD_DURATION / RECORD_INTERVAL) * interval
-    simulated, nudges, event, record = 0, 0, None, ShakingRecord(model)
+    simulated, nudges, record = 0, 0, ShakingRecord(model)
+    event: _Event | None = None
     for velocity in velocities:
         nudges += 1
         start = held.start.copy()
@@ -308,8 +310,11 @@ def simulate_large_nudges(
         record = ShakingRecord(model)
         for states in simulate_in_intervals(model, start, held.ctrl, steps, interval):
             simulated += len(states)
+            if monitor.has_diverged(states, timestep):
+                event = 0.0, Failure.BUCKLING, ()
+                break
             record.add(states)
-            if monitor.has_diverged(states, timestep) or record.is_calm:
+            if record.is_calm:
                 break
         else:
             event = _find_shaking(model, record, HOLD_DURATION)
@@ -325,7 +330,7 @@ def simulate_large_nudges(
         nudges=nudges,
         duration=HOLD_DURATION,
         simulated=simulated * timestep,
-        shaking_speed=None if event is None else record.speed,
+        shaking_speed=record.speed if failure is Failure.SHAKING else None,
         shaking_unit=f"{find_dof_unit(model, record.fastest_dof)}/s",
     )
 

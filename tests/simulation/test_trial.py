@@ -11,6 +11,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.prepare import judge
 from pupper_analysis.prepare.judge import _fail_if_upset, list_file_remarks
+from pupper_analysis.simulation import trial as trial_module
 from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.trial import (
     BASE_NUDGE_SPEED,
@@ -145,6 +146,14 @@ def test_shaking_is_a_failure_if_it_does_not_decay(
     large = simulate_large_nudges(robot, stand)
     assert (large.survived, large.failure) == (not shakes, trial.failure)
     assert (large.failing_parts, large.nudges) == ((("nod",), 1) if shakes else ((), 5))
+
+
+def test_divergence_after_a_large_nudge_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stub reports the divergence: v3 does not diverge."""
+    monkeypatch.setattr(trial_module.monitor, "has_diverged", lambda *_: True)
+    trial = simulate_large_nudges(load("original"), stand_of("original"))
+    assert (trial.survived, trial.failure, trial.time) == (False, Failure.BUCKLING, 0.0)
+    assert trial.shaking_speed is None
 
 
 @pytest.mark.parametrize("shakes", [True, False])
