@@ -237,7 +237,7 @@ def compare_with_file(
 
     The model is not simulated if an actuator has a built-in controller, or if a free base has no
     level ground; this is then the listed cause. If no cause is found, and the prepared robot moves
-    alike, the deviation does not count (`_moves_like_prepared_robot`).
+    alike, the deviation does not count (`_moves_alike`).
 
     Args:
         published: Model of the file.
