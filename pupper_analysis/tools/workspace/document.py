@@ -73,7 +73,7 @@ def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> 
         limits = map(doc.diagnostic_text, workspace.limits[direction])
         rows.append((text(direction), low, high, doc.Name(unit), *limits))
         ends = {"low": low.text, "high": high.text, "unit": unit}
-        mirrored = low.text == high.text.replace("+", "-")
+        mirrored = high.text.startswith("+") and low.text == high.text.replace("+", "-")
         key = "symmetric-range-of-direction" if mirrored else "range-of-direction"
         if mirrored:
             ends["high"] = high.text.removeprefix("+")
