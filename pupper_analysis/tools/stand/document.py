@@ -398,10 +398,15 @@ def _make_servo_table(servos: ServoBounds) -> doc.Table:
 
 
 def _is_base_bolted(stance: Stance) -> bool:
-    """Return True if a weld fixes the base, and no foot stands on the ground."""
+    """Return True if a weld fixes the base, or a link rigidly joined to it, and no foot carries.
+
+    A weld of a foot, or of a link behind joints, does not count: it has a contact point.
+    """
     stand = stance.stand
-    welds = [contact for contact in stand.task.contacts.values() if isinstance(contact, Weld)]
-    return any(weld.place is None for weld in welds) and not stand.stance_feet
+    points = set(stand.foot_targets)
+    parts = points | {point.rpartition("/")[0] for point in points}  # a sole: left/1, left/2 ...
+    welds = [name for name, contact in stand.task.contacts.items() if isinstance(contact, Weld)]
+    return any(name not in parts for name in welds) and not stand.stance_feet
 
 
 def _get_stiffness_unit(stance: Stance) -> str:

@@ -247,6 +247,20 @@ def test_a_limit_of_zero_is_stated_and_a_bolted_base_has_no_height(
 
 
 @pytest.mark.slow
+def test_base_of_a_robot_on_a_welded_foot_is_not_reported_as_bolted(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Reference: the task, which welds one foot, lifts the others, and leaves the base free."""
+    lifted = [word for foot in ("FR", "RL", "RR") for word in ("--swing", f"{foot}=1cm")]
+    _, out, err = run_command(
+        capfd, "stand", "v3", "--contact", "FL=weld", *lifted, "--com", "inside"
+    )
+    assert "kp 5" in out, err
+    assert "bolted" not in out
+    assert "height" in out
+
+
+@pytest.mark.slow
 def test_the_second_line_states_the_gains_with_their_bounds(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
