@@ -50,8 +50,8 @@ def command(
       pupper-analysis payload original --swing FL=2cm --com inside \\
         --com-margin 1cm
 
-    Exit status: 0 a payload is carried, 1 no payload, unknown limits, or a failed
-    simulation, 2 stance out of reach or not in balance, or bad input.
+    Exit status: 0 a payload is carried, 1 no payload, unknown torque limits or masses, or a
+    verdict that does not pass, 2 stance out of reach or not in balance, or bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.models.motors.assignment import describe_weak_motors
     from pupper_analysis.robot.build import with_efforts

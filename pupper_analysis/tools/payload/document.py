@@ -80,10 +80,11 @@ _NEXT_STEPS = {
 def _select_next_step(limit: PayloadLimit) -> NextStep:
     """Return the command to run next.
 
-    If motor limits are unknown, this is `audit`. If no payload is carried, it is `stand`, which
-    states the cause, or `crosscheck` or `audit` if the files explain the failure. Otherwise it is
-    the command for the bound that limits the payload (`_NEXT_STEPS`). Except for `best`, which
-    searches for a payload, the command loads the robot with `VERIFIED_FRACTION` of this bound.
+    If motor limits are unknown and the upper bound is above 0 kg, this is `audit`. If the result
+    does not pass, it is `stand`, which states the cause, or `crosscheck` or `audit` if the files
+    explain the failure. Otherwise it is the command for the bound that limits the payload
+    (`_NEXT_STEPS`). Except for `best`, which searches for a payload, the command loads the robot
+    with `VERIFIED_FRACTION` of a finite bound.
     """
     if limit.unknown_limits and limit.upper_bound > 0:
         return NextStep("audit")
@@ -121,8 +122,8 @@ def _select_verdict_word(limit: PayloadLimit) -> doc.Words:
 def payload_text(limit: PayloadLimit) -> doc.Text:
     """Return the text of the largest payload [kg] and its position [mm].
 
-    If torque limits of motors that carry the load are unknown, state an upper bound of the mass and
-    the torque of one of these motors instead.
+    If torque limits of motors that carry the load are unknown, and the upper bound is above 0 kg,
+    the text states this bound and the torque of one of these motors instead.
     """
     if limit.unknown_limits and limit.upper_bound > 0:
         return _describe_upper_bound(limit)

@@ -114,9 +114,10 @@ def simulate_payload(
 
 
 MAX_BOUND_RATIO = 10.0
-"""Largest payload at which the search for the other kinds of failure (stance, motors, servos) ends
-after a first failure, relative to the first payload that fails (or to the robot's mass, if that is
-larger). The bound of a kind that has not failed by then is infinite. Chosen, not tuned."""
+"""Payload at which the search for the other kinds of failure (stance, motors, servos) ends after a
+first failure, relative to the first payload that fails (or to the robot's mass, if that is larger).
+The search also ends if the stance fails. The bound of a kind that has not failed by then is
+infinite. Chosen, not tuned."""
 
 VERIFIED_FRACTION = 0.97
 """Payload, as a fraction of the computed largest payload, with which the stance is judged and
@@ -138,7 +139,7 @@ the smallest bound, except if the servos set this bound. The second tolerance is
 first mass that fails. Each bound is the lower end of the bracket. Chosen, not tuned."""
 
 _FIRST_DISTANCE_RATIO = 0.98
-"""Distance of the first simulated payload from the static limit: (limit - payload) / (limit *
+"""Distance of the first reduced payload from the static limit: (limit - payload) / (limit *
 ``SIMULATION_RTOL``) [1]. Below 1 / (1 + ``SIMULATION_RTOL``): if the robot holds this payload, the
 interval up to the limit is within the tolerance, and needs no bisection."""
 
@@ -250,7 +251,7 @@ class PayloadLimit(Result):
 
     @property
     def torque_by_joint(self) -> dict[str, float]:
-        """``{joint: static motor torque [N m or N] in the stand with the largest payload}``."""
+        """``{joint: static motor torque [N m or N] in the stand of the result}``."""
         return dict(zip(self.joint_names, self.joint_torques.tolist(), strict=True))
 
     def get_torque_unit(self, joint: str) -> str:
@@ -261,9 +262,7 @@ class PayloadLimit(Result):
     def bounds(self) -> dict[str, Bound]:
         """Bounds of the payload, ``{name: bound with mass in kg}``, the smallest mass first.
 
-        ``stance``: largest mass for which a stance with contact forces exists; ``motors``: largest
-        mass within the torque limits; ``servos``: largest mass that is statically stable with the
-        servo stiffness; ``simulation``: largest mass that held in simulation.
+        The names are ``stance``, ``motors``, ``servos`` and ``simulation``, as in the attributes.
         """
         names = ("stance", "motors", "servos", "simulation")
         bounds: dict[str, Bound] = {name: getattr(self, name) for name in names}
@@ -319,9 +318,11 @@ def payload_limit(
         StaticsInfeasibleError: If the stance slides or tips without payload.
         NotSettlingError: If the penetration depths of the feet do not converge without payload.
         ConfigurationError: If an argument is out of range, or invalid for the robot.
-        ModelError: If the model has no position servos, and kp and kd are not both given.
-        UnknownNameError: If the task names a foot or joint, or ``point`` a frame, that the robot
-            does not have.
+        ModelError: If a joint has no motor, a joint has no position servo and kp and kd are not
+            both given, the mass or inertia of a body is invalid, or the loaded model or the ground
+            cannot be built.
+        UnknownNameError: If the task names a foot, joint or contact, or ``point`` a frame, that the
+            robot does not have.
     """
     place = find_place(robot, point)
     if isinstance(stance, Stand):
@@ -453,7 +454,7 @@ class _PayloadSimulations:
 
         The simulation with position commands alone is left out, since it does not decide whether
         the verdict passes; so are tests of growing modes if the response to the nudge has decided.
-        ``trial`` contains simulations of the loaded stand after nudges, if any.
+        ``trial`` contains simulations of the loaded stand after nudges; None without these.
         """
         loaded = with_payload(self._robot, mass, self._place)
         stand = solve_stand(loaded, self._task)
@@ -469,7 +470,7 @@ class _PayloadSimulations:
         )
 
     def holds(self, mass: float) -> bool:
-        """Return True if the stance holds with a payload [kg], simulated with feed-forward."""
+        """Return True if there is a stand with a payload [kg] that holds with feed-forward."""
         try:
             return _holds_in_simulation(self.judge_with_feedforward(mass, None))
         except (StanceUnreachableError, StaticsInfeasibleError, NotSettlingError):
@@ -495,16 +496,17 @@ FailureCause = tuple[Failure, tuple[str, ...]] | None
 def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool]) -> Bound:
     """Return the mass bound of the servos, raised if the command `stand` passes with more mass.
 
-    Masses that grow by `_MASS_GROWTH` are tested. The bound is infinite if none fails up to the
-    smaller bound of stance and motors. The bound of a command that is out of range is kept.
+    Masses that grow by `_MASS_GROWTH` are tested. The bound is infinite if no tested mass below the
+    smaller bound of stance and motors fails. The bound of a command that is out of range, of zero
+    and of infinity is kept.
 
-    With the mass of the given bound, a deviation doubles in ``HOLD_DURATION`` directly after the
-    start. `stand` measures the doubling time after 5 s, in which feet creep. Close to the bound
+    Above the given bound, a deviation doubles within ``HOLD_DURATION`` or oscillates, directly
+    after the start. `stand` evaluates the modes after 5 s, in which feet creep. Close to the bound
     both may differ; then `stand` decides.
 
     Args:
         bounds: {name: bound} of stance, motors and servos; the servos set the smallest bound.
-        holds: Function that returns True if the robot passes `stand` with a mass [kg].
+        holds: Function that returns True if the robot holds a mass [kg] in simulation.
     """
     bound = bounds["servos"]
     if not 0 < bound.mass < math.inf or bound.failure is Failure.COMMAND:
@@ -592,7 +594,7 @@ def _bisect_mass(
         find_cause: Function that returns the failure with a mass [kg], None without a failure.
         low: Mass without a failure [kg].
         high: Mass with a failure [kg].
-        cause: Failure with ``high``.
+        cause: Failure with ``high``; not None.
         tolerance: Absolute tolerance [kg].
         relative_tolerance: Tolerance relative to the lower end of the bracket, used if larger.
     """
@@ -653,8 +655,9 @@ class _PayloadSearch:
         """Find the largest payload [kg] for stance, motors and servos: {one of these: bound}.
 
         The mass is increased until all three have failed, the stance has failed, or the mass
-        exceeds a ceiling (`UNLIMITED_MASS_RATIO`, `MAX_BOUND_RATIO`). Each bound that was exceeded
-        is then refined by bisection. The bound of the servos is checked by simulations.
+        reaches a ceiling (`UNLIMITED_MASS_RATIO`, `MAX_BOUND_RATIO`). Each bound that was exceeded
+        is then refined by bisection. The bound of the servos is checked by simulations
+        (`_confirm_servo_bound`).
         """
         find_causes = {
             "stance": self.find_stance_failure,
@@ -769,7 +772,8 @@ class _PayloadSearch:
 
         The servo bound in ``bounds`` is computed from the spectrum of the linearised step, which
         takes milliseconds for each mass. The simulations are run just below the smallest bound and,
-        if the servos set this bound, just above.
+        if the servos set this bound, just above; a bound of zero is simulated without payload. The
+        bound of a command that is out of range is not simulated.
         """
         bound, other_masses = bounds["servos"], [bounds["stance"].mass, bounds["motors"].mass]
         find_cause = self.find_servo_failure

@@ -93,8 +93,8 @@ def command(
       pupper-analysis stand go1.urdf go1.xml --foot FL=FL_foot --foot FR=FR_foot \\
         --foot RL=RL_foot --foot RR=RR_foot --kp 20 --kd 0.5 --kp '*calf*=30'
 
-    Exit status: 0 the stance holds, 1 the stance fails in simulation, 2 out of reach, not holdable
-    or bad input.
+    Exit status: 0 the stance holds, 1 the verdict does not pass (for example, the stance fails in
+    simulation), 2 out of reach, not holdable or bad input.
     """  # noqa: D301 - click reads the \b
     if explain:
         refuse_unused("--explain", {"--explain": _EXPLAIN_PARAMETERS})
@@ -134,7 +134,7 @@ def _explain_preparation(
 ) -> None:
     """Print the steps that prepare a robot from its files, with their changes (``--explain``).
 
-    If ``json_path`` is not None, the steps are also written there as JSON. The command then exits.
+    If ``json_path`` is not None, the steps are also written there as JSON.
     """
     from pupper_analysis.models.mjcf import silence_mujoco
     from pupper_analysis.prepare.convert.load import read_pair

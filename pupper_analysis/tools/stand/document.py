@@ -180,8 +180,9 @@ def _select_next_step(stance: Stance) -> NextStep:
     """Return the command to run next: on the cause of a failure, otherwise mostly `payload`.
 
     For most verdicts it is the entry of `_NEXT_STEPS`. If the files differ, or describe two robots,
-    it is `crosscheck`; for a robot of one file, `audit`. After a loss of height, or if servos are
-    too soft, it is `stand` with other options.
+    it is `crosscheck`. For a robot of one file, `audit` replaces `crosscheck`. After a loss of
+    height, or if servos are too soft, it is `stand` with other options. The minimum stiffness is
+    not proposed again: `payload` replaces this step.
     """
     verdict = stance.verdict
     step = _NEXT_STEPS.get(verdict.code, NextStep("payload"))
@@ -219,10 +220,10 @@ def _stiffen_servos(run: StandVerification) -> NextStep:
 
 
 def _stiffen_soft_servos(stance: Stance) -> NextStep | None:
-    """Return the next step ``stand`` with servo gains with which a failing stand holds.
+    """Return the next step ``stand`` with servo gains with which a failing stand stays upright.
 
     The gains are those of `SoftServos`, per class of joints with equal gains. Returns None without
-    such gains, or if the name of a class, as a pattern, matches further joints.
+    such gains, or if the name of a class, as a pattern, matches other joints than the class has.
     """
     servos, soft = stance.servos, stance.soft_servos
     if servos is None or soft is None:
@@ -284,10 +285,10 @@ def _describe_height(stance: Stance) -> Iterable[doc.Words]:
 
 
 def _describe_servo_gains(stance: Stance) -> Iterable[doc.Words]:
-    """Yield the servo gains with a lower bound of kp and an upper bound of kd.
+    """Yield the servo gains, with the known bounds: a lower bound of kp, an upper bound of kd.
 
     If the gains of the joints differ, the bounds are factors on all gains. Nothing is yielded if
-    the bounds are unknown (`Stance.servos` is None or has no joint classes).
+    `Stance.servos` is None or has no joint classes.
     """
     servos = stance.servos
     if servos is None or not servos.classes:
@@ -333,8 +334,8 @@ def _round_bound(bound: float | None) -> float | None:
 def _describe_soft_servos(stance: Stance) -> Iterable[doc.Words]:
     """Yield the servos that alone make the stand fail, and the smallest sufficient stiffness.
 
-    The first text is yielded if `Stance.soft_servos` is known; the second if the stance fails
-    without feed-forward, and a bound says that kp must be larger.
+    The first text is yielded if `Stance.soft_servos` is known; the second if the robot does not
+    stand without feed-forward, and the least kp is above the present kp.
     """
     servos, soft = stance.servos, stance.soft_servos
     if soft is not None:
@@ -417,9 +418,10 @@ def _get_stiffness_unit(stance: Stance) -> str:
 def _list_findings(stance: Stance) -> Iterable[doc.Words]:
     """Yield the texts of the findings of a stance.
 
-    The findings are the minimum kp, or the reason for its absence; the equilibrium or the sag [mm]
-    without feed-forward, or the reason for its absence; and the largest force [N] with which each
-    hand can press.
+    The findings are the minimum kp, or the reason for its absence, if requested; the equilibrium or
+    the sag [mm] without feed-forward, or the reason for its absence; and the largest force [N] with
+    which each hand can press. The equilibrium and the reason are left out if `_list_details` yields
+    these; then the sag is yielded only for an equilibrium without failures and a base that is free.
     """
     if stance.minimum_stiffness is not None:
         yield text(
@@ -451,7 +453,7 @@ def _is_settled_state_detail(stance: Stance, settled: SteadyState) -> bool:
 
 
 def _is_failure_without_feedforward_stated(stance: Stance) -> bool:
-    """Return True if the verdict states that the simulation without feed-forward fails."""
+    """Return True if a simulation without feed-forward does not hold, as the verdict states."""
     return stance.verdict.commands_alone not in (None, Ending.HOLDS)
 
 
@@ -479,8 +481,8 @@ def _describe_settled_state(stance: Stance, settled: SteadyState) -> doc.Words:
 def _list_details(stance: Stance) -> Iterable[doc.Words]:
     """Yield the details of the report: the equilibrium without feed-forward, and the ground.
 
-    The equilibrium is left out if `_list_findings` yields it. If no equilibrium was found and the
-    verdict states a failure without feed-forward, the reason is yielded instead.
+    The equilibrium is left out if `_list_findings` yields its text. If no equilibrium was found and
+    the verdict states a failure without feed-forward, the reason is yielded instead.
     """
     settled = stance.settled
     if settled is not None and _is_settled_state_detail(stance, settled):

@@ -60,8 +60,8 @@ class Stance(Tabular):
         joint_positions: (nu,) joint positions of ``stand``, in actuator order (rad, m).
         units: (nu,) units of the joint positions: rad, or m for a slide, whose motor force is in N
             in place of N m.
-        limits: (nu,) effort limits, the smallest that both files state (N m); infinite without a
-            stated limit.
+        limits: (nu,) effort limits, the smallest that both files state (N m, or N for a slide);
+            infinite without a stated limit.
         limit_origins: (nu,) statement in the files of each limit; None without a stated limit.
         stand: Stand on MuJoCo's soft ground, to which all other results refer; on rigid ground,
             with ``depths`` of 0, if the legs are too short or the depths of soft loops do not

@@ -1,4 +1,4 @@
-"""Map how far the base goes, feet planted."""
+"""Find the range of the base with planted feet."""
 
 HELP_HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""

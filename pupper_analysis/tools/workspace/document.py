@@ -19,10 +19,10 @@ ranges of other directions are lengths [m], printed in mm."""
 
 
 def _join_limits(workspace: BaseWorkspace) -> doc.Text:
-    """Return the limits as one text, each with the directions that it limits.
+    """Return the limits as one text: a part for each kind of limit, with the limited directions.
 
-    The joints of all joint limits are listed in a single part. The limit of most directions is the
-    first.
+    The part of the joint limits lists the joints of all directions; another part contains the
+    names of its first direction only. The limit of most directions is the first.
     """
     limits: dict[str, Diagnostic] = {}
     directions: dict[str, list[str]] = {}
