@@ -694,7 +694,9 @@ class _PayloadSearch:
         mass_limit = bounds[binding].mass
         # The bound of the servos depends on a chosen doubling time, and is not refined.
         if 0 < mass_limit < math.inf and binding != "servos":
-            above = min(high[binding][0], mass_limit * (1 + 2 * BOUND_RTOL))
+            # At least the upper end of the bracket, whose width is relative to the failing mass.
+            width = BOUND_RTOL * max(2 * mass_limit, _TOLERANCE_FACTOR * high[binding][0])
+            above = min(high[binding][0], mass_limit + width)
             cause = find_causes[binding](above) or (
                 bounds[binding].failure,
                 bounds[binding].failing_parts,

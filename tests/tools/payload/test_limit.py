@@ -303,6 +303,24 @@ def test_failed_trial_load_is_bisected(most: float) -> None:
     assert bisect_bound(most, verdict=0.0).mass == 0.0  # holds without payload only
 
 
+@pytest.mark.parametrize("largest", [0.0104, 0.3, 7.0])
+def test_smallest_static_bound_is_exact_far_below_the_first_failing_mass(
+    largest: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reference: the mass [kg] above which the function of the motors returns a failure."""
+    search = object.__new__(payload._PayloadSearch)
+    search._robot = SimpleNamespace(total_mass=2.0)  # type: ignore[assignment]
+    for name in ("find_stance_failure", "find_spectrum_failure", "find_servo_failure"):
+        monkeypatch.setattr(search, name, lambda _: None)
+    motors = (Failure.MOTOR, ("hip",))
+    monkeypatch.setattr(
+        search, "find_motor_failure", lambda mass: motors if mass > largest else None
+    )
+    found = search.find_bounds()["motors"]
+    assert found.mass == pytest.approx(largest, rel=1.1 * payload.BINDING_BOUND_RTOL)
+    assert found.mass <= largest
+
+
 @pytest.mark.parametrize("largest", [2.0, 2.7, 9.0, math.inf])
 def test_servo_bound_is_raised_to_the_largest_mass_that_stand_holds(largest: float) -> None:
     """Reference: the mass above which the function that represents `stand` returns False."""
