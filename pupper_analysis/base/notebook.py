@@ -115,7 +115,7 @@ def _array_html(values: np.ndarray[Any, Any]) -> str:
         return escape(f"array of {' x '.join(map(str, values.shape))}")
     if values.ndim <= 1 and values.size <= MAX_SHOWN_NUMBERS:
         scale = float(np.abs(values[np.isfinite(values)]).max(initial=1.0))
-        kept = np.where(np.abs(values) > ROUNDING_RTOL * scale, values, 0.0)
+        kept = np.where(np.abs(values) <= ROUNDING_RTOL * scale, 0.0, values)
         return escape(", ".join(_number_text(float(value)) for value in kept.ravel()))
     shape = " x ".join(map(str, values.shape))
     low, high = _number_text(float(values.min())), _number_text(float(values.max()))

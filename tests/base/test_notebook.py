@@ -54,6 +54,10 @@ def test_rounding_noise_of_an_array_is_shown_as_zero() -> None:
     assert format_value(np.array([1e-6, 2.0])) == "0.000001, 2"
 
 
+def test_missing_numbers_of_an_array_are_not_shown_as_zero() -> None:
+    assert format_value(np.array([1.0, np.nan, np.inf])) == "1, nan, inf"
+
+
 def test_long_arrays_and_mappings_are_summarised() -> None:
     assert format_value(np.arange(24.0).reshape(8, 3)) == "array of 8 x 3, 0 to 23"
     entries = format_value({f"joint{index}": float(index) for index in range(15)})
