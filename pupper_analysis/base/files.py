@@ -536,10 +536,14 @@ class _StagedFile:
             OutputError: If the copy cannot be written.
         """
         number = 1
+        try:
+            content = self.target.read_bytes()
+        except OSError as error:
+            raise self._make_error(describe_os_error(error)) from error
         while True:
             path = self.target.with_name(f"{self.target.name}.bak{number if number > 1 else ''}")
             try:
-                write_new(path, self.target.read_bytes(), like=self.existing)
+                write_new(path, content, like=self.existing)
             except FileExistsError:
                 number += 1
             except OSError as error:

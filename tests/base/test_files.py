@@ -464,6 +464,25 @@ def test_first_file_is_restored_if_the_second_fails(
         assert str(raised.value) == f"cannot write {folder / 'b'}: No space left on device"
 
 
+def test_earlier_backup_is_kept_if_the_file_cannot_be_read(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file can be linked and written, but not read, for example with mode 0o200."""
+    (folder / "a.bak").write_bytes(b"earlier backup")
+    real = Path.read_bytes
+
+    def read_bytes(path: Path) -> bytes:
+        if path.name == "a":
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return real(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "read_bytes", read_bytes)
+        with pytest.raises(OutputError, match="Permission denied"):
+            write_both(folder, backup=True)
+    assert contents(folder) == {**OLD, "a.bak": b"earlier backup"}
+
+
 def test_first_file_is_restored_from_a_copy_without_hard_links(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
