@@ -18,9 +18,9 @@ import numpy as np
 import orjson
 from numpy.typing import ArrayLike
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose, format_pair
+from pupper_analysis.base.diagnostics import Diagnostic, Phrase, diagnose, format_pair
 from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
-from pupper_analysis.base.frozen import freeze
+from pupper_analysis.base.frozen import FrozenDict, freeze
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -281,25 +281,31 @@ _Value = TypeVar("_Value")
 
 
 def shorten_paths(value: _Value, prefix: str) -> _Value:
-    """Return a copy of a value without a prefix (a temporary folder) of the texts and paths in it.
+    """Return a copy of a value whose texts and paths do not contain a prefix.
 
-    Dataclasses, tuples and dicts are searched; values without the prefix are returned unchanged.
+    The prefix is the path of a temporary folder; each occurrence is removed. Tuples, the values of
+    dictionaries and the ``init`` fields of dataclasses are searched; lists, keys and other values
+    are not changed. A value without the prefix is returned itself, not a copy.
     """
     return cast(_Value, _strip_prefix(value, prefix))
 
 
 def _strip_prefix(value: Any, prefix: str) -> Any:
-    """Return a value without a prefix of its texts and paths; see `shorten_paths`."""
+    """Remove a prefix from the texts and paths in a value; see `shorten_paths`."""
+    if isinstance(value, Phrase):
+        texts = str(value), value.chinese
+        return Phrase(*(text.replace(prefix, "") for text in texts)) if prefix in value else value
     if isinstance(value, str):
         return type(value)(value.replace(prefix, "")) if prefix in value else value
     if isinstance(value, Path):
         return Path(str(value).replace(prefix, "")) if prefix in str(value) else value
-    if type(value) in (tuple, dict):
+    if type(value) in (tuple, dict, FrozenDict):
         old = value if isinstance(value, tuple) else tuple(value.values())
         new = tuple(_strip_prefix(item, prefix) for item in old)
         if all(one is other for one, other in zip(old, new, strict=True)):
             return value
-        return new if isinstance(value, tuple) else dict(zip(value, new, strict=True))
+        kind = type(value)
+        return new if kind is tuple else kind(zip(value, new, strict=True))
     if not is_dataclass(value) or isinstance(value, type):
         return value
     changes = {

@@ -10,13 +10,16 @@ import sys
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from functools import cache
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.base.results import Result
+from pupper_analysis.base.diagnostics import Phrase, diagnose
+from pupper_analysis.base.frozen import FrozenDict
+from pupper_analysis.base.results import Result, shorten_paths
 from tests.support.repository import ROOT
 from tests.support.variants import load, stand_of
 
@@ -217,3 +220,15 @@ def test_to_dataframe_names_the_package_if_pandas_is_missing(
     held = pa.gravity_compensation(pa.Configuration(load("v3"), stand_of("v3").qpos))
     with pytest.raises(pa.MissingPackageError, match=r"pip install 'pupper-analysis\[pandas\]'"):
         held.to_dataframe()
+
+
+def test_temporary_folder_is_removed_from_diagnostics_in_mappings() -> None:
+    """The mappings of results and diagnostics are read-only dictionaries."""
+    noted = diagnose("problem", problem="/x/folder/a.xml", sources=Path("/x/folder/a.xml"))
+    phrase = Phrase("reads /x/folder/a.xml", "/x/folder/a.xml")
+    short = shorten_paths(FrozenDict(joint=noted, task=phrase), "/x/folder/")
+    assert str(short["joint"]) == "a.xml"
+    assert short["joint"].sources[0].file == "a.xml"
+    assert (str(short["task"]), short["task"].chinese) == ("reads a.xml", "a.xml")
+    assert type(short) is FrozenDict
+    assert shorten_paths(noted, "/y/") is noted
