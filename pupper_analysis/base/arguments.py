@@ -62,15 +62,16 @@ def check_finite(name: str, value: object) -> float:
 def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
     """Return a new array of real numbers of any shape; infinite values and NaN are accepted.
 
-    Values that NumPy would convert silently are rejected: texts, Booleans, complex numbers and
-    masked elements.
+    Arrays and lists of texts, Booleans or complex numbers are rejected, which NumPy would convert
+    silently, and masked arrays with a masked element. In a list with numbers, Booleans are accepted
+    as 0 and 1.
 
     Args:
         name: Name of the argument, for the message.
         values: Values of the argument.
 
     Raises:
-        ConfigurationError: If the values cannot be converted.
+        ConfigurationError: If the values are rejected, or cannot be converted.
     """
     if type(values) is np.ndarray and values.dtype == np.float64:
         return values.copy()  # the usual case, such as the qpos of a stand
@@ -110,8 +111,8 @@ def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]
     if vector.shape != (size,):
         message = diagnose("array-of-another-shape", size=size, shape=str(vector.shape))
         raise ConfigurationError(name, message)
-    # The norm is faster than a test of each element. It may overflow, so the elements are tested
-    # if the norm is infinite.
+    # The norm is faster than a test of each element. The norm of finite elements may overflow, so
+    # the elements are tested if the norm is not finite.
     if not math.isfinite(math.hypot(*vector.tolist())) and not np.isfinite(vector).all():
         index = int(np.flatnonzero(~np.isfinite(vector))[0])
         message = diagnose("element-not-finite", index=index, value=vector[index])
@@ -122,14 +123,15 @@ def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]
 def check_names(name: str, values: Iterable[str]) -> tuple[str, ...]:
     """Return an iterable of names as a tuple; the elements are not checked.
 
-    An element that is no text is an unknown name (`UnknownNameError`) for the caller.
+    The caller checks the elements: an element that is no text is an unknown name
+    (`UnknownNameError`).
 
     Args:
         name: Name of the argument, for the message.
         values: Value of the argument.
 
     Raises:
-        ConfigurationError: If the value is a text, or no iterable.
+        ConfigurationError: If the value is a text, bytes or no iterable.
     """
     is_scalar_array = isinstance(values, np.ndarray) and not values.ndim
     if is_scalar_array or isinstance(values, str | bytes) or not isinstance(values, Iterable):
@@ -138,8 +140,8 @@ def check_names(name: str, values: Iterable[str]) -> tuple[str, ...]:
 
 
 MAX_LENGTH = 1000.0
-"""Maximum absolute value of a length or coordinate [m]. No robot is larger; the bound prevents
-overflow in later computations."""
+"""Maximum absolute value of a length or coordinate [m] that `check_length` accepts. The bound
+prevents overflow in later computations. Chosen, not tuned: no robot is larger."""
 
 
 def check_length(name: str, value: object) -> float:
@@ -150,8 +152,8 @@ def check_length(name: str, value: object) -> float:
         value: Value of the argument.
 
     Raises:
-        ConfigurationError: If the value is not finite, or the absolute value exceeds
-            ``MAX_LENGTH``.
+        ConfigurationError: If the value is no finite number (`check_finite`), or the absolute
+            value exceeds ``MAX_LENGTH``.
     """
     number = check_finite(name, value)
     if abs(number) > MAX_LENGTH:
@@ -166,8 +168,10 @@ def check_arguments(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """Decorate a public function with a check of the arguments against the type hints.
 
     Types that `_make_type_test` does not support are not checked, for example arrays, tuples,
-    literals, and unions with an enum. Of a mapping only the keys are checked, and no elements of an
-    iterator. The function itself must check these arguments, and the values of all arguments.
+    literals, and unions with an enum. Of a mapping only the keys are checked. The elements of an
+    iterable are checked only if it is a sequence or an array, not those of a set or an iterator.
+    Defaults and the arguments of ``*args`` are not checked. The function itself must check these
+    arguments, and the values of all arguments.
 
     Raises:
         ConfigurationError: In the call, if an argument has another type.
@@ -207,7 +211,7 @@ def check_fields(instance: Any) -> None:
 def check_type(name: str, value: object, hint: Any) -> None:
     """Check a value against a type hint; accept any value if the hint is not supported.
 
-    `check_arguments` states the types that are not supported.
+    `check_arguments` lists types that are not supported.
 
     Args:
         name: Name of the argument, for the message.
@@ -241,16 +245,18 @@ def _make_type_tests(function: Any) -> dict[str, Callable[[Any], bool]]:
 
 
 _MAX_DOUBLE = int(sys.float_info.max)
-"""Largest integer that is accepted as a float: larger integers have no float."""
+"""Largest absolute value of an integer that is accepted as a float: the largest finite float. The
+conversion of larger integers may overflow."""
 
 _NUMBER_TYPES: dict[Any, Any] = {float: Real, int: Integral}
-"""{annotated type: abstract type of the accepted numbers, which includes NumPy's}."""
+"""{annotated type: abstract type of the accepted numbers, which includes NumPy's}. Booleans, and
+integers beyond `_MAX_DOUBLE` for a float, are rejected separately."""
 
 _REMEDIES = {
     "Robot": "pa.load_robot",
     "Stand": "pa.solve_stand (or posture.stand of a solved posture)",
 }
-"""{name of a required class: function that returns an object of this class}."""
+"""{name of a required class: text that names functions which return an object of this class}."""
 
 _TYPE_NAMES: dict[Any, str] = {
     float: "a number",
@@ -325,7 +331,7 @@ def _make_elements_test(
 ) -> Callable[[Any], bool]:
     """Return a function that tests whether a value is an iterable of valid elements.
 
-    The elements of an iterator are not tested.
+    Only the elements of sequences and arrays are tested.
 
     Args:
         element: Test of an element.
@@ -335,8 +341,8 @@ def _make_elements_test(
     def has_valid_elements(value: Any) -> bool:
         """Return True if a value is an iterable whose elements pass the test ``element``.
 
-        With ``of_known_length``, the value must be a sequence or an array. A text is no iterable.
-        The elements of an iterator are not tested.
+        With ``of_known_length``, the value must be a sequence or an array. A text and bytes are
+        rejected. Only the elements of sequences and arrays are tested.
         """
         is_sequence = isinstance(value, Sequence) and not isinstance(value, str | bytes)
         is_array = isinstance(value, np.ndarray) and value.ndim
@@ -344,7 +350,7 @@ def _make_elements_test(
             return False
         if isinstance(value, np.ndarray) and not is_array:  # an array without elements to iterate
             return False
-        # Elements of an iterator are not tested here, because that would consume the iterator.
+        # Other iterables are not tested: the test would consume an iterator.
         reusable = is_sequence or is_array
         if isinstance(value, str | bytes):  # an iterable of characters is not meant
             return False

@@ -1,4 +1,8 @@
-"""CSV text of tables. Spreadsheets never execute a cell of this text as a formula."""
+"""CSV text of tables, in which texts that spreadsheets may execute as formulas are marked.
+
+A text that begins with a character of `_FORMULA_START`, and that Python does not read as a float,
+gets a leading apostrophe.
+"""
 
 from __future__ import annotations
 
@@ -9,39 +13,42 @@ from collections.abc import Iterable
 from typing import Final
 
 _FORMULA_START: Final = re.compile("[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
-"""First characters of cells that spreadsheets may execute, with full-width forms (OWASP, CSV
-Injection)."""
+"""Pattern of the first character of a cell that spreadsheets may execute, with full-width forms
+(OWASP, CSV Injection)."""
 
 _TEXT_MARK: Final = "'"
 """Prefix by which spreadsheets take a cell as text."""
 
 
 def csv_text(rows: Iterable[Iterable[object]]) -> str:
-    """Return rows as CSV, a line per row.
+    """Return rows as CSV, a record per row. A cell with line breaks takes several lines.
 
-    A text that a spreadsheet would execute gets a leading apostrophe. Numbers, also as text, stay
+    A text that a spreadsheet may execute gets a leading apostrophe. Numbers, also as text, stay
     unchanged: ``-0.1``.
     """
     return "".join(map(_line, rows))
 
 
 def _line(row: Iterable[object]) -> str:
-    """Format a row as one line of CSV."""
+    """Format a row as one record of CSV, with a line feed at the end."""
     text = io.StringIO(newline="")
-    # The writer quotes a carriage return only if its line terminator contains one.
+    # Some versions of Python quote a carriage return only if the line terminator contains one.
     csv.writer(text, lineterminator="\r\n").writerow([_escape_formula(cell) for cell in row])
     return text.getvalue().removesuffix("\r\n") + "\n"
 
 
 def cell_text(cell: str) -> str:
-    """Return the text of a cell that ``csv_text`` wrote: without an added apostrophe."""
+    """Return the text of a cell that ``csv_text`` wrote, without the added apostrophe.
+
+    An apostrophe before a formula character in the original text is removed, too.
+    """
     if cell.startswith(_TEXT_MARK) and _FORMULA_START.match(cell, len(_TEXT_MARK)):
         return cell[len(_TEXT_MARK) :]
     return cell
 
 
 def _escape_formula(cell: object) -> object:
-    """Prefix a text that a spreadsheet would execute with an apostrophe; return other cells."""
+    """Prefix a text that a spreadsheet may execute with an apostrophe; return other cells."""
     if isinstance(cell, str) and _FORMULA_START.match(cell) and not _is_float_text(cell):
         return _TEXT_MARK + cell
     return cell

@@ -1,7 +1,8 @@
 """Exceptions with a common base class, ``PupperAnalysisError``.
 
-Each exception contains a diagnostic, from which its message is formed, and the numbers of the
-problem as attributes. Messages state the problem and, if known, valid alternatives.
+Each exception contains a diagnostic, from which its message is formed. Most exceptions have
+attributes with the values of the problem. Messages state the problem and, if known, valid
+alternatives.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ class PupperAnalysisError(Exception):
 
     Attributes:
         diagnostic: Code, values with units, and message texts in both languages.
-        where: Part of a longer computation with the error ("at 0.50 s, ..."); may be empty.
+        where: Part of a longer computation with the error ("at 0.50 s, ..."); empty unless set by
+            `with_location`.
     """
 
     diagnostic: Diagnostic
@@ -83,7 +85,8 @@ class VariantError(PupperAnalysisError):
     """Invalid name or scale of a variant.
 
     Attributes:
-        field: Argument (``"name"``, ``"base"``, ``"leg_scale"``, ``"torso_mass_scale"``).
+        field: Argument (``"name"``, ``"base"``, ``"leg_scale"``, ``"torso_mass_scale"``), or both
+            scales if only their combination is invalid.
         value: Invalid value.
     """
 
@@ -99,7 +102,7 @@ class ModelError(PupperAnalysisError):
 
     Attributes:
         source: File or model.
-        problem: Message text, with valid alternatives.
+        problem: Message text, with valid alternatives if known.
         cause: Diagnostic of the problem.
     """
 
@@ -113,9 +116,9 @@ class ModelError(PupperAnalysisError):
 
 
 class InputError(PupperAnalysisError):
-    """File that cannot be read: missing, no regular file, too large, or no valid text.
+    """File that cannot be read, for example missing, no regular file, too large, or no valid text.
 
-    The readers of a file type convert this error to a more specific error.
+    Most readers of a file type convert this error to a more specific error.
 
     Attributes:
         path: The file.
@@ -196,17 +199,19 @@ class StanceUnreachableError(PupperAnalysisError):
     """Stand task without a solution within the joint limits and without collisions.
 
     Attributes:
-        shortfall: {foot or contact point: remaining distance [m] to the target}.
+        shortfall: {foot or contact point: remaining distance [m] to the target} of the missed
+            targets.
         at_limit: {joint: limit [rad, m]} of the joints at a limit in the best configuration found.
         possible: {requirement: diagnostic of its feasible value}, for each requirement whose
             relaxation alone makes the task feasible. If there is none, for small sets that must be
-            relaxed together ("height and roll"). Some values may exceed those of the nominal stand.
+            relaxed together ("height and roll"). Empty if none was found or requested.
         limits: The feasible values as fields of the task, for example {"roll": {"roll": 0.337}}:
             ``replace(task, **limits["roll"])`` is feasible.
         nearest: Stand for the entry of ``limits`` with the smallest relaxation. None if there is
             none, or if it was not requested.
-        blocked: Diagnostics of the obstacles if the feet can reach the targets: a part in the
-            ground, parts too close to each other, or a CoM too close to the edge of the support.
+        blocked: Diagnostics of obstacles other than foot errors: for example a part in the ground,
+            parts too close to each other, a CoM too close to the edge of the support, loops that
+            stay open, or motors at a dead point.
         lacks: Diagnostic of a property that the robot lacks; None if unknown.
     """
 
@@ -321,9 +326,11 @@ class StaticsInfeasibleError(PupperAnalysisError):
 
     Attributes:
         reason: Reason.
-        margin: Signed distance [m] between the projected CoM and the edge of the support polygon;
-            negative outside. NaN if a grip or a prescribed force is the reason.
-        friction_needed: Minimum friction coefficient with a solution; None if there is none.
+        margin: Signed distance [m] between the projected CoM or zero-moment point and the edge of
+            the support polygon; negative outside. NaN if a grip or a prescribed force is the
+            reason.
+        friction_needed: Minimum friction coefficient with a solution, if friction is the reason;
+            otherwise None.
         feet: Feet concerned.
     """
 
@@ -371,10 +378,10 @@ class NoEquilibriumError(PupperAnalysisError):
 
 
 class NotStandingError(PupperAnalysisError):
-    """Servo-driven robot that does not remain standing at the computed equilibrium.
+    """Robot that does not remain standing in a simulation or at the computed equilibrium.
 
     Attributes:
-        problems: Reasons: ``failures`` of the ``SteadyState``.
+        problems: Reasons, for example ``failures`` of the ``SteadyState``.
     """
 
     def __init__(self, problems: tuple[Problem, ...]) -> None:
@@ -401,7 +408,7 @@ class NotSettlingError(PupperAnalysisError):
     """Fixed-point iteration of interdependent quantities that does not converge.
 
     Attributes:
-        change: Change in the last iteration, in the unit of the quantities.
+        change: Largest change in the last iteration, in the unit of the quantities.
     """
 
     def __init__(self, change: float, problem: Problem) -> None:
@@ -427,7 +434,7 @@ class StudyError(PupperAnalysisError):
 
     Attributes:
         folder: Folder of the study; for an error of workers, the name of the machine or ``-``.
-        problem: Message text, with a remedy.
+        problem: Message text.
     """
 
     def __init__(self, folder: str | PathLike[str], problem: Problem) -> None:
@@ -441,7 +448,7 @@ class MeasurementError(PupperAnalysisError):
 
     Attributes:
         source: File, or a name that represents the measurements.
-        problem: Message text, with valid alternatives.
+        problem: Message text, with valid alternatives if known.
         cause: Diagnostic of the problem.
     """
 
@@ -454,10 +461,10 @@ class MeasurementError(PupperAnalysisError):
 
 
 class FitError(PupperAnalysisError):
-    """Fit to measurements that failed: contradictory measurements, or no convergence.
+    """Fit to measurements that failed, for example without convergence.
 
     Attributes:
-        problem: Message text, with a remedy.
+        problem: Message text.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -466,7 +473,7 @@ class FitError(PupperAnalysisError):
 
 
 def __dir__() -> list[str]:
-    """Return the names that this module defines, without imported names."""
+    """Return the classes, functions and type variables of this module, and the special names."""
     return sorted(
         name
         for name, value in globals().items()

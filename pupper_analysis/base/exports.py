@@ -47,10 +47,10 @@ def make_lazy_exports(
     sources = {name: source for name, source in sources.items() if not name.startswith("_")}
 
     def get_attribute(name: str) -> Any:
-        """Import an object that the package's stub file (``.pyi``) names, and return the object.
+        """Import an object that the package's stub file (``.pyi``) exports, and return the object.
 
         Raises:
-            AttributeError: If the stub file does not name the object.
+            AttributeError: If the stub file does not export the name.
         """
         if name not in sources:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")

@@ -1,10 +1,11 @@
 """Atomic writing of output files, with protection of inputs and of other existing files.
 
 All output files are written by this module (except for scratch files in the system's temporary
-folder). A file is written completely or not at all. A run never overwrites an input of the same run
-(`runs`). Without ``force``, a non-empty file is replaced only by a result of the same kind
-(`kinds`). New contents are first written to hidden temporary files in the same folder; files left
-by killed processes are removed later.
+folder). A regular file is written completely or not at all. A run does not overwrite an input of
+the same run (`runs`), except a file that the run edits in place. Without ``force``, a non-empty
+file is replaced only by the same content, or by a result of the same kind (`kinds`). New contents
+are first written to hidden temporary files in the same folder; files left by killed processes are
+removed later.
 """
 
 from __future__ import annotations
@@ -49,13 +50,13 @@ _TEMPORARY_NAME: Final = re.compile(r"\..*pupper-([0-9a-f]{8})-([0-9a-f]+)-[0-9a
 """Pattern of the names of temporary files."""
 
 _cleaned_folders: Final[set[tuple[int, Path]]] = set()
-"""Pairs (process ID, folder) of the folders that a process has cleaned; each is cleaned once."""
+"""Pairs (process ID, folder) of the folders that `remove_stale_files` has searched in a process."""
 
 
 def hidden_beside(target: Path) -> Path:
-    """Return an unused name for a hidden temporary file in the folder of a file.
+    """Return a random name for a hidden temporary file in the folder of a file.
 
-    In the first call of a process for this folder, old temporary files are removed; see
+    The first call of a process for this folder also removes old temporary files; see
     `remove_stale_files`.
     """
     remove_stale_files(target.parent)
@@ -63,8 +64,9 @@ def hidden_beside(target: Path) -> Path:
 
 
 MAX_TEMPORARY_AGE: Final = 86_400.0
-"""Age [s] after which a temporary file is removed whatever its process: one day, since no write
-takes that long. Process ids are reused, and ids of another container cannot be looked up."""
+"""Age [s] after which `remove_stale_files` removes a temporary file, also if its process may still
+run. Chosen: one day, since no write takes that long. Process ids are reused, and ids of another
+container cannot be looked up."""
 
 
 def remove_stale_files(folder: Path) -> None:
@@ -76,8 +78,7 @@ def remove_stale_files(folder: Path) -> None:
     file is older than `MAX_TEMPORARY_AGE`, whatever its process. Files that cannot be removed
     remain.
 
-    Each run that may write to a folder calls this function, also if the run writes nothing in the
-    end.
+    The age is measured from the last change of the status of the file.
     """
     if os.name != "posix" or (os.getpid(), folder) in _cleaned_folders:
         return
@@ -107,7 +108,7 @@ def _is_running(process: int) -> bool:
 
 
 def write_new(path: Path, data: bytes, *, like: os.stat_result | None = None) -> None:
-    """Create a file, and return after the content has reached the disk.
+    """Create a file, and return after the content has reached the disk (``fsync``).
 
     A later rename may reach the disk before unsynchronised content: after a power failure the
     renamed file would be empty.
@@ -115,8 +116,8 @@ def write_new(path: Path, data: bytes, *, like: os.stat_result | None = None) ->
     Args:
         path: Path of the new file; must not exist.
         data: Content.
-        like: Status of the file whose owner and mode are copied. By default, owner and mode of any
-            new file.
+        like: Status of the file whose mode is copied, and owner if permitted. By default, owner and
+            mode of any new file.
 
     Raises:
         OSError: If the file exists, or cannot be created or written.
@@ -141,7 +142,7 @@ STANDARD_OUTPUT: Final = Path("-")
 class ClosedOutput(io.StringIO):
     """Replacement for a standard output that the parent process has closed.
 
-    Writing a result to this output raises an error.
+    Writing a result to ``-`` then raises ``OutputError``; other texts are discarded.
     """
 
 
@@ -155,15 +156,18 @@ def write_atomically(path: Path, kind: OutputKind, *, force: bool = False) -> It
 
     A regular file is replaced atomically, with the same mode; a new file has the mode given by the
     umask. Links are followed. A path that is no regular file (a pipe, a device), or that is the
-    target of standard output, is written to in place.
+    target of standard output or error, is written to in place.
 
     Args:
         path: Output file; missing folders are created. ``-`` is standard output.
         kind: Kind of the output; see ``OutputKind`` for the existing files that may be replaced.
-        force: Whether to replace files of other kinds, except inputs of the run.
+        force: Whether to replace files of other kinds, except inputs of the run and files with
+            measurements (``OutputKind.keeps``).
 
     Raises:
-        OutputError: If the file cannot be written, or must not be replaced.
+        OutputError: If the file cannot be written, or must not be replaced, or if the block raises
+            an ``OSError`` other than ``BrokenPipeError``.
+        BrokenPipeError: If the reader of a pipe has ended.
     """
     buffer = io.BytesIO()
     try:
@@ -182,12 +186,14 @@ def check_writable(path: Path, kind: OutputKind, *, force: bool = False) -> None
     """Check that a file may be written, and register an existing file as an output of the run.
 
     Afterwards the run must not read the registered file. A file of a kind that is edited in place
-    is not registered. The file is not written; old temporary files in the folder are removed.
+    is not registered. The file is not written; old temporary files in the folder are removed. For
+    ``-``, only standard output is checked.
 
     Args:
         path: Output file.
         kind: Kind of the output.
-        force: Whether to replace files of other kinds, except inputs of the run.
+        force: Whether to replace files of other kinds, except inputs of the run and files with
+            measurements (``OutputKind.keeps``).
 
     Raises:
         OutputError: If the file cannot be written, or must not be replaced.
@@ -226,7 +232,9 @@ def _check_replaceable(
         force: Whether files of other kinds may be replaced.
 
     Raises:
-        OutputError: If the run has read the file, or the kind does not permit the replacement.
+        OutputError: If the run has read the file, unless the run edits a file of this kind in
+            place; or if a non-empty file has a content that the kind does not permit to replace.
+        OSError: If a non-empty file cannot be read.
     """
     run = current_run()
     regular = is_replaceable(status) and status.st_size > 0
@@ -289,7 +297,12 @@ def results_on_standard_output() -> Iterator[None]:
 
 
 def _nearest_existing(folder: Path) -> Path:
-    """Return the absolute path if it exists, else the innermost existing parent."""
+    """Return the absolute path if it exists, else the innermost existing parent.
+
+    Raises:
+        FileNotFoundError: If no parent exists.
+        OSError: If a path cannot be accessed.
+    """
     for parent in (folder.absolute(), *folder.absolute().parents):
         with suppress(FileNotFoundError, NotADirectoryError):
             parent.stat()
@@ -329,8 +342,9 @@ def _write_output(writing: Writing) -> None:
     """Write to standard output, to a pipe or device in place, or replace a file atomically.
 
     Raises:
-        OutputError: If an existing file must not be replaced, or a file cannot be written.
-        OSError: If a pipe or device cannot be written.
+        OutputError: If an existing file must not be replaced, or a regular file cannot be written.
+        OSError: If standard output, a pipe or a device cannot be written, or the path cannot be
+            accessed.
     """
     path, data = writing.path, writing.content
     if path == STANDARD_OUTPUT:
@@ -354,7 +368,7 @@ def _result_stream() -> TextIO:
     """Return the stream for results written to ``-``.
 
     Raises:
-        OutputError: If the stream is closed.
+        OutputError: If the parent process has closed the stream.
     """
     stream: TextIO | None = _result_streams[-1] if _result_streams else sys.stdout
     if stream is None or isinstance(stream, ClosedOutput):
@@ -387,7 +401,8 @@ class Writing:
         content: New content.
         kind: Kind of the output; see ``OutputKind`` for the existing files that may be replaced.
         before: Expected current content; None if any content, or no file, is accepted.
-        force: Whether to replace files of other kinds, except inputs of the run.
+        force: Whether to replace files of other kinds, except inputs of the run and files with
+            measurements (``OutputKind.keeps``).
     """
 
     path: Path
@@ -400,14 +415,14 @@ class Writing:
 def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Path, ...]:
     """Write several files, or none.
 
-    All new contents, and the old files under second names, are on disk before the first file is
+    All new contents are on disk, and the old files have second names, before the first file is
     replaced by a rename. If a replacement fails, or the process is interrupted, the earlier
     replacements are undone. If the process is killed, each file has either the old or the new
     content.
 
     Args:
-        writings: Files to write. Existing files keep the mode. New files get the mode given by
-            the umask; missing folders are created.
+        writings: Files to write. Existing files keep the mode, and the owner if permitted. New
+            files get the mode given by the umask; missing folders are created.
         backup: Whether to copy each existing file to ``NAME.bak`` (``NAME.bak2`` etc. if the name
             is taken).
 
@@ -415,8 +430,9 @@ def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Pat
         Paths of the backup copies.
 
     Raises:
-        OutputError: If a file cannot be written, must not be replaced, is no regular file, or has
-            an unexpected content. The error contains the path as given.
+        OutputError: If a file cannot be written, must not be replaced, is no regular file or the
+            target of standard output or error, has an unexpected content, or cannot be restored.
+            The error contains the path as given.
     """
     files = [_StagedFile(writing) for writing in writings]
     copies: list[Path] = []
@@ -454,8 +470,9 @@ class _StagedFile:
         writing: Path, content and kind of the file to write.
         target: Path with links resolved.
         existing: Status of the existing file; None if there is none.
-        new: Temporary file with the new content.
-        old: Second name, or copy, of the existing file.
+        new: Temporary file with the new content; None before `stage`.
+        old: Second name, or copy, of the existing file; None before `link_existing`, or without an
+            existing file.
         stuck: Whether restoring the old file failed, so that ``old`` must be kept.
     """
 
@@ -470,7 +487,8 @@ class _StagedFile:
         """Check the output path, and write the new content to a temporary file in its folder.
 
         Raises:
-            OutputError: If the file must not be replaced, or the temporary file is not written.
+            OutputError: If the file must not be replaced, has an unexpected content, or the
+                temporary file cannot be written.
         """
         try:
             self.target, self.existing = resolve_target(self.writing.path)
@@ -533,7 +551,7 @@ class _StagedFile:
         The name is that of the file with the suffix ``.bak``, ``.bak2``, ``.bak3`` ...
 
         Raises:
-            OutputError: If the copy cannot be written.
+            OutputError: If the file cannot be read, or the copy cannot be written.
         """
         number = 1
         try:

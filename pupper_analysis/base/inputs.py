@@ -1,8 +1,8 @@
 """Reading of input files, with limits of file type and size.
 
-All input files are read by ``read_input``, or checked by ``check_input`` if a library opens the
-file. A rejected file raises an ``InputError``, which the readers of a file type convert to an error
-of a more specific class.
+Input files are read by ``read_input``, or checked by ``check_input`` if a library opens the file. A
+rejected file raises an ``InputError``, which most readers of a file type convert to an error of a
+more specific class.
 
 A model may also come from standard input. Relative paths in such a model, for example of meshes,
 are relative to the current folder.
@@ -34,10 +34,11 @@ GENERATED_FOLDERS: Final = ("node_modules", "site-packages", "build", "install",
 those with a leading dot."""
 
 MAX_TEXT_BYTES: Final = 20_000_000
-"""Maximum size of a text file, such as a model or settings. Chosen, not tuned."""
+"""Maximum size of a text file, such as a model or settings [bytes]. Chosen, not tuned."""
 
 MAX_FILE_BYTES: Final = 500_000_000
-"""Maximum size of an input file that is no text, such as a mesh or a texture. Chosen, not tuned."""
+"""Maximum size of an input file that is no text, such as a mesh or a texture [bytes]. Chosen, not
+tuned."""
 
 _CHUNK_BYTES: Final = 1 << 20
 """Number of bytes per read operation. Chosen, not tuned."""
@@ -95,8 +96,9 @@ def check_input(path: Path, most: int, *, rewritten: bool = False) -> None:
 def read_change_time(path: Path) -> int:
     """Return the modification time of a file [ns], a cache key of its content.
 
-    The value is -1 if the file does not exist, for example because another program has deleted the
-    file since this run found it: the function that reads the file then reports the problem.
+    The value is -1 if the file does not exist or is not accessible, for example because another
+    program has deleted the file since this run found it: the function that reads the file then
+    reports the problem.
     """
     try:
         return path.stat().st_mtime_ns
@@ -116,7 +118,8 @@ def describe_missing_file(path: Path) -> Diagnostic:
 def find_similar_files(path: Path) -> list[Path]:
     """Return up to three files in the folder of a missing file that have similar names.
 
-    The most similar name is the first. Hidden files are left out.
+    The most similar name is the first. Hidden files are left out. Only the first
+    `_MAX_COMPARED_NAMES` entries of the folder are compared. Empty if the folder cannot be read.
 
     Args:
         path: The missing file.
@@ -203,9 +206,9 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
         Text of the file; {key: value} of the top level.
 
     Raises:
-        InputError: If the file cannot be read, is no UTF-8 text, is no valid TOML (with the line,
-            if known), or has a key longer than `_MAX_KEY_LENGTH` or a text longer than
-            `_MAX_VALUE_LENGTH`.
+        InputError: If the file cannot be read, is too large, is no UTF-8 text, is no valid TOML
+            (with the line, if known), or has a key longer than `_MAX_KEY_LENGTH` or a text longer
+            than `_MAX_VALUE_LENGTH`.
         OutputError: If the run will write this file.
     """
     text = decode_input(path, read_input(path, MAX_TEXT_BYTES))
@@ -247,7 +250,7 @@ def read_standard_input(most: int) -> Path:
     """Read standard input, and keep the content until ``discard_standard_input``.
 
     Args:
-        most: Maximum number of bytes to read.
+        most: Maximum number of bytes to read; the rest is not read, without an error.
 
     Returns:
         ``STANDARD_INPUT``, the path for ``read_content``.

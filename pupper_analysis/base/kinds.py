@@ -1,7 +1,7 @@
 """Kinds of output files, with the tests that recognise existing files of each kind.
 
 Without ``force``, an output replaces an existing non-empty file only if ``OutputKind.owns``
-recognises the file.
+recognises the file, or if the file already has the new content.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from dataclasses import dataclass
 from typing import BinaryIO, Final
 
 GENERATOR_NAME: Final = "pupper-analysis"
-"""Name of the generator, written before the version in JSON, pages and figures."""
+"""Name of the generator and of the command. It is written before the version in JSON, figures and
+animations; pages contain ``pupper_analysis``."""
 
 NUM_HEAD_BYTES: Final = 1 << 16
-"""Number of bytes read from the start of a file to recognise the kind. The header of a table with a
-hundred joints is shorter."""
+"""Number of bytes read from the start of a file, and from the end of an animation, to recognise the
+kind. The header of a table with a hundred joints is shorter. Chosen, not tuned."""
 
 _MAX_PLAN_BYTES: Final = 1 << 24
 """Maximum number of bytes that are read to recognise a plan of stands (CSV, see `PLAN_KIND`): 16
@@ -44,12 +45,12 @@ class OutputKind:
     Attributes:
         name: Name, a term of the catalogue.
         owns: Test of whether an existing file is of this kind and may be replaced. None if an
-            existing file is replaced only with ``force``.
+            existing file is replaced only with ``force`` or by the same content.
         keeps: Test of whether a file contains data that no run can compute again. Such a file is
             never replaced.
         edits: Whether the run edits an input file in place.
-        suffixes: Suffixes of its file names, the usual one first. Others are accepted, unless they
-            are those of another format.
+        suffixes: Suffixes of its file names, the usual one first. The command line rejects the
+            suffixes of other formats; for a figure or page, all other suffixes. Empty: no check.
     """
 
     name: str
@@ -88,7 +89,7 @@ def _is_picture(file: BinaryIO) -> bool:
 
 
 def _is_animation(file: BinaryIO) -> bool:
-    """Return True for a GIF or MP4 whose comment names this package.
+    """Return True for a GIF or MP4 that contains the name of this package near its start or end.
 
     The comment of a GIF is near the start, the comment of an MP4 near the end.
     """
@@ -107,8 +108,8 @@ def _read_measured_cells(file: BinaryIO) -> list[str] | None:
     feet, added mass ...) and leaves the other columns empty, for example the measured positions.
 
     Returns:
-        Non-empty cells of these other columns. None if the file is no CSV text, or has no columns
-        "command" and "position".
+        Non-empty cells of these other columns. None if the file is no CSV text in UTF-8, or lacks
+        the column "command" or "position".
     """
     try:
         rows = list(csv.reader(io.StringIO(file.read(_MAX_PLAN_BYTES).decode("utf-8-sig"))))
@@ -163,8 +164,8 @@ STAND_TABLE: Final = OutputKind(
 
 PLAN_KIND: Final = OutputKind("plan of stands", _is_empty_plan, keeps=_has_measurements)
 """CSV file with a row per stand to be measured, written by ``fit --plan``. A new plan may replace a
-plan without measurements. A plan that contains measurements is never replaced, not even with
-``force``."""
+plan without measurements. A file that contains a plan with measurements is never replaced by a
+plan, not even with ``force``."""
 
 RECORD_KIND: Final = OutputKind(
     "table of stands", lambda file: _read_measured_cells(file) is not None, edits=True
@@ -176,7 +177,8 @@ OFFSETS_KIND: Final = OutputKind("table of offsets", match_prefix("joint,offset_
 """CSV file with the fitted offset of each joint."""
 
 MODEL_KIND: Final = OutputKind("model")
-"""Model file. Users edit models, so an existing model is replaced only with ``force``."""
+"""Model file. Users edit models, so an existing file with another content is replaced only with
+``force``."""
 
 
 def hash_content(content: bytes) -> str:
@@ -191,7 +193,7 @@ def generated_model_kind(known: str | None) -> OutputKind:
 
     Args:
         known: SHA-256 of the content as written. None if unknown; the result is then
-            ``MODEL_KIND``, whose files are never replaced without ``force``.
+            ``MODEL_KIND``, whose files are replaced without ``force`` only by the same content.
     """
     if known is None:
         return MODEL_KIND
@@ -201,10 +203,11 @@ def generated_model_kind(known: str | None) -> OutputKind:
 
 
 OWN_KIND: Final = OutputKind("model", _match_any)
-"""File kind for a file whose name is a hash of what it contains, so that an existing file of this
-name may be replaced."""
+"""Kind of a file that replaces any existing file, for example because the name is a hash of the
+content."""
+
 EDITED_KIND: Final = OutputKind("model", _match_any, edits=True)
-"""File kind for a model file that the run reads and then overwrites."""
+"""Kind of a file that the run reads and then overwrites, for example a model."""
 
 SAMPLES_KIND: Final = OutputKind("table of samples", match_prefix("# Samples of a fitted robot."))
 """CSV file with the samples of a fitted robot, recognised by its first line."""

@@ -97,7 +97,7 @@ def null_space(matrix: Array, rcond: float | None = None) -> Array:
 
     Args:
         matrix: Shape (m, n).
-        rcond: Singular values below this fraction of the largest count as zero; by default machine
+        rcond: Singular values up to this fraction of the largest count as zero; by default machine
             precision times the larger dimension.
 
     Returns:
@@ -148,7 +148,7 @@ def orth(matrix: Array) -> Array:
 
 
 def pivoted_qr(matrix: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Return the triangle R and the order of ``scipy.linalg.qr(matrix, pivoting=True)``.
+    """Compute R and the order of ``scipy.linalg.qr(matrix, mode="economic", pivoting=True)``.
 
     Args:
         matrix: Shape (m, n).

@@ -1,7 +1,8 @@
 """Locks: a single run at a time writes to a folder, or adds rows to a file.
 
 `lock_file` holds a POSIX lock on a lock file (``lockf``) while a context is active. The system
-refuses the lock to other processes; a set of held files refuses it to other threads of the process.
+refuses the lock to other processes; a set of held files refuses the lock to other contexts of the
+process.
 """
 
 from __future__ import annotations
@@ -18,20 +19,20 @@ _guard: Final = threading.Lock()
 """Lock of the threads of this process: a single thread at a time reads or changes `_held`."""
 
 _held: Final[set[str]] = set()
-"""Resolved paths of the lock files that this process holds. Another thread is refused by this set,
-because the system grants the lock again to the process that holds it."""
+"""Resolved paths of the lock files that this process holds. Another context in this process is
+refused by this set, because the system grants the lock again to the process that holds it."""
 
 
 @contextmanager
 def lock_file(path: Path, *, temporary: bool = False) -> Iterator[bool]:
-    """Hold an exclusive lock on a file; yield False if another run holds it.
+    """Hold an exclusive lock on a file; yield False if another context or process holds the lock.
 
     The system releases the lock when the process ends, also if it is killed. On systems without
-    POSIX locks, only other threads of this process are locked out.
+    POSIX locks, only other contexts of this process are locked out.
 
     Args:
         path: The lock file. Created if needed.
-        temporary: Remove the lock file at the end.
+        temporary: Remove the lock file at the end, if this context held the lock.
 
     Raises:
         OSError: If the file cannot be opened, or the file system has no locks.

@@ -22,7 +22,8 @@ _EXTENSION = "scipy.optimize._minpack"
 used if the module does not exist."""
 
 _STEP_FACTOR = 100
-"""Bound of the first step, in units of the norm of the initial guess: the default of SciPy."""
+"""Upper bound of the norm of the first step, divided by the norm of the initial guess, both scaled
+as in MINPACK; if the initial guess is zero, the bound itself. The default of SciPy."""
 
 
 def find_root(
@@ -48,7 +49,7 @@ def find_root(
 
         found: Array = optimize.root(function, start, jac=derivative, options={"xtol": xtol}).x
         return found
-    max_evaluations = 100 * (len(start) + 1)  # the default of MINPACK
+    max_evaluations = 100 * (len(start) + 1)  # the default of SciPy with a Jacobian
     root: Array = routines._hybrj(
         function, derivative, start.flatten(), (), 1, 0, xtol, max_evaluations, _STEP_FACTOR, None
     )[0]
@@ -56,7 +57,10 @@ def find_root(
 
 
 def _load_minpack() -> Any:
-    """Return the extension module with MINPACK; None if it cannot be loaded without its package."""
+    """Return the extension module with MINPACK.
+
+    None if the module cannot be loaded without its package, or lacks the routine ``_hybrj``.
+    """
     if _EXTENSION in sys.modules:
         return sys.modules[_EXTENSION]
     spec = PathFinder.find_spec(_EXTENSION, [f"{folder}/optimize" for folder in scipy.__path__])

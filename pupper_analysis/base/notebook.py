@@ -31,7 +31,7 @@ MAX_TEXT_LENGTH = 200
 not tuned."""
 
 NUMBER_FORMAT = ".4g"
-"""Format of numbers in a cell; ``to_dict`` returns all digits."""
+"""Format of floats in a cell, with 4 significant digits; ``to_dict`` returns all digits."""
 
 ROUNDING_RTOL = 1e-12
 """Absolute value up to which a cell shows a number of a short array as 0, relative to the largest
@@ -81,7 +81,7 @@ def render_table(caption: str, rows: Iterable[TableRow]) -> str:
 
 
 def format_value(value: object) -> str:
-    """Return the HTML of a value: floats with 4 digits, long containers summarised."""
+    """Return the HTML of a value: floats with 4 significant digits, long containers summarised."""
     if isinstance(value, Diagnostic):
         return escape(str(value))
     if isinstance(value, Enum):
@@ -108,7 +108,10 @@ def _number_text(value: float) -> str:
 
 
 def _array_html(values: np.ndarray[Any, Any]) -> str:
-    """Return the HTML of an array: numbers of a short vector, else shape, minimum and maximum."""
+    """Return the HTML of an array: numbers of a short vector, else shape, minimum and maximum.
+
+    For elements that are no real numbers, only the shape. For an array without elements, "empty".
+    """
     if values.size == 0:
         return "empty"
     if values.dtype.kind not in "fiub":
@@ -125,7 +128,7 @@ def _array_html(values: np.ndarray[Any, Any]) -> str:
 def _sequence_html(values: Sequence[object]) -> str:
     """Return the HTML of a sequence, with a line per item.
 
-    A short sequence of numbers and names is on a single line.
+    A short sequence of numbers and names is on a single line. An empty sequence is a dash.
     """
     if not values:
         return _NOTHING

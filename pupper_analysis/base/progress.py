@@ -45,14 +45,14 @@ class ProgressClock:
 
     @property
     def elapsed(self) -> float:
-        """Time since the computation began [s]."""
+        """Time since the creation of this clock [s]."""
         return self._clock() - self._start
 
     @property
     def remaining(self) -> float | None:
         """Estimated remaining time of the stage [s].
 
-        None before the first part is completed, and after the last.
+        None before the first part of the stage is completed, and after the last part.
         """
         if not 0 < self.done < self.total:
             return None
@@ -67,7 +67,10 @@ _clocks: list[ProgressClock] = []
 
 @contextmanager
 def observe_progress() -> Iterator[ProgressClock]:
-    """Yield a clock that receives the reports of computations while the context is active."""
+    """Yield a clock that receives the reports of computations while the context is active.
+
+    In nested contexts, only the clock of the innermost context receives reports.
+    """
     clock = ProgressClock()
     _clocks.append(clock)
     try:

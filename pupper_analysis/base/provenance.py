@@ -25,7 +25,7 @@ from pupper_analysis.base.runs import current_run
 from pupper_analysis.base.units import units_of
 
 RECORDED_LIBRARIES = ("pupper-analysis", "mujoco", "pin", "placo", "numpy", "clarabel", "scipy")
-"""Distributions that affect results, and whose versions are recorded."""
+"""Distributions whose versions are recorded in the provenance, because they affect results."""
 
 
 _MAX_LISTED_FILES = 12
@@ -42,8 +42,9 @@ class Provenance:
         request: {option: value} of the options on the command line or in a file of options, for
             example ``payload_at``. Numbers are in SI units, texts as typed.
         date: Time of writing (UTC, ISO 8601).
-        versions: {library, ``python`` or ``machine``: version or processor type}.
-        files: {input file: SHA-256 of the content}.
+        versions: {library, ``python`` or ``machine``: version or processor type}; ``"unknown"`` for
+            a library that is not installed.
+        files: {input file: SHA-256 of the content}, without files that cannot be read any more.
     """
 
     command: str
@@ -65,7 +66,10 @@ class Provenance:
 
 @lru_cache(maxsize=1)
 def list_versions() -> dict[str, str]:
-    """Return the versions of ``RECORDED_LIBRARIES``, the Python version and the processor type."""
+    """Return the versions of ``RECORDED_LIBRARIES``, the Python version and the processor type.
+
+    The version of a library that is not installed is ``"unknown"``.
+    """
     versions = {"machine": platform.machine(), "python": platform.python_version()}
     for library in RECORDED_LIBRARIES:
         try:
@@ -76,7 +80,10 @@ def list_versions() -> dict[str, str]:
 
 
 def collect_provenance() -> Provenance:
-    """Return the provenance of the current run; outside of a run, without command and files."""
+    """Return the provenance of the current run.
+
+    Outside of a run, the provenance contains no command, options and files.
+    """
     run = current_run()
     files = {}
     for name in sorted(run.inputs.values()) if run else ():
@@ -94,8 +101,8 @@ def collect_provenance() -> Provenance:
 def to_marked_json(content: object) -> str:
     """Return a result, or a mapping of results, as JSON with generator and provenance.
 
-    The entry ``provenance`` also contains ``units``: {field: unit} of all fields whose class
-    specifies a unit.
+    The entry ``provenance`` also contains ``units``: {field: unit} of the fields whose class
+    specifies a fixed unit (`units_of`).
 
     Raises:
         ConfigurationError: If a value has no JSON equivalent, such as bytes.

@@ -41,9 +41,9 @@ def _load_extension() -> Any:
 def _load_without_packages() -> ModuleType | None:
     """Load the extension module while an empty package replaces ``scipy.linalg``.
 
-    An already imported ``scipy.linalg`` is used. Afterwards, an import of ``scipy.linalg`` imports
-    the whole package. During the call (12 ms), no other thread may import ``scipy.linalg``. None if
-    the module cannot be loaded.
+    If ``scipy.linalg`` is already imported, it is not replaced. Otherwise a later import of
+    ``scipy.linalg`` imports the whole package. During the call (12 ms), no other thread may import
+    ``scipy.linalg``. None if the module cannot be loaded.
     """
     spec = PathFinder.find_spec(_EXTENSION, [f"{folder}/spatial" for folder in scipy.__path__])
     if spec is None or spec.loader is None:

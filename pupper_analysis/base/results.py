@@ -1,8 +1,8 @@
 """Base classes of results, and the conversion to JSON, dictionaries and tables.
 
-A result is a dataclass whose containers are frozen. `Result` provides a short ``repr``, JSON, and
-plots; `Tabular` a pandas table; `Pictured` pictures and animations of the robot. Plots and pictures
-are made by the package ``present``, which is imported at the first use.
+A result is a dataclass whose dictionaries and arrays are read-only. `Result` provides a short
+``repr``, JSON, and plots; `Tabular` a pandas table; `Pictured` pictures and animations of the
+robot. Plots and pictures are made by the package ``present``, which is imported at the first use.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ def to_json(result: object) -> str:
 def to_plain(value: Any) -> Any:
     """Convert a dataclass, diagnostic, array, mapping, path or float subclass to a JSON type.
 
-    Values inside of a dataclass or mapping are not converted.
+    Values inside of a dataclass or mapping are not converted. A dataclass becomes a dictionary of
+    the public fields, and of the properties that its class lists in ``_reported``.
 
     Raises:
         ConfigurationError: If the type is not supported.
@@ -74,24 +75,26 @@ def to_plain(value: Any) -> Any:
 
 
 _MAX_REPR_LENGTH = 220
-"""Maximum number of characters of the fields in ``repr``: two or three lines of a terminal."""
+"""Maximum number of characters of the fields in ``repr``; the remaining fields are omitted. Chosen,
+not tuned: two or three lines of a terminal."""
 
 _MAX_SHOWN_ITEMS = 3
-"""Maximum number of items of a field that ``repr`` shows individually: a position (3,) is shown
-completely. Chosen, not tuned."""
+"""Maximum number of items of a vector, tuple or list, or of names of a mapping, that ``repr`` shows
+individually: a position (3,) is shown completely. Chosen, not tuned."""
 
 
 class Result:
-    """Base class of results. Dictionaries and arrays in the fields are read-only.
+    """Base class of results. Fields that are dictionaries or arrays are read-only.
 
-    ``repr`` is short: long arrays and lists are represented by their sizes. ``to_json`` returns all
-    public fields, and the properties that the class lists in ``_reported``.
+    Arrays in a tuple or list are writeable. ``repr`` is short: long arrays and lists are
+    represented by their sizes. ``to_json`` returns all public fields, and the properties that the
+    class lists in ``_reported``.
     """
 
     _reported: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls) -> None:
-        # A dataclass writes its own __repr__, unless the class itself has one.
+        # The decorator of a dataclass writes a __repr__, unless the class itself has one.
         cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
 
     def __post_init__(self) -> None:
@@ -135,6 +138,7 @@ class Result:
 
         Raises:
             ConfigurationError: If the result has no plot, or the robot is missing.
+            StaticsInfeasibleError: If no contact forces balance a stand that is drawn.
         """
         # By name, because ``present`` is a higher layer, which imports this module.
         plots = import_module("pupper_analysis.present.plots")
@@ -146,7 +150,10 @@ class Result:
         return to_json(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as dictionaries, lists and numbers."""
+        """Return the result as dictionaries, lists, numbers and texts.
+
+        Infinite values and NaN become None.
+        """
         value: dict[str, Any] = orjson.loads(self.to_json())
         return value
 
@@ -159,7 +166,7 @@ class Pictured:
 
         The last configuration of a simulated motion is shown. In a notebook and without a display,
         a Pillow image is returned; a notebook displays the image. Otherwise the viewer simulates
-        the robot until its window is closed.
+        the robot until its window is closed, and None is returned.
 
         Args:
             robot: Robot of the result; necessary for a result from another process.
@@ -167,7 +174,8 @@ class Pictured:
                 in MuJoCo's convention [deg].
 
         Raises:
-            ConfigurationError: If an option is out of range, or the robot is missing.
+            ConfigurationError: If the result has no picture, an option is out of range, or the
+                robot is missing.
             DisplayError: If there is no OpenGL.
         """
         pictures = import_module("pupper_analysis.present.pictures")
@@ -186,7 +194,8 @@ class Pictured:
                 in MuJoCo's convention [deg].
 
         Raises:
-            ConfigurationError: If an option is out of range, or the robot is missing.
+            ConfigurationError: If the result has no picture, an option is out of range, or the
+                robot is missing.
             DisplayError: If there is no OpenGL.
         """
         pictures = import_module("pupper_analysis.present.pictures")
@@ -194,7 +203,7 @@ class Pictured:
 
 
 class Tabular(Result):
-    """Base class of results that are tables: a row per joint, sample, direction or finding."""
+    """Base class of results that are tables, for example with a row per joint or sample."""
 
     def _columns(self) -> Mapping[str, ArrayLike | Iterable[object]]:
         """Return {column: values}; all columns have the same length."""
@@ -216,8 +225,9 @@ class Tabular(Result):
 def shorten(value: object, other: object = None) -> str:
     """Return a short text for a value: floats with 6 digits, long containers by size.
 
-    ``other`` is the value that is printed beside ``value``. If two different floats, or elements of
-    short vectors, would have the same text with 6 digits, more digits are used.
+    A mapping is represented by its size and its first names. ``other`` is the value that is printed
+    beside ``value``. If two different floats, or elements of short vectors, would have the same
+    text with 6 digits, more digits are used.
     """
     if isinstance(value, Enum):
         return repr(value.value)
@@ -268,7 +278,7 @@ def _to_python_scalar(item: object) -> object:
 
 
 def __dir__() -> list[str]:
-    """Return the names that this module defines, without imported names."""
+    """Return the classes, functions and type variables of this module, and the special names."""
     return sorted(
         name
         for name, value in globals().items()

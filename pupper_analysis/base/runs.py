@@ -27,9 +27,9 @@ class RunFiles:
     """Files that a run has read and will write.
 
     Attributes:
-        force: Whether existing files other than results may be replaced. Input files are never
-            replaced, unless edited in place by the run.
-        inputs: {file: name under which the file was read}.
+        force: Whether existing files of other kinds than the output may be replaced. Input files
+            are not replaced, unless edited in place by the run.
+        inputs: {file: name under which the file was read, or was edited in place}.
         outputs: {existing file: name under which the file will be written}.
         written: Files that the run has written; reading such files is permitted.
         command: Words of the command line; empty in Python.

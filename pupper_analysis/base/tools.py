@@ -3,11 +3,12 @@
 A tool is a package that answers one question. The first line of the package docstring is the
 question, and ``HELP_HEADING`` selects the heading in ``--help``. ``command.py`` contains the
 command, ``document.py`` the pages of the results, ``words.toml`` the texts. Optional modules that
-other packages find by name: ``causes.py``, ``guard.py``, ``metrics.py``. Discovery
-imports no tool; question and heading are read from the source text.
+other packages find by name: ``causes.py``, ``guard.py``, ``metrics.py``. Discovery imports no tool,
+only the parent packages of a plug-in; question and heading are read from the source text.
 
 A format is a package that reads model files. ``format.toml`` describes the format, ``reader.py``
-reads the files (`models.loading`), and ``rules.toml`` contains audit rules for this format.
+reads the files (`models.loading`), and the optional ``rules.toml`` contains audit rules for this
+format.
 """
 
 from __future__ import annotations
@@ -76,10 +77,10 @@ class Format(NamedTuple):
     """Format of model files other than URDF and MJCF.
 
     Attributes:
-        name: Name of the format, in lower case.
+        name: Name of the format: of its folder, or of the entry point of another package.
         package: Name of the package that reads the format.
         folder: Folder of the package.
-        suffixes: Suffixes of the file names.
+        suffixes: Suffixes of the file names, with the dot, in lower case.
         begins: First bytes by which files can be recognised; may be empty.
     """
 
@@ -99,7 +100,7 @@ def other_tools() -> Mapping[str, ToolPackage]:
     """Return {name: tool} of the tools of other installed Python packages, sorted by name.
 
     Left out are tools with the name of a tool of this package, and entry points that name a module
-    instead of a package.
+    instead of a package, or a package that is not installed.
     """
     return _find_plugins(TOOLS_GROUP, "command.py")
 
@@ -142,7 +143,10 @@ def formats() -> Mapping[str, Format]:
 
 
 def find_format(path: Path) -> Format | None:
-    """Return the format of a file by suffix; None for URDF, MJCF and unknown suffixes."""
+    """Return the format of a file by suffix; None for the suffixes of URDF and MJCF and for others.
+
+    The result is also None without a suffix, and for xacro files.
+    """
     suffix = path.suffix.lower()
     if suffix in _COMMON_SUFFIXES:
         return None
@@ -167,8 +171,8 @@ def detect_format(data: bytes) -> Format | None:
 
 
 _COMMON_SUFFIXES = ("", ".urdf", ".xml", ".mjcf", ".xacro")
-"""Suffixes of URDF and MJCF files, and no suffix. Their files are recognised without the list of
-all formats, which takes time to load."""
+"""Suffixes of URDF, xacro and MJCF files, and no suffix. For these, `find_format` does not load the
+list of formats, which takes time."""
 
 
 @cache
@@ -187,7 +191,8 @@ def _find_own_packages(file_name: str) -> Mapping[str, ToolPackage]:
 def _find_plugins(group: str, file_name: str) -> Mapping[str, ToolPackage]:
     """Return {name: package} of the installed entry points in a group.
 
-    A name that `_find_own_packages` returns for the file name is left out.
+    A name that `_find_own_packages` returns for the file name is left out. The file itself need not
+    exist in the package.
     """
     if not _may_have_entry_points(group):
         return MappingProxyType({})

@@ -157,8 +157,8 @@ class Position(float):
 
 _TYPED_DIGITS = 4
 """Largest number of significant digits with which `find_untyped_degrees` takes an angle as typed by
-the user, possibly in degrees. An angle converted from degrees to radians has more digits. Chosen,
-not tuned."""
+the user, possibly in degrees. Most angles converted from degrees to radians have more digits.
+Chosen, not tuned."""
 
 
 def find_untyped_degrees(angle: float, low: float, high: float) -> float | None:

@@ -1,7 +1,8 @@
 """Catalogue of all texts for users, by key and language.
 
-Each TOML file contains the texts of a single package: ``catalogue/statics.toml`` the texts of
-``statics``. Texts of a tool are in ``words.toml`` in its folder. A diagnostic is a table:
+Each TOML file contains the texts of a package or of a part of a package: ``catalogue/statics.toml``
+the texts of ``statics``. Texts of a tool are in ``words.toml`` in its folder. A diagnostic is a
+table:
 
     [effort-limit-differs]
     severity = "warning"
@@ -14,8 +15,8 @@ The default of ``severity`` is ``note``. The default of ``group`` is ``found`` f
 Three files have a line per entry, ``key = { en = "...", zh = "..." }``: ``terms.toml`` contains
 names of kinds of things, such as ``joint``; ``texts.toml`` headings, labels and remarks of
 documents; ``meanings.toml`` descriptions of fields of results, by class and field. A tool has such
-lines in the tables ``[texts]`` and ``[meanings]``. If a tool of another distribution lacks a
-language, the English text is used.
+lines in the tables ``[terms]``, ``[texts]`` and ``[meanings]``. If a diagnostic, or a text of a
+tool of another distribution, lacks a language, the English text is used.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ class Entry:
 
 
 def codes() -> Iterator[str]:
-    """Return the codes of all diagnostics of this package, in no particular order."""
+    """Return the codes of all diagnostics of this package and its tools, in no particular order."""
     return iter(_load_tables())
 
 
@@ -114,7 +115,8 @@ def phrase(key: str, language: str) -> str:
     """Return a text of documents and pages, or a term, in a language.
 
     Args:
-        key: Key in ``texts.toml``, in ``terms.toml`` or in a table ``[texts]`` of a tool.
+        key: Key in ``texts.toml``, in ``terms.toml``, in a table ``[texts]`` of a tool, or in a
+            table ``[terms]`` of a tool of this package.
         language: ``"en"`` or ``"zh"``, or `SHORT_FORM`; a missing text is taken from English.
 
     Returns:

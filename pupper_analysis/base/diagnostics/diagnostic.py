@@ -103,7 +103,8 @@ class Diagnostic:
         code: Key of the catalogue entry, such as ``"mesh-missing"``. Codes are stable.
         severity: Severity of the catalogue, unless `diagnose` received another.
         subject: Subject; None for the whole robot or task.
-        values: {name: number with unit, name, term, tuple of such values, or another diagnostic}.
+        values: {name: value of a type in `Value`}, for example a number with unit, a name, a term,
+            a tuple or another diagnostic.
         sources: Locations of the values.
     """
 

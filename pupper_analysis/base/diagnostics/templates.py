@@ -3,21 +3,22 @@
 Syntax of a template:
 
 - ``{mass}``, ``{mass:.3g}``: a value; a float is formatted by ``format_number``. A ``Quantity`` is
-  formatted with the unit, angles in deg. ``{gap:mm:.1f}`` selects another unit (mm, deg, g, ms, %),
+  formatted with the unit, angles in deg. ``{gap:mm:.1f}`` selects another unit (`_UNIT_FACTORS`),
   ``{at:read:.3g}`` deg for rad and mm for m, ``{at:stated}`` the SI unit. ``{gap::.1f}`` omits the
-  unit;
+  unit; an angle is still in deg;
 - ``{name!r}``: a text in quotes;
 - ``{names}``: a tuple, separated by commas, with at most eight items (nine if there are nine);
-  ``{names:3}`` with at most three. The omitted items are counted: "a, b, c and 2 more". The
-  separator is ";" in ``{parts:;}``, " or " in ``{ways:or}``, " and " in ``{both:and}``;
-  ``{masses:3|.2f}`` sets the format of each item;
+  ``{names:3}`` with at most three (four if there are four). The omitted items are counted: "a, b, c
+  and 2 more". The separator is ";" in ``{parts:;}``, " or " in ``{ways:or}``, ", or " in
+  ``{ways:,or}``, " and " in ``{both:and}``; ``{masses:3|.2f}`` sets the format of each item;
 - ``{subject}``: "joint FL_knee", ``{subject!r}``: "joint 'FL_knee'"; ``{name}``: the name alone;
 - ``{count|foot|feet}``: the first word if the number (or the number of items) is 1, or the second;
-- ``[limit? beyond {limit}]``: text that is included only if the value is true (not None, empty,
-  zero or false); ``[!limit? ...]`` only if the value is false. Such texts cannot be nested.
+- ``[limit? beyond {limit}]``: text that is included only if the value is true (not missing, None,
+  empty, zero or false; a ``Quantity`` of zero is true); ``[!limit? ...]`` only if the value is
+  false. Such texts cannot be nested.
 
-Two compared numbers (`_COMPARED_NAMES`), such as ``{one:.6g}`` and ``{two:.6g}``, get more digits
-if they differ but would be printed alike (`format_pair`).
+Two compared numbers of the same type and unit (`_COMPARED_NAMES`), such as ``{one:.6g}`` and
+``{two:.6g}``, get more digits if they differ but would be printed alike (`format_pair`).
 
 Values of type ``Term``, ``Phrase`` or ``Diagnostic`` are written in the language of the text.
 """
@@ -90,8 +91,8 @@ def format_pair(
         spec: Format specification of both, with the smallest number of digits, such as ``.3g``.
 
     Returns:
-        Texts of ``first`` and of ``second``, with units; equal if the numbers are equal, or differ
-        only after `_MAX_DIGITS` digits.
+        Texts of ``first`` and of ``second``, with units; equal if the numbers are equal, or have
+        the same text with `_MAX_DIGITS` digits in the type of ``spec``.
     """
     texts = _format_value(first, spec), _format_value(second, spec)
     if texts[0] != texts[1] or first == second:
@@ -144,7 +145,10 @@ class Quantity:
         """Return number and unit in a format such as ``"mm:.1f"`` or ``".3g"``.
 
         The first form converts to mm. The second uses deg for angles, and the SI unit otherwise.
-        ``":.3g"`` omits the unit.
+        ``":.3g"`` omits the unit of the second form; an angle is still in deg.
+
+        Raises:
+            KeyError: If the unit is not in `_UNIT_FACTORS`.
         """
         shown, colon, digits = spec.rpartition(":")
         omit_unit = bool(colon and not shown)
@@ -210,7 +214,7 @@ class Vector:
 
 
 def _with_unit(number: str, unit: str) -> str:
-    """Return a number followed by the unit, without a space before a degree sign."""
+    """Return a number and the unit, without a space before a degree sign; no unit for "1"."""
     return number if unit == "1" else f"{number}{unit}" if unit == "°" else f"{number} {unit}"
 
 
@@ -267,7 +271,7 @@ def describe_bound(value: float, unit: str) -> Quantity | Term:
 
 
 def to_unicode(text: str) -> str:
-    """Return a text that can be encoded as UTF-8; undecodable bytes become hexadecimal escapes."""
+    """Return a text that can be encoded as UTF-8; undecodable bytes become escape sequences."""
     return text.encode("utf-8", "backslashreplace").decode()
 
 
@@ -389,8 +393,8 @@ class _TemplateFormatter(Formatter):
 
         Args:
             value: Value of a placeholder: number, text, term, diagnostic, subject, pair or tuple.
-            format_spec: Format specification in the template; ignored for terms, diagnostics and
-                subjects.
+            format_spec: Format specification in the template; ignored for terms, phrases,
+                diagnostics and subjects.
 
         Raises:
             ValueError: If the specification is not valid.
