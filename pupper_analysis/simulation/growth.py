@@ -236,19 +236,19 @@ def simulate_growth(
     while time < LONGEST_TRIAL or (doubling is not None and time < 2 * LONGEST_TRIAL):
         control = np.tile(ctrl, (1, chunk, 1))
         rollouts = roll_out(model, workers, states, control)
-        diverged = any(monitor.has_diverged(rows, timestep) for rows in rollouts)
-        with np.errstate(invalid="ignore", over="ignore"):
-            signed = (rollouts[0] - rollouts[1])[:, columns] / 2
+        valid = _count_valid_steps(states[:, 0], rollouts, timestep)
+        signed = _halve_difference(rollouts[:, :, columns], valid)
+        deviations = np.abs(signed[valid - 1]) if valid else deviations
         differences, windows = np.abs(signed), signed.reshape(-1, window, len(columns))
         lows, highs = [*lows, *windows.min(axis=1)], [*highs, *windows.max(axis=1)]
         rows = differences.max(axis=1).reshape(-1, window).max(axis=1)
         maxima += np.where(np.isfinite(rows), rows, np.inf).tolist()
-        deviations, states, time = differences[-1], rollouts[:, -1], time + chunk * timestep
+        states, time = rollouts[:, -1], time + chunk * timestep
         recent = np.array(maxima[first:])
-        doubling = _doubling_time_of(recent, window * timestep, lost=diverged)
+        doubling = _doubling_time_of(recent, window * timestep, lost=valid < chunk)
         moved = np.abs(states[:, columns] - start[columns]).max()
         has_left = not until_left or moved >= LEAVING_ANGLE
-        if diverged or (doubling is not None and has_left):
+        if valid < chunk or (doubling is not None and has_left):
             break
         if doubling is not None and _has_ended(recent, doubling / (window * timestep)):
             doubling, first = None, len(maxima) - 1
@@ -272,6 +272,36 @@ def simulate_growth(
     names_of_most_moving = select_most_moving(joint_deviations)
     nudge = float(np.abs(displacement[: model.nv]).max())
     return GrowthTrial(nudge, time, doubling, names_of_most_moving, sustained, oscillates)
+
+
+def _count_valid_steps(times: Array, rollouts: Array, timestep: float) -> int:
+    """Return the number of steps before the first divergence in any of two simulations.
+
+    At a divergence a value is not finite, or the time does not advance (``monitor.has_diverged``).
+
+    Args:
+        times: Initial time of each simulation, shape (2,) [s].
+        rollouts: States after each step, shape (2, n, size).
+        timestep: Time step [s].
+    """
+    advances = np.diff(rollouts[..., 0], axis=1, prepend=times[:, None]) > timestep / 2
+    diverges = ~(advances & np.isfinite(rollouts).all(axis=-1)).all(axis=0)
+    return int(diverges.argmax()) if diverges.any() else len(diverges)
+
+
+@np.errstate(invalid="ignore", over="ignore")
+def _halve_difference(positions: Array, valid: int) -> Array:
+    """Return half the difference of two simulations, shape (n, joints) [rad, m].
+
+    The difference is infinite after a divergence, since MuJoCo resets both to the same state.
+
+    Args:
+        positions: Joint positions of both simulations, shape (2, n, joints) [rad, m].
+        valid: Number of steps before the divergence.
+    """
+    half: Array = (positions[0] - positions[1]) / 2
+    half[valid:] = np.inf
+    return half
 
 
 def _has_ended(maxima: Array, doubling: float) -> bool:
@@ -409,15 +439,15 @@ def _doubling_time_of(maxima: Array, window: float, *, lost: bool) -> float | No
         return None
     first = int(maxima[: grown[0]].argmin()) if len(grown) else int(maxima.argmin())
     rising = np.maximum.accumulate(maxima[first:])
-    levels = maxima[first] * 2.0 ** np.arange(1, 2 + math.log2(max(rising[-1] / maxima[first], 1)))
-    times = [_crossing_time(rising, level, window) for level in levels if level <= rising[-1]]
-    if lost and len(times) < DOUBLINGS:
-        return window * len(rising) / max(len(times), 1)
+    rising = rising[: np.count_nonzero(np.isfinite(rising)) + 1]  # up to the divergence
+    highest = rising[np.isfinite(rising)][-1]
+    levels = maxima[first] * 2.0 ** np.arange(1, 2 + math.log2(max(highest / maxima[first], 1)))
+    times = [_crossing_time(rising, level, window) for level in levels if level <= highest]
     for last in range(DOUBLINGS - 1, len(times)):
         before, middle, end = (0.0, *times)[last - 1 : last + 2]
         if end - middle <= _MAX_DOUBLING_RATIO * (middle - before) + window / 2:
             return (end - before) / 2
-    return None
+    return window * len(rising) / max(len(times), 1) if lost else None
 
 
 def _crossing_time(rising: Array, level: float, window: float) -> float:

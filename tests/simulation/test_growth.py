@@ -239,3 +239,28 @@ def test_a_slow_deviation_that_grows_without_oscillation_does_not_shake(shakes: 
     assert confirmed.shakes is shakes
     assert confirmed.grows_within(HOLD_DURATION) is shakes
     assert confirmed.doubling_time == pytest.approx(mode.doubling_time, rel=0.1)
+
+
+@pytest.mark.parametrize("damping", [250.0, 400.0, 1000.0])
+def test_mode_that_makes_the_simulation_diverge_is_confirmed(damping: float) -> None:
+    """Closed form: Euler's step multiplies the velocity of 1 kg by 1 - 0.01 s kd / (1 kg).
+
+    MuJoCo resets both diverging simulations to the same state.
+    """
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><option gravity="0 0 0" timestep="0.01" integrator="Euler"/><worldbody><body>'
+        '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint name="j" type="slide"/>'
+        f'</body></worldbody><actuator><position joint="j" kp="10" kv="{damping}"/></actuator>'
+        "</mujoco>"
+    )
+    found = judge_stability(model, mujoco.MjData(model), settle=0.0)
+    (mode,) = found.unstable
+    assert not found.refuted_modes
+    doubling_time = 0.01 * math.log(2) / math.log(0.01 * damping - 1)
+    assert mode.doubling_time == pytest.approx(doubling_time, rel=0.3)
+
+
+@pytest.mark.parametrize("maxima", [[1.0, 2.0, 4.0, math.inf, math.inf], [1.0, math.inf]])
+def test_divergence_in_a_later_window_is_growth(maxima: list[float]) -> None:
+    """Upper bound: 2 s to the divergence with 2 doublings, or 1 s without one."""
+    assert _doubling_time_of(np.array(maxima), 0.5, lost=True) == pytest.approx(1.0)
