@@ -255,9 +255,9 @@ def simulate_growth(
         if maxima[-1] < _DECAYED_RATIO * min(angle, maxima[0]):
             doubling = None
             break
-        if len(recent) * window * timestep >= _HALF_TIME and maxima[-1] < _HALF_GROWTH * min(
-            maxima[first:]
-        ):
+        recent = np.array(maxima[first:])
+        is_slow = bool(maxima[-1] < _HALF_GROWTH * recent.min())
+        if is_slow and len(recent) * window * timestep >= _HALF_TIME:
             break
     names = [model.joint(joint).name for joint in joints]
     joint_deviations = dict(zip(names, np.nan_to_num(deviations).tolist(), strict=False))

@@ -12,6 +12,7 @@ import pytest
 from pupper_analysis.robot.stability import HOLD_DURATION, Mode, step_stability
 from pupper_analysis.simulation.causes import describe_growth
 from pupper_analysis.simulation.growth import (
+    LONGEST_TRIAL,
     _doubling_time_of,
     _make_displacement,
     confirm_growth,
@@ -91,6 +92,25 @@ def test_growth_that_ends_before_the_stand_is_left_is_a_transient(
         assert trial.doubling_time == pytest.approx(mode.doubling_time, rel=0.1)
     else:
         assert trial.doubling_time is None
+
+
+def test_growth_test_starts_anew_at_the_end_of_a_late_transient() -> None:
+    """Closed form: the rod doubles in 6 s from 0.1 mrad until it rests at its limits of 1 mrad.
+
+    Growth ends after 20 s. Two doubling times later, the trial starts anew, up to the longest time.
+    """
+    inertia = INERTIA + (MOMENT / 9.81) ** 2
+    rate = math.log(2) / 6.0
+    kp = MOMENT - 0.4 * rate - inertia * rate**2
+    limits = 'range="-0.001 0.001" limited="true" solreflimit="0.02 1"'
+    model = mujoco.MjModel.from_xml_string(rod(kp, 0.4, joint=limits).replace(*RADIANS))
+    data = mujoco.MjData(model)
+    (mode,) = step_stability(model, data, settle=0.0).unstable
+    assert mode.doubling_time == pytest.approx(6.0, rel=0.02)
+    start = full_state(model, data)
+    trial = simulate_growth(model, start, data.ctrl, [mode], 1e-4, 0.1, until_left=True)
+    assert trial.doubling_time is None
+    assert trial.duration == pytest.approx(LONGEST_TRIAL, abs=2.0)
 
 
 RADIANS = ("<mujoco>", '<mujoco><compiler angle="radian"/>')
