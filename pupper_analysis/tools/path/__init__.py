@@ -1,4 +1,4 @@
-"""Move to a stance, in balance all the way."""
+"""Plan a path to a stance in dynamic balance, and simulate the path."""
 
 HELP_HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""

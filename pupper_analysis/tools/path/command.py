@@ -1,4 +1,4 @@
-"""``pupper-analysis path``: how a robot moves to a stance."""
+"""``pupper-analysis path``: plan a path to a stance, and simulate the path."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ def command(
       pupper-analysis path v3 --height 14cm --seconds 1 \\
         --motor steadywin-gim4305-10
 
-    Exit status: 0 the robot follows the path, 1 the robot does not, 2 out of reach, not holdable or
-    bad input.
+    Exit status: 0 the robot follows the path, 1 the verdict does not pass (for example, the robot
+    does not follow), 2 out of reach, not holdable or bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.path.tracking import study_path
 

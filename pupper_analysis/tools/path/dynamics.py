@@ -195,7 +195,7 @@ def joint_resistance(robot: Robot, qvel: Array, qacc: Array) -> Array:
     Damping is the linear ``damping`` of joints. Dry friction is MuJoCo's ``frictionloss``
     constraint: (qacc + b qvel) / R, limited to +-frictionloss, with R = (1 - d) / d A, d the
     impedance of ``solimpfriction``, A the inverse inertia ``dof_invweight0``, and b the damping of
-    ``solreffriction``. Except for speeds of millimetres per second, this is Coulomb friction.
+    ``solreffriction``. Except at very low speeds, this is Coulomb friction.
     (MuJoCo documentation, "Computation: Friction loss"; engine_core_constraint.c.)
 
     Args:
@@ -273,9 +273,9 @@ def remaining_moment_fraction(
 ) -> float:
     """Compute the fraction of the resisting moment on a foot that its contact force permits.
 
-    Both share a friction cone: |f_t|^2/mu^2 + m_n^2/mu_n^2 + |m_r|^2/mu_r^2 <= f_n^2, with the
-    components along the normal (n), tangential (t) and across the normal (r), and the sliding,
-    torsional and rolling friction coefficients mu [1], mu_n and mu_r [m].
+    Force and moment share a friction cone: |f_t|^2/mu^2 + m_n^2/mu_n^2 + |m_r|^2/mu_r^2 <= f_n^2,
+    with the components along the normal (n), tangential (t) and across the normal (r), and the
+    sliding, torsional and rolling friction coefficients mu [1], mu_n and mu_r [m].
 
     Args:
         robot: Robot.

@@ -38,10 +38,10 @@ _T = TypeVar("_T", float, NDArray[np.float64])
 """Type of a value that is interpolated: a number or an array."""
 
 _PATH_CONSTRAINTS = ("base-height", "base-place", "com-place", "support-margin", "footholds")
-"""Names of the stance constraints whose fields `interpolate_task` does not interpolate linearly
-between the two stand tasks: they follow from the solved stances of a segment, or, for the support
-margin, are checked instead of set. Fields with a value per joint, such as ``posture``, also follow
-from the solved stances."""
+"""Names of the stance constraints whose fields `interpolate_task` does not interpolate together
+with the other numbers of both stand tasks, but sets separately, for example from the solved stances
+of a segment; the support margin is checked instead of set. Fields with a value per joint, foot or
+link are set separately, too."""
 
 UNLOADED_HEIGHT = 1e-12
 """Height [m] that a stand task states for a foot that touches the ground without load: a positive
@@ -72,7 +72,7 @@ class PathStance:
         The distance is positive inside the polygon.
 
         Args:
-            feet: Contact points that span the polygon.
+            feet: Contact points; the centres of their spheres span the polygon.
         """
         return com_margin(self.com, {foot: self.feet[foot] for foot in feet})
 
@@ -85,8 +85,10 @@ class Segment:
         start: First stance.
         end: Last stance.
         stance_feet: Contact points that carry load during the whole segment.
-        before: Contact points that carry load during the previous segment.
-        after: Contact points that carry load during the next segment.
+        before: Contact points that carry load during the previous segment; ``stance_feet`` in the
+            first segment.
+        after: Contact points that carry load during the next segment; ``stance_feet`` in the last
+            segment.
     """
 
     start: PathStance
@@ -115,11 +117,13 @@ def solve_segments(
         A segment between each two successive stances; the solved stands.
 
     Raises:
-        ConfigurationError: If stances have different grounds, mix ``com`` types, move a foot that
-            carries load, have fewer than three contact points in common, or a foot lands while
-            another lifts.
-        StanceUnreachableError: If a stance is out of reach. The error names the stance.
-        UnknownNameError: If a task names a foot that the robot does not have.
+        ConfigurationError: If stances have different grounds, mix points and ``"inside"`` as
+            ``com``, move a foot that carries load, have fewer than three contact points in common,
+            a foot lands while another lifts, or no stand can satisfy a task.
+        StanceUnreachableError: If a stance is out of reach. The error contains the number of the
+            stance.
+        UnknownNameError: If a task names a foot or joint that the robot does not have.
+        ModelError: If the mass or inertia of a body is invalid.
     """
     if any(task.ground != stances[0].ground for task in stances):
         raise ConfigurationError("stances", diagnose("grounds-differ"))
@@ -247,8 +251,8 @@ def interpolate_task(
 
 
 MAX_JUMP = 0.5
-"""Upper bound of the joint motion between two samples [rad, m]. A larger motion means that the IK
-branch has changed, and the path is refused. Chosen, not tuned."""
+"""Upper bound of the joint motion between two samples [rad, m]. With a larger motion the path is
+refused, since the IK branch has probably changed. Chosen, not tuned."""
 
 _ROLL_TOLERANCE = 1e-8
 """Difference [m] between the foot displacements of two fixed-point iterations, below which the
@@ -364,11 +368,15 @@ def path_geometry(
         rolling: Feet roll without slipping. If False, the centres of the foot spheres stay.
 
     Raises:
-        ConfigurationError: If a stance cannot follow the previous stance, or a joint jumps.
+        ConfigurationError: If a stance cannot follow the previous stance, a joint jumps, or no
+            stand can satisfy a task.
         NoEquilibriumError: If the rolling displacement does not converge.
-        UnknownNameError: If a task names a foot that the robot does not have.
-        StanceUnreachableError: If a sample is out of reach. The error states the time.
-        StaticsInfeasibleError: If the CoM leaves the support polygon. The error states the time.
+        UnknownNameError: If a task names a foot or joint that the robot does not have.
+        StanceUnreachableError: If a stance or sample is out of reach. The error contains the number
+            of the stance, or the time of the sample.
+        StaticsInfeasibleError: If the CoM leaves the support polygon, or its margin is too small.
+            The error contains the time.
+        ModelError: If the mass or inertia of a body is invalid.
     """
     segments, solved = solve_segments(robot, stances)
     places: list[PathPlace] = []
@@ -460,7 +468,8 @@ class _RollingFeet:
         Raises:
             NoEquilibriumError: If the rolling displacement does not converge.
             StanceUnreachableError: If the sample is out of reach.
-            StaticsInfeasibleError: If the CoM leaves the support polygon.
+            StaticsInfeasibleError: If the CoM leaves the support polygon, or its margin is too
+                small.
         """
         robot, normals = self.robot, ground_normals(self.robot, segment.start.task.ground)
         away = {foot: place + self.step[foot] for foot, place in self.away.items()}
@@ -494,8 +503,8 @@ def _differentiate(
     s is the path parameter ``share``, from 0 to 1 in a segment. On a path the constraints
     c(q) = w(s) hold, with J = dc/dq. Therefore J dq/ds = dw/ds and
     J d2q/ds2 = d2w/ds2 - (dJ/ds) dq/ds. The last term is the acceleration of the constraints for
-    the velocity dq/ds and zero acceleration. If there are more joints than constraints, the
-    minimum-norm solution is returned.
+    the velocity dq/ds and zero acceleration. If the constraints leave motions free, the
+    minimum-norm solution is returned (m and rad mixed).
 
     Constraints: the contact points of loaded feet do not move (if ``rolling``), or the centres of
     their spheres do not move. Swing feet, the height of the base, the horizontal CoM position,

@@ -1,8 +1,8 @@
 """Paths through stances: configurations, motor torques and contact forces over time.
 
 `stance_path` computes the geometry of a path (`geometry`) and, for each sample, the inverse
-dynamics at the given speed (`dynamics`). If a foot is about to lift, the load of the foot is faded
-out smoothly.
+dynamics at the given speed (`dynamics`). The load of a foot is faded out smoothly before the foot
+lifts, and faded in after the foot lands.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def compute_path_sample(
 ) -> dict[str, Array]:
     """Compute torques, contact forces and margins of a sample of a path, as in `StancePath`.
 
-    The tangential forces are minimal.
+    The forces have minimum tangential components.
 
     Near a segment of the path on which fewer feet carry load, the forces are a weighted mean of
     solutions with all feet and with fewer feet. Equilibrium is linear in the forces, so the mean
@@ -133,7 +133,7 @@ def compute_path_sample(
 
 
 def _find_fading_sets(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:
-    """Find the adjacent path segments with fewer loaded feet than the segment of a path sample.
+    """Find the adjacent path segments with fewer loaded feet than a path sample.
 
     Near the stance between both segments, the load moves gradually to or from the remaining feet.
 
@@ -155,12 +155,12 @@ def _find_fading_sets(place: PathPlace) -> list[tuple[tuple[str, ...], float, fl
 
 
 MAX_PATH_SAMPLES = 20_000
-"""Upper bound of the number of samples of a path, which bounds time and memory. Chosen, not
-tuned."""
+"""Upper bound of the number of samples of a path, which bounds time and memory. Rounding up to
+equal segments may add one sample per segment, and one at the end. Chosen, not tuned."""
 
 MIN_SAMPLES_PER_SEGMENT = 16
-"""Lower bound of the number of samples per segment. The sampled peaks of acceleration are then
-within 1 % of the true peaks."""
+"""Lower bound of the number of samples per segment. The sampled peaks of the acceleration of the
+path parameter are then at most 1.1 % below the true peaks (minimum-jerk law)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,15 +193,17 @@ class StancePath(Tabular):
             support polygon, positive inside.
         clearance: Shape (n, feet); height of each foot above the ground. Zero if the foot touches
             the ground.
-        com_margin: Shape (n,); distance from the projected CoM to the edge of the support polygon.
+        com_margin: Shape (n,); distance from the projected CoM to the edge of the support polygon,
+            positive inside.
         peak_utilisation: Largest torque / effort limit; of joints in ``motors``, largest torque /
             torque that the motor exerts at its speed. Above 1 the motors are too weak; NaN if no
             limit is known.
-        peak_joint: Joint with the largest utilisation.
-        peak_time: Time of the largest utilisation.
+        peak_joint: Joint with the largest utilisation; the first joint if no limit is known.
+        peak_time: Time of the largest utilisation; 0 if no limit is known.
         peak_speed_utilisation: Largest joint speed / velocity limit of the URDF; NaN if the URDF
             states none.
-        fastest_joint: Joint with the largest speed utilisation.
+        fastest_joint: Joint with the largest speed utilisation; the first joint if no limit is
+            known.
         motors: {joint: name of the motor whose torque-speed region is used}.
     """
 
@@ -309,13 +311,17 @@ def stance_path(
         motors: {joint: motor}, for the utilisation in the torque-speed region of the motors.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the stances cannot follow each other:
-            a loaded foot moves, fewer than three contact points carry load, a joint jumps.
+        ConfigurationError: If an argument is out of range; if the robot cannot stand, or has closed
+            loops, welds or grips; if a task has contacts or an offset; or if the stances cannot
+            follow each other: for example, a loaded foot moves, fewer than three contact points
+            carry load, or a joint jumps.
         NoEquilibriumError: If the rolling displacement does not converge.
-        UnknownNameError: If a task names a foot that the robot does not have.
-        StanceUnreachableError: If a sample is out of reach. The error states the time.
-        StaticsInfeasibleError: If a sample cannot be held at this speed. The error states the time.
-        ModelError: If a number of a motor is unknown.
+        UnknownNameError: If a task names a foot or joint that the robot does not have.
+        StanceUnreachableError: If a stance or sample is out of reach. The error contains the number
+            of the stance, or the time of the sample.
+        StaticsInfeasibleError: If a sample cannot be held at this speed. The error contains the
+            time.
+        ModelError: If a number of a motor is unknown, or the mass or inertia of a body is invalid.
     """
     for joint, motor in (motors or {}).items():
         check_type(f"motors[{joint!r}]", motor, Motor)
@@ -376,8 +382,8 @@ def divide_by_limits(values: Array, limits: Array) -> Array:
         limits: Limits in the same unit, shape (nu,); infinite for an unknown limit.
 
     Returns:
-        Utilisation: NaN for an unknown limit; for a limit of zero, 0 if the value is rounding, else
-        infinity.
+        Utilisation: NaN for an unknown limit; for a limit of zero or less, 0 if the value is at
+        most `_ZERO_ATOL`, else infinity.
     """
     sizes = np.abs(values)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -387,8 +393,8 @@ def divide_by_limits(values: Array, limits: Array) -> Array:
 
 
 _ZERO_ATOL = 1e-9
-"""Torque [N m] or speed [rad/s] of a joint up to which the value counts as zero (rounding). Chosen,
-not tuned."""
+"""Torque [N m] or speed [rad/s] of a joint with a limit of zero, up to which the value counts as
+zero (rounding); of a slide [N, m/s]. Chosen, not tuned."""
 
 
 MIN_DURATION = 1e-3

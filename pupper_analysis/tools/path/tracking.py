@@ -53,7 +53,7 @@ inertia of a joint, which the contacts ignore. Measured torque errors of the Pup
 ``original`` by this effect: 15 % at 4 ms, 4 % at 1 ms, 1 % at this bound."""
 
 _SPLINE_ENDS = ("clamped", "not-a-knot")
-"""Boundary conditions of the cubic splines of joint positions over time, at the start and at the
+"""Boundary conditions of the cubic splines of configurations over time, at the start and at the
 end. The path starts at rest. The velocity at the end is not prescribed, because the last time step
 of the simulation may end before the path."""
 
@@ -88,7 +88,8 @@ class PathCommands:
         time: Shape (n,) [s]; time at the end of each step.
         qpos: Shape (n, nq); configuration of the path at the end of each step, with legs extended
             by the penetration of the feet.
-        torques: Shape (n, nu) [N m]; motor torques at the start of each step, for extended legs.
+        torques: Shape (n, nu) [N m, or N for a slide]; motor torques at the start of each step, for
+            extended legs.
         ctrl: Shape (n, nu); command during each step: q* + (tau + kd dq*/dt) / kp, in the units of
             the actuators.
     """
@@ -119,7 +120,8 @@ def path_commands(
 
     Raises:
         ConfigurationError: If an argument is out of range, or the path belongs to another robot.
-        ModelError: If the model has no servos and no gains are given.
+        ModelError: If a joint has no motor or no position servo (``model_with_servos``), or if the
+            ground cannot be added (``build_on_ground``).
     """
     from scipy.interpolate import CubicSpline
 
@@ -173,7 +175,7 @@ def _extend_legs(robot: Robot, path: StancePath) -> tuple[Array, Array]:
         path: Path for rigid ground.
 
     Returns:
-        Configurations, shape (n, nq), and motor torques, shape (n, nu) [N m].
+        Configurations, shape (n, nq), and motor torques, shape (n, nu) [N m, or N for a slide].
     """
     from scipy.interpolate import CubicSpline
 
@@ -297,16 +299,18 @@ def study_path(
 
     Returns:
         Stand at the end, path, tracking and verdict. The verdict passes only if the simulation
-        tracks the path (`PathTracking.passed`), and the final stand has no growing mode.
+        tracks the path (`PathTracking.passed`), and the final stand has no mode that grows within
+        12 s (`modes_growing_within`).
 
     Raises:
-        StanceUnreachableError: If a sample is out of reach. The error states the time.
-        StaticsInfeasibleError: If a sample cannot be held. The error states the time.
+        StanceUnreachableError: If the stance, or a sample of the path, is out of reach.
+        StaticsInfeasibleError: If the stance, or a sample of the path, cannot be held.
         NoEquilibriumError: If the rolling displacement of the feet does not converge.
         NotSettlingError: If the depths of the feet in the soft ground do not converge.
         ConfigurationError: If the task or another argument is invalid for the robot.
-        ModelError: If the robot has no position servos, and kp and kd are not both given, or a
-            number of a motor is unknown.
+        ModelError: If a joint has no motor, or no position servo while kp and kd are not both
+            given; if a number of a motor is unknown; if the mass or inertia of a body is invalid;
+            or if the ground cannot be added (``build_on_ground``).
         UnknownNameError: If the task names a foot or joint that the robot does not have.
     """
     stand = solve_stand(robot, task)
@@ -374,7 +378,8 @@ MIN_LOADED_FRACTION = 0.05
 failure. Chosen, not tuned."""
 
 _NUM_CHECKED_STATES = 400
-"""Number of simulated states whose contacts are checked, at intervals of 1 to 20 ms. On an
+"""Target number of simulated states whose contacts are checked. The interval between these states
+is limited to 1 to 20 ms, so a path below 0.4 s has fewer, a path above 8 s has more. On an
 infeasible path, a foot loses contact for a few percent of the duration, which is several states."""
 
 
@@ -397,8 +402,9 @@ class PathTracking(Result):
             simulation diverged.
         torque_error: Largest deviation of a motor torque from the commanded feed-forward, in any
             time step, divided by the largest torque of the path.
-        foot_slip: Largest distance, along the ground, between the centre of each loaded foot and
-            the path. The feet are spheres that roll, so the distance is not zero without sliding.
+        foot_slip: {contact point: largest distance, along the ground, between the centre of the
+            foot and the path, while the foot is loaded}. Rolling that differs from the path counts
+            as well as sliding.
     """
 
     passed: bool
@@ -437,7 +443,7 @@ def track_path(
     `MAX_JOINT_ERROR` and `MAX_TORQUE_ERROR`, no motor saturates, neither torques nor speeds of the
     path exceed a limit, the robot does not fall, loaded feet (`MIN_LOADED_FRACTION`) stay on the
     ground, lifted feet (`MIN_LIFTED_HEIGHT`) do not touch the ground, and no other part touches it.
-    Contacts and falls are checked at about `_NUM_CHECKED_STATES` states.
+    Contacts and falls are checked at intervals (`_NUM_CHECKED_STATES`).
 
     Args:
         robot: Robot without closed loops.
@@ -448,8 +454,10 @@ def track_path(
         timestep: Time step of the simulation [s]. Default: see ``_select_timestep``.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the path belongs to another robot.
-        ModelError: If the model has no servos and no gains are given.
+        ConfigurationError: If an argument is out of range, the path belongs to another robot, or
+            the robot has closed loops, welds or grips.
+        ModelError: If a joint has no motor, or no position servo while kp and kd are not both
+            given, or if the ground cannot be added (``build_on_ground``).
     """
     robot.check_tree("how a path is tracked")
     plan = path_commands(
