@@ -239,10 +239,9 @@ def simulate_growth(
         valid = _count_valid_steps(states[:, 0], rollouts, timestep)
         signed = _halve_difference(rollouts[:, :, columns], valid)
         deviations = np.abs(signed[valid - 1]) if valid else deviations
-        differences, windows = np.abs(signed), signed.reshape(-1, window, len(columns))
+        windows = signed.reshape(-1, window, len(columns))
         lows, highs = [*lows, *windows.min(axis=1)], [*highs, *windows.max(axis=1)]
-        rows = differences.max(axis=1).reshape(-1, window).max(axis=1)
-        maxima += np.where(np.isfinite(rows), rows, np.inf).tolist()
+        maxima += np.abs(windows).max(axis=(1, 2)).tolist()
         states, time = rollouts[:, -1], time + chunk * timestep
         recent = np.array(maxima[first:])
         doubling = _doubling_time_of(recent, window * timestep, lost=valid < chunk)
