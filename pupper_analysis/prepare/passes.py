@@ -808,7 +808,7 @@ def make_robot(
         robot = _pose_without_servos(draft)
         return robot if finish is None else finish(robot)
 
-    if _keeps_joint_order(draft.robot):
+    if _keeps_joint_order(draft):
         return defer_stages(draft.robot, complete_preparation, pose_without_servos)
     if visuals and draft.mjcf.deferred_visuals is not None and not draft.robot.floating:
         robot = complete_preparation(visuals=False)
@@ -816,19 +816,26 @@ def make_robot(
     return complete_preparation()
 
 
-def _keeps_joint_order(robot: Robot) -> bool:
+def _keeps_joint_order(draft: Draft) -> bool:
     """Return True if the joint order does not change when servos are added.
 
-    Joints are in actuator order. Servos are added in this order to all joints, or to none; the
-    order may change if some joints have no actuator, a servo already, or follow other joints.
+    Joints are in actuator order. Servos are added in this order to all joints, or to none. If some
+    joints have no actuator, have a servo already, or depend on other joints, the order may change:
+    then a robot with servos is built, and the orders are compared.
     """
+    robot = draft.robot
+    if not _may_get_servos(draft):
+        return True
     driven = robot.mj_convention.actuator_index >= 0
     num_servos = len(list_position_servos(robot))
-    return (
+    if (
         robot.closure is None
         and (bool(driven.all()) or not bool(driven.any()))
         and num_servos in (0, robot.nu)
-    )
+    ):
+        return True
+    with_servos, _ = drives.add_fixed_base_servos(robot, draft.mjcf)
+    return with_servos.joint_names == robot.joint_names
 
 
 def prepare_robot(

@@ -106,6 +106,41 @@ def test_joint_order_with_a_coupled_joint_is_final_after_loading(tmp_path: Path)
 
 
 @pytest.mark.slow
+def test_servos_of_a_robot_with_coupled_joints_are_not_made_on_loading(
+    tmp_path: Path, runs: list[str]
+) -> None:
+    """Reference: the robot of which all passes are applied at once."""
+    path = quadruped(tmp_path).mjcf
+    root = etree.parse(str(path)).getroot()
+    trunk = root.find("worldbody/body")
+    for side in ("left", "right"):
+        finger = etree.SubElement(trunk, "body", name=side, pos="0.3 0 0.1")
+        etree.SubElement(
+            finger, "joint", name=f"{side}_slide", type="slide", axis="0 1 0", range="-0.02 0.02"
+        )
+        etree.SubElement(finger, "inertial", pos="0 0 0", mass="0.05", diaginertia="1e-4 1e-4 1e-4")
+    equality = etree.SubElement(root, "equality")
+    etree.SubElement(
+        equality, "joint", joint1="right_slide", joint2="left_slide", polycoef="0 -1 0 0 0"
+    )
+    path.write_bytes(etree.tostring(root))
+    robot = pa.load_robot(path)
+    assert robot.floating
+    order, contacts = robot.joint_names, robot.contact_points
+    stand = pa.solve_stand(robot)
+    assert "add-servos" not in runs
+    pair = read_pair(path)
+    whole, _ = prepare_robot(pair.urdf, pair.mjcf, LoadRequest())
+    assert order == whole.joint_names == robot.joint_names
+    assert contacts == whole.contact_points
+    assert robot.closure is not None
+    assert whole.closure is not None
+    np.testing.assert_array_equal(robot.closure.dependent_joints, whole.closure.dependent_joints)
+    assert robot.mj_model.nu == whole.mj_model.nu
+    np.testing.assert_allclose(pa.solve_stand(whole).qpos, stand.qpos, rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
 def test_changes_of_pinocchio_model_do_not_affect_deferred_stages(tmp_path: Path) -> None:
     """Reference: servos of the same robot without the change."""
     pair = quadruped(tmp_path)
