@@ -228,6 +228,10 @@ _LIMIT_CLEARANCE = 1e-9
 """Distance of an initial guess from the bounds of the least-squares problem [rad]. Chosen small:
 SciPy requires a guess strictly inside of the bounds."""
 
+_MIN_CONTACT_RATE = 1e-9
+"""Upper bound of the elements of a Jacobian [m/rad, 1] from rounding: a contact point with larger
+elements is moved by a joint. Chosen, not tuned: the elements of legs are 1e-2 m/rad or larger."""
+
 _MIN_HEIGHT_FRACTION, _MAX_HEIGHT_FRACTION = 0.25, 0.98
 """Lowest and highest height that is tried, as fractions of the leg length. Chosen, not tuned."""
 
@@ -291,17 +295,29 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
         poses: Joint positions of each pose, shape (nu,) [rad, m].
 
     Returns:
-        Copy of the robot with this stand as the nominal stand; None if no stand is found, or if
-        gravity does not press the robot onto the ground.
+        Copy of the robot with this stand as the nominal stand; None if no stand is found, if
+        gravity does not press the robot onto the ground, or if no joint moves a contact point
+        (wheels): the base then has a single height, which needs no search.
     """
     if robot.gravity[2] >= 0:
         return None  # no contact force balances the weight
     poses = list(poses)
+    if poses and not _can_move_contacts(robot, poses[0]):
+        return None
     return (
         _search_poses(robot, poses)
         or _search_poses(robot, [_spread_feet(robot, pose) for pose in poses])
         or next(filter(None, (_find_level_soles(robot, pose) for pose in poses)), None)
     )
+
+
+def _can_move_contacts(robot: Robot, pose: Array) -> bool:
+    """Return True if a joint moves a contact point, at joint positions of shape (nu,) [rad, m].
+
+    Wheels, whose contact points are on their axes, do not move them.
+    """
+    jacobians = Configuration(robot, robot.make_qpos(pose)).foot_jacobians().values()
+    return any((np.abs(jacobian[:, 6:]) > _MIN_CONTACT_RATE).any() for jacobian in jacobians)
 
 
 def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
@@ -312,12 +328,8 @@ def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
     The stand is searched near ``pose``, joint positions of shape (nu,) [rad, m].
 
     Returns:
-        Robot with this nominal stand. None if there is none, or if no joint moves a contact point
-        (wheels).
+        Robot with this nominal stand; None if there is none.
     """
-    jacobians = Configuration(robot, robot.make_qpos(pose)).foot_jacobians().values()
-    if not any((np.abs(jacobian[:, 6:]) > _LIMIT_CLEARANCE).any() for jacobian in jacobians):
-        return None
     length = compute_leg_length(robot, robot.make_qpos(pose))
     heights = np.round(
         length * np.linspace(_MAX_HEIGHT_FRACTION, _MIN_HEIGHT_FRACTION, _NUM_HEIGHTS), 3

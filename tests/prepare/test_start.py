@@ -166,11 +166,13 @@ def test_level_soles_have_the_requested_height_within_the_joint_limits(tmp_path:
     assert start._level_soles(robot, clip_to_limits(robot), 9.0, 0.05) is None
 
 
-@pytest.mark.slow
-def test_level_soles_are_not_searched_for_wheels(
+def test_stands_are_not_searched_for_wheels(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No joint moves the centre of a wheel: on TIAGo the search took a minute without a result."""
+    """No joint moves the centre of a wheel: on TIAGo Pro the search took a minute without a result.
+
+    Reference: the searches of Pupper v3, which has legs.
+    """
     wheels = "".join(
         f'<body name="{x}{y}" pos="{x} {y} 0"><joint axis="0 1 0"/><geom size="0.1"/></body>'
         for x in (-0.3, 0.3)
@@ -182,12 +184,13 @@ def test_level_soles_are_not_searched_for_wheels(
         f'<geom type="box" size="0.3 0.1 0.05"/>{wheels}</body></worldbody></mujoco>'
     )
     robot = pa.load_robot(path)
-    searched_heights: list[float] = []
-    monkeypatch.setattr(start, "_level_soles", lambda *args: searched_heights.append(args[2]))
-    assert start._find_level_soles(robot, clip_to_limits(robot)) is None
-    assert searched_heights == []
-    assert start._find_level_soles(load("v3"), clip_to_limits(load("v3"))) is None
-    assert len(searched_heights) > start._NUM_HEIGHTS
+    searches: list[str] = []
+    monkeypatch.setattr(start, "_search_poses", lambda *_: searches.append("poses"))
+    monkeypatch.setattr(start, "_find_level_soles", lambda *_: searches.append("soles"))
+    assert start.search_start(robot, [clip_to_limits(robot)]) is None
+    assert searches == []
+    assert start.search_start(load("v3"), [clip_to_limits(load("v3"))]) is None
+    assert searches == ["poses", "poses", "soles"]
 
 
 def test_start_keyframe_is_at_the_origin_and_has_the_height_of_the_stand() -> None:
