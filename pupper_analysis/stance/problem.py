@@ -101,9 +101,9 @@ def _count_com_directions(robot: Robot, joints: Array) -> int:
     config = Configuration(robot, robot.make_qpos(joints))
     held = np.eye(4, robot.nv, k=2)  # base height and orientation
     feet = np.vstack(list(config.foot_jacobians().values()))
-    others = np.eye(robot.nv)[~feet.any(axis=0)]
-    free = lapack.null_space(np.vstack([held, others, feet]), rcond=1e-9)
-    moved = config.com_jacobian()[:2] @ free
+    moving = feet.any(axis=0)
+    free = lapack.null_space(np.vstack([held, feet])[:, moving], rcond=1e-9)
+    moved = config.com_jacobian()[:2, moving] @ free
     sizes = np.linalg.svd(moved, compute_uv=False)
     smallest = max(_MIN_COM_RATE, _MIN_COM_RATE_RATIO * float(sizes.max(initial=0.0)))
     return int((sizes > smallest).sum())
