@@ -1,8 +1,9 @@
-"""Audit of a model file: runs all rules for the format of the file.
+"""Audit of a model file: runs the rules for the format of the file, except disabled rules.
 
 Input is a URDF, an MJCF, a file of a registered format, or a robot in memory. The values that the
 file states are read into a ``RobotModel``, without the preparation that other commands apply.
-Output is an ``Audit`` with a finding for each violation, with the line and possible repairs.
+Output is an ``Audit`` with the findings. A finding contains the line, if known, and possible
+repairs. Some rules report several violations in one finding.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ def audit_model(
 
     Args:
         path: Model file, name of a published robot, or a robot in memory, as for ``load_robot``;
-            for a variant, the MJCF is audited. Findings about a robot in memory or a scaled variant
-            have no lines.
+            for a variant, the MJCF is audited. Findings about a robot in memory, a scaled variant
+            or a xacro file have no lines.
         packages: {ROS package: folder}, for ``package://`` paths in a URDF.
         disabled: Ids of rules that are not run.
 
@@ -64,10 +65,14 @@ def audit_model(
 
     Raises:
         ModelError: If the file cannot be read.
-        ConfigurationError: If a rule in ``disabled`` does not exist.
+        ConfigurationError: If a rule in ``disabled`` does not exist, or an argument has a wrong
+            type.
         MissingPackageError: If the package that reads the format is not installed, for example
             usd-core.
-        VariantError: If ``path`` is probably a misspelled variant name.
+        VariantError: If ``path`` is a word without suffix that names no variant, existing path or
+            published robot, or the scales of a variant give no valid model.
+        UnknownNameError: If MuJoCo Menagerie has no robot with the name in ``path``.
+        OutputError: If the run will also write the file.
     """
     path = find_model(path, "mjcf")
     if isinstance(disabled, str):
@@ -108,8 +113,8 @@ def _run_rules(
         file: File of the model.
         robot: Model of the file.
         unwanted: Ids of rules that are not run.
-        theirs: {rule id: check} of a format that another package registers, such as USD; empty for
-            URDF and MJCF.
+        theirs: {rule id: additional check} of a format that another package registers, such as
+            USD; empty for URDF and MJCF.
     """
     findings, run = [], []
     for rule in RULES.values():
@@ -154,8 +159,8 @@ def _run_rules(
 
 _CONSEQUENCES = {"hardly-any-mass": 3}
 """{code of a message: precedence} of messages whose precedence is not that of their rule. Findings
-of equal severity are listed by ascending precedence. A link that is light beside another link comes
-later: the message is a consequence if the mass of the other link is wrong."""
+of equal severity are listed by ascending precedence. A link that is light compared with the links
+that it carries comes later: the message is a consequence if their masses are wrong."""
 
 
 def _read_stated_model(file: UrdfFile | MjcfFile) -> RobotModel:

@@ -1,8 +1,8 @@
 """Document of an audit: the findings in a file, with the lines concerned.
 
-Input is an ``Audit``. Findings of a rule with equal messages form a group, with the quoted line of
-the first finding. The findings are also converted to annotations for CI systems, with the repairs
-as byte ranges.
+Input is an ``Audit``. Findings of a rule with equal severity and message form a group, with the
+quoted line and the repairs of the first finding. The findings are also converted to annotations for
+CI systems, with the repairs as byte ranges.
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
 def _select_next_step(audit: Audit) -> doc.NextStep | None:
     """Return the command to run next.
 
-    If a file has errors and a finding with a single repair, the command is `audit --fix`, which
-    shows the patch. Without errors, the command simulates the robot. None if errors have no single
-    repair, or if the model is neither a URDF nor an MJCF by the suffix, nor a published name.
+    With errors: `audit --fix`, which shows the patch, if the suffix of the file is ``.urdf`` or
+    ``.xml`` and a finding has a single repair; otherwise None. Without errors: `stand` or `hold`,
+    if the suffix is one of these or the name is that of a published robot; otherwise None.
     """
     simulated = Path(audit.file).suffix in (".urdf", ".xml")
     if not audit.passed:
@@ -103,7 +103,7 @@ def _group_findings(audit: Audit) -> Iterable[doc.FileFinding]:
 def _describe_finding_group(
     audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]
 ) -> doc.FileFinding:
-    """Describe findings of a rule with equal messages, with file and line of the first finding.
+    """Describe findings of a rule with equal messages, with place and repairs of the first finding.
 
     Args:
         audit: Audit with the findings.
@@ -161,14 +161,17 @@ def get_rule_text(rule: str, what: str) -> doc.Text:
     """Return the title, reason or repair of an audit rule in English and Chinese.
 
     Args:
-        rule: Name of the rule.
+        rule: Id of the rule.
         what: ``"title"``, ``"why"`` (the reason) or ``"todo"`` (the repair).
     """
     return doc.Text(getattr(RULES[rule], what), RULES[rule].chinese[what])
 
 
 def format_element(finding: Diagnostic) -> doc.Text:
-    """Return kind and name of the element of a finding, such as ``link 'FL_calf'``."""
+    """Return kind and name of the element of a finding, such as ``link 'FL_calf'``.
+
+    An element without name is described by the kind.
+    """
     subject = finding.subject
     assert subject is not None
     name = f" {subject.name!r}" if subject.name else ""

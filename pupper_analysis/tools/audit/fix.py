@@ -1,8 +1,8 @@
 """Write the repairs of an audit into the files: a patch, and the changed bytes.
 
 Inputs are audits, of whose findings only those with a single repair are applied. Attribute values
-are replaced, and missing elements inserted, in the bytes of the file, so that all other bytes stay.
-Files with uncommitted changes in git are refused.
+are replaced, and missing attributes and elements inserted, in the bytes of the file, so that all
+other bytes stay. Files with uncommitted changes in git are not written.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def apply_repairs(audits: Iterable[Audit]) -> tuple[list[XmlDocument], int]:
         audits: Results of audits.
 
     Returns:
-        Changed files, and the number of repairs. The files on disk are unchanged.
+        Changed files, and the number of applied repairs. The files on disk are unchanged.
     """
     documents: dict[str, XmlDocument] = {}
     count = 0
@@ -42,8 +42,8 @@ def apply_repairs(audits: Iterable[Audit]) -> tuple[list[XmlDocument], int]:
 def _change_elements(document: XmlDocument, repair: ValueRepair) -> bool:
     """Apply a repair to a file in memory; return True if it was applied.
 
-    A repair is not applied if an element has other values than the repair expects, because another
-    repair has changed the element, or if the element is not unique.
+    A repair is not applied if an element has other values than the repair expects, for example
+    because another repair has changed the element, or if an element is missing or not unique.
     """
     changes = repair.list_changes()
     for change in changes:
@@ -120,8 +120,9 @@ def locate_repair(repair: ValueRepair) -> tuple[tuple[int, int, str], ...]:
     """Return the byte ranges that a repair replaces in the file on disk.
 
     Returns:
-        (start [bytes], length [bytes], new text) of each value or new element; empty if no or
-        several elements fit the repair.
+        (start [bytes], length [bytes], new text) of each changed value, new attribute or new
+        element; empty if no or several elements fit the repair, or the file has other values than
+        the repair expects.
     """
     document = read_xml_bytes(Path(repair.file))
     if not _change_elements(document, repair):
@@ -141,10 +142,12 @@ def make_patch(document: XmlDocument) -> str:
 
 
 def write_documents(documents: Iterable[XmlDocument]) -> None:
-    """Write changed files. Only the changed attribute values and new elements differ from before.
+    """Write changed files. Only changed or new attributes and new elements differ from before.
 
     Raises:
-        OutputError: If a file cannot be written, or has uncommitted changes in a git repository.
+        OutputError: If a file cannot be written, has uncommitted changes in a git repository, or
+            was changed since it was read.
+        InputError: If a file of a git repository cannot be read.
     """
     changed = list(documents)
     for document in changed:

@@ -33,7 +33,7 @@ class Rule:
     Attributes:
         id: Name in kebab case.
         severity: Severity of a finding, unless the check states another.
-        title: Error, in a few words.
+        title: Violation, in a few words.
         why: Reason for the rule.
         todo: Recommended repair.
         chinese: {``"title"``, ``"why"`` or ``"todo"``: text in Simplified Chinese}.
@@ -95,8 +95,8 @@ RULES: Mapping[str, Rule] = MappingProxyType(_read_catalogue())
 """{id: rule} of all formats."""
 
 CHECKS: Mapping[str, Check] = MappingProxyType(_REGISTERED_CHECKS)
-"""{id of a rule: function that yields its findings}, for URDF and MJCF. Formats that other packages
-register have separate checks."""
+"""{id of a rule: function that yields its findings}. The checks of rules that apply to all formats
+are also run for formats of other packages, which may add checks."""
 
 
 def rule(check: Check) -> Check:
@@ -120,7 +120,7 @@ class ValueRepair(Result):
         name: Name of the element.
         child: Path from the named element to the changed element, as visual[2]/origin; "" for the
             named element.
-        old: {attribute: text in the file}; "" for an attribute of a new element.
+        old: {attribute: text in the file}; "" for an attribute that is missing in the file.
         new: {attribute: new text}.
         reason: Source of the new values.
         further: Changes of other elements that belong to the same repair.
@@ -142,16 +142,17 @@ class ValueRepair(Result):
 
 @dataclass(frozen=True, eq=False)
 class Finding(Result):
-    """Error in a file.
+    """Violation of a rule in a file.
 
     Attributes:
         rule: Id of the rule.
         severity: Severity of the rule, unless the check states another.
-        file: File that contains the error, possibly an included file.
+        file: File that contains the violation, possibly an included file.
         line: Line from 1; None if the finding has no line.
         prim: Path of the prim in a USD; None in other files.
-        repairs: New values that would pass: one if unique, else several candidates, or none.
-        element: Kind and name of the element, for example ``link 'FL_calf'``.
+        repairs: Proposed new values: one repair if unique, else several candidates, or none.
+        element: Kind and name of the element, for example ``link 'FL_calf'``; kind only, if the
+            element has no name.
         why: Reason for the rule.
         todo: Recommended repair.
         diagnostic: Message as code and values with units. A rule may use several codes.
@@ -172,7 +173,7 @@ class Finding(Result):
 
     @property
     def message(self) -> str:
-        """Description of the finding in one English sentence, with numbers and units."""
+        """Description of the finding in English, with numbers and units."""
         return str(self.diagnostic)
 
     @property
@@ -197,8 +198,9 @@ class Audit(Tabular):
             file and line.
         rules_run: Ids of the rules that were run.
         disabled: Ids of the rules that the caller disabled.
-        notes: Content that was left out.
-        floating: True if the base is free, or is freed on loading because it has two limbs or more.
+        notes: Messages about elements that were left out when the file was read.
+        floating: True if the file contains a free joint, or if two or more moving links are
+            attached to the base or to links that are fixed to the base.
     """
 
     file: str

@@ -1,9 +1,10 @@
-"""Repairs of findings: the values of a file that would pass, and the reason.
+"""Repairs of findings: new values of a file that should pass, and the reason.
 
-A repair replaces attributes of one or more elements, or adds them. A finding has one repair if the
-right value is known, several candidates if a few values are possible, and none otherwise. The new
-value is, for example, derived from the mirrored element, from equal limbs or from the joint of an
-actuator, or is the old value with another unit or decimal point.
+A repair replaces attributes of one or more elements, or adds them. A finding has one repair if only
+one value is proposed, several candidates if a few values are possible, and none otherwise. The rule
+is not run again with the new values. The new value is, for example, derived from the mirrored
+element, from equal limbs or from the joint of an actuator, or is the old value with another unit or
+decimal point.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ from pupper_analysis.tools.audit.rules.shapes import (
 
 
 def find_repairs(robot: RobotModel, rule: str, found: CheckFinding) -> tuple[ValueRepair, ...]:
-    """Return the attribute values that would remove a finding: one repair, candidates, or none.
+    """Propose attribute values to remove a finding: one repair, several candidates, or none.
 
     Args:
         robot: Model of the file.
@@ -63,9 +64,9 @@ def _make_urdf_repair(
 ) -> Iterator[ValueRepair]:
     """Yield the repair of an element of a URDF: new values of its attributes.
 
-    The element is the ``child`` of the link or joint (``tag``) with this ``name``. Nothing is
-    yielded if no or several elements fit, or if the element lacks one of the attributes or already
-    has the new values.
+    The element is the first ``child`` of the link or joint (``tag``) with this ``name``. Nothing is
+    yielded if the name is not unique, or if the element is missing, lacks one of the attributes or
+    already has the new values.
     """
     element = _find_unique_child(robot, tag, name, child)
     if element is None or any(element.get(attribute) is None for attribute in new):
@@ -94,18 +95,18 @@ def _join_changes(changes: Iterable[ValueRepair | None]) -> Iterator[ValueRepair
 
 
 def _find_unique_child(robot: UrdfModel, tag: str, name: str, child: str) -> etree._Element | None:
-    """Return the element ``child`` of a link or joint; None if absent or the name is not unique."""
+    """Return the first element ``child`` of a link or joint; None if absent or name not unique."""
     found = [one for one in robot.file.root.iterfind(tag) if one.get("name") == name]
     return found[0].find(child) if len(found) == 1 else None
 
 
 def _format_converted(value: float) -> str:
-    """Format a converted number with at most six digits."""
+    """Format a converted number with at most six significant digits."""
     return f"{value:.6g}"
 
 
 def _format_moved(value: float) -> str:
-    """Format a number whose decimal point was moved, with at most twelve digits."""
+    """Format a number whose decimal point was moved, with at most twelve significant digits."""
     return f"{value:.12g}"
 
 
@@ -122,8 +123,9 @@ def _repair_limits_in_degrees(robot: RobotModel, found: CheckFinding) -> Iterato
 def _repair_command_range(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a servo's command range in degrees: the range of the joint.
 
-    Nothing is proposed for a servo with a gear, or with a gain other than the stiffness: the unit
-    of the command is then not the unit of the joint position.
+    Nothing is proposed for a servo with a gear other than 1, or with a gain other than the
+    stiffness: the command is then not a joint position. Nothing is proposed either if the servo has
+    no name, or if the range is not in exactly one <position> or <general> element of this name.
     """
     if not isinstance(robot, MjcfModel) or robot.mj_model is None:
         return
@@ -165,8 +167,8 @@ def _repair_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
 def _repair_mirrored_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repairs of the masses of two mirrored links (`_repair_number`).
 
-    The tensor is scaled with the mass if the tensors of both links have the ratio of the masses,
-    and that ratio is above sqrt(10) or below its reciprocal.
+    The tensor is scaled with the mass if the principal moments of both links have the ratio of the
+    masses (`_MOMENT_RTOL`), and that ratio is above sqrt(10) or below its reciprocal.
     """
     if isinstance(robot, UrdfModel):
         partner = str(found.message.values["other"])
@@ -266,10 +268,10 @@ def _repair_number(
 def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the possible repairs of an inertia tensor of a URDF.
 
-    If the link on the other side has a possible tensor and the same mass within 1 %, this is the
-    mirror image of that tensor, or the own tensor with one decimal point moved if it agrees with
-    the mirror image. Without such a link, these are all possible tensors with one decimal point
-    moved. If there is none, this is the tensor of the solid shapes (`_fill_shapes`).
+    If `_mirror_tensor` proposes a tensor, this is the repair, or the own tensor with the decimal
+    point of one moment moved, if exactly one such moment agrees with the proposed tensor within
+    `_MIRROR_RTOL`. Otherwise these are all possible tensors with one decimal point moved. If there
+    is none, this is the tensor of the solid shapes (`_fill_shapes`).
     """
     if not isinstance(robot, UrdfModel):
         return
@@ -292,9 +294,9 @@ def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
 def _repair_implausible_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield another tensor for a link of a URDF whose tensor is possible, but implausible.
 
-    This is the mirror image of the tensor on the other side, if different, or else the tensor of
-    the solid shapes (`_fill_shapes`). Impossible tensors are repaired by other rules.
-    Nothing is proposed if the masses of both sides differ: then the mass may be wrong.
+    This is the tensor of `_mirror_tensor`, or else of the solid shapes (`_fill_shapes`). Impossible
+    tensors are left to other rules. Nothing is proposed if the masses of both sides differ by more
+    than 1 %: then the mass may be wrong.
     """
     link, twin = robot.links[found.name], _find_twin(robot, found.name)
     if not isinstance(robot, UrdfModel) or link.inertial is None:
@@ -308,8 +310,8 @@ def _repair_implausible_tensor(robot: RobotModel, found: CheckFinding) -> Iterat
 
 
 _TRIANGLE_RTOL = 1e-5
-"""Relative violation of the triangle inequality up to which a tensor counts as possible: rounding
-of printed numbers. Chosen, not tuned."""
+"""Violation of the triangle inequality, relative to the largest moment, up to which a tensor counts
+as possible: rounding of printed numbers. Chosen, not tuned."""
 
 
 def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
@@ -374,21 +376,22 @@ which the CoM is replaced together with the tensor. Chosen, not tuned."""
 
 
 _MIRROR_RTOL = 0.02
-"""Largest relative difference with which two repairs of an inertia tensor agree: a moved decimal
-point, and the mirror image of the tensor on the other side. If both agree, only the moved decimal
-point is proposed. Chosen, not tuned."""
+"""Largest relative difference with which a moment with moved decimal point agrees with the mirror
+image of the tensor on the other side. If both agree, only the moved decimal point is proposed.
+Chosen, not tuned."""
 
 
 MAX_DECIMAL_SHIFT = 6
-"""Largest number of places by which a repair moves the decimal point of a moment of inertia.
-Chosen: a larger factor, such as 1e9 for g mm^2, is a wrong unit, and concerns all moments of a
-tensor instead of one."""
+"""Largest number of places by which a repair moves the decimal point of a moment of inertia or a
+mass. Chosen: a larger factor, such as 1e9 for g mm^2, is a wrong unit, and concerns all moments of
+a tensor instead of one."""
 
 
 def _move_decimal_points(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     """Yield repairs of a nearly diagonal tensor: one moment is multiplied by a power of ten.
 
-    Only tensors that satisfy the triangle inequality are yielded.
+    All stated moments must be positive. Only tensors that satisfy the triangle inequality are
+    yielded.
     """
     element = _find_unique_child(robot, "link", name, "inertial/inertia")
     words = ("ixx", "iyy", "izz")
@@ -412,9 +415,10 @@ def _move_decimal_points(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 def _mirror_tensor(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     """Yield a repair that replaces a link's inertia tensor by the mirrored tensor of the twin link.
 
-    If the other limbs state equal tensors and inertial frames (`_find_common_attributes`), this
-    tensor is copied instead. Nothing, for example, if there is no twin on the other side, if the
-    twin's tensor is physically impossible, or if the masses differ by more than 1 %.
+    If the other limbs state equal tensors, and all limbs equal inertial frames
+    (`_find_common_attributes`), this tensor is copied instead. Nothing, for example, if there is no
+    twin on the other side, if the twin's tensor is physically impossible or the result equals the
+    stated tensor, or if the masses differ by more than 1 %.
     """
     twin, link = _find_twin(robot, name), robot.links[name]
     if twin is None or not math.isclose(link.mass, twin.mass, rel_tol=0.01):
@@ -431,8 +435,9 @@ def _mirror_tensor(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 def _compute_mirrored_tensor(robot: UrdfModel, link: Link, twin: Link) -> dict[str, str] | None:
     """Return the mirror image of the tensor of ``twin`` as {attribute of <inertia>: text}.
 
-    The tensor is for ``link``, the link on the other side [kg m^2]. None if the robot has no mirror
-    plane, or if the tensor of ``twin`` is missing or physically impossible.
+    The tensor [kg m^2] is for ``link``, the link on the other side, in the axes of its inertial
+    frame. None if the robot has no mirror plane, or if the tensor of ``twin`` is missing or
+    physically impossible.
     """
     mirror = find_mirror_plane(robot)
     if mirror is None or twin.inertial is None:
@@ -468,8 +473,9 @@ def _find_common_attributes(
         own: Whether the element of the link itself must have these attributes, too.
 
     Returns:
-        {attribute: text}, missing poses as zeros. None if the other limbs are fewer than
-        `MIN_SIBLINGS` + 1 (the partner included), or if their numbers differ.
+        {attribute: text}; missing ``xyz`` or ``rpy`` of an <origin> as zeros. None if the other
+        limbs are fewer than `MIN_SIBLINGS` + 1 (the partner included), if one of the links has no
+        such element, or if their numbers differ.
     """
     kind = strip_sides(name)
     names = [other for other in robot.links if other != name and strip_sides(other) == kind]
@@ -520,8 +526,8 @@ def _repair_exchanged_limits(robot: RobotModel, found: CheckFinding) -> Iterator
 def _repair_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a URDF link without mass: the mass of the link on the other side.
 
-    A link without <inertial> gets the CoM and tensor, too: equal values of all other limbs
-    (`_find_common_attributes`), or else the mirror images.
+    A link without <mass> gets the CoM and tensor, too: mass, CoM and tensor are equal values of all
+    other limbs (`_find_common_attributes`), or else CoM and tensor are mirror images.
     """
     if not isinstance(robot, UrdfModel) or found.message.code == "hardly-any-mass":
         return
@@ -559,7 +565,7 @@ def _repair_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair
 
 
 def _format_vector(vector: Array) -> str:
-    """Format a vector with at most six digits; parts below 1e-9 are zero."""
+    """Format a vector with at most six significant digits; parts below 1e-9 are zero."""
     return " ".join("0" if abs(part) < 1e-9 else _format_converted(float(part)) for part in vector)
 
 
@@ -579,9 +585,9 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
 
     If the other limbs state equal CoMs (`_find_common_attributes`), this CoM is copied instead.
 
-    If only the difference of both CoMs is reported, and at least `MIN_SIBLINGS` equal links of
-    other limbs have the same distances of the CoM from the planes of their frames, only the link
-    that deviates is repaired. Otherwise both links are candidates.
+    If only the difference of both CoMs is reported, `select_deviating_pairs` decides by the
+    distances of the CoM from the planes of the link's frame which of both links is repaired; both
+    are candidates if it does not decide. A link with its CoM outside the shapes is repaired itself.
     """
     link = robot.links.get(found.name)
     twin = None if link is None else _find_twin(robot, found.name)
@@ -619,13 +625,14 @@ sqrt(10)."""
 
 
 def _repair_dense_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
-    """Yield masses of a link whose density is impossible.
+    """Yield masses of a link of a URDF that is too dense.
 
-    Candidates are the mass divided by a power of ten that agrees with the link on the other side
-    within 1 %. Without such a link, they are the mass divided by the power of ten whose density is
-    within `MAX_DENSITY_RATIO` of the median of the other links. If the density is less than ten
-    times too large, the volume times this median is a candidate. The tensor is divided, too, if it
-    fits the stated mass.
+    If the link on the other side has less than half the mass, candidates are the mass divided by a
+    power of ten that agrees with that link within 1 %. Otherwise they are the mass divided by the
+    power of ten whose density is within `MAX_DENSITY_RATIO` of the median of the other links. The
+    tensor is divided, too, if it fits the stated mass (`_fits_shapes`). If the density is below ten
+    times `MAX_DENSITY`, and no fixed link adds mass, the volume times the median is a candidate,
+    with the stated tensor.
     """
     link = robot.links.get(found.name)
     if not isinstance(robot, UrdfModel) or link is None or link.inertial is None:
@@ -663,7 +670,7 @@ def _repair_dense_mass(robot: RobotModel, found: CheckFinding) -> Iterator[Value
 
 
 def _fits_shapes(robot: RobotModel, link: Link) -> bool:
-    """Return True if the largest principal moment of a link is at most 2 m R^2.
+    """Return True if the largest principal moment of a link is positive, and at most 2 m R^2.
 
     R is the largest distance [m] of the link's shapes, joints and frames from the CoM. The tensor
     then probably fits the stated mass m.
@@ -677,7 +684,7 @@ def _fits_shapes(robot: RobotModel, link: Link) -> bool:
 
 
 def _scale_tensor(robot: UrdfModel, name: str, factor: float) -> dict[str, str]:
-    """Return {attribute: text} of a link's <inertia>, with the moments multiplied by a factor.
+    """Return {attribute: text} of a link's <inertia>, with all entries multiplied by a factor.
 
     Empty if the link has no <inertia>, or its name is not unique.
     """
@@ -726,7 +733,8 @@ def _list_similar_files(robot: UrdfModel, prefix: str, name: str) -> list[str]:
     """Return the paths of existing files with names similar to a missing file, ``prefix + name``.
 
     The result is the first group that is not empty: the file without the last suffix of ``name``;
-    files whose names differ in capitals only; files with the same stem and another suffix.
+    files whose names differ in capitals only; files with the same stem, except for capitals. Empty
+    if the folder is not known: a folder of a package is found by another mesh with the same prefix.
     """
     stem = name.rpartition(".")[0]
     if stem and robot.file.resolve_mesh(prefix + stem) is not None:
@@ -753,6 +761,7 @@ def _repair_axis_of_zeros(robot: RobotModel, found: CheckFinding) -> Iterator[Va
     """Yield the repairs of a URDF axis of zeros: the axes of corresponding joints of other limbs.
 
     Each axis is copied as expressed in the frame of its own joint; equal axes are proposed once.
+    Joints without <axis> are left out.
     """
     if not isinstance(robot, UrdfModel) or found.name not in robot.joints:
         return
@@ -792,8 +801,9 @@ def _repair_axis_sense(robot: RobotModel, found: CheckFinding) -> Iterator[Value
 def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a joint origin: the mirror image of the partner joint's origin.
 
-    With two further equal joints of other limbs, only the joint whose origin differs in magnitude
-    from theirs is repaired. Otherwise both joints are candidates.
+    If at least `MIN_SIBLINGS` joints of other limbs have origins with equal absolute coordinates,
+    only the joint whose absolute coordinates differ from theirs is repaired; there is no repair if
+    both or neither differ. Otherwise both joints are candidates.
     """
     mirror = find_mirror_plane(robot)
     partner = next(
@@ -832,9 +842,11 @@ def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[Valu
 def _repair_collision(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repairs of a missing or displaced collision shape of a URDF link.
 
-    The shape is copied from a corresponding link of another limb with the same visual shapes, with
-    the same origins, and a single collision shape. Without such a link, a displaced shape gets the
-    origin of the link's only visual shape, if both have the same mesh.
+    The shape, or only the origin of a displaced shape, is copied from a corresponding link of
+    another limb with the same visual shapes, with the same origins, and a single collision shape.
+    Without such a link, a displaced shape gets the origin of the link's only visual shape, if both
+    have the same mesh. Nothing is proposed for a link without visual or with several collision
+    shapes.
     """
     link = robot.file.tree.links.get(found.name) if isinstance(robot, UrdfModel) else None
     if not isinstance(robot, UrdfModel) or link is None:

@@ -1,8 +1,8 @@
 """Rules about actuators on joints.
 
 Force of a MuJoCo actuator: F = gain * ctrl + bias, clipped to ``forcerange``; joint torque: gear *
-F. A position servo has gain = kp and bias = -kp * q - kd * qdot. Source: MuJoCo documentation,
-"Computation: Actuation model".
+F. A position servo has gain = kp and bias = -kp * l - kd * dl/dt, with the length l = gear * q.
+Source: MuJoCo documentation, "Computation: Actuation model".
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class ActuatorDrive(ActuatorLaw):
 
     @property
     def is_servo(self) -> bool:
-        """Whether this actuator is a position servo, whose force depends on the joint position."""
+        """Whether the force depends on the joint position, as that of a position servo."""
         return self.stiffness != 0
 
 
@@ -91,7 +91,7 @@ def actuator_without_effect(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def servo_drives_away(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find actuators whose force grows with joint position or speed: dF/dq > 0 or dF/dqdot > 0."""
+    """Find actuators with a stiffness or damping below zero: dF/dl > 0 or dF/d(dl/dt) > 0."""
     for _, drive in _list_robot_drives(robot):
         if drive.stiffness < 0:
             stiffness = Quantity(drive.stiffness, drive.units.stiffness)
@@ -141,15 +141,16 @@ def drive_of_another_kind(robot: MjcfModel) -> Iterator[CheckFinding]:
 MAX_COMMAND_RANGE_ERROR, MIN_DEGREES = 0.1, 12.0
 """Bounds with which `command_range_in_degrees` reports a command range. The first is the largest
 difference from the joint's range after conversion from degrees, relative to the width of the
-joint's range. The second is the smallest magnitude of an end, read in radians: no hinge of a robot
-turns twice. Chosen, not tuned."""
+joint's range. The second is the magnitude that an end of the command range must exceed: read in
+radians, it is nearly two turns. Chosen, not tuned."""
 
 
 @rule
 def command_range_in_degrees(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find position servos of hinges with a ctrlrange that is the joint's range in degrees.
 
-    The ends may differ by `MAX_COMMAND_RANGE_ERROR` of the width of the joint's range.
+    The ends may differ by `MAX_COMMAND_RANGE_ERROR` of the width of the joint's range. Ranges
+    within +-`MIN_DEGREES` are skipped.
     """
     for model, drive in _list_robot_drives(robot):
         hinge = model.jnt_type[drive.joint] == mujoco.mjtJoint.mjJNT_HINGE.value
@@ -176,7 +177,7 @@ def command_range_in_degrees(robot: MjcfModel) -> Iterator[CheckFinding]:
 def actuator_unlimited(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find actuators without a torque limit.
 
-    Limits are forcerange, actuatorfrcrange and, for motors, ctrlrange.
+    Limits are forcerange, actuatorfrcrange and, for actuators without position feedback, ctrlrange.
     """
     for model, drive in _list_robot_drives(robot):
         limited = model.actuator_forcelimited[drive.id] or model.jnt_actfrclimited[drive.joint]

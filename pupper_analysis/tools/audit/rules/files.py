@@ -1,7 +1,7 @@
 """Rules about referenced files, and about models that MuJoCo refuses.
 
-Input is the model of a file. Paths of meshes are resolved, and mesh files of a known format are
-parsed; missing meshes are grouped by package and folder.
+Input is the model of a file. Paths of meshes are resolved, and the STL and OBJ files of a URDF are
+parsed; missing meshes are grouped, for example by package and folder.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pupper_analysis.tools.audit.registry import rule
 
 @rule
 def mujoco_refuses(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Report MuJoCo's error if the file does not compile."""
+    """Report MuJoCo's error if the unmodified file does not compile."""
     if robot.refusal is not None:
         problem, place = robot.refusal
         yield CheckFinding("mujoco", "", diagnose("mujoco-refuses", problem=problem), place=place)
@@ -36,7 +36,7 @@ def mujoco_refuses(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[CheckFinding]:
-    """Report missing mesh files, grouped by package and folder.
+    """Report missing mesh files, grouped by severity, Git LFS pointers, package and folder.
 
     The severity is ERROR for a mesh that a link of a URDF uses for collisions, and for a mesh of an
     MJCF, which MuJoCo then refuses. The severity is WARNING for visual meshes of a URDF, and for
@@ -100,7 +100,7 @@ def _list_missing_meshes(robot: UrdfModel | MjcfModel) -> Iterator[_MissingMesh]
 
 @rule
 def mesh_unreadable(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find mesh files of a URDF that `find_mesh_problem` cannot read, each file once."""
+    """Find mesh files of a URDF with an error (`find_mesh_problem`), each file once."""
     seen: set[Path] = set()
     for owner, link in robot.file.tree.links.items():
         for mesh in link.element.iter("mesh"):
@@ -160,15 +160,20 @@ _MESH_SUFFIXES = (
     ".wrl",
     ".iv",
 )
-"""Suffixes of mesh files that MuJoCo, Gazebo, Bullet, Drake or RViz reads."""
+"""Suffixes of mesh files that MuJoCo, Gazebo, Bullet, Drake or RViz reads. A file with another
+suffix is reported as no mesh, unless a package has registered the format."""
 
 _PROLOGUE_BYTES = 4096
 """Number of bytes at the start of a ``.dae`` file that are searched for the word ``COLLADA``; a
-file without the word is reported as no mesh. Chosen."""
+file without the word is reported as no mesh. Chosen, not tuned."""
 
 
 def _list_missing_in_mjcf(file: MjcfFile) -> Iterator[_MissingMesh]:
-    """Yield the mesh files of an MJCF that are in none of the folders MuJoCo searches."""
+    """Yield the mesh files of an MJCF that are missing, or are pointers of Git LFS.
+
+    Searched are the folders of the MJCF and of included files, and ``meshdir`` and ``assetdir``
+    below these, with and without the folder in the name of the mesh file.
+    """
     folders = [Path()]
     for attributes, _ in file.elements("compiler"):
         folders += [Path(attributes.get(what, "")) for what in ("meshdir", "assetdir")]

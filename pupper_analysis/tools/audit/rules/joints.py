@@ -1,8 +1,8 @@
 """Rules about the axes and limits of joints.
 
 Input is the model that a file states, with joint axes and positions in the base frame at zero
-angles. Each rule yields a finding per joint or per robot. `find_legs` derives hips and knees from
-names, axes and lengths, for the rule that checks which stances the limits allow.
+angles. The limits are position ranges, efforts and velocities. `find_legs` derives hips and knees
+from names, axes and lengths, for the rule that checks which stances the limits allow.
 """
 
 from __future__ import annotations
@@ -63,7 +63,8 @@ def infer_axis_from_name(name: str, all_names: set[str]) -> int | None:
     """Return the axis of the base frame that a joint name implies.
 
     Examples: ``abduction`` and ``hip_roll`` imply x, ``thigh``, ``knee`` and ``hip_pitch`` imply y,
-    ``hip_yaw`` implies z. ``hip`` alone implies x if the same leg has a ``thigh`` and a ``calf``.
+    ``hip_yaw`` implies z. ``hip`` alone implies x if joints with ``thigh`` and with ``calf`` in
+    place of ``hip`` exist.
 
     Args:
         name: Name of the joint.
@@ -127,7 +128,7 @@ def range_empty(robot: RobotModel) -> Iterator[CheckFinding]:
 
     A URDF limit without ``lower`` and ``upper`` counts as 0 to 0. In an MJCF with
     ``limited="auto"``, MuJoCo silently ignores a range with lower > upper; such ranges of joints,
-    actuators and tendons are reported too.
+    actuators and tendons are reported too, if MuJoCo accepts the file.
     """
     for joint in robot.joints.values():
         if joint.moves and joint.lower >= joint.upper:
@@ -165,7 +166,7 @@ def _find_inverted_ranges(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find moving joints of URDF type ``continuous`` whose stated limits have no effect.
+    """Find joints of URDF type ``continuous`` with stated limits (lower < upper): no effect.
 
     In an MJCF that MuJoCo accepts, stated ranges with equal ends of named joints, tendons and
     actuators with a bias are findings too (WARNING), unless the file states ``limited``, because
@@ -184,8 +185,8 @@ def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
 def _find_ranges_with_equal_ends(file: MjcfFile) -> Iterator[CheckFinding]:
     """Yield ranges with equal ends and ``limited="auto"`` of named joints, tendons and servos.
 
-    Each range is a finding. Control ranges of motors are left out: they are torque limits, and are
-    findings of `effort_or_velocity_zero`.
+    Each range is a finding. Servos are the actuators with a bias. Control ranges of other actuators
+    are left out: they are torque limits (`effort_or_velocity_zero`).
     """
     servos = [act for act in file.spec.actuators if act.biastype != mujoco.mjtBias.mjBIAS_NONE]
     for tag, elements, name, switch in (
@@ -208,7 +209,7 @@ def _find_ranges_with_equal_ends(file: MjcfFile) -> Iterator[CheckFinding]:
 
 @rule
 def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find hinge limits that appear to be in the wrong unit.
+    """Find finite hinge limits that appear to be in the wrong unit.
 
     Limits with a magnitude of 12 to 400 rad are probably degrees; 10 rad is a common way to specify
     no limit. Larger limits are degrees if the equal joint of another limb has them in radians. The
@@ -277,16 +278,16 @@ def range_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
 
 _MIN_HINGES, _HALF_TURN = 4, 3.1
 """Bounds with which `range_placeholder` reports the common range of all hinges: smallest number of
-hinges, and smallest upper limit [rad], half a turn. Chosen; people write 3.1 and 3.14."""
+hinges, and smallest upper limit [rad], about half a turn. Chosen, so that 3.1 and 3.14 count."""
 
 
 @rule
 def effort_or_velocity_zero(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find effort and velocity limits of zero on moving joints.
+    """Find effort and velocity limits of zero on joints that are not fixed.
 
     Joints of a URDF that mimic a joint are skipped. In an MJCF the limits are force ranges, or
     control ranges of torque motors, from 0 to 0, which MuJoCo ignores. Nothing is found in an MJCF
-    that MuJoCo refuses, or in a USD.
+    that MuJoCo refuses, or in other formats, such as USD.
     """
     if isinstance(robot, MjcfModel):
         for name, empty in null_efforts(robot.file).items() if robot.refusal is None else ():
@@ -316,9 +317,9 @@ def _make_zero_finding(robot: RobotModel, name: str, what: list[Term]) -> CheckF
 
 
 def _list_stated_limits(robot: RobotModel) -> Iterator[tuple[str, Mapping[str, float]]]:
-    """Yield (joint, {attribute: number in the file}) of each movable joint of a URDF.
+    """Yield (joint, {kind of parameter: number in the file}) of each joint of a URDF.
 
-    Joints that mimic another joint are skipped. Nothing is yielded for an MJCF.
+    Joints that are fixed or mimic another joint are skipped. Nothing is yielded for other formats.
     """
     if isinstance(robot, UrdfModel):
         for name, joint in robot.file.tree.joints.items():
@@ -327,7 +328,10 @@ def _list_stated_limits(robot: RobotModel) -> Iterator[tuple[str, Mapping[str, f
 
 
 def _find_mirrored_effort(robot: RobotModel, name: str) -> tuple[str, float] | None:
-    """Return the mirrored joint and its effort [N m, N]; None without a positive finite effort."""
+    """Return the mirrored joint and its effort [N m, N].
+
+    None without a mirrored joint, or if the effort is not positive and finite.
+    """
     for _, first, second in list_joint_pairs(robot):
         for joint, other in ((first, second), (second, first)):
             if joint.name == name and 0 < other.effort < math.inf:
@@ -351,7 +355,7 @@ def effort_negative(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 @rule
 def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find effort limits [N m] that are probably placeholders.
+    """Find effort limits of hinges [N m] that are probably placeholders.
 
     Such limits are too large for the mass of the two bodies that the joint connects, for the
     armature, or for the mass of the robot (`placeholder_efforts`).
@@ -369,7 +373,8 @@ def effort_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
 
 MIN_PARALLEL_COSINE, MAX_AXIS_SLOPE = 0.99, 0.3
 """Bounds with which `find_legs` accepts two joints as hip and knee: smallest absolute cosine
-between both axes, and largest absolute z component of the hip's axis in the base frame. Chosen."""
+between both axes, and largest absolute z component of the hip's axis in the base frame. Chosen, not
+tuned."""
 
 MIN_REACHED_FRACTION = 0.75
 """Fraction of the knee range in which a hip angle puts the foot below the hip, below which the
@@ -388,8 +393,8 @@ class Leg:
         hip: Joint of the hip.
         knee: Next joint.
         thigh: Vector from the hip to the knee, normal to the axis, shape (3,) [m].
-        shank: Vector from the knee to the next joint or the foot, normal to the axis, shape (3,)
-            [m].
+        shank: Vector from the knee to the end of the shank (`_find_shank_end`), normal to the axis,
+            shape (3,) [m].
         axis: Axis of the hip, shape (3,).
         knee_sign: 1 if hip and knee axes point the same way, otherwise -1.
     """

@@ -36,14 +36,15 @@ from pupper_analysis.tools.audit.registry import (
 )
 
 MAX_COM_OFFSET = 0.002
-"""Distance of a CoM outside the convex hull of a link's shapes [m] up to which nothing is reported,
-in addition to a fraction of the extent (`DRAWN_FRACTION` or `SIMPLIFIED_FRACTION`). Chosen, not
-tuned."""
+"""Distance of a CoM outside the convex hull of a link's shapes, joints and frames [m] up to which
+nothing is reported, in addition to a fraction of the extent of these (`DRAWN_FRACTION` or
+`SIMPLIFIED_FRACTION`). Chosen, not tuned."""
 
 DRAWN_FRACTION, SIMPLIFIED_FRACTION = 0.05, 0.5
-"""Fractions of a link's extent that are added to `MAX_COM_OFFSET`: the first if the link has visual
-shapes or meshes, the second if it only has simple collision shapes, which may be smaller than the
-link. Chosen, not tuned."""
+"""Fractions of a link's extent that are added to `MAX_COM_OFFSET`. The first applies if a shape is
+visual or a mesh; the second if all are simple collision shapes, which may be smaller than the link.
+If only collision shapes count, since another size is unknown, the first requires that all are
+meshes. Chosen, not tuned."""
 
 DEFAULT_DENSITY = 1000.0
 """MuJoCo's default density of a geom [kg/m^3]. A visual mesh with this density probably has mass by
@@ -111,9 +112,10 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find a CoM outside the convex hull of a link's shapes, joints and frames.
 
     Shapes of links fixed to the link are included. The tolerance is `MAX_COM_OFFSET` plus a
-    fraction of the extent. If the size of a visual shape is unknown, the collision shapes count
-    alone. If there are none, or the size of one is unknown, a finding is a CoM whose distance from
-    the hull of the link's joints and frames exceeds the length of the longest limb.
+    fraction of the extent. If the size of a shape is unknown, the collision shapes count alone. If
+    there are none, or the size of one is unknown, a finding is a CoM whose distance from the hull
+    of the link's joints and frames exceeds the length of the longest limb. Skipped are links with
+    less than 1e-4 of the mass, and links that have no shapes although fixed links have.
     """
     span = max((_compute_reach(robot, name) for name in robot.links), default=0.0)
     for body in robot.links.values():
@@ -218,8 +220,8 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
 
 IMPOSSIBLE_TORQUE_RATIO = 10.0
 """Torque of the weight, relative to the sum of all efforts, above which `mass_beyond_motors` has
-the severity ERROR instead of WARNING: no stance can be held. Straight legs and unusual units
-explain smaller factors. Chosen, not tuned."""
+the severity ERROR instead of WARNING: a smaller ratio may have another cause than a wrong unit, for
+example weak motors and straight legs. Chosen, not tuned."""
 
 
 MAX_MASS_FRACTION = 0.9
@@ -266,7 +268,10 @@ def visual_adds_mass(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def base_fused(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find models without free joint in which two or more legs begin at the world."""
+    """Find models without free joint in which two or more legs begin at the world.
+
+    A leg has two joints or more, of which one has the name of a leg joint (`LEG_JOINT_NAME`).
+    """
     model = robot.mj_model
     if model is None or has_free_joint(model):
         return
@@ -314,12 +319,13 @@ def _list_stated_inertials(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]
 
 @rule
 def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find stated inertias with a negative or zero principal moment.
+    """Find stated inertias, of a positive mass, with a negative or zero principal moment.
 
     A moment of zero is a finding for a moving link without fixed links, and, with severity WARNING,
-    for a moving link with more than half of the mass of itself and its fixed links. A negative
-    moment is compared with the greatest moment and the rounding of the stated numbers, not with the
-    mass: a tensor of -5e-20 kg m^2 about each axis is a finding.
+    for a moving link with more than half of the mass of itself and its fixed links, if it has at
+    least 1e-4 of the robot's mass. A negative moment is compared with the greatest moment and the
+    rounding of the stated numbers, not with the mass: a tensor of -5e-20 kg m^2 about each axis is
+    a finding.
     """
     for body, inertial in _list_stated_inertials(robot):
         least, _, greatest = inertial.moments
@@ -380,7 +386,8 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     be simplified), 8 if the size of some shapes is unknown (for example, a mesh was not read), or
     100 if no size is known. If a size is unknown, R also includes the joints and frames of the
     link; if none is known, only these, and R is at least `MIN_REACH`. Lower limit: 1 % of the
-    moment of a solid box around the shapes of the link, m (a^2 + b^2) / 12.
+    moment of a solid box around the link's own shapes of known size, m (a^2 + b^2) / 12. Links with
+    less than 1e-4 of the mass are skipped.
     """
     for body, inertial in _list_stated_inertials(robot):
         greatest = float(inertial.moments[-1])
@@ -422,9 +429,9 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
 def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find masses and inertias that are probably defaults of an exporter.
 
-    A finding is an inertia with three equal moments of 1, 0.1, 0.01 ... kg m^2 (powers of ten) on
-    at least two moving links, or a mass of 1, 0.1, 0.01 ... kg that all moving links, three or
-    more, share.
+    Only moving links with stated values count. A finding is an inertia with three equal moments of
+    1, 0.1, 0.01 ... kg m^2 (powers of ten) on at least two of these links, or a mass of 1, 0.1,
+    0.01 ... kg that all of these links, three or more, share.
     """
     moving = [
         (body, body.inertial)
@@ -502,8 +509,8 @@ MIN_COMPARED_LINKS = 4
 densities of a robot. Chosen, not tuned."""
 
 COPY_RTOL = 1e-3
-"""Relative difference of mass and volume up to which a link is a copy of another. Mirrored meshes
-differ by less. Chosen, not tuned."""
+"""Relative difference of mass and volume up to which a link is a copy of another, for example with
+a mirrored mesh. Chosen, not tuned."""
 
 DENSITY_RTOL = 0.01
 """Relative difference up to which two links have the same density in the rule `one_density`, which
@@ -514,7 +521,7 @@ three digits or more."""
 def _compute_link_volume(body: Link) -> float | None:
     """Compute the volume of the visual shapes of a link [m^3], or else of the collision shapes.
 
-    None if both kinds are missing or contain a shape of unknown volume. Overlaps of shapes are
+    None if each kind is missing or contains a shape of unknown volume. Overlaps of shapes are
     counted twice.
     """
     for collides in (False, True):
@@ -528,7 +535,8 @@ def _compute_link_volume(body: Link) -> float | None:
 _MIN_REPEATED_LINKS = 2
 """Smallest number of moving links that are reported if they have the same inertia, a power of ten
 times the identity: a single link may have the value by chance. A mass that is a power of ten is
-reported only if all moving links have it, and there are more of them than this number."""
+reported only if all moving links have it, and there are more of them than this number. Chosen, not
+tuned."""
 
 
 def _is_power_of_ten(value: float) -> bool:
@@ -537,8 +545,8 @@ def _is_power_of_ten(value: float) -> bool:
 
 
 ROUND_LOG_ATOL = 1e-9
-"""Largest difference between the decimal logarithm of a number and an integer with which the number
-counts as a power of ten: more than binary rounding."""
+"""Exclusive upper bound of the difference between the decimal logarithm of a number and an integer
+with which the number counts as a power of ten. Chosen, above binary rounding."""
 
 
 def _compute_box_moment(points: Array, mass: float) -> float:

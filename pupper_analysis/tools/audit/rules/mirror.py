@@ -1,9 +1,10 @@
 """Rules about left-right symmetry, compared in the base frame at zero angles.
 
 `find_mirror_plane` derives the plane between left and right from pairs of names and the positions
-of the links. Each rule reflects a quantity of the first link or joint of a pair, and compares it
-with the second within a tolerance. Pairs at displaced positions are reported once, and left out of
-most comparisons.
+of the links. Each rule compares a quantity of the first link or joint of a pair with the second
+within a tolerance; vectors, inertias, axes and ranges are reflected first. Of pairs at displaced
+positions, `mirror_position` reports the first of each chain. The comparisons of CoM, inertia,
+shapes and contacts leave displaced pairs out.
 """
 
 from __future__ import annotations
@@ -69,7 +70,8 @@ class MirrorPlane:
 def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane | None:
     """Find the plane in which the largest number of left-right link pairs are mirror images.
 
-    All joint positions are zero.
+    Candidates are normal to an axis of the base, and contain the origin of the base, or the median
+    of the pairs' midpoints along this axis. All joint positions are zero.
 
     Args:
         robot: Model of the robot.
@@ -78,7 +80,8 @@ def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane
     Returns:
         Plane, normal to an axis of the base, that mirrors at least a third of the pairs. If there
         is none, for a planar robot (both links of each pair at the same place, all hinges parallel
-        to one axis of the base): the plane in which the robot moves. Otherwise None.
+        to one axis of the base): the plane in which the robot moves. Otherwise, and without pairs,
+        None.
     """
     pairs = find_mirror_pairs(robot.links)
     if not pairs:
@@ -103,7 +106,8 @@ def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane
 def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
     """Return the plane in which a planar robot moves, normal to an axis of the base.
 
-    None if the robot has no hinges, or the hinges are not all parallel to one axis of the base.
+    The plane contains the median of the links' positions along this axis. None if the robot has no
+    hinges, or the hinges are not all parallel to one axis of the base.
     """
     axes = np.array([joint.axis for joint in robot.joints.values() if joint.kind == HINGE_JOINT])
     for axis in range(3):
@@ -137,7 +141,7 @@ def _list_body_pairs(robot: RobotModel) -> Iterator[tuple[Link, Link]]:
 
 
 def _get_anchor(body: Link) -> Array:
-    """Return the position of a link's joint, or of a fixed link's frame, shape (3,) [m].
+    """Return the position of a link's first joint, or of a fixed link's frame, shape (3,) [m].
 
     The position is expressed in the base frame, at zero joint angles.
     """
@@ -149,8 +153,8 @@ def _find_displaced_bodies(
 ) -> tuple[set[str], list[tuple[Link, Link]]]:
     """Return the names of links at positions that are no mirror images, and their first pairs.
 
-    A first pair is a left-right pair of such links without a displaced ancestor. Links that neither
-    move nor have mass, and are no feet, are skipped.
+    A first pair is a left-right pair of such links without a displaced ancestor. A pair is skipped
+    if its first link neither moves nor has mass, and has no "foot" in the name.
     """
     displaced: set[str] = set()
     first_pairs = []
@@ -168,9 +172,10 @@ def _find_displaced_bodies(
 
 
 def _list_pairs_in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link, Link]]:
-    """Yield left-right pairs of links that, with their children, are at mirrored positions.
+    """Yield (mirror plane, link, link) for left-right pairs of links at mirrored positions.
 
-    Pairs are skipped if the first link has less than 1e-4 of the robot's mass.
+    Pairs are skipped if a child is displaced (`_find_displaced_bodies`), or if the first link has
+    less than 1e-4 of the robot's mass. Nothing is yielded if the robot has no mirror plane.
     """
     mirror = find_mirror_plane(robot)
     if mirror is None:
@@ -188,14 +193,17 @@ def _list_pairs_in_place(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Link,
 def _list_inertial_pairs(
     robot: RobotModel,
 ) -> Iterator[tuple[MirrorPlane, tuple[Link, Inertial], tuple[Link, Inertial]]]:
-    """Yield pairs of links in mirrored positions, both with an inertial."""
+    """Yield the mirror plane and (link, inertial) of both links of `_list_pairs_in_place`.
+
+    Pairs in which a link has no inertial are left out.
+    """
     for mirror, first, second in _list_pairs_in_place(robot):
         if first.inertial is not None and second.inertial is not None:
             yield mirror, (first, first.inertial), (second, second.inertial)
 
 
 def _masses_agree(first: Link, second: Link) -> bool:
-    """Return True if the masses of two links differ by at most `MASS_RTOL`."""
+    """Return True if the masses of two links differ by at most `MASS_RTOL` of the larger mass."""
     return not abs(first.mass - second.mass) > MASS_RTOL * max(abs(first.mass), abs(second.mass))
 
 
@@ -228,8 +236,8 @@ def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
 def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links whose masses differ by more than 1 %.
 
-    The severity is WARNING, and ERROR if one mass is `IMPOSSIBLE_MASS_RATIO` times the other or
-    more.
+    The severity is WARNING, and ERROR if both masses are positive and one is
+    `IMPOSSIBLE_MASS_RATIO` times the other or more.
     """
     for first, second in _list_body_pairs(robot):
         if not _masses_agree(first, second):
@@ -254,7 +262,8 @@ tuned."""
 def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links whose CoM positions are no mirror images at zero angles.
 
-    The tolerance is 1 mm plus 1 % of the distance between the CoM and the origin of the base.
+    Pairs at displaced positions are left out. The tolerance is 1 mm plus 1 % of the distance
+    between the CoM and the origin of the base.
     """
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
         image = mirror.reflect_point(first.pose.point(first_inertial.com))
@@ -279,7 +288,7 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
     pair is reported, with the entry of largest difference, if an entry of S I S - I' exceeds 10 %
     of the largest entry of both, or if I' has products of inertia of the wrong sign
     (`_has_wrong_sign`). Twice the rounding of the written digits (up to 50 %) replaces the 10 % if
-    larger. Pairs with different masses are not compared.
+    larger. Pairs with different masses, or at displaced positions, are not compared.
     """
     names = tuple(INERTIA_ENTRIES)
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
@@ -390,9 +399,10 @@ exception; iCub has two in 34 pairs."""
 def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
     """Yield a finding if the axes of exactly one left-right pair have another sense than the rest.
 
-    In published robots, the axes of all pairs are parallel, or all are mirror images. The
-    finding is about the joint whose axis points against those of the equal joints of other limbs,
-    or else against those of all other joints with a parallel axis.
+    In most published robots, the axes of all pairs are parallel, or all are mirror images. The
+    finding is about the joint whose axis points against most axes of the equal joints of other
+    limbs, or else of all other hinges with a parallel axis. If neither decides, the finding is
+    about the first joint of the pair.
     """
     pairs, parallel = [], []
     for mirror, first, second in list_joint_pairs(robot):
@@ -474,8 +484,8 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
 def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of joints with different damping, dry friction, armature or springs.
 
-    If a quantity is equal in fewer than three quarters of the pairs, only pairs with a large ratio
-    are findings (`find_unlike_pairs`).
+    If a quantity is equal in fewer than three quarters of the pairs, `find_unlike_pairs` reports
+    only pairs with a large ratio, unless few distinct values, for example one for each side, occur.
     """
     pairs = [(first.name, second.name) for _, first, second in list_joint_pairs(robot)]
     for attribute in PASSIVE_ATTRIBUTES:
@@ -511,7 +521,8 @@ def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
 
     A finding is a link without shapes beside a link with shapes, or a difference above
     `SIMPLE_SHAPE_TOLERANCE` or `SHAPE_TOLERANCE` between the bounding boxes along the base axes, at
-    zero angles.
+    zero angles. Shapes of links fixed to the link are included. Pairs at displaced positions are
+    left out. Boxes of shapes with unknown size are not compared.
     """
     for mirror, first, second in _list_pairs_in_place(robot):
         pair = [_list_colliding_links(robot, link) for link in (first, second)]
@@ -600,20 +611,21 @@ def select_deviating_pairs(
 
 
 SIBLING_ATOL = 2e-3
-"""Largest difference between positions on equal links of several limbs [m] that count as equal.
-Chosen, not tuned: left and right CAD parts differ by less."""
+"""Largest difference between lengths on equal links of several limbs [m] that count as equal in
+`select_deviating_pairs`, for example between extents. Chosen, not tuned."""
 
 
 @rule
 def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links with different contact parameters on the ground.
 
-    MuJoCo combines the parameters of each geom with the parameters of the ground: condim, friction,
-    solref, solimp and margin. If both links have the same number of geoms that can touch the
-    ground, each combined parameter that differs is a finding. If only one link has such geoms, the
-    other link is a finding. If both links have the same number of geoms, and different numbers of
-    these can touch the ground, the link with fewer is a finding. Links without collision geoms are
-    not compared. If the file has no ground, a plane with MuJoCo's defaults is assumed.
+    Geoms of links fixed to the link are included. MuJoCo combines the parameters of each geom with
+    the parameters of the ground: condim, friction, solref, solimp and margin. If both links have
+    the same number of geoms that can touch the ground, each combined parameter that differs is a
+    finding. If only one link has such geoms, the other link is a finding. If both links have the
+    same number of geoms, and different numbers of these can touch the ground, the link with fewer
+    is a finding. Links without collision geoms, and pairs at displaced positions, are not compared.
+    If the file has no ground, a plane with MuJoCo's defaults is assumed.
     """
     model = robot.mj_model
     if model is None:
@@ -664,7 +676,7 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 _CONTACT_PARAMETERS = ("condim", "friction", "solref", "solimp", "margin")
-"""Attributes of a geom that `mirror_contacts` compares between left and right."""
+"""Attributes of `ContactParameters` that `mirror_contacts` compares between left and right."""
 
 
 def _list_contact_parameters(
@@ -703,8 +715,8 @@ def _list_colliding_links(robot: RobotModel, link: Link) -> list[Link]:
 def _find_extent_points(link: Link, parts: list[Link]) -> Array | None:
     """Return points with about the convex hull of all shapes of ``parts``, shape (n, 3) [m].
 
-    The points are in the frame of the base; ``link`` is the link to which the parts are fixed. None
-    if there are no shapes, or if the size of a shape is unknown.
+    The points are in the frame of the base, at zero angles; ``link`` is the link to which the parts
+    are fixed. None if there are no shapes, or if the size of a shape is unknown.
     """
     points, is_complete = list_known_points(parts, link)
     return link.pose.point(points) if is_complete and points is not None else None

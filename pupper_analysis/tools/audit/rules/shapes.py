@@ -33,9 +33,10 @@ from pupper_analysis.tools.audit.registry import (
 )
 
 POSITION_TOLERANCE = 1e-3
-"""Distance [m] up to which the end of a rod counts as being at a joint or frame (for a long rod
-the tolerance is 2 % if larger), and a foot frame as being at the centre or on the surface of a
-sphere. Chosen, not tuned."""
+"""Tolerance of positions [m], in four rules. Ends of rods at joints and feet: 2 % of the half
+length or of the distance, if larger. Ends of a rod on its axis: half a radius, if larger. Foot
+frames: at the centre or on the surface of a sphere. Gaps between visual and collision shapes: a
+fraction of the extent, if larger (`MIN_GAP_FRACTION`). Chosen, not tuned."""
 
 
 def _list_end_points(robot: RobotModel, body: Link) -> dict[Subject, Array]:
@@ -69,7 +70,8 @@ def _is_foot(name: str) -> bool:
 def _measure_rod(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
     """Return unit direction, shape (3,), and length [m] of a rod that begins at the joint.
 
-    ``anchor`` is the position of the joint [m], in the frame in which the shape is expressed.
+    The length of a capsule excludes the caps. ``anchor`` is the position of the joint [m], in the
+    frame in which the shape is expressed.
 
     None if the shape is no capsule or cylinder longer than thick, or does not begin at the joint.
     """
@@ -88,9 +90,10 @@ def _measure_rod(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
 def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find capsules and cylinders that begin at a joint but do not end at the next joint or foot.
 
-    Reported are rods longer by 2 % (at least `POSITION_TOLERANCE`) or more, or shorter by 20 % or
-    more, unless a radius at the end makes up the difference. Shapes are often shortened on purpose,
-    to avoid contact with the neighbour.
+    Compared is the nearest joint or foot on the axis of the rod. Reported are rods longer by 2 %
+    (at least `POSITION_TOLERANCE`) or more, or shorter by 20 % or more, unless a radius at the end
+    makes up the difference. Shapes are often shortened on purpose, to avoid contact with the
+    neighbour. Rods of equal length on a link are reported once.
     """
     for body in robot.links.values():
         if not body.moving:
@@ -133,9 +136,10 @@ def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
 def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find collision rods and slabs along a link that are away from the line between the joints.
 
-    Reported are shapes farther from the line than the half width plus 10 % of the link length, or
-    displaced by more than 40 % along the line. In 119 published shapes the largest values are 3 %
-    and 20 %.
+    Checked are moving links with a single moving child, and shapes of 60 to 140 % of the length
+    between the joints, more than twice as long as wide. Reported are shapes whose centre is farther
+    from the line than the half width plus 10 % of the link length, or displaced by more than 40 %
+    along the line. In 119 published shapes the largest values are 3 % and 20 %.
     """
     for body in robot.links.values():
         ends = [
@@ -186,7 +190,7 @@ def _measure_long_axis(shape: Shape) -> tuple[Array, float, float]:
     """Return the direction of the long axis, shape (3,), the half length and the half width [m].
 
     The long axis is the longest side of a box, or the axis of a cylinder or capsule. The half width
-    is that of the second longest side, or the radius.
+    is that of the second longest side, or the radius. The half length of a capsule includes a cap.
     """
     if shape.kind == "box":
         order = np.argsort(shape.size)
@@ -275,7 +279,8 @@ def _list_collision_spheres(link: Link) -> list[Shape]:
 # Rules about sizes.
 
 MAX_DENSITY = 20_000.0
-"""Largest mass per volume of the convex hull [kg/m^3]. Tungsten has 19300.
+"""Mass per volume of the convex hull of a link [kg/m^3] above which the density is reported.
+Tungsten has 19300.
 
 The hull is the largest volume of a body with these shapes. Of 1500 published links the densest has
 15600: a wrist whose mesh omits attached parts."""
@@ -289,9 +294,10 @@ MIN_DENSITY = 2.0
 has 1.2, the lightest foam 10, the lightest published link 8.8."""
 
 MIN_MASS_FRACTION = 0.01
-"""Mass of a link, relative to the robot's mass, below which the density is not checked: the shapes
-of light links may be markers instead of the real geometry. The density of a free base is checked
-with any mass. Chosen, not tuned."""
+"""Mass of a link with its fixed links, relative to the robot's mass, below which density and
+missing collision shapes are not checked, and which does not count for the median density: the
+shapes of light links may be markers instead of the real geometry. The density of a free base is
+checked with any mass. Chosen, not tuned."""
 
 MIN_SHAPE_FRACTION = 0.5
 """Extent of a link's shapes, relative to the extent of its joints and frames, below which its
@@ -306,8 +312,8 @@ MAX_ROBOT_EXTENT, MIN_ROBOT_EXTENT = 20.0, 0.002
 implausible, for example because of a wrong unit of length. Chosen, not tuned."""
 
 MIN_USUAL_EXTENT, MAX_USUAL_EXTENT = 0.05, 5.0
-"""Extent of all joint positions of a robot [m] between which a factor of 1000 is proposed as the
-repair of its lengths. Chosen, not tuned."""
+"""Extent of all joint positions of a robot [m], after multiplication by 1000 or division by 1000,
+between which the message of `scale_unusual` names this factor. Chosen, not tuned."""
 
 MAX_SHAPE_RATIO = 20.0
 """Extent of a link's shapes, relative to the extent of all joints, above which the shapes are
@@ -320,9 +326,10 @@ def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
 
     The mass is the sum of a root link or moving link and all links fixed to it. Visual and
     collision shapes, and the origins of link, frames and children, define the hull. Plausible are 2
-    to 20000 kg/m^3, or at most 100000 kg/m^3 if a mesh was not read. The severity is WARNING, and
-    ERROR above `IMPOSSIBLE_SIZE_RATIO` times `MAX_DENSITY`. A plausible density is reported, too,
-    if above `DENSITY_OF_STEEL` and above `MIN_DENSITY_RATIO` times the median of the other links.
+    to 20000 kg/m^3, or at most 100000 kg/m^3 if the size of a shape is unknown, for example because
+    a mesh was not read. The severity is WARNING, and ERROR above `IMPOSSIBLE_SIZE_RATIO` times
+    `MAX_DENSITY`. A plausible density is reported, too, if above `DENSITY_OF_STEEL` and above
+    `MIN_DENSITY_RATIO` times the median of the other links.
 
     Skipped are, for example, light bodies (`MIN_MASS_FRACTION`) other than a free base, bodies with
     small shapes (`MIN_EXTENT`, `MIN_SHAPE_FRACTION`), and root links with a mesh that was not read.
@@ -377,15 +384,17 @@ DENSITY_OF_STEEL, MIN_DENSITY_RATIO = 7900.0, 5.0
 is reported. Chosen, not tuned: motors and gears fill a part of a hull."""
 
 MIN_OTHER_LINKS = 3
-"""Smallest number of other links with known density for which a median density is computed. Chosen,
-not tuned."""
+"""Smallest number of other links with known density for which a median density is computed, and of
+other drawn links with which a single link without collision shapes is reported. Chosen, not
+tuned."""
 
 
 def compute_median_density(robot: RobotModel, name: str) -> float | None:
-    """Compute the median of mass per volume of the convex hull over all other links [kg/m^3].
+    """Compute the median of mass per volume of the convex hull over the other links [kg/m^3].
 
-    Light links (`MIN_MASS_FRACTION`), and links with a shape of unknown size are left out. None if
-    fewer than `MIN_OTHER_LINKS` remain.
+    The links are those of `_list_moving_links` except the link ``name``, with the links fixed to
+    them. Light links (`MIN_MASS_FRACTION`), and links without mass, without volume or with a shape
+    of unknown size are left out. None if fewer than `MIN_OTHER_LINKS` remain.
     """
     densities = []
     for body in _list_moving_links(robot):
@@ -427,9 +436,10 @@ def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
 def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find links whose collision shapes are apart from the visual shapes.
 
-    The bounding boxes along the axes of the link must overlap within `MIN_GAP_FRACTION` of the
-    extent of the visual shapes. If a mesh was not read, the distance is that of the origins of the
-    same mesh (`_measure_equal_mesh_gap`).
+    Reported are bounding boxes along the axes of the link with a gap above `MIN_GAP_FRACTION` of
+    the extent of the visual shapes. If a size is unknown, for example of a mesh that was not read,
+    the gap is the distance between the origins of the same mesh (`_measure_equal_mesh_gap`), and
+    the extent is that of the origins of link, frames and children.
     """
     for body in robot.links.values():
         sides = [
@@ -453,9 +463,9 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 MIN_GAP_FRACTION = 0.1
-"""Gap between the bounding boxes of a link's visual and collision shapes, relative to the extent of
-the visual shapes, above which the gap is reported, if it also exceeds `POSITION_TOLERANCE`. Chosen,
-not tuned."""
+"""Gap between a link's visual and collision shapes, relative to the extent that
+`collision_off_visual` defines, above which the gap is reported, if it also exceeds
+`POSITION_TOLERANCE`. Chosen, not tuned."""
 
 
 def _compute_reach_of_children(robot: RobotModel, body: Link) -> float:
@@ -485,8 +495,9 @@ def _measure_equal_mesh_gap(robot: UrdfModel, name: str) -> float | None:
 
 
 IMPOSSIBLE_SIZE_RATIO = 10.0
-"""Ratio of a density or a size to the largest plausible value from which it is an error: no robot
-has ten times the density of tungsten. Chosen, not tuned."""
+"""Ratio of a density to `MAX_DENSITY`, or of the extent of the joints to the largest plausible
+extent (or of the smallest plausible extent to it), from which the severity is ERROR. Chosen, not
+tuned."""
 
 
 @rule
@@ -547,7 +558,7 @@ def _compute_extent(points: Array) -> float:
 
 
 def _compute_hull_volume(points: Array) -> float:
-    """Compute the volume of the convex hull of points, shape (n, 3) [m], in m^3; 0 for a plane."""
+    """Compute the volume of the convex hull of points, shape (n, 3) [m], in m^3; 0 if flat."""
     try:
         return float(ConvexHull(points).volume)
     except (QhullError, ValueError):

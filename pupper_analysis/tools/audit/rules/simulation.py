@@ -1,8 +1,8 @@
 """Rules about the simulation of a model in MuJoCo, and about defaults of other engines.
 
-Input is the model of a file, compiled by MuJoCo for an MJCF. The rules check gravity, armature, and
-the contacts between feet and ground with parameters that are combined as in MuJoCo. No rule of this
-module simulates.
+Input is the model of a file, compiled by MuJoCo for an MJCF. The rules check gravity, armature,
+the contacts between feet and ground with parameters that are combined as in MuJoCo, and links of a
+URDF without inertial. No rule of this module simulates.
 """
 
 from __future__ import annotations
@@ -50,7 +50,10 @@ def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def armature_zero(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find models with zero armature at all driven joints and motors."""
+    """Find models in which the armature of all driven joints and of their actuators is zero.
+
+    `list_drives` yields the actuators. A model without such an actuator is no finding.
+    """
     if robot.mj_model is None:
         return
     model = robot.mj_model
@@ -100,8 +103,9 @@ def _make_geom_finding(robot: MjcfModel, geom: int, message: Diagnostic) -> Chec
 def list_foot_geoms(robot: MjcfModel) -> list[int]:
     """Return the indices of the collision geoms of feet in MuJoCo's model.
 
-    A foot is a geom with "foot" in the name of the geom or body, or within 1 mm of a site of the
-    same body with "foot" in the name. Empty if the model does not compile.
+    A foot is a geom of a moving body with "foot" in the name of the geom or body, or with the
+    centre within 1 mm of a site of the same body with "foot" in the name. Empty if the model does
+    not compile.
     """
     model = robot.mj_model
     if model is None:
@@ -186,8 +190,9 @@ def hull_below_foot(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find meshes of a shank whose convex hull, which MuJoCo collides, reaches below the foot.
 
     Compared are the lowest points of the mesh and of the foot's sphere, with the shank inclined up
-    to `MAX_SHANK_ANGLE` about the axis of the knee. Only meshes and spheres that move together, and
-    both touch the ground, are compared.
+    to `MAX_SHANK_ANGLE` about the axis of the knee. Only meshes and spheres that move together by a
+    single hinge, and that can both touch the ground, are compared. There is at most one finding per
+    foot.
     """
     model = robot.mj_model
     if model is None:
@@ -234,17 +239,18 @@ MIN_HULL_DEPTH = 1e-3
 the hull is reported. Chosen, not tuned."""
 
 _SHANK_ANGLES = np.linspace(-MAX_SHANK_ANGLE, MAX_SHANK_ANGLE, 25)
-"""Inclinations of a shank [rad] at which the depth of its mesh below the foot is evaluated."""
+"""Inclinations of a shank, shape (25,) [rad], at which the depth of its mesh below the foot is
+evaluated."""
 
 
 def _list_downward_directions(data: mujoco.MjData, knee: int, foot: int) -> Array:
     """Return the unit vectors that point down if a shank is inclined by `_SHANK_ANGLES`, (n, 3).
 
-    The vectors are normal to the axis of the knee, and expressed in the world frame in which the
-    robot has zero angles. Without inclination, down is the direction from the knee to the foot.
+    The vectors are normal to the axis of the knee, and expressed in the world frame for the
+    configuration of ``data``. Without inclination, down is the direction from the knee to the foot.
 
     Args:
-        data: MuJoCo data with the kinematics at zero angles.
+        data: MuJoCo data with the kinematics at any configuration, such as qpos0.
         knee: Id of the knee joint.
         foot: Id of the geom of the foot.
     """
@@ -258,7 +264,7 @@ def _list_downward_directions(data: mujoco.MjData, knee: int, foot: int) -> Arra
 
 
 def _round_depth(depth: float) -> Quantity:
-    """Round a depth [m] to three digits."""
+    """Round a depth [m] to three significant digits."""
     return Quantity(float(f"{depth:.3g}"), "m")
 
 
@@ -267,8 +273,8 @@ def ground_not_met(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find floating robots of which no shape can touch the ground, or whose contacts are disabled.
 
     In a file without ground, a plane with MuJoCo's default contact bits is assumed. Skipped are
-    files that MuJoCo refuses, that have <pair> elements, or that lack meshes of shapes that can
-    collide.
+    files that do not compile, that have <pair> elements, or that lack meshes of shapes that can
+    collide, and robots without a free joint.
     """
     model = robot.mj_model
     if (
@@ -317,7 +323,10 @@ def _list_colliding_geoms(model: mujoco.MjModel) -> Iterator[int]:
 
 @rule
 def link_without_inertial(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find links without <inertial>, except ``world``: PyBullet assigns 1 kg to each."""
+    """Find links without <inertial>, except ``world``: PyBullet assigns 1 kg to each.
+
+    All links are in one finding.
+    """
     first, *others = [
         link.name for link in robot.links.values() if link.inertial is None and link.name != "world"
     ] or [""]
@@ -333,7 +342,7 @@ def link_without_inertial(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 @rule
 def massless_link_collides(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find links with zero or missing mass that have collision shapes."""
+    """Find links with zero or missing mass that have collision shapes; one finding for all."""
     first, *others = [
         link.name
         for link in robot.links.values()

@@ -1,8 +1,8 @@
 """Rules about the initial configurations of a simulation: qpos0 and the keyframes.
 
-Input is the model of a file. The rules compare joint positions with the limits and with the
-commands of keyframes, evaluate heights and penetrations with MuJoCo's kinematics, and simulate one
-keyframe.
+Input is the model of a file; a URDF starts at zero angles. The rules compare joint positions with
+the limits and with the commands of keyframes, evaluate heights and penetrations with MuJoCo, and
+simulate one keyframe.
 """
 
 from __future__ import annotations
@@ -41,11 +41,13 @@ MAX_FLOOR_DEPTH = 5e-3
 standing robot sinks a few mm into soft contacts. Chosen, not tuned."""
 
 MAX_KEYFRAMES = 100
-"""Largest number of keyframes of a file that are checked. Chosen, to bound the time."""
+"""Largest number of keyframes of a file that a rule checks; the further ones are not checked,
+except `home` by the rules for a single keyframe. Chosen, to bound the time."""
 
 MAX_SAG = 0.5
-"""Difference between a servo command and the joint position in a keyframe [rad, m], above which the
-keyframe is reported, for a servo without torque limit. Chosen, not tuned."""
+"""Difference between a servo command and the joint position in a keyframe [rad, m], above which
+(plus 1 mrad or 1 mm) the keyframe is reported, for a servo without torque limit. Chosen, not
+tuned."""
 
 _MIN_TIMESTEP = 1e-4
 """Time step [s] below which a file is not simulated: each run would need more than 20,000 steps.
@@ -71,7 +73,10 @@ class StartPose:
 
 
 def _list_start_poses(robot: MjcfModel) -> Iterator[StartPose]:
-    """Yield qpos0 and up to `MAX_KEYFRAMES` keyframes; nothing if the model does not compile."""
+    """Yield qpos0 and up to `MAX_KEYFRAMES` keyframes.
+
+    Nothing is yielded if the model does not compile, or has no bodies.
+    """
     model = robot.mj_model
     if model is None or not robot.links:
         return
@@ -87,7 +92,7 @@ def _list_start_poses(robot: MjcfModel) -> Iterator[StartPose]:
 def start_outside_limits(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find initial configurations with joints more than 1 mrad (1 mm) outside the limits.
 
-    The severity is NOTE for ``qpos0`` of an MJCF and the zero angles of a URDF.
+    The severity is NOTE for ``qpos0`` of an MJCF and the zero angles of other formats.
     """
     for where, start, values in _list_start_angles(robot):
         excess = {
@@ -136,9 +141,9 @@ def _list_start_angles(
 def keyframe_ctrl(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find keyframes with servo commands that are far from the joint positions.
 
-    The accepted difference of command and position is the effort limit divided by the stiffness,
-    plus 1 mrad (1 mm). Without effort limit, `MAX_SAG` is accepted. The severity is NOTE if the
-    keyframe has no ctrl. At most `MAX_KEYFRAMES` keyframes are checked.
+    The accepted difference of command and position is the effort limit divided by the stiffness (or
+    `MAX_SAG` without effort limit), plus 1 mrad (1 mm). The severity is NOTE if the keyframe has no
+    ctrl. At most `MAX_KEYFRAMES` keyframes are checked.
     """
     model = robot.mj_model
     if model is None:
@@ -175,10 +180,11 @@ commands all equal the joint angles. Chosen: torques do not equal angles by chan
 
 @rule
 def keyframe_torques_are_angles(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find keyframes whose commands to torque motors [N m] are the joint angles [rad].
+    """Find keyframes whose commands to torque motors are the joint angles [rad].
 
-    The commands of all motors of hinges must equal the angles within 1 % plus 1 mrad. Reported if
-    at least `MIN_EQUAL_COMMANDS` of the angles are above 1 mrad in magnitude.
+    Motors are the actuators without position feedback. The commands of all motors of hinges must
+    equal the angles within 1 % plus 1 mrad. Reported if at least `MIN_EQUAL_COMMANDS` of the angles
+    are above 1 mrad in magnitude. At most `MAX_KEYFRAMES` keyframes are checked.
     """
     model = robot.mj_model
     if model is None:
@@ -207,7 +213,8 @@ def keyframe_torques_are_angles(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 MIN_FOOT_CLEARANCE = 0.05
 """Height of all feet above the lowest other shape of the robot [m] from which a keyframe is
-reported. A robot may be dropped from a keyframe, but with its feet below. Chosen, not tuned."""
+reported. A robot may be dropped from a keyframe, but with its feet below. The same value [m] bounds
+the distance of the feet from the ground after the proposed change of signs. Chosen, not tuned."""
 
 
 @rule
@@ -215,9 +222,10 @@ def keyframe_feet_in_air(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find a keyframe ``home``, or first keyframe, in which the feet are above other shapes.
 
     A finding requires that all feet are at least `MIN_FOOT_CLEARANCE` above the lowest other shape
-    of the robot, and that no shape penetrates the ground. If the opposite sign of some joint
-    angles, in all legs, puts the feet at the ground, the message names the joints. Skipped are
-    robots without a free joint, or with fewer than `MIN_FEET` foot geoms.
+    of the robot, and that no shape penetrates the ground. Only shapes that can touch the ground
+    count. If the opposite sign of some joint angles, in all legs, puts the feet at the ground, the
+    message names the joints. Skipped are files that MuJoCo refuses, and robots without a free joint
+    or with fewer than `MIN_FEET` foot geoms.
     """
     model = robot.mj_model
     key = None if model is None or robot.refusal is not None else _choose_keyframe(model)
@@ -284,8 +292,9 @@ def _find_opposite_signs(
 
     Returns:
         Names of the joints, and the largest distance of a foot from the ground [m]. None if no set
-        of joints, or several sets of equal size, put all feet within `MIN_FOOT_CLEARANCE` of the
-        ground, or if the legs have different numbers of hinges, none, or over `MAX_LEG_JOINTS`.
+        of joints, or several sets of the smallest size, put all feet below the other shapes and
+        within `MIN_FOOT_CLEARANCE` of the ground, or if the legs have different numbers of hinges,
+        none, or over `MAX_LEG_JOINTS`.
     """
     model = robot.mj_model
     assert model is not None
@@ -361,9 +370,10 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
 
     The keyframe ``home``, or else the first, is simulated by `simulate_keyframe`, with and without
     a small velocity disturbance at the start. The actuators receive the ctrl of the keyframe. If no
-    ctrl is specified, position servos are commanded to the pose, provided that at least half of the
-    joints have a servo; otherwise nothing is simulated. Robots without a free base, and files
-    without a ground or with a time step below `_MIN_TIMESTEP`, are skipped.
+    ctrl is specified, position servos are commanded to the pose, provided that there are at least
+    half as many servos as moving joints; otherwise nothing is simulated. Robots without a free
+    base, files that MuJoCo refuses, and files without a ground or with a time step below
+    `_MIN_TIMESTEP`, are skipped.
     """
     model = robot.mj_model
     if model is None or robot.refusal is not None or not model.nkey or not robot.base:
@@ -430,7 +440,8 @@ def _run_simulation(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) 
 def start_in_floor(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find initial configurations with a body deeper than `MAX_FLOOR_DEPTH` in a world plane.
 
-    There is one finding per configuration, which names the deepest body.
+    World planes are planes of the world body. There is one finding per configuration, which names
+    the deepest body.
     """
     for start in _list_start_poses(robot):
         depths: dict[str, float] = {}
@@ -453,9 +464,9 @@ def start_in_floor(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 def _round_quantity(value: float, unit: str) -> Quantity:
-    """Round a simulated value to three digits.
+    """Round a value that MuJoCo computes to three significant digits.
 
-    Further digits depend on the machine and the version of MuJoCo, so that baselines would not
+    Further digits may depend on the machine and the version of MuJoCo, so that baselines would not
     match.
     """
     return Quantity(float(f"{value:.3g}"), unit)
@@ -467,7 +478,8 @@ def _list_penetrations(
     """Yield (ids of both bodies, ids of both geoms, penetration [m]) of MuJoCo's contacts.
 
     The contacts are those at the configuration of ``start``; flexible bodies are left out. The
-    penetration is negative if the geoms are apart, within the contact margin.
+    penetration is negative if the geoms are apart, within the contact margin. Nothing is yielded if
+    MuJoCo's collision detection stops with an error.
     """
     model = robot.mj_model
     assert model is not None

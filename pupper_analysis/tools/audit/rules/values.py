@@ -1,7 +1,7 @@
-"""Rules about values that are impossible for any robot.
+"""Rules about single values that are impossible or probably wrong.
 
-Input is the model of a file, or its elements. The rules check the signs of sizes and passive joint
-terms, the ranges of MuJoCo's options, and the units of rotations.
+Input is the model of a file, or its elements. The rules check, for example, the signs of sizes and
+passive joint terms, the ranges of MuJoCo's options, and the units of rotations.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SHAPE_SIZES = {
     "cylinder": ("radius", "length"),
     "capsule": ("radius", "length"),
 }
-"""{shape of a URDF: attributes with a size}."""
+"""{round shape of a URDF: attributes with a size [m]}. Boxes and meshes are checked separately."""
 
 
 @rule
@@ -42,7 +42,8 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
     Sizes are only checked in a URDF. A length of 0 is accepted for a cylinder (disc) and a capsule
     (ball). Effort and velocity limits of a URDF are checked by `effort_negative` instead; position
     limits may be negative. For MuJoCo's polynomials the first coefficient is checked, because this
-    coefficient dominates at small speeds. In an MJCF, the friction of geoms is checked too.
+    coefficient dominates at small speeds and deflections. In an MJCF, the friction of geoms is
+    checked too.
     """
     for joint in robot.joints.values():
         for joint_attribute in JOINT_ATTRIBUTES:
@@ -66,7 +67,7 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _find_impossible_sizes(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Yield the shapes of a URDF with a size <= 0, a length below 0, or a mesh scale of 0.
+    """Yield a finding for each size <= 0, length below 0 or mesh scale of 0 in a URDF.
 
     Negative factors of a mesh scale are no findings: they mirror the mesh (`mesh_mirrored`).
     """
@@ -147,7 +148,7 @@ _OPTION_RANGES: dict[str, tuple[float, float, Severity, str]] = {
     "viscosity": (0, 1e3, Severity.ERROR, "Pa s"),
 }
 """{option of an MJCF: (minimum, maximum, severity of the finding, unit)}. Values outside are
-useless for robots, and are reported. Chosen, not tuned."""
+reported, because the simulation of a robot would be useless or too slow. Chosen, not tuned."""
 
 
 @rule
