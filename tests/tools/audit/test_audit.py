@@ -16,7 +16,7 @@ import trimesh
 from lxml import etree
 
 import pupper_analysis as pa
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Source
+from pupper_analysis.base.diagnostics import LANGUAGES, Diagnostic, Quantity, Source
 from pupper_analysis.base.tools import formats
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import read_urdf
@@ -1154,3 +1154,28 @@ def test_weight_beyond_the_motors_names_the_link_that_is_nearly_all_of_it(tmp_pa
     (found,) = (f for f in audit_model(path).findings if f.rule == "mass-beyond-motors")
     assert found.element == "link 'RL_calf'"
     assert found.message.startswith("the robot weighs")
+
+
+def test_servos_of_slides_are_reported_in_newtons(tmp_path: Path) -> None:
+    """Two servos of 10 N/m and a spring of the wrong sign on a slide: no N m, each unit once."""
+    path = tmp_path / "slide.xml"
+    path.write_text(
+        '<mujoco><worldbody><body><joint name="s" type="slide" actuatorfrcrange="-2 2"/>'
+        '<geom size="0.1"/></body></worldbody><actuator>'
+        '<position name="a" joint="s" kp="10" forcerange="-5 5"/>'
+        '<position name="b" joint="s" kp="10" forcerange="-5 5"/>'
+        '<general name="c" joint="s" biastype="affine" gainprm="1" biasprm="0 5 3"'
+        ' forcerange="-5 5"/></actuator></mujoco>'
+    )
+    found = [
+        finding
+        for finding in audit_model(path).findings
+        if finding.rule in ("servos-compete", "servo-drives-away", "forcerange-above-joint")
+    ]
+    codes = {finding.diagnostic.code for finding in found}
+    assert {"servos-compete", "servo-drives-away", "damping-drives"} < codes
+    for finding in found:
+        for language in LANGUAGES:
+            text = finding.diagnostic.text(language)
+            assert not re.search("N m|[(]or|（或", text), text
+            assert " N" in text
