@@ -1179,3 +1179,22 @@ def test_servos_of_slides_are_reported_in_newtons(tmp_path: Path) -> None:
             text = finding.diagnostic.text(language)
             assert not re.search("N m|[(]or|（或", text), text
             assert " N" in text
+
+
+def test_fall_from_a_keyframe_states_the_height_of_the_centre_of_mass(tmp_path: Path) -> None:
+    """A motorless cart with its base frame 0.5 m above the CoM rolls away: 0.1 m is the CoM's."""
+    path = tmp_path / "cart.xml"
+    path.write_text(
+        '<mujoco><option gravity="5 0 -9.81"/><worldbody><geom type="plane" size="9 9 1"/>'
+        '<body name="cart" pos="0 0 0.6"><freejoint/><geom size="0.1" pos="0 0 -0.5"/>'
+        '<body name="arm" pos="0 0 -0.5"><joint name="j" axis="0 0 1"/>'
+        '<geom size="0.02" contype="0" conaffinity="0"/></body></body></worldbody>'
+        '<actuator><position name="a" joint="j" kp="1" forcerange="-1 1"/></actuator>'
+        '<keyframe><key name="home" qpos="0 0 0.6 1 0 0 0 0" ctrl="0"/></keyframe></mujoco>'
+    )
+    (finding,) = find_findings(audit_model(path), "keyframe-falls")
+    start = finding.diagnostic.values["start"]
+    assert isinstance(start, Quantity)
+    assert start.value == pytest.approx(0.1, abs=1e-3)
+    assert "its centre of mass is" in finding.message
+    assert "质心" in finding.diagnostic.text("zh")
