@@ -1198,3 +1198,36 @@ def test_fall_from_a_keyframe_states_the_height_of_the_centre_of_mass(tmp_path: 
     assert start.value == pytest.approx(0.1, abs=1e-3)
     assert "its centre of mass is" in finding.message
     assert "质心" in finding.diagnostic.text("zh")
+
+
+def test_parallel_axes_beside_mirrored_axes_are_not_reported_as_opposite(tmp_path: Path) -> None:
+    """Axes of three pairs: mirrored yaw and hip roll, parallel ankle roll."""
+    legs = "".join(
+        f'<body name="{side}_hip" pos="0 {y} 0"><joint name="{side}_hip_yaw" axis="0 0 {sign}"/>'
+        f'<geom size="0.02"/><body name="{side}_thigh" pos="0 0 -0.1">'
+        f'<joint name="{side}_hip_roll" axis="{sign} 0 0"/><geom size="0.02"/>'
+        f'<body name="{side}_foot" pos="0 0 -0.2"><joint name="{side}_ankle_roll" axis="1 0 0"/>'
+        '<geom size="0.02"/></body></body></body>'
+        for side, y, sign in (("left", 0.1, 1), ("right", -0.1, -1))
+    )
+    path = tmp_path / "biped.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="trunk"><freejoint/><geom size="0.05"/>'
+        f"{legs}</body></worldbody></mujoco>"
+    )
+    (finding,) = find_findings(audit_model(path), "mirror-axis")
+    assert "ankle_roll" in finding.element
+    assert "its axis points against" not in finding.message
+    assert "another sense" in finding.message
+
+
+def test_excluded_contact_with_the_ground_is_named(tmp_path: Path) -> None:
+    """All bits match, but the file excludes the contact of the only body with the world."""
+    path = tmp_path / "excluded.xml"
+    path.write_text(
+        '<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/>'
+        '<body name="base" pos="0 0 1"><freejoint/><geom size="0.1"/></body></worldbody>'
+        '<contact><exclude body1="world" body2="base"/></contact></mujoco>'
+    )
+    (finding,) = find_findings(audit_model(path), "ground-not-met")
+    assert "excluded" in finding.message
