@@ -1,6 +1,7 @@
 """Documents of results, and their output on a terminal, as HTML, Markdown, PNG and for CI services.
 
-No module of this package solves or simulates.
+Documents are built from finished results. Two modules compute more: ``stand_plots`` computes the
+contact forces of a stand that is drawn, and MuJoCo's viewer (``display``) simulates.
 """
 
 from pupper_analysis.base.exports import make_lazy_exports

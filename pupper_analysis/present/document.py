@@ -514,8 +514,8 @@ class Document:
         failures: Reasons against the verdict.
         findings: Requested number, limit or cause, and warnings.
         details: Further statements; a terminal prints them with -v only.
-        brief: True if verdict and key figures are the answer. A terminal then prints tables with -v
-            only.
+        brief: True if verdict and key figures are the answer. A terminal then prints tables and
+            notes with -v only.
         notes: Assumptions, findings and omissions.
         next_step: Command to run next; None if the result suggests none.
     """

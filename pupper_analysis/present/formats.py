@@ -133,7 +133,8 @@ def _make_results(
 ) -> Iterator[dict[str, Any]]:
     """Create the SARIF result of each annotation.
 
-    The fingerprint depends on kind, file and title, not on the line.
+    The fingerprint depends on kind, file and title, and on the number of earlier annotations with
+    the same kind, file and title; not on the line.
 
     Args:
         annotations: Annotations.
@@ -208,8 +209,8 @@ def _make_location(file: str, line: int | None) -> dict[str, Any]:
 
 
 _HIDDEN_CATEGORIES = ("Cc", "Cf", "Cs", "Zl", "Zp")
-"""Unicode categories of characters that are invisible but have an effect: controls, text
-directions, line and paragraph separators."""
+"""Unicode categories of the characters that `escape_control` replaces: controls, formats such as
+text directions, surrogates, line and paragraph separators."""
 
 
 def escape_control(text: str) -> str:

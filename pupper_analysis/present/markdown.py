@@ -50,10 +50,11 @@ _WORD_JOINER = "\u2060"
 
 
 def write_markdown(report: Report) -> str:
-    """Return a report as Markdown.
+    """Return a report as Markdown: overview, and documents.
 
-    If the text exceeds `MAX_COMMENT_LENGTH`, all blocks are omitted, the rest is cut to this length
-    and a remark follows.
+    The blocks of the documents are omitted if the report has an overview. If the text exceeds
+    `MAX_COMMENT_LENGTH`, all blocks are omitted, the rest is cut to this length and a remark
+    follows.
     """
     parts = [part for block in report.overview for part in _write_block(block)]
     for document in report.documents:
@@ -120,7 +121,7 @@ def _make_parts(_: object) -> list[str]:
 
 @_make_parts.register
 def _make_table_parts(table: Table) -> list[str]:
-    """Return the title, rows and notes of a table."""
+    """Return the title, header, rows and notes of a table."""
     heads = [_format_header(column) for column in table.columns]
     rules = [":---" if column.left or not index else "---:" for index, column in
              enumerate(table.columns)]  # fmt: skip
@@ -176,7 +177,7 @@ def _make_listing_parts(block: Listing) -> list[str]:
 
 
 def _format_code(text: str) -> str:
-    """Return a text as inline code, so that no character is markup."""
+    """Return a text as inline code, so that no character is markup; empty for a blank text."""
     shown = escape_control(text).replace("|", "¦")
     marks = "`" * (_measure_tick_run(shown) + 1)
     return f"{marks} {shown} {marks}" if shown.strip() else ""

@@ -43,14 +43,15 @@ DEFAULT_SIZE = (640, 480)
 """Width and height of a picture [pixel]. Chosen, not tuned."""
 
 ANIMATION_SIZE = (480, 360)
-"""Width and height of an animation [pixel]. Chosen: a GIF of v3's verification is 1.5 MB large."""
+"""Width and height of an animation [pixel]. Chosen, not tuned: a GIF of v3's verification has
+1.5 MB."""
 
 AZIMUTH, ELEVATION = 135.0, -20.0
 """Direction of the camera in MuJoCo's convention [deg]: from the front right, from above."""
 
 _VIEW_MARGIN = 1.15
-"""Ratio between the distance of the camera and the least distance from which it sees the sphere
-around the robot. Chosen, not tuned."""
+"""Ratio between the distance of the camera and the least distance at which the sphere around the
+robot fits into the vertical field of view. Chosen, not tuned."""
 
 _MIN_RADIUS = 0.01
 """Smallest radius of the sphere around a robot [m], for robots without geoms. Chosen, not tuned."""
@@ -60,7 +61,8 @@ _TURN_SECONDS, _FRAMES_PER_SECOND = 4.0, 10
 configurations of a verification have a distance of 0.1 s. Chosen, not tuned."""
 
 _MAX_FRAMES = 600
-"""Largest number of frames of an animation: 300 MB in memory. Chosen, not tuned."""
+"""Largest number of frames of an animation of a motion: 300 MB in memory for `ANIMATION_SIZE`.
+Chosen, not tuned."""
 
 _DRAWING_TIMEOUT = 300.0
 """Time [s] after which a drawing process is ended. A frame takes 0.1 s without a graphics card.
@@ -111,7 +113,8 @@ class Animation:
         Raises:
             ConfigurationError: If the suffix is neither ``.gif`` nor ``.mp4``.
             MissingPackageError: If an MP4 is requested, and ``imageio[ffmpeg]`` is not installed.
-            OutputError: If the file cannot be written, or would replace a file of another kind.
+            OutputError: If the file cannot be written, or exists, was not written by this function,
+                and ``force`` is False.
         """
         target = Path(path)
         writers = {".gif": self._to_gif, ".mp4": self._to_mp4}
@@ -187,7 +190,7 @@ def show_result(
     Raises:
         ConfigurationError: If the result has no picture, the robot is missing, or an argument is
             out of range.
-        DisplayError: If there is no OpenGL.
+        DisplayError: If the picture cannot be drawn, for example without OpenGL.
     """
     view = make_view(result, robot)
     if not in_notebook() and _can_open_window():
@@ -212,7 +215,8 @@ def animate_result(
 ) -> Animation:
     """Draw an animation of a result's motion.
 
-    For a result with a single configuration, the camera turns around the robot once.
+    For a result with a single configuration, the camera turns around the robot once. Of a motion
+    with more than `_MAX_FRAMES` configurations, every second, third ... configuration is drawn.
 
     Args:
         result: Result.
@@ -224,7 +228,7 @@ def animate_result(
     Raises:
         ConfigurationError: If the result has no picture, the robot is missing, or an argument is
             out of range.
-        DisplayError: If there is no OpenGL.
+        DisplayError: If the pictures cannot be drawn, for example without OpenGL.
     """
     view = make_view(result, robot)
     if len(view.qpos) == 1:

@@ -1,9 +1,9 @@
 """Plots of results in figures of ``pyplot``, for notebooks: ``Result.plot`` calls `plot_result`.
 
 A result type with a plot registers a function (``@draw_result.register``) in the module that
-contains the builder of its document; stands and their verification register theirs in
-``present.stand_plots``. Other results are drawn by the plots of their documents. Matplotlib is
-imported at the first plot.
+contains the builder of its document; stands, postures, their statics and their verification are
+registered in ``present.stand_plots``. Other results are drawn by the plots of their documents.
+Matplotlib is imported at the first plot.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ def plot_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:
     """Draw a result in a new figure of ``pyplot``, and return the axes of its panels.
 
     Raises:
-        ConfigurationError: If the result has no plot, or the robot is missing.
+        ConfigurationError: If the result has no plot, or the robot is missing or is not the robot
+            of the result.
         StaticsInfeasibleError: If no contact forces balance a stand that is drawn.
     """
     import_module("pupper_analysis.present.stand_plots")  # registers its plots

@@ -98,7 +98,9 @@ class DrawnForce:
 
 @dataclass(frozen=True, eq=False)
 class StandingScene:
-    """State of a robot in a stand, with ground and loads. All vectors are in the world frame.
+    """State of a robot in a stand, with ground and loads.
+
+    All vectors are in the world frame, except ``anchor`` and ``axis`` of a joint.
 
     Attributes:
         ground: Ground.
@@ -219,11 +221,11 @@ def compute_polygon_corners(points: Array) -> Array:
     """Compute the corners of the support polygon, shape (m, 3) [m], from contact positions.
 
     ``points``, shape (n, 3) [m], and the corners are expressed in the world frame. Each corner has
-    the height of the point nearest in x and y. Points on one line give its two ends, equal points
-    a single corner.
+    the height of the point nearest in x and y. Points on one line give the two end points, equal
+    points a single corner.
     """
     hull = shapely.MultiPoint(points[:, :2]).convex_hull
-    wide = hull.geom_type == "Polygon"  # and no line, nor a point
+    wide = hull.geom_type == "Polygon"  # not a line or a point
     corners = support_polygon(points) if wide else np.array(hull.coords)
     away = np.linalg.norm(points[:, None, :2] - corners, axis=-1)
     return np.column_stack([corners, points[np.argmin(away, axis=0), 2]])
@@ -296,7 +298,7 @@ def collect_visible_shapes(
 
 
 def select_visible_geoms(model: mujoco.MjModel) -> list[int]:
-    """Return the geoms of the robot that MuJoCo's viewer shows.
+    """Return the indices of the robot's geoms that MuJoCo's viewer shows by default.
 
     If the viewer shows no geom, all supported geoms are returned. Geoms of the world body and kinds
     of geoms that are not in `NUM_SIZES` are excluded.

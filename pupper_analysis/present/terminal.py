@@ -1,10 +1,10 @@
 """Documents on a terminal: verdict, key figures, and tables that fit the width.
 
-The short view omits blocks marked as detail, and the tables of a brief document. A brief document
-has up to three lines: verdict, limit or cause, and the next command. A last line counts the omitted
-findings, tables and notes. In a table that is too wide, columns of sentences are wrapped; if the
-table is still too wide, the table is printed in parts that repeat the first column. Names and
-numbers are never cut.
+The short view omits blocks marked as detail, and the tables and notes of a brief document. A
+document begins with up to three lines: verdict, limit or cause, and the next command. A last line
+counts the omitted findings, tables and notes. In a table that is too wide, columns of sentences are
+wrapped; if the table is still too wide, the table is printed in parts that repeat the first column.
+Names and numbers are never cut.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ from pupper_analysis.present.formats import escape_control
 
 MAX_ANSWER_WIDTH = 104
 """Maximum width [characters] of the line into which the messages of a short answer are joined.
-The first message is always printed; those that do not fit are only counted. Chosen, not tuned."""
+The first message is always printed; from the first message that does not fit, messages are only
+counted. Chosen, not tuned."""
 
 MAX_SHORT_FINDINGS = 8
 """Largest number of findings in files in the short view. Chosen, not tuned."""
@@ -298,7 +299,7 @@ def _make_lines(_: object, __: _ViewOptions) -> list[_PrintedLine]:
 
 @_make_lines.register
 def _make_table_lines(table: Table, view: _ViewOptions) -> list[_PrintedLine]:
-    """Return an empty line, the title, the rows and the notes of a table."""
+    """Return an empty line, the title, the header, the rows and the notes of a table."""
     columns = [
         index for index, one in enumerate(table.columns) if view.everything or not one.detail
     ]
@@ -345,7 +346,7 @@ def _make_remark_lines(block: Lines, _: _ViewOptions) -> list[_PrintedLine]:
 
 @_make_lines.register
 def _make_listing_lines(block: Listing, _: _ViewOptions) -> list[_PrintedLine]:
-    """Return the lines of a listing, which are not wrapped."""
+    """Return the lines of a listing, without the title; the lines are not wrapped."""
     rows = block.text.rstrip("\n").split("\n")
     return [_PrintedLine(Text(_escape_line(row)), wrap=False) for row in rows]
 
@@ -364,7 +365,7 @@ def _print_line(out: Console, line: Text, *, indent: int = 0, wrap: bool = True)
     rows = [line]
     width = max(out.width, _MIN_TERMINAL_WIDTH)
     if wrap and out.is_terminal and cell_len(line.plain) > width:
-        words = (cell_len(word) + indent for word in line.plain.split())  # none is cut
+        words = (cell_len(word) + indent for word in line.plain.split())  # no word is cut
         rows = [*line.wrap(out, max(width, *words) - indent)]
     for number, row in enumerate(rows):
         out.print(Text(" " * indent if number else "").append_text(row), soft_wrap=True)

@@ -74,8 +74,9 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
 
     Statements that agree with the verdict come first. In a bad verdict, the causes (`_CAUSES`)
     follow directly after the first statement. A remark about an impossible mass or inertia is the
-    first statement of a bad verdict, because no simulation of such a file has a meaning. Statements
-    about the published file precede the statements about the prepared robot if only the file fails.
+    first statement of a bad verdict, because no simulation of such a file has a meaning. The
+    statements about the simulation from a keyframe precede the statements about the prepared robot
+    if the own drives of the file fail, or if the prepared robot stands, but not as predicted.
     """
     run_clauses = tuple(make_keyframe_run_clauses(verdict.keyframe_run))
     published_clauses = tuple(make_published_clauses(verdict.published))
@@ -108,7 +109,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
         *_make_limit_clauses(verdict),
         *(() if fails else run_clauses),
     )
-    once = {str(clause): clause for clause in messages}  # a cause is one, whatever it makes fail
+    once = {str(clause): clause for clause in messages}  # a cause may be stated for two failures
     ordered = sorted(once.values(), key=lambda clause: clause.good != verdict.passed)
     if not verdict.passed:
         ordered[1:] = sorted(ordered[1:], key=lambda clause: clause.message.code not in _CAUSES)
@@ -208,8 +209,7 @@ def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text,
 def report_refused_file(verdict: Verdict) -> tuple[Text, ...]:
     """Return the warning that MuJoCo refuses the published file, since meshes are missing.
 
-    Empty if MuJoCo does not refuse the file, or if there is no run from a keyframe. The short
-    answer contains this warning before all others.
+    Empty if no meshes are missing, or if there is no run from a keyframe.
     """
     run = verdict.keyframe_run
     if run is None or not run.missing:
@@ -283,7 +283,7 @@ def judged_document(
         word: Verdict in one or two words. Default: the word of the judge's verdict.
         limit: Cause that limits the number, or the number that belongs to it, such as the base
             height; None if there is none.
-        limits: Several such texts, in place of ``limit``.
+        limits: Several such texts, in place of ``limit``; ignored if ``limit`` is not None.
         causes: Causes of a bad verdict, which follow its first reason.
         leading: Reasons that precede all others and the number; ignored if the verdict is good.
         number_first: True if the number also precedes the reasons of a bad verdict, because it is
@@ -405,12 +405,11 @@ def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
     """
     fed, alone = verdict.with_feedforward, verdict.commands_alone
     if fed is Ending.HOLDS and verdict.question is not Question.STANDS:
-        pass  # what it carries, and how it follows, is told beside it
+        pass  # the number of the result states this
     elif fed is Ending.UNTRIED:
         message = diagnose("in-balance", within=not verdict.overloaded_motors)
-        yield Clause(
-            verdict.code is not VerdictCode.IN_BALANCE, message
-        )  # what decides stands first
+        # If the message decides, it is bad like the verdict, and precedes other statements.
+        yield Clause(verdict.code is not VerdictCode.IN_BALANCE, message)
     elif fed is not Ending.HOLDS:
         message = diagnose(
             "fails-in-mujoco",
@@ -482,8 +481,8 @@ def make_published_clauses(published: Published | None) -> Iterator[Clause]:
     """Yield statements on simulations of the published file that deviate from the computed stand.
 
     The first statement is on the worst of these simulations: a collapse, or the deviations in
-    torque, joint position [rad, m] and CoM height [m]. Each cause is a further statement. There are
-    none if ``published`` is None.
+    torque, joint position [rad, m] and CoM height [m]. If no simulation deviates, this statement is
+    omitted. Each cause is a further statement. There are none if ``published`` is None.
     """
     if published is None:
         return
@@ -568,7 +567,7 @@ elements and the line in the file."""
 
 
 def _make_error_quantity(error: float | None) -> Quantity | None:
-    """Return a relative error [1], rounded up to at least 1e-6, as quantity; None without error."""
+    """Return a relative error [1], at least 1e-6, as quantity; None if the error is None."""
     return None if error is None else Quantity(max(error, 1e-6), "1")
 
 
@@ -612,11 +611,11 @@ def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
 
 
 def select_step_after_failure(verdict: Verdict, otherwise: NextStep) -> NextStep:
-    """Return the command to run after a failure: `crosscheck` if the files explain it.
+    """Return the command to run after a failure: `crosscheck` if the files may explain the failure.
 
-    The files explain it if they describe two robots, if the robot or the published file does not
-    stand as predicted, or if a difference of the files is the cause of a deviation. A robot of one
-    file is audited instead.
+    This is the case if the files describe two robots, if the robot or the published file does not
+    stand as predicted, or if a difference of the files is the cause of a deviation. For a robot of
+    one file, the command is then `audit`. In other cases ``otherwise`` is returned.
     """
     differs = verdict.code in (VerdictCode.DIFFERS_AS_PUBLISHED, VerdictCode.DISAGREES)
     two_robots = any(failure.code == TWO_ROBOTS_CODE for failure in verdict.failures)

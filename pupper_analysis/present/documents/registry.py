@@ -64,8 +64,9 @@ def value_cell(value: object) -> Cell:
 def _write_value(value: object) -> str:
     """Return the text of a value, with all entries of lists, mappings and arrays that are short.
 
-    Short is up to `MAX_SHOWN_ENTRIES` entries; longer containers are replaced by their size or
-    shape. Nested containers and results are written in the same way, floats with six digits.
+    Short is up to `MAX_SHOWN_ENTRIES` entries, for arrays also up to two dimensions; other
+    containers are replaced by their size or shape. Nested containers and results are written in the
+    same way, floats with six digits.
     """
     if isinstance(value, str) and not isinstance(value, Enum):
         return value
@@ -204,7 +205,7 @@ def load_builder(kind: type) -> None:
 
     For the type, and then for each base class, a module ``document`` is searched in the package of
     the class and in the parent packages below ``pupper_analysis``. If there is none, the modules
-    ``document`` of all tools are searched for a registration of the class.
+    ``document`` of the tools of this package are searched for a registration of the class.
     """
     for base in kind.__mro__:
         package = getattr(sys.modules.get(base.__module__), "__package__", None) or ""

@@ -90,7 +90,7 @@ def quote_line(place: str | None, *paths: str) -> str:
 def _join_element_lines(rows: list[str]) -> str:
     """Return the last of the lines ``rows`` of an XML file, from the start of its tag on.
 
-    If the tag starts more than `MAX_QUOTED_LINES` lines earlier, the last line alone is returned.
+    If the tag starts before the last `MAX_QUOTED_LINES` lines, the last line alone is returned.
     After `MAX_QUOTED_CHARACTERS` characters, the text is cut.
     """
     begin = len(rows) - 1

@@ -76,7 +76,8 @@ def ground_word(depths: Iterable[float], run: StandVerification | None = None) -
     Args:
         depths: Penetrations of the feet into MuJoCo's soft ground [m]; all zero for rigid ground.
         run: Simulation with feed-forward. For rigid ground, the text also contains the height that
-            the base loses in this simulation.
+            the base loses in this simulation, if the robot does not collapse and the loss is
+            positive.
     """
     if max(depths, default=0.0):
         return text("on-simulated-ground")

@@ -37,7 +37,8 @@ from numpy.typing import ArrayLike
 from pupper_analysis.robot.contact import foot_site
 
 BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
-"""Corner indices of the six faces of a box, in the order of ``Skeleton.boxes``."""
+"""Corner indices of the six faces of a box, with the corners in the order of
+``Skeleton.boxes``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +124,7 @@ def _make_projection(elevation: float, azimuth: float) -> Array:
     The rows are the image's right and up directions in world axes.
 
     Args:
-        elevation: Angle of the viewing direction above the horizontal [deg].
+        elevation: Angle of the viewer above the horizontal [deg]; at 90, the view is from above.
         azimuth: Horizontal angle of the viewer about z, counterclockwise from +x [deg]: at 0, the
             viewer is on the +x side.
     """
@@ -277,8 +278,8 @@ def make_skeleton_figure(
 def _list_links(robot: Robot, qpos: ArrayLike) -> list[Array]:
     """Return the lines between successive joints of a robot, each of shape (2, 3) [m].
 
-    The first point of a line is the joint nearer to the base. The chain of the base begins at the
-    base frame.
+    The first point of a line is the joint nearer to the base, or the base frame. A chain ends at
+    the frame of its last body. Of several joints of a body, the first is used.
     """
     model, data = robot.mj_model, robot.compute_kinematics(qpos)
     base = model.body(robot.mj_base).id
@@ -336,7 +337,7 @@ def _draw_stand(
     # Feet with several contact points have smaller marks.
     small = 1.0 if len(seen.contacts) >= len(seen.contact_positions) else 0.45
     for foot, leg in lines.legs.items():
-        # The viewer stands on the right: the legs of that side hide the base, it hides the others.
+        # The viewer is on the right: legs on this side are drawn over the base, the others below.
         near = leg[0, 1] < hips[:, 1].mean()
         order = 4 if near else 2
         colour = _NEAR_COLOUR if near else _FAR_COLOUR

@@ -42,8 +42,8 @@ MAX_LINE_POINTS = 160
 plot's width, about the accuracy of a mouse pointer. Chosen, not tuned."""
 
 LETTER_WIDTH, MAX_BAR_NAME_LENGTH = 7.0, 28
-"""Approximate width of a letter [CSS pixels], and the largest number of letters of a bar's name.
-Chosen, not tuned."""
+"""Approximate width of a letter [CSS pixels], and the largest number of letters of the untranslated
+name (``Name``) of a bar. Chosen, not tuned."""
 
 DOT_RADIUS, MARKED_DOT_RADIUS = 3.5, 6.0
 """Radius of a point [CSS pixels], and of the marked point of a series."""
@@ -153,8 +153,8 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
 
 
 _ROUNDING_RATIO = 1e-9
-"""Magnitude of a negative value, relative to the largest magnitude, below which the value is
-rounding and the bar plot stays one-sided."""
+"""Magnitude of a negative value, relative to the largest value or limit, up to which the value is
+taken as a rounding error and the bar plot stays one-sided. Chosen, not tuned."""
 
 
 @draw_svg.register
@@ -162,7 +162,7 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
     """Convert a bar plot to a drawing: a row per bar, with name, value, limit and marker.
 
     The width is `PLOT_WIDTH` [CSS pixels]; the height depends on the number of bars. The axis
-    extends to the largest value or limit; in both directions if a value is negative.
+    extends to the largest magnitude of a value or limit; in both directions if a value is negative.
     """
     axis, bars = plot.axis, plot.bars
     shown = [_shorten_name(bar.name) for bar in bars]
@@ -226,7 +226,7 @@ def _count_letters(words: Words) -> int:
 
 
 def _shorten_name(words: Words) -> Words:
-    """Cut the start of a name that is too long for the space beside a bar."""
+    """Cut the start of a `Name` that is too long for the space beside a bar; keep a `Text`."""
     if isinstance(words, Name) and len(words.text) > MAX_BAR_NAME_LENGTH:
         return Name(f"…{words.text[1 - MAX_BAR_NAME_LENGTH :]}")
     return words

@@ -135,7 +135,8 @@ def _serialise_stand(scene: StandScene) -> dict[str, Any]:
 def _serialise_motion(scene: MotionScene) -> dict[str, Any]:
     """Convert the scene of a moving robot to JSON data, {key: value}, for the viewer of a page.
 
-    The data are those of `_serialise_robot`, and a level ground at height 0 below the first pose.
+    The data are those of `_serialise_robot`, and a level ground at height 0 below the first pose of
+    the base, which must be free.
     Lengths are in m. Contacts, support polygon, steps and CoM are empty.
     """
     robot, qpos = scene.robot, scene.motions[0].qpos[0]
@@ -343,7 +344,7 @@ class ViewerLibrary:
     """Script that contains three.js.
 
     Attributes:
-        script: Script, which defines ``MeshCat.THREE``; nothing in it ends a script element.
+        script: Script, which defines ``MeshCat.THREE``, without text that ends a script element.
         licence: Licences of the script and of the included parts.
     """
 
@@ -418,10 +419,10 @@ def write_report(
         force: Also replace an existing file that is not a page of this package.
 
     Raises:
-        ConfigurationError: If there is no result, an object is not a result, or the language is
-            unknown.
-        OutputError: If the file cannot be written, or would replace a file that is not a page of
-            this package.
+        ConfigurationError: If there is no result, an object is not a result, the language is
+            unknown, or an argument has the wrong type.
+        OutputError: If the file cannot be written, or ``force`` is False and the file would replace
+            a file that is not a page of this package.
     """
     if language not in HTML_LANGUAGES:
         raise ConfigurationError("language", diagnose("language-unknown", language=language))
@@ -561,7 +562,7 @@ def _make_environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    # What is not a number becomes null, which JSON has a word for.
+    # NaN and infinity, which JSON lacks, become null.
     environment.policies["json.dumps_function"] = lambda value, **_: orjson.dumps(value).decode()
     return environment
 

@@ -33,7 +33,7 @@
     for (const listener of window.report.listeners) listener();
   });
 
-  // Parts: opened by a link that leads to them, and all of them on paper.
+  // Parts: a link to a part opens the part; all parts are opened for printing.
   const parts = [...document.querySelectorAll("details.part")];
   const unfold = () => {
     const target = location.hash.length > 1 && document.getElementById(location.hash.slice(1));
@@ -88,7 +88,7 @@
       });
   }
 
-  // Drawings: the point nearest to the pointer tells its values.
+  // Plots: the tip shows the values of the point nearest to the pointer.
   const tip = document.getElementById("tip");
   const hide = () => { tip.hidden = true; };
   for (const drawing of document.querySelectorAll(".plot > svg")) {
@@ -124,7 +124,7 @@
   }
   addEventListener("scroll", hide, { passive: true });
 
-  // A drawing as a file: what the style sheet says of it goes with it.
+  // A plot as a file: the styles of the style sheet are copied into the elements.
   const kept = ["fill", "fill-opacity", "stroke", "stroke-width", "stroke-dasharray",
     "stroke-linejoin", "font-size", "font-family", "display"];
   function alone(drawing) {

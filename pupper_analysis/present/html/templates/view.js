@@ -8,7 +8,7 @@
     return;
   }
   const meshes = JSON.parse(document.getElementById("meshes").textContent);
-  const MOST = 8; // views that are drawn at once: browsers allow some 16, and forget the oldest
+  const MOST = 8; // largest number of WebGL contexts; some browsers drop the oldest above 16
   const active = [];
   const cache = new Map();
   const up = new THREE.Vector3(0, 0, 1);
@@ -81,7 +81,7 @@
     start() {
       if (this.renderer || this.broken) return;
       const trial = document.createElement("canvas");
-      try { // a context is asked for first, as three.js complains where there is none
+      try { // test for a context first: without one, three.js writes errors to the console
         if (!(trial.getContext("webgl2") || trial.getContext("webgl"))) throw new Error("none");
         this.renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true,
           preserveDrawingBuffer: true });
@@ -269,7 +269,7 @@
 
     show(input) {
       const { layer } = input.dataset;
-      const there = layer !== "forces" || this.motion === 0; // they are those of the stand
+      const there = layer !== "forces" || this.motion === 0; // the forces belong to the stand, motion 0
       for (const object of this.layers[layer]) object.visible = input.checked && there;
     }
 
@@ -450,9 +450,9 @@
       this.draw();
     }
 
-    /** Puts a picture of the view beside it, for paper: views that nobody has scrolled to are empty. */
+    /** Append a picture of the view for printing: a view that was never visible has no canvas. */
     picture() {
-      if (this.box.querySelector(".printed")) return; // a preview asks for it again and again
+      if (this.box.querySelector(".printed")) return; // a print preview may call this several times
       const there = Boolean(this.renderer);
       this.start();
       if (!this.renderer) return;
