@@ -12,12 +12,13 @@ from pupper_analysis.base.drivers import use_one_blas_thread
 def main(command: str | None = None, *arguments: str) -> None:
     """Run the command line, and exit with the status of the command.
 
-    Ctrl-C during import prints a line instead of a traceback. A missing package prints a line
-    and exits with status 2; the usual cause is an environment that is not activated.
+    Ctrl-C during import prints a line instead of a traceback. A missing package of another project
+    prints a line and exits with status 2, for example if the environment is not activated.
 
     Args:
         command: Name of the command; None: the first command-line argument.
-        *arguments: Arguments of the command, placed before the command-line arguments.
+        *arguments: Arguments of ``command``, placed before the command-line arguments; not used if
+            ``command`` is None.
     """
     use_one_blas_thread()
     try:
@@ -50,10 +51,10 @@ MAX_UNSIGNALLED_STATUS = 128
 
 
 def end_without_waiting(status: int) -> None:
-    """End the process at once, with an exit status, if non-daemon threads are still running.
+    """End the process at once, with an exit status, if other non-daemon threads are running.
 
-    Called after a signal, when all output is written. A normal exit would wait for the threads, for
-    example 5 to 9 s for those of twelve browser sessions of ``live``.
+    A normal exit would wait for the threads, for example 5 to 9 s for the threads of twelve browser
+    sessions of ``live``. Output must be flushed before.
     """
     main_thread = threading.main_thread()
     if any(thread is not main_thread and not thread.daemon for thread in threading.enumerate()):

@@ -22,8 +22,8 @@ _ROBOT_ARGUMENTS = ("words", "file", "urdf", "mjcf", "source")
 """Names of the arguments of commands that specify a robot or its model files."""
 
 _OUTPUT_PARAMETERS = ("everything", "style", "force")
-"""Names of the options for the form of the output, and of ``--force``, which permits overwriting.
-The next command does not get these options."""
+"""Parameter names of the options ``--verbose``, ``--format`` and ``--force``, which the next
+command does not get."""
 
 _PAYLOAD_SEARCHES = (("payload",), ("best", "payload"))
 """First words of the commands that search for a payload, and accept ``--payload-at`` without
@@ -34,8 +34,9 @@ def complete_command(step: NextStep | None) -> str:
     """Return the command line of a next step, for the robot of the running command.
 
     The line contains the robot that the user typed, unless the step names files, and the typed
-    options that both commands have, except options for outputs. ``--payload-at`` is left out if the
-    next command would refuse this option without ``--payload``.
+    options that both commands have, except options for outputs and options that the step sets or
+    omits. ``--payload-at`` is left out if the next command would refuse this option without
+    ``--payload``.
 
     Args:
         step: Next step; None for none.
@@ -70,7 +71,8 @@ def complete_command(step: NextStep | None) -> str:
 def _list_typed_robot(arguments: Set[str | None], values: Mapping[str, Any]) -> list[str]:
     """Return the typed words that specify the robot or its model files, for example ``v3``.
 
-    A URDF and an MJCF, which may be typed in any order, are returned in this order.
+    If the arguments of the command are a URDF and an MJCF, which may be typed in any order, the
+    words are returned in this order.
 
     Args:
         arguments: Names of the arguments of the running command.
@@ -90,7 +92,7 @@ def _list_typed_robot(arguments: Set[str | None], values: Mapping[str, Any]) -> 
 def _fit_robot_arguments(
     robot: list[str], arguments: Set[str | None], target: click.Command, *, required: bool
 ) -> list[str] | None:
-    """Return the words of the robot that the next command accepts as its arguments.
+    """Return the typed words of the robot that the next command accepts as its arguments.
 
     Args:
         robot: Typed words of the robot, from `_list_typed_robot`.
@@ -173,7 +175,7 @@ def _list_common_options(
 ) -> Iterator[str]:
     """Yield the typed options that the next command also has, each followed by its value, if any.
 
-    Options that select the form of the output or a result file are left out.
+    Options that select the form of the output or a result file, and ``--force``, are left out.
 
     Args:
         order: Typed parameters.

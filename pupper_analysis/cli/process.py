@@ -27,7 +27,7 @@ class TolerantStream(io.RawIOBase):
     """Stream of bytes that ignores output errors after recording the first.
 
     Attributes:
-        failure: First output error, except that of a closed pipe; None without an error.
+        failure: First output error; None without an error, or if the first error is a closed pipe.
     """
 
     def __init__(self, below: io.RawIOBase) -> None:
@@ -127,8 +127,9 @@ class ProcessEnding:
 
     Attributes:
         signal: Number of the signal; 0 without a signal.
-        caught: True if `ProcessEnded` has reached the code that ends the process, or the context of
-            `catch_ending_signals` has ended. The exception is then not raised again.
+        caught: True if `ProcessEnded`, or another exception, has reached the code that ends the
+            process, or the context of `catch_ending_signals` has ended. `ProcessEnded` is then not
+            raised again by the timer.
     """
 
     signal: int = 0
@@ -144,8 +145,8 @@ class ProcessEnding:
 
 
 RAISE_INTERVAL = 0.3
-"""Time [s] after which `ProcessEnded` is raised again if a callback has suppressed it. Chosen, not
-tuned."""
+"""Interval [s] of the timer that raises `ProcessEnded` again if a library has suppressed the
+exception. Chosen, not tuned."""
 
 _active_endings: list[ProcessEnding] = []
 """States of the active contexts of `catch_ending_signals`, the innermost last."""
@@ -155,7 +156,7 @@ def raise_if_ended() -> None:
     """Raise `ProcessEnded` again if a signal has arrived: libraries may suppress the exception.
 
     Raises:
-        ProcessEnded: If a signal has arrived.
+        ProcessEnded: If a signal has arrived in the innermost context of `catch_ending_signals`.
     """
     if _active_endings and _active_endings[-1].signal:
         raise ProcessEnded
@@ -166,7 +167,7 @@ def catch_ending_signals() -> Iterator[ProcessEnding]:
     """Turn the signals that end a process into an exception, and record the signal.
 
     If a library suppresses the exception, and the platform has interval timers, the exception is
-    raised again, unless the process has a handler of SIGALRM. A second signal ends the process at
+    raised again, unless the process handles or ignores SIGALRM. A second signal ends the process at
     once. The signals are SIGINT, SIGTERM and SIGHUP if they have the default handler; outside of
     the main thread, no signal is caught.
 

@@ -1,8 +1,8 @@
 """Arguments and options that select a robot, shared by all commands.
 
 A robot is the name of a variant, a scaled variant (``--base``, ``--leg-scale``,
-``--torso-mass-scale``), or one or two model files. `RobotOptions` collects the typed options and
-returns the selected robots; `load_selected_robot` loads a robot.
+``--torso-mass-scale``), the name of a published robot, or one or two model files. `RobotOptions`
+collects the typed options and returns the selected robots; `load_selected_robot` loads a robot.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pupper_analysis.robot.robot import Robot
 
 Command = Callable[..., None]
-"""Function of a command, whose arguments are the values of its options."""
+"""Function of a command, whose arguments are the values of the command's parameters."""
 
 VARIANT_OPTIONS = (
     click.option("--base", metavar="BASE", help="Base model of a scaled variant: skeleton or v3."),
@@ -89,16 +89,16 @@ FILE_OPTIONS = (
     shared.file_option("--mjcf", help="MJCF of your own robot, if not given as ROBOT."),
     *DETECTION_OPTIONS,
 )
-"""Options for the files of a robot, and for what is detected in these files."""
+"""Options for the files of a robot, and `DETECTION_OPTIONS`."""
 
 
 def _is_model_file(path: Path) -> bool:
-    """Return True if a path is an existing file with the suffix of a model."""
+    """Return True if a path is an existing file with the suffix ``.urdf`` or ``.xml``."""
     return path.suffix in (".urdf", ".xml") and path.is_file()
 
 
 class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """Parameter type of a robot: name of a variant, or file; ``-`` is standard input."""
+    """Parameter type of a robot: variant, published robot, or file; ``-`` is standard input."""
 
     name = "robot"
 
@@ -112,9 +112,9 @@ class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since cl
         param: click.Parameter,  # noqa: ARG002
         incomplete: str,
     ) -> list[CompletionItem]:
-        """Return matching variants and model files; else let the shell complete files.
+        """Return matching variants, and model files in the current folder.
 
-        If names are returned, the shell does not complete file names by itself.
+        Without a match, the shell completes file names by itself.
         """
         from pupper_analysis.pupper.variants import VARIANTS
 
@@ -140,7 +140,10 @@ robots_argument = click.argument("words", nargs=-1, type=_RobotWord(), metavar="
 
 @dataclass(frozen=True)
 class RobotOptions:
-    """Values of the options that select a robot, as typed; each field is that of an option."""
+    """Values of the options that select a robot, as typed; each field is the value of an option.
+
+    An option that the command does not have is None.
+    """
 
     urdf: Path | None
     mjcf: Path | None
@@ -170,9 +173,9 @@ class RobotOptions:
         """Return the selected robot; None if no robot is specified.
 
         Raises:
-            ConfigurationError: If the robot is specified in several ways, or an option for files is
-                not valid or is typed without a file.
-            VariantError: If a word names no robot.
+            ConfigurationError: If several robots are specified, or an option for files is not valid
+                or is typed without a file.
+            VariantError: If a word names no robot, or a base or scale is not valid.
         """
         from pupper_analysis.pupper.variant_files import parse_single_robot
 
@@ -192,7 +195,7 @@ class RobotOptions:
 
         Raises:
             ConfigurationError: If an option for files is not valid or is typed without a file.
-            VariantError: If a word names no robot.
+            VariantError: If a word names no robot, or a base or scale is not valid.
         """
         from pupper_analysis.pupper.variant_files import parse_robot_words
 
@@ -207,7 +210,8 @@ class RobotOptions:
         """Return the selected robots; add the options for files to robots from files.
 
         Raises:
-            ConfigurationError: If there are such options, and no robot is from files.
+            ConfigurationError: If there are such options, and no robot is from files; or if such an
+                option is not valid.
         """
         if self._load_options and not any(
             isinstance(specification, tuple) for specification in robots
@@ -222,7 +226,7 @@ class RobotOptions:
 
     @property
     def _derived_variant(self) -> VariantSpec | None:
-        """Variant that the scale options specify; None without scale options."""
+        """Variant that the options of `VARIANT_OPTIONS` specify; None if none of them is typed."""
         if (self.base, self.leg_scale, self.torso_mass_scale) == (None, None, None):
             return None
         from pupper_analysis.pupper.variants import VariantSpec
@@ -292,6 +296,7 @@ def load_selected_robot(
 
     Raises:
         ConfigurationError: If an option is invalid.
+        VariantError: If the scales of a variant give no valid model.
         ModelError: If no robot can be made of the files.
         UnknownNameError: If a foot, joint, keyframe or body does not exist.
     """

@@ -2,8 +2,8 @@
 
 Input is the command line: `Command` parses it, registers the files that the parameters name, and
 checks before the computation that all results can be written. The functions ``parse_...`` convert
-the text of an option into numbers in SI units; their errors name the option. Output are tables on
-the terminal, Markdown, JSON and HTML files, and the exit status.
+the text of an option into its value, with numbers in SI units. Output are tables on the terminal,
+Markdown, JSON and HTML files, and the exit status.
 """
 
 from __future__ import annotations
@@ -98,8 +98,8 @@ class OutputPath(click.Path):
             kind: Format that is written.
 
         Raises:
-            ConfigurationError: If the suffix belongs to another format or, for a figure or page, is
-                not one of its own.
+            ConfigurationError: If the suffix belongs to another format, or if a figure or page has
+                a suffix that is not one of its own format.
         """
         suffix = path.suffix.lower()
         drawn = kind in (kinds.PICTURE_KIND, kinds.PAGE_KIND)
@@ -222,9 +222,9 @@ class Command(click.Command):
             raise
 
     def _refuse_options_without_hyphens(self, ctx: click.Context, words: Sequence[str]) -> None:
-        """Refuse options with fewer than two hyphens: ``height=12cm`` and ``-height 12cm``.
+        """Refuse known options with fewer than two hyphens: ``height=12cm`` and ``-height 12cm``.
 
-        Click takes the first for a robot, and the second for the options ``-h``, ``-e`` and so on.
+        Click reads the first as a robot, and the second as the options ``-h``, ``-e`` and so on.
 
         Raises:
             click.UsageError: If there is such a word.
@@ -297,9 +297,10 @@ class Command(click.Command):
         Files that the parameters name are registered as inputs, which no result replaces.
 
         Raises:
-            OutputError: If a result cannot or must not be written.
-            ConfigurationError: If the command raises this error. An error about an argument of a
-                function names the typed option instead.
+            OutputError: If a result cannot or must not be written, or two have the same path.
+            ConfigurationError: If the suffix of a result belongs to another format, or the command
+                raises this error. An error about an argument of a function names the typed option
+                instead.
         """
         run = context.with_resource(ensure_run())
         run.request = _collect_options(self, context)
@@ -395,7 +396,7 @@ _DASHED_NUMBER = re.compile(rf"(^|[,=/])[{_DASHES}](?=[0-9.])")
 def _refuse_other_dashes(
     context: click.Context, words: Sequence[str], options: Sequence[str]
 ) -> None:
-    """Refuse an option or a number that begins with another dash than ``-``.
+    """Refuse a known option or a number that begins with another dash than ``-``.
 
     An existing file of such a name is accepted.
 
@@ -416,8 +417,10 @@ def _refuse_other_dashes(
 def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None:
     """Refuse a number and a unit in two words, such as ``--height 12 cm``.
 
+    A unit that is also the name of an existing file is accepted.
+
     Raises:
-        UsageError: If there are such words.
+        click.UsageError: If there are such words.
     """
     known = {unit.lower(): unit for units in UNIT_FACTORS.values() for unit in units}
     known |= {unit.lower(): "" for unit in _UNTYPED_UNITS}
@@ -432,7 +435,10 @@ def _refuse_separate_units(context: click.Context, words: Sequence[str]) -> None
 
 
 def _suggest_choice(error: click.BadParameter, choice: click.Choice[Any]) -> click.BadParameter:
-    """Return the error about a word that is no choice, with the most similar choice, if any."""
+    """Return the error about a word that is no choice, with the most similar choice, if any.
+
+    Without a similar choice, the error about an argument states the usage of the command.
+    """
     found = _INVALID_CHOICE.match(error.message)
     typed = "" if found is None else found[1]
     names = {str(name).lower(): str(name) for name in choice.choices}
@@ -508,7 +514,7 @@ _MAX_OPTIONS_ABOUT = 3
 
 _MIN_WORD_LENGTH = 4
 """Minimum length [characters] of the words of an option that `_find_options_about` searches for:
-shorter words, such as "x" or "at", occur everywhere. Chosen, not tuned."""
+shorter words, such as "x" or "at", occur in many helps. Chosen, not tuned."""
 
 
 FORCE_HELP: Final = (
@@ -557,7 +563,7 @@ def _list_named_files(command: click.Command, context: click.Context) -> Iterato
 
 
 def _prepare_outputs(command: Command, context: click.Context) -> None:
-    """Check that all results may and can be written, and register existing files as outputs.
+    """Check that all results may and can be written, and register the files as outputs.
 
     If a result goes to standard output (``-``), all other output is redirected to standard error.
 
@@ -724,7 +730,7 @@ def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
 
 
 class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """A number with or without a unit: ``5deg``, ``10cm``, ``0.1``."""
+    """Parameter type of a number with or without a unit: ``5deg``, ``10cm``, ``0.1``."""
 
     def __init__(self, kind: str) -> None:
         self.name = kind
@@ -735,7 +741,8 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
         """Parse an option's text, for example ``5deg``, into the SI unit of the quantity.
 
         ``name`` is the quantity: "length" [m], "angle" [rad] and so on. A number without a unit is
-        in the SI unit, also if it comes from Python instead of the command line.
+        in the SI unit, also if it comes from Python instead of the command line. Of the numbers
+        from Python, only lengths are checked for a missing unit.
 
         Raises:
             click.BadParameter: If the text is no such quantity, or a length without unit is
@@ -785,7 +792,7 @@ def parse_quantity(kind: str, text: str) -> float:
 MAX_BARE_NUMBERS: Final[Mapping[str, float]] = {
     # Probably mm or cm: no two parts of a legged robot are 5 m apart (chosen, not tuned).
     "length": math.nextafter(5.0, 0.0),  # 5 m itself is refused
-    # Probably degrees: no option needs more than a turn.
+    # Probably degrees: more than one turn (chosen, not tuned).
     "angle": 2 * math.pi,
     # Probably milliseconds: the largest delay of a controller that is accepted is 0.5 s
     # (`simulation.controlled_stand.MAX_DELAY`), and time steps are shorter.
@@ -793,8 +800,8 @@ MAX_BARE_NUMBERS: Final[Mapping[str, float]] = {
     # Probably grams: no published legged robot carries 200 kg (chosen, not tuned).
     "mass": math.nextafter(200.0, 0.0),  # 200 kg itself is refused
 }
-"""{quantity: largest absolute value [SI unit] that is accepted without a unit}. Other quantities
-have no bound."""
+"""{quantity: largest finite absolute value [SI unit] that is accepted without a unit}. Other
+quantities have no bound."""
 
 _MISSING_UNIT_CODES = {
     "length": "length-without-unit",
@@ -837,7 +844,7 @@ def _find_assignment_form(option: str) -> str:
     """Return the form of an option's value, with the example in its help.
 
     For example ``FOOT=LENGTH, e.g. FR=30mm``; ``NAME=VALUE`` if the running command has no such
-    option.
+    option, or the form of the option has no equals sign.
 
     Args:
         option: Name of the option, with or without ``--``.
@@ -851,7 +858,7 @@ def _find_assignment_form(option: str) -> str:
 
 
 def _find_running_option(name: str) -> click.Option | None:
-    """Return an option of the running command; None if the command has no such option.
+    """Return an option of the running command; None if there is no such option or no command.
 
     Args:
         name: Name of the option, with or without ``--``.
@@ -885,7 +892,7 @@ _EXTRA_ARGUMENTS = re.compile(r"Got unexpected extra arguments? \((.*)\)")
 """Message of click about arguments that the command does not have; the group is their text."""
 
 _NUMBER_START = re.compile(r"[+-]?\d+([.,]\d+)?")
-"""Number at the start of a text, with a decimal point or a decimal comma."""
+"""Number at the start of a text, with or without a decimal point or comma."""
 
 _ASSIGNMENT_EXAMPLE = re.compile(r"e\.g\. '?([^ ']*=[^ ']*?)'?[.;]?(?: |$)")
 """Example of a value with an equals sign in the help of an option, such as ``e.g. FR=30mm.``"""
@@ -979,7 +986,7 @@ def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnos
 def _spell_unit(kind: str, text: str) -> str:
     """Return a quantity with the unit in the accepted spelling: ``12CM`` as ``12cm``, ``5°``.
 
-    Empty if the text is no such quantity.
+    Empty if the text is no number with a unit of the quantity.
     """
     number = _NUMBER_START.match(text)
     if number is None:
@@ -1014,7 +1021,7 @@ def _display_progress(what: str) -> Iterator[None]:
             """Column with the elapsed time, or completed parts and remaining time."""
 
             def render(self, task: Task) -> Text:  # noqa: ARG002
-                """Return the text of the progress bar: times and number of completed parts."""
+                """Return the text of the column, from `format_progress`."""
                 return Text(format_progress(clock))
 
         columns = SpinnerColumn(), TextColumn("{task.description}"), TimeColumn()

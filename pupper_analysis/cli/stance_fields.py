@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pupper_analysis.stance.task import StandTask
 
 Command = Callable[..., None]
-"""Function of a command, whose arguments are the values of its options."""
+"""Function of a command, whose arguments are the values of the command's parameters."""
 
 OPTION_FIELDS = {name: field for name, field in FIELDS.items() if field.help}
 """{name: field} of the fields with an option; a command receives the value under this name."""
@@ -102,6 +102,9 @@ def make_task(values: Mapping[str, Any]) -> StandTask:
 
     Args:
         values: {field: value of the option}; other fields have the default value.
+
+    Raises:
+        ConfigurationError: If a value is not valid.
     """
     from pupper_analysis.stance.task import StandTask
 
@@ -120,7 +123,8 @@ def to_task_value(field: Field, value: Any) -> Any:
         value: Value from click.
 
     Raises:
-        ConfigurationError: If a text has another form; the message names the option.
+        ConfigurationError: If a text has another form, or a contact is stated twice; the message
+            names the option.
     """
     if field.per:
         assignments = [(shared.parse_assignment(field.option, text), text) for text in value]
@@ -159,7 +163,8 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
         given: Complete value of the option, for errors.
 
     Raises:
-        ConfigurationError: If the text has another form, or a value is out of range.
+        ConfigurationError: If the text has another form or an unknown property, or a value is not
+            valid.
     """
     from pupper_analysis.robot.plane import PLANE_NORMALS, Bar, Contact, Plane, Slope, Weld
 

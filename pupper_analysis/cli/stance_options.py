@@ -98,7 +98,7 @@ SERVO_OPTIONS = (
         ),
     ),
 )
-"""Options for servo gains, and for MuJoCo's integrator, time step and friction cone."""
+"""Options for servo gains, and for MuJoCo's integrator, time step, friction cone and impratio."""
 
 EFFORT_OPTION = click.option(
     "--effort",
@@ -109,7 +109,7 @@ EFFORT_OPTION = click.option(
         "the files (N m; N of a slide); e.g. 3, '*knee*=35'. Repeatable."
     ),
 )
-"""Option for the torque limits of joints."""
+"""Option for the effort limits of joints."""
 
 CONTINUOUS_OPTION = click.option(
     "--continuous",
@@ -145,7 +145,8 @@ class RobotAndTask:
     """Values of the stance options, as typed.
 
     ``which`` contains the options of the robot, ``stance`` the options of the stand task. The
-    command sets ``fixed_base``; each other field is the value of an option.
+    command sets ``fixed_base``; each other field is the value of an option: ``payload`` [kg],
+    ``timestep`` [s].
     """
 
     which: RobotOptions
@@ -189,9 +190,11 @@ class RobotAndTask:
                 accepted without ``--payload``.
 
         Raises:
-            ConfigurationError: If an option is refused without another option, or is not valid.
+            ConfigurationError: If several robots are selected, or an option is not valid, or has no
+                effect for the robot or without another option.
             VariantError: If a word names no robot, or a scale is not valid.
             ModelError: If the robot cannot be loaded from its files.
+            UnknownNameError: If an option names a joint or frame that the robot lacks.
         """
         if not self.payload and not payload_sought:
             refuse_alone(("--payload",), "payload_at")
@@ -211,9 +214,11 @@ class RobotAndTask:
             default: Names of variants that are loaded if no robot is selected.
 
         Raises:
-            ConfigurationError: If an option is refused without another option, or is not valid.
+            ConfigurationError: If an option is not valid, or has no effect for the robots or
+                without another option.
             VariantError: If a word names no robot, or a scale is not valid.
             ModelError: If a robot cannot be loaded from its files.
+            UnknownNameError: If an option names a joint or frame that a robot lacks.
         """
         if not self.payload:
             refuse_alone(("--payload",), "payload_at")
@@ -224,15 +229,15 @@ class RobotAndTask:
         return name_uniquely(selections, robots)
 
     def _refuse_idle_direction(self) -> None:
-        """Raise a ConfigurationError for ``--uphill`` on level ground: the ground's slope is 0."""
+        """Raise a ConfigurationError if ``--uphill`` is typed for ground with slope 0."""
         if self.stance and not self.task().ground.slope:
             refuse_alone(("--slope",), "uphill")
 
     def _load_robot(self, selection: str | VariantSpec | RobotFiles, *, visuals: bool) -> Robot:
         """Load a selected robot, and apply the typed options (`_apply_options`).
 
-        Warnings on a robot from files are printed when the command ends, after the result, unless
-        the output is Markdown, which contains them.
+        Warnings on a robot from files are printed when the command ends, after the result and
+        before an error, unless the output is Markdown, which contains the warnings.
         """
         robot = self._apply_options(
             load_selected_robot(
@@ -242,7 +247,7 @@ class RobotAndTask:
         if (
             isinstance(selection, RobotFiles) and self.style == "text"
         ):  # Markdown output contains the notes
-            # The result, or the error, is printed first.
+            # The result is printed first; an error of the command is printed after the warnings.
             if not self.everything:
                 hide_notes(robot)
             context = click.get_current_context()
@@ -303,9 +308,9 @@ class RobotAndTask:
 
         Raises:
             ConfigurationError: If a typed gain has another form.
-            UnknownNameError: If a pattern matches no joint.
-            ModelError: If the first pattern leaves out a joint, and the model has no position
-                servos.
+            UnknownNameError: If a pattern matches no joint, and the last gain has a pattern.
+            ModelError: If the first pattern leaves out a joint, the last gain has a pattern, and
+                the model has no position servos.
         """
         return parse_gain("kp", self.kp, robot), parse_gain("kd", self.kd, robot)
 
@@ -466,8 +471,8 @@ def apply_motors(
 ) -> tuple[Robot, dict[str, Motor]]:
     """Return a robot with the effort limits of its motors, and {joint: motor}.
 
-    An effort limit becomes the largest torque of the motor at rest, if ``--effort`` does not name
-    the joint.
+    The effort limit of a joint with a motor becomes the largest torque of the motor at rest, unless
+    ``--effort`` names the joint.
 
     Args:
         texts: Texts of ``--motor``.
@@ -479,7 +484,8 @@ def apply_motors(
 
     Raises:
         UnknownNameError: If a pattern matches no joint, or the text names no motor.
-        ConfigurationError: If a pattern matches a slide.
+        ConfigurationError: If a pattern of ``texts`` matches a slide, or a text of ``effort`` has
+            another form.
         ModelError: If the motor's file is not valid, or its largest torque is unknown.
     """
     if not texts:
@@ -497,7 +503,9 @@ def apply_motors(
 def parse_continuous_torques(
     texts: tuple[str, ...], robot: Robot
 ) -> tuple[dict[str, float], dict[str, Motor]]:
-    """Return {joint: continuous torque [N m]} and {joint: motor} of the texts of ``--continuous``.
+    """Return {joint: continuous torque} and {joint: motor} of the texts of ``--continuous``.
+
+    Torques are in N m; a number for a slide is a force [N].
 
     A text ``[JOINTS=]MOTOR`` states the largest permanent torque of the motor, from its thermal
     numbers or from its data sheet (`compute_continuous_torque`).
@@ -533,9 +541,9 @@ def parse_continuous_torques(
 
 
 def limit_by_peak(robot: Robot, torques: Mapping[str, float]) -> dict[str, float]:
-    """Return {joint: continuous torque [N m, N]}, at most the peak limit of the robot.
+    """Return {joint: continuous torque [N m; of a slide N]}, at most the peak limit of the robot.
 
-    Joints whose limit is zero or negative are left out: their motors exert no torque.
+    Joints whose peak limit is zero are left out: their motors exert no torque.
     """
     peaks = {limit.joint: limit.symmetric_torque for limit in robot.efforts}
     return {
@@ -567,9 +575,10 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
         without texts.
 
     Raises:
-        UnknownNameError: If a pattern matches no joint.
         ConfigurationError: If a text has another form.
-        ModelError: If the first pattern leaves out a joint, and the model has no position servos.
+        UnknownNameError: If a pattern matches no joint, and the last text names joints.
+        ModelError: If the first pattern leaves out a joint, the last text names joints, and the
+            model has no position servos.
     """
     from pupper_analysis.robot.servos import model_with_servos
 

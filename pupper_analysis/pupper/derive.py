@@ -26,7 +26,7 @@ from pupper_analysis.pupper.variants import BASE_MODELS, VariantSpec
 BALLAST_COLOUR = (0.13, 0.14, 0.16, 1.0)
 """Colour of the block that marks a heavier torso (red, green, blue, opacity). Chosen, not tuned."""
 _VISUAL_GROUP = 1
-"""Geom group of shapes without contacts, which are only drawn."""
+"""Geom group of the block that marks a heavier torso: the group of visual meshes in the v3 MJCF."""
 
 
 def derive_urdf(text: str, variant: VariantSpec, *, source: Path) -> str:
@@ -115,8 +115,8 @@ def _stretch_link(
         variant: Variant.
 
     Raises:
-        ModelError: If no axis of a mesh is parallel to the stretched direction, so that scale
-            factors cannot stretch the mesh.
+        ModelError: If ``leg_scale`` is not 1 and no axis of a mesh is parallel to the stretched
+            direction, so that scale factors cannot stretch the mesh.
     """
     factor = variant.leg_scale
     in_plane = end[:3, 3] - normal * (normal @ end[:3, 3]) / (normal @ normal)
@@ -166,7 +166,8 @@ def _find_capsule(link: yourdfpy.Link, axis: Array) -> tuple[float, float] | Non
     """Return (radius, length of the cylinder) [m] of a link's collision capsule along an axis.
 
     A capsule is one cylinder along the unit vector ``axis`` (3,), in the link frame, with a sphere
-    at each end, of the same radius. None if the collision shapes are different.
+    at each end, of the same radius. None if the link has other cylinders and spheres; boxes and
+    meshes are ignored.
     """
     shapes = list(_yield_collision_shapes(link))
     cylinders = [(geometry.cylinder, pose) for geometry, pose in shapes if geometry.cylinder]
@@ -221,16 +222,17 @@ def compute_capsule_inertia(mass: float, radius: float, length: float, axis: Arr
 
 
 def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
-    """Convert the spec of a base model to that of a variant, in place.
+    """Convert the spec of a base model to the spec of a variant, in place.
 
     The last joint of a leg is the knee, between thigh and calf. Both bodies are stretched by
-    ``leg_scale`` along the direction to the next joint (or the foot). This direction is projected
-    into the plane normal to the knee axis, so the lateral offset of the leg is unchanged. Mass is
-    proportional to the scale. A shape along the link becomes longer; other primitive shapes keep
-    their size.
+    ``leg_scale`` along the direction to the next body (or the foot). This direction is projected
+    into the plane normal to the knee axis, so the lateral offset of the leg is unchanged. The mass
+    of an inertial, or of a shape along the link, is proportional to the scale. A shape along the
+    link becomes longer; other primitive shapes, such as the foot, keep size and mass.
 
     Mass and inertia of the base body are multiplied by ``torso_mass_scale``; above 1, a dark block
-    without mass is drawn on the base. The ground clearance of keyframes is unchanged.
+    without mass is drawn on the base. The base and the keyframes are raised, so that the ground
+    clearance of a level base is unchanged.
 
     Args:
         spec: Spec of the base model.
@@ -297,7 +299,7 @@ def _stretch_body(
             added, and the caller scales the meshes.
 
     Raises:
-        ModelError: If no axis of a mesh is parallel to ``axis``.
+        ModelError: If ``factor`` is not 1 and no axis of a mesh is parallel to ``axis``.
     """
     matrix = np.eye(3) + (factor - 1.0) * np.outer(axis, axis)
     for part in (*body.bodies, *body.sites, *body.joints):
@@ -322,7 +324,8 @@ def _stretch_geom(
             added.
 
     Raises:
-        ModelError: If the geom is a mesh of which no axis is parallel to ``axis``.
+        ModelError: If ``factor`` is not 1 and the geom is a mesh without an axis parallel to
+            ``axis``.
     """
     ends = np.array(geom.fromto)
     rotation = _convert_quaternion(geom.quat)
@@ -407,8 +410,7 @@ def _add_ballast_geom(torso: mujoco.MjsBody, variant: VariantSpec) -> None:
 def _measure_foot_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
     """Return vertical distances [m] from a level base down to the lowest foot, one per posture.
 
-    The postures are zero joint angles, then the keyframes. ``sites`` are the names of the foot
-    sites.
+    The postures are ``qpos0``, then the keyframes. ``sites`` are the names of the foot sites.
     """
     model = compile_spec(_copy_skeleton(spec), Path(spec.modelname))
     data = mujoco.MjData(model)
@@ -439,8 +441,8 @@ def _raise_keyframes(
 ) -> None:
     """Raise the base, also in all keyframes, in place, to keep the height of the lowest foot.
 
-    ``before`` and ``after`` are the distances [m] from the base down to the lowest foot, as from
-    `_measure_foot_depths`.
+    The base is assumed to be level. ``before`` and ``after`` are the distances [m] from the base
+    down to the lowest foot, as from `_measure_foot_depths`.
     """
     torso.pos = np.array(torso.pos) + np.array([0.0, 0.0, after[0] - before[0]])
     for key, old, new in zip(spec.keys, before[1:], after[1:], strict=True):

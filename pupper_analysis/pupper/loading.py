@@ -1,4 +1,4 @@
-"""``load_robot`` for files and for variants by name."""
+"""``load_robot`` for files and for variants."""
 
 from __future__ import annotations
 
@@ -27,7 +27,11 @@ def _accept_variants(load_files: Callable[P, Robot]) -> Callable[P, Robot]:
     def load_named(*models: P.args, **options: P.kwargs) -> Robot:
         """Load a Pupper variant if a single variant is given, else a robot from files.
 
+        Options that are None or False count as absent. Further errors are those of `load_variant`
+        and of ``load_files``.
+
         Raises:
+            VariantError: If a word is probably a misspelled variant.
             ConfigurationError: If options other than ``fixed_base`` and ``visuals`` are given for a
                 variant.
         """

@@ -1,6 +1,7 @@
 """Variants by name where model files are expected.
 
-A base model has files. The models of a scaled variant are derived in memory, without line numbers.
+An unscaled variant has the files of its base model. The models of a scaled variant are derived in
+memory, without line numbers.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ if TYPE_CHECKING:
     from pupper_analysis.models.urdf_file import UrdfFile
 
 _Model = TypeVar("_Model")
-"""Type of a model that is not a variant."""
+"""Type of a model that is not a ``VariantSpec``."""
 
 _MAX_WORD_LENGTH = 200
-"""Largest number of characters of a word that can be a misspelled variant name. Chosen, not tuned:
-longer texts are XML."""
+"""Largest number of characters of a word that is checked as a misspelled variant name. Chosen, not
+tuned: longer texts are probably XML."""
 
 _WORD_PATTERN = re.compile(r"\w[\w-]*")
 """Pattern of a word that may be the name of a variant: no suffix, folder, prefix or XML."""
@@ -122,8 +123,9 @@ def find_files(variant: str | Path | VariantSpec, folder: Path) -> tuple[Path, P
         Path of the URDF; path of the MJCF.
 
     Raises:
-        VariantError: If the scales give no valid model.
-        ModelError: If a base file or a mesh is missing or damaged.
+        VariantError: If the name is unknown, or the scales give no valid model.
+        ModelError: If the folder of the base files, a base file or a mesh is missing or damaged.
+        OutputError: If a file of a scaled variant cannot be written, or exists with other content.
     """
     from pupper_analysis.pupper.variant_files import write_variant
 
@@ -152,12 +154,13 @@ def refuse_unknown_variant(word: str, *, is_robot: bool = True) -> None:
 
     Args:
         word: Word of the user.
-        is_robot: True if the word specifies a robot. Any word without suffix that names neither a
+        is_robot: True if the word specifies a robot. A word without suffix that names neither a
             file nor a published robot is then refused. False if other sources are permitted, of
-            which only names similar to a variant are refused.
+            which only names similar to a variant are refused. Words of more than
+            `_MAX_WORD_LENGTH` characters are never refused.
 
     Raises:
-        VariantError: If the word is refused; the message lists the similar variants, or all.
+        VariantError: If the word is refused; the message lists all variants, and similar names.
     """
     if len(word) > _MAX_WORD_LENGTH or not _WORD_PATTERN.fullmatch(word) or word in VARIANTS:
         return

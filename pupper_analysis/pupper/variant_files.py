@@ -1,8 +1,8 @@
 """Files of a variant: derive, write and load them; parse the words that name a robot.
 
 Input is the name of a variant or a ``VariantSpec``; the URDF and MJCF are derived from the files of
-the base model in memory, and cached until a base file changes. `load_variant` returns the robot,
-`write_variant` writes both files.
+the base model in memory, and cached until the URDF or the main MJCF of the base model changes.
+`load_variant` returns the robot, `write_variant` writes both files.
 """
 
 from __future__ import annotations
@@ -48,7 +48,8 @@ from pupper_analysis.robot.robot import PublishedFile, Robot
 
 _SAFE_SCALE = 20.0
 """Scale of legs or torso mass above which, or below the inverse of which, the derived MJCF of a
-variant is compiled as a test. With scales in between MuJoCo accepts the MJCF. Chosen, not tuned."""
+variant is compiled as a test. With scales in between the test is omitted to save time. Chosen, not
+tuned."""
 
 
 def describe_variant(variant: str | VariantSpec) -> Description:
@@ -107,7 +108,7 @@ def _derive_files(
     _urdf_stamp: tuple[int, int],
     mjcf_stamp: tuple[int, int],
 ) -> tuple[str, mujoco.MjSpec]:
-    """Derive the URDF and MJCF of a variant; cached until a base file changes.
+    """Derive the URDF and MJCF of a variant; cached until the base URDF or main base MJCF changes.
 
     Args:
         spec: Variant.
@@ -149,7 +150,10 @@ def _derive_files(
 
 @lru_cache(maxsize=8)
 def _read_base(source: Path, _stamp: tuple[int, int]) -> MjcfFile:
-    """Read and compile a base MJCF; cached while ``_stamp`` (`_read_file_stamp`) is the same."""
+    """Read and compile a base MJCF; cached while ``_stamp`` (`_read_file_stamp`) is the same.
+
+    The stamp does not include the files that the MJCF includes.
+    """
     return read_mjcf(source)
 
 
@@ -175,8 +179,9 @@ def write_variant(
     Raises:
         VariantError: If the name is unknown, or the scales give no valid model.
         ConfigurationError: If ``folder`` is no path.
-        ModelError: If a base file or a mesh is missing or damaged.
-        OutputError: If a file cannot be written, or exists with other content.
+        ModelError: If the folder of the base files, a base file or a mesh is missing or damaged.
+        OutputError: If a file cannot be written, exists with other content and ``force`` is False,
+            or if the run will write a base file.
     """
     description = describe_variant(variant)
     check_type("folder", folder, str | Path)
@@ -243,11 +248,12 @@ _PAIR_SEPARATOR: Final = "+"
 def parse_robot_word(word: str) -> str | tuple[str, ...]:
     """Return the name of a variant (text), or the files of a robot (tuple), that a word names.
 
-    Plus signs in the word separate the files, as in ``robot.urdf+robot.xml``. The number of files
-    is not checked.
+    Plus signs in the word separate the files, as in ``robot.urdf+robot.xml``, unless a file has the
+    name of the whole word. The number of files is not checked.
 
     Raises:
-        VariantError: If the word is neither.
+        VariantError: If the word is neither, or is a missing file with the name of a variant, such
+            as ``v3.xml``.
     """
     if word in VARIANTS:
         return word

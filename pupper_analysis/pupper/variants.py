@@ -19,8 +19,8 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, VariantError
 
 _MAX_NAME_BYTES = 200
-"""Upper bound of the length of a variant's name [bytes]: file systems permit 255, including
-prefixes and suffixes."""
+"""Upper bound of the length of a variant's name [bytes]. Chosen, not tuned: file systems permit
+255, including prefixes and suffixes."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,11 @@ BASE_MODELS: Mapping[str, BaseModel] = MappingProxyType(
 
 
 def _check_name(name: object) -> None:
-    """Raise VariantError if a name is no file name, contains a folder, or is too long."""
+    """Raise VariantError if a name is no text, cannot be a file name, or is too long.
+
+    An empty name is accepted. Refused are names that begin with a dot, or contain a slash, a
+    backslash, a colon or an unprintable character.
+    """
     if not isinstance(name, str):
         raise VariantError("name", name, diagnose("name-is-no-text"))
     if name.startswith(".") or set(name) & set("/\\:") or not name.isprintable():
@@ -89,8 +93,8 @@ class VariantSpec:
 
     Attributes:
         base: ``"skeleton"`` or ``"v3"``.
-        leg_scale: Factor of the length and mass of each thigh and calf; finite, > 0.
-        torso_mass_scale: Factor of the mass and inertia of the torso; finite, > 0.
+        leg_scale: Factor of the length and mass of each thigh and calf; > 0, at most `MAX_SCALE`.
+        torso_mass_scale: Factor of the mass and inertia of the torso; > 0, at most `MAX_SCALE`.
         name: Name for tables and files; by default formed from the other values.
 
     Raises:
@@ -197,12 +201,12 @@ class ScalableVariant:
     def scales(self) -> Mapping[str, float]:
         """Scale factors of the variant, with the keys ``leg_scale`` and ``torso_mass_scale``.
 
-        The factors multiply leg length, leg mass and torso mass of the base model.
+        The factors multiply length and mass of the legs, and mass and inertia of the torso.
         """
         return {name: getattr(self.spec, name) for name in ("leg_scale", "torso_mass_scale")}
 
     def with_scales(self, scales: Mapping[str, float]) -> VariantSpec:
-        """Return the variant with some scale factors replaced.
+        """Return the variant with some scale factors replaced, and the default name.
 
         Args:
             scales: {``leg_scale`` or ``torso_mass_scale``: factor}; other factors stay.
