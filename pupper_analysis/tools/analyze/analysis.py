@@ -129,7 +129,8 @@ class FootJacobian(Result):
         joints: Joints of the leg.
         matrix: Velocity of the foot's centre per joint velocity, shape (3, n) (m/rad), in world
             axes.
-        singular_values: Singular values of the matrix, in descending order (m/rad).
+        singular_values: Singular values of the matrix, shape (min(3, n),), in descending order
+            (m/rad).
         condition: Ratio of the largest to the smallest singular value: 1 is isotropic, infinity
             singular.
     """
@@ -159,11 +160,12 @@ class Analysis(Result):
         joints: Summary of each joint, in actuator order.
         notes: Assumptions on loading.
         stand: Stand with the feet sunk into MuJoCo's soft ground (its ``depths``); on rigid ground
-            if that stand is out of reach.
+            if that stand is out of reach, or the depths of a robot with closed loops do not
+            converge.
         statics: Torques and contact forces of the stand, with minimum tangential forces.
         min_max_torque: Torques and contact forces with the smallest peak motor utilisation.
-        hanging_torques: Motor torques in the same configuration with the base held, shape (nu,) [N
-            m].
+        hanging_torques: Motor torques in the same configuration with the base held, shape (nu,)
+            (N m or N).
         foot_jacobians: {foot: Jacobian of the leg}.
         verification: Simulation of the stand with feed-forward.
         sagging: Simulation of the stand without feed-forward.
@@ -217,7 +219,7 @@ def analyze_variant(
     Raises:
         StanceUnreachableError: If the stand is out of reach.
         StaticsInfeasibleError: If no contact forces balance the stand.
-        NotSettlingError: If the penetration depths of the feet do not converge.
+        NotSettlingError: If the penetration depths of a robot without closed loops do not converge.
         ConfigurationError: If the base is fixed, or the task is invalid for the robot.
         ModelError: If a motor is not a position servo, or MuJoCo cannot import the URDF of a large
             robot.
@@ -226,7 +228,7 @@ def analyze_variant(
     robot = stand.check(robot)
     config = Configuration(robot, stand.qpos)
     rest = Configuration(robot, robot.neutral())
-    # All at once: MuJoCo's steps leave Python to others, who import and check meanwhile.
+    # In parallel threads: MuJoCo releases Python's interpreter lock while it steps.
     with ThreadPoolExecutor() as pool:
         holding = pool.submit(verify_stand, robot, stand, duration=HOLD_DURATION)
         checking = pool.submit(cross_check, robot)
@@ -301,7 +303,7 @@ def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
 def _list_link_masses(robot: Robot) -> dict[str, float]:
     """Return the masses of the base and of the body that each joint moves, as {name: mass [kg]}.
 
-    The name is that of the base or of the joint. Links fixed to a body belong to the body.
+    The joints are those of ``robot.joint_names``. Links fixed to a body belong to the body.
     """
     model = robot.pin_model
     root = 1 if robot.floating else 0

@@ -486,8 +486,8 @@ class ComparisonRow(Result):
         base: Name of the base model, or the robot's files.
         total_mass: Mass of the robot (kg).
         mass_ratio: Total mass relative to the base model; None for a robot from files.
-        thigh_ratio: Thigh length relative to the base model; None for legs with a single joint, or
-            a robot from files.
+        thigh_ratio: Thigh length relative to the base model; None for legs with fewer than two
+            joints, or a robot from files.
         height: Base height of the task (m).
         peak_torque: Largest torque magnitude (N m or N).
         peak_utilisation: Largest motor utilisation.
@@ -549,7 +549,8 @@ def compare_with_base(
 def _get_verdict_key(verified: bool, stands_without: bool) -> str:
     """Return the catalogue key of a verdict, for example "VERIFIED".
 
-    The key of a verified robot that falls without feed-forward is "VERIFIED with feed-forward".
+    The key of a verified robot whose simulation without feed-forward fails is "VERIFIED with
+    feed-forward".
     """
     if not verified:
         return "FAILED"

@@ -190,8 +190,8 @@ _DISABLING_VALUES = ("disable", "disabled", "off", "false", "0")
 def _compile_model(tile: Tile) -> mujoco.MjModel:
     """Compile a robot's MJCF for the picture: with the ground of the tile, and other lights.
 
-    Planes of the MJCF are hidden, and its lights deleted. A robot with a fixed base loses free
-    joint and keyframes.
+    Planes of the MJCF are hidden, and its lights deleted. For a robot with a fixed base, free
+    joints and keyframes are deleted as well.
     """
     robot = tile.robot
     spec = robot.description.mjcf.copy()
@@ -245,8 +245,9 @@ def render_tiles(tiles: Sequence[Tile]) -> tuple[list[Pixels], str, str | None]:
 def _list_backends() -> tuple[str, ...]:
     """Return the modules of ``mujoco`` that may provide OpenGL, in the order in which to try them.
 
-    These are the module that MUJOCO_GL names, or the usual modules of the operating system. Empty
-    if MUJOCO_GL disables OpenGL.
+    This is the module that MUJOCO_GL names, or the usual modules of the operating system if
+    MUJOCO_GL names none. Empty if MUJOCO_GL disables OpenGL.
+
     MuJoCo reads MUJOCO_GL on import, which is too early for a choice in this process.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
@@ -301,7 +302,7 @@ def _render_with(backend: str, tiles: Sequence[Tile]) -> list[Pixels]:
     try:
         window.make_current()
         if backend == "glfw" and not import_module("glfw").get_current_context():
-            # MuJoCo ends the process when it is asked a second time without a context.
+            # Without a context, MuJoCo's second attempt would end the process.
             raise RuntimeError("it cannot open a window")
         return [_render_tile(tile) for tile in tiles]
     finally:
@@ -457,7 +458,7 @@ def _draw_lines(canvas: Axes, tile: Tile) -> None:
     legs = np.array([leg[[0, -1]] for leg in lines.legs.values()])
     canvas.fill(*tile.pixels(tile.ground).T, color=GROUND_COLOUR, zorder=1)
     for leg in lines.legs.values():
-        # The camera is on the right: the legs of that side hide the base, it hides the others.
+        # The camera is on the right: legs on this side are drawn over the base, the others below.
         near = leg[0, 1] < legs[:, 0, 1].mean()
         order, colour = (4, "#374151") if near else (2, "#9CA3AF")
         seen = tile.pixels(leg).T

@@ -126,8 +126,8 @@ def sweep_gains(
     Args:
         robot: Robot.
         stand: Stand.
-        kp: Stiffnesses [N m/rad]. Default: `GAIN_FACTORS` times the median of the model's.
-        kd: Dampings [N m s/rad]. Default: `GAIN_FACTORS` times the median of the model's.
+        kp: Stiffnesses [N m/rad]. Default: `GAIN_FACTORS` times the median kp of the model.
+        kd: Dampings [N m s/rad]. Default: `GAIN_FACTORS` times the median kd of the model.
         amplitude: Amplitude of the force [N].
         frequency: Frequency of the force [Hz].
         duration: Simulated time [s], 2 to 600.

@@ -138,8 +138,9 @@ _MAX_LISTED_MESHES = 2
 def _assign_by_pattern(texts: tuple[str, ...], joints: list[str]) -> dict[str, float]:
     """Parse the texts ``[JOINTS=]KGM2`` of ``--armature`` to {joint: armature [kg m^2]}.
 
-    The last text that matches a joint applies. JOINTS is a name or a pattern with ``*``; without it
-    the value applies to all joints. A pattern that matches no joint raises a ConfigurationError.
+    The last text that matches a joint applies. JOINTS is a name or a pattern with the wildcards of
+    ``fnmatch``; without JOINTS the value applies to all joints. A pattern that matches no joint
+    raises a ConfigurationError.
     """
     values = {}
     for text in texts:

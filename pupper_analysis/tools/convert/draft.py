@@ -274,7 +274,8 @@ def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
 def _list_losses_in_mjcf(urdf: UrdfFile) -> list[Diagnostic]:
     """Return messages on the parts of a URDF that the new MJCF does not contain, with numbers.
 
-    These are velocity limits, textures, and elements with other tags than `_CONVERTED_TAGS`.
+    These are velocity limits, textures, children of ``<robot>`` with other tags than
+    `_CONVERTED_TAGS`, and children of ``<joint>`` with the tags `_LOST_JOINT_TAGS`.
     """
     losses = []
     speeds = [

@@ -117,8 +117,8 @@ def convert_model(
         VariantError: If ``source`` is probably a misspelled variant name.
         ModelError: For example, if the source cannot be read, the other format cannot represent the
             robot, or the URDF has no joint of ``armature``.
-        OutputError: If the output or a mesh exists, is an input file, has another suffix, is no
-            regular file, or cannot be written.
+        OutputError: If the output or a mesh exists and ``force`` is False, is an input file, has
+            another suffix, is no regular file, or cannot be written.
     """
     output = Path(output)
     name = _name_source(source)
@@ -318,7 +318,8 @@ class Conversion(Result):
     """Result of a conversion.
 
     Attributes:
-        source: Path of the source file.
+        source: Source as passed: path of a file, or name of a variant or published robot. Path of
+            the model for a robot in memory.
         output: Path of the new file.
         written: Paths of all written files.
         notes: Additions and assumptions.
@@ -329,9 +330,10 @@ class Conversion(Result):
             or if the robot is known not to stand.
         kept: Simulation of a new MJCF from the keyframe, with a small velocity disturbance (nudge).
             None if ``verification`` is None.
-        floating: True if the new file is that of a robot with a free base and feet.
-        failures: Reasons for a negative result: unexplained differences from the source, a robot
-            that does not stand, lost collision meshes.
+        floating: True if the robot of both files has a free base and feet; False if the robot is
+            known not to stand.
+        failures: Reasons for a negative result, for example unexplained differences from the
+            source, a robot that does not stand, lost collision meshes, impossible inertials.
         agree: True if both files agree, except for repaired inertials and replaced feet.
         passed: True if there are no failures.
     """

@@ -73,8 +73,9 @@ def command(
     """Find the stiffness kp and damping kd of the servos with which a robot stands stably.
 
     The servos are an explicit PD controller: it measures angles and velocities once per control
-    period, and its torque acts after the delay. Robot and stance are given as for `stand`. Each
-    bound follows from the modes of the robot on its feet, and is checked by simulation.
+    period, and its torque acts after the delay. Robot and stance are given as for `stand`. The
+    stability bounds follow from the modes of the robot on its feet; the bounds for all joints
+    together are checked by simulation.
 
     \b
     Examples:

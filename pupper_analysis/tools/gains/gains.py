@@ -71,7 +71,7 @@ bound is searched between 1/2 and 2 times the predicted bound. Chosen, not tuned
 
 _SHAKE_DURATION = 3.0
 """Duration [s] of the simulations with which an upper bound of stiffness or damping is searched.
-Long compared with the unstable modes, which double within 0.1 s."""
+Chosen, not tuned: long compared with a mode that doubles within 0.1 s."""
 
 GAIN_MARGIN = 2.0
 """Ratio between a recommended gain and a bound: the usual gain margin of 6 dB (Åström and Murray
@@ -167,7 +167,8 @@ class GainStudy(Result):
 
     Attributes:
         name: Name of the robot.
-        stand: Stand, on MuJoCo's soft ground.
+        stand: Stand on MuJoCo's soft ground if possible, otherwise on rigid ground; posture of a
+            robot with a fixed base.
         servos: Origin and range of the present gains.
         integrator: MuJoCo integrator of the model.
         timestep: Time step of the model (s).
@@ -188,8 +189,8 @@ class GainStudy(Result):
         worst: Mode with the largest growth rate at the present gains.
         damping_ratio: Smallest damping ratio of an oscillation at the present gains.
         curve_factors: Factors on the stiffness of the curve, shape (n,).
-        curve_dampings: Largest stable factor on the damping for each, shape (n,); infinite without
-            a bound, not a number if no damping is stable.
+        curve_dampings: Largest stable factor on the damping for each of ``curve_factors``, shape
+            (n,); infinite without a bound, not a number if no tried damping is stable.
         recommended_kp_factor: Recommended factor on the stiffness; None without a recommendation.
         recommended_kd_factor: Recommended factor on the damping; None without a recommendation.
     """
@@ -277,8 +278,8 @@ def study_gains(
     Args:
         robot: Robot.
         stance: Stand task, or a stand that satisfies a task on rigid ground.
-        kp: Present stiffness [N m/rad], scalar or shape (nu,); default: the model's.
-        kd: Present damping [N m s/rad], scalar or shape (nu,); default: the model's.
+        kp: Present stiffness [N m/rad], scalar or shape (nu,); default: kp of the model.
+        kd: Present damping [N m s/rad], scalar or shape (nu,); default: kd of the model.
         rate: Control rate [Hz]; default: one command per time step of the model.
         delay: Time between measurement and effect of a command [s].
         error: Position error [rad] for which the motors of hinges must have torque.
@@ -420,7 +421,8 @@ def _check_resolution(error: float | None, encoder_bits: int | None) -> None:
 def _check_motor_torques(held: StandStart) -> None:
     """Raise a ModelError if the torque limit of a motor is smaller than the torque of the stand.
 
-    Gains do not change the limit. Motors with a limit of zero are named first.
+    Gains do not change the limit. If a loaded motor has a limit of zero, the error names the motors
+    with a limit of zero.
     """
     robot, statics = held.robot, held.prediction
     null = describe_zero_torque_limits(robot)
@@ -526,8 +528,8 @@ class _Gains:
     ) -> GainBound:
         """Create the result of one stability bound of the gains.
 
-        It contains the bound of the linear model, the mode that is unstable beyond this bound, and
-        the bound found by simulation.
+        The result contains the bound of the linear model, the mode that is unstable 5 % beyond this
+        bound, and the bound found by simulation.
 
         Args:
             factor: Factor on the gains at the bound of the linear model; None without a bound.
@@ -567,8 +569,8 @@ class _Gains:
         """Recommend factors on the gains with a margin of ``GAIN_MARGIN`` to each stability bound.
 
         The factor on the stiffness is 1, or the nearest factor within the margins. The factor on
-        the damping is the smallest tried one with which each oscillation has a damping ratio of at
-        least ``MIN_DAMPING_RATIO``; if no damping reaches this ratio, the one with the largest
+        the damping is the smallest tried factor with which each oscillation has a damping ratio of
+        at least ``MIN_DAMPING_RATIO``; if no factor reaches this ratio, the factor with the largest
         damping ratio.
 
         Args:

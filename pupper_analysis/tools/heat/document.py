@@ -21,7 +21,8 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.heat.heat import HeatStudy, MotorHeat
 
 _MAX_CURVES = 4
-"""Largest number of motors in the plot of temperatures: the hottest motors. Chosen, not tuned."""
+"""Largest number of motors in the plot of temperatures: the hottest motors, and the motor that the
+report names first. Chosen, not tuned."""
 
 
 _LIMIT_TEMPERATURE = "limit_temperature"

@@ -56,18 +56,19 @@ class MotorHeat(Result):
         cold_loss: Copper loss in the winding at ambient temperature, or at the temperature of the
             stated resistance if temperatures are unknown (W); None if the motor cannot exert the
             torque.
-        steady_loss: Copper loss at the final temperature (W); None if unknown, infinite if the
-            temperature grows without bound.
-        steady_temperature: Final temperature of the winding (degC); None if unknown, infinite if it
-            grows without bound.
+        steady_loss: Copper loss at the final temperature (W); None if unknown or if the motor
+            cannot exert the torque, infinite if the temperature grows without bound.
+        steady_temperature: Final temperature of the winding (degC); None if unknown or if the motor
+            cannot exert the torque, infinite if the temperature grows without bound.
         limit_temperature: Largest permitted temperature of the winding (degC); None if unknown.
-        time_to_limit: Time until the winding reaches this temperature (s); None if unknown,
-            infinite if never.
+        time_to_limit: Time until the winding reaches ``limit_temperature`` (s); None if unknown or
+            if the motor cannot exert the torque, infinite if never.
         continuous_torque: Largest permanent torque (N m), at most ``largest_torque``: from the
             thermal numbers, otherwise from the data sheet; None if unknown.
         largest_torque: Largest torque of the motor at rest (N m); None if unknown.
         limiting_number: Number of the motor that limits the largest torque; empty if unknown.
-        unknown: Unknown numbers of the motor that the answer needs.
+        unknown: Unknown numbers of the motor that the answer needs; empty if the motor cannot exert
+            the torque.
     """
 
     joint: str
@@ -121,7 +122,7 @@ class HeatStudy(Result):
 
     Attributes:
         name: Name of the robot.
-        stand: Stand, on MuJoCo's soft ground.
+        stand: Stand on MuJoCo's soft ground if possible, otherwise on rigid ground.
         motors: Motors with their heat, in actuator order.
         omitted: Joints without an assigned motor.
         loss: Copper loss of all assigned motors (W), at the final temperatures as far as known;
@@ -129,7 +130,8 @@ class HeatStudy(Result):
         supply_voltage: Voltage of the battery (V); None if unknown, or if motors differ.
         battery_current: Current of the battery (A); None if the voltage or the loss is unknown.
         battery_energy: Energy of the battery (J); None if not given.
-        battery_time: Time until the battery is empty (s); None without its energy or the loss.
+        battery_time: Time until the battery is empty (s); None if its energy or the loss is
+            unknown, infinite without loss.
         times: (n,) times of the temperatures (s).
         temperatures: (n, motors) temperatures of the windings (degC); NaN if unknown.
     """
@@ -206,8 +208,8 @@ def study_heat(
         robot: Robot.
         stance: Stand task, or a stand that satisfies a task on rigid ground.
         motors: {joint: motor}.
-        ambient: Temperature of the ambient air [degC]; that of each motor by default.
-        limit: Largest temperature of the windings [degC]; that of each motor by default.
+        ambient: Temperature of the ambient air [degC]. Default: the value in each motor's data.
+        limit: Largest temperature of the windings [degC]. Default: the value in each motor's data.
         battery_energy: Energy of the battery [J].
 
     Raises:

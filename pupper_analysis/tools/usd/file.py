@@ -1,6 +1,6 @@
 """USD file (UsdPhysics): checks before opening, and the prims of bodies and joints.
 
-Nothing is downloaded, and no resolver plugin is used.
+References are resolved by USD's asset resolver; the default resolver reads local files only.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ from pupper_analysis.models.xml import LFS_POINTER
 from pupper_analysis.tools.usd.prim_limits import check_prim_count
 
 MAX_BYTES: Final = 500_000_000
-"""Upper bound of the size of a USD file [bytes], with its meshes. Larger files are refused. Chosen,
-not tuned."""
+"""Upper bound of the size of the opened USD file [bytes]; files that it references are not counted.
+Larger files are refused. Chosen, not tuned."""
 
 MAX_DEPTH: Final = 500
-"""Upper bound of the nesting depth of brackets in a text file (``#usda``). Deeper files are
-refused, because they can overflow the stack of USD's parser. Chosen, not tuned."""
+"""Upper bound of the nesting depth of brackets in the opened file if it is a text file
+(``#usda``). A deeper file is refused, because it can overflow the stack of USD's parser. Chosen,
+not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +100,8 @@ def read_usd(path: str | Path) -> UsdFile:
     """Open a USD file.
 
     Raises:
-        ModelError: If the file cannot be opened, or has no rigid body or too many prims.
+        ModelError: If the file cannot be opened, is not valid, empty, too large or nested too
+            deeply, or has no rigid body or too many prims.
         MissingPackageError: If usd-core is not installed.
     """
     check_type("usd", path, str | Path)

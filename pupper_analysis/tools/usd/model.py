@@ -153,6 +153,9 @@ def read_edge(
         frames: Joint frame in the frame of each body [m].
         units: Units of the stage.
         paths: {path of a joint's prim: joint name}.
+
+    Raises:
+        ModelError: If an attribute has the wrong type.
     """
     kind, axis, lower, upper = _read_freedom(prim)
     is_hinge, has_axis = kind == HINGE_JOINT, kind in (HINGE_JOINT, SLIDE_JOINT)
@@ -298,11 +301,13 @@ class MassOrigin(StrEnum):
     """Origin of a body's mass in a USD file: stated, or derived from shapes."""
 
     STATED = "stated"
-    """Mass, CoM and inertia are stated."""
+    """Mass, CoM and inertia are stated, or the mass is negative."""
     SHAPES = "shapes"
-    """Mass, CoM or inertia is missing: engines derive the value from the shapes."""
+    """Mass, CoM or inertia is missing: engines derive the value from the shapes, if there are
+    any. A missing mass follows from stated masses or densities."""
     WATER = "water"
-    """No mass or density is stated for at least one shape: engines use the density of water."""
+    """No mass of the body, and no mass or density of at least one shape is stated: engines use the
+    density of water."""
     UNKNOWN = "unknown"
     """The body has neither a mass nor collision shapes."""
 
@@ -403,7 +408,8 @@ class UsdModel(RobotModel):
 
     Attributes:
         file: File.
-        edges: {joint: joint data} of all enabled joints.
+        edges: {joint: joint data} of all enabled joints between different bodies, or a body and the
+            world.
         body_masses: {body: mass properties and the origin of these}.
         loops: Joints that close loops, or are excluded from the articulation.
         floating: True if no joint connects the base to the world.
@@ -451,8 +457,9 @@ def read_usd_model(file: UsdFile) -> UsdModel:
     """Read the robot model of a USD file.
 
     Raises:
-        ModelError: If a frame is sheared or mirrored, a body is scaled unevenly, an attribute has
-            the wrong type, or a joint refers to a missing prim.
+        ModelError: If a frame is sheared or mirrored, an operation of a transform has no value, a
+            body is scaled unevenly, an attribute has the wrong type, or a joint refers to a missing
+            prim.
     """
     from pxr import UsdGeom
 
@@ -529,7 +536,7 @@ def _read_edges(
         cache: USD's cache of transforms.
 
     Raises:
-        ModelError: If a joint refers to a prim that does not exist.
+        ModelError: For example, if a joint refers to a prim that does not exist.
     """
     body_names = {path: name for name, path in file.bodies.items()}
     paths = {path: name for name, path in file.joints.items()}
@@ -591,7 +598,7 @@ class _JointForest:
 
     Attributes:
         order: Bodies, parents before children.
-        base: Root of the largest tree.
+        base: Root of the largest tree; of equally large trees, a body that is marked as root.
     """
 
     def __init__(self, bodies: list[str], edges: Mapping[str, Edge], roots: set[str]) -> None:
@@ -647,7 +654,7 @@ class _JointForest:
         self.order += tree
 
     def find_world_edge(self, body: str) -> Edge | None:
-        """Return the joint between a root body and the world; None if the root is free."""
+        """Return the joint between a body and the world; None if there is none."""
         return self._world_edges.get(body)
 
     def compute_poses(

@@ -138,7 +138,7 @@ def make_urdf_tree(model: UsdModel) -> UrdfTree:
 
 
 def _get_joint_frame(link: Link) -> Pose:
-    """Return the frame of a link in a URDF: its origin is that of the joint that moves the link."""
+    """Return the frame of a link in a URDF: at the joint that moves it, otherwise its own pose."""
     joints = [joint for joint in link.joints if joint.moves]
     return Pose(joints[0].position, link.pose.rotation) if joints else link.pose
 
@@ -424,7 +424,7 @@ schemas are in single precision (1e-7), and some writers use five digits. Chosen
 
 
 def mass_of_water(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Yield a finding for each body whose mass is computed from shapes without a stated density.
+    """Yield a finding for each body whose mass includes a shape without a stated mass or density.
 
     USD then assumes the density of water, hence the name of the rule.
     """
