@@ -4,10 +4,10 @@ Input: the linear balance equations of a robot (`Balance`), friction coefficient
 Output: a vector of contact forces that satisfies balance and friction, or None if no such vector
 exists.
 
-The balance of the base, ``base_rows @ f = base_load``, is eliminated first: ``f = particular +
-free @ z`` with ``free`` a basis of the null space, so that balance holds to rounding for every z.
-If the optimum without cones already satisfies them, this optimum is returned (LAPACK). Otherwise z
-is the solution of a second-order cone program, which Clarabel solves.
+If the criterion is a norm and the optimum without cones is inside the cones, this optimum is
+returned (LAPACK). Otherwise Clarabel solves a second-order cone program. For the cone program the
+balance of the base, ``base_rows @ f = base_load``, is eliminated: ``f = particular + free @ z``
+with ``free`` a basis of the null space, so that balance holds to rounding for every z.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ would balance any CoM position. Chosen: legs do not press harder."""
 
 _CONE_MARGIN = 1e-6
 """Relative reduction of the friction coefficients (and of grip limits) in the cone program, so that
-the solver's rounding stays inside the true cones."""
+the solver's rounding stays inside the true cones. Chosen, not tuned."""
 
 
 _LARGE_FRICTION = 10.0
@@ -53,13 +53,13 @@ Chosen: large enough that normal forces matter only where tangential forces are 
 
 _PEAK_SLACK = 1e-7
 """Relative increase of the peak utilisation that the second cone program of
-`Balance.min_max_torque` may accept over the minimum found by the first program. The value is ten
-times the rounding error of the first program."""
+`Balance.min_max_torque` may accept over the minimum found by the first program, so that rounding
+does not make the second program infeasible. Chosen, not tuned."""
 
 
 _BOUND_TOLERANCE = 1e-6
-"""Largest violation of an inequality of `Balance.maximize`, relative to the largest upper bound.
-Clarabel's solutions violate bounds by 1e-9 of these; chosen, not tuned."""
+"""Largest violation of an inequality of `Balance.maximize`, relative to the largest absolute value
+of the upper bounds. A solution with a larger violation is rejected. Chosen, not tuned."""
 
 
 _MIN_RECIPROCAL_CONDITION = 1e-8
@@ -96,13 +96,14 @@ class Balance:
         base_load = base_rows @ f            (satisfied to rounding)
         joint_load = joint_rows @ f + tau    (defines the motor torques tau)
 
-    with contact forces in the friction cones and the norm of each grip force at most ``grips``.
+    with contact forces in the friction cones and the norm of each grip force at most its limit.
     Weld wrenches are unbounded. Below, ``size`` is 3 n + 6 w + 3 g.
 
     Attributes:
-        base_rows: Shape (k, size); rows of the transposed Jacobian that belong to the base, and one
-            row per prescribed normal force.
-        base_load: Shape (k,) [N, N m]; generalised force on the base, and the prescribed forces.
+        base_rows: Shape (k, size); rows of the transposed Jacobian that belong to the base, one
+            row per prescribed normal force, and rows of passive joints that must have no torque.
+        base_load: Shape (k,) [N, N m]; generalised force on the base, the prescribed forces, and
+            the load of these passive joints.
         joint_rows: Shape (nu, size); rows of the transposed Jacobian that belong to the joints.
         joint_load: Shape (nu,) [N m]; motor torques without contact forces.
         normals: Shape (n, 3); unit vectors out of the ground, in the world frame.
@@ -120,13 +121,14 @@ class Balance:
         """Compute the forces with the smallest norm in a tangential metric.
 
         Args:
-            friction: Shape (n,); friction coefficients. None removes cones and unilateral limits.
+            friction: Shape (n,); friction coefficients. None removes cones, unilateral limits and
+                grip limits.
             metric: Weighted norm that is minimised.
 
         Returns:
             Forces in world axes, shape (size,) [N, N m]: contact forces (3 n,), wrenches of welds
             (6 w,), forces of grips, which hold a point in all directions (3 g,). None if no forces
-            satisfy balance and friction.
+            satisfy balance, friction and grip limits.
         """
         forces = metric.solve_min_norm(self.base_rows, self.base_load)
         if forces is not None:
@@ -195,12 +197,13 @@ class Balance:
         utilisations.
 
         Args:
-            friction: Shape (n,); friction coefficients. None removes cones and unilateral limits.
-            limits: Shape (nu,) [N m]; effort limits.
+            friction: Shape (n,); friction coefficients. None removes cones, unilateral limits and
+                grip limits.
+            limits: Shape (nu,) [N m or N]; effort limits.
 
         Returns:
             Forces, shape (size,) [N, N m]: contacts (3 n,), welds (6 w,), grips (3 g,). None if no
-            forces satisfy balance and friction.
+            forces satisfy balance, friction and grip limits.
         """
         rated = np.isfinite(limits) & (limits > 0)
         weights = np.where(rated, 1 / np.where(rated, limits, 1.0), 0.0) if rated.any() else None
@@ -219,9 +222,9 @@ class Balance:
             upper: Shape (m,); upper bounds.
 
         Returns:
-            Forces f, shape (size,) [N, N m]. None if no forces satisfy balance, friction and the
-            inequality, if the maximum is unbounded, or if the solver's result violates its
-            tolerances.
+            Forces f, shape (size,) [N, N m]. None if no forces satisfy balance, friction, grip
+            limits and the inequality, if the maximum is unbounded, or if the solver's result
+            violates its tolerances.
         """
         particular, free = self._particular_and_null_space
         if not self._is_balanced(particular):
@@ -252,8 +255,8 @@ class Balance:
         f has the shape (size,) [N, N m] in the order contacts (3 n,), welds (6 w,), grips (3 g,).
 
         Args:
-            friction: Shape (n,); friction coefficients. None removes cones and unilateral limits:
-                feet may pull and slip.
+            friction: Shape (n,); friction coefficients. None removes cones, unilateral limits and
+                grip limits: feet may pull and slip.
             cost: Matrix, shape (m, size), or a `TangentialMetric`, which provides the product
                 ``cost @ f``.
             target: Shape (m,).
@@ -261,7 +264,7 @@ class Balance:
                 Has no effect if ``friction`` is None.
 
         Returns:
-            Forces, shape (size,), or None if no forces satisfy balance and friction.
+            Forces, shape (size,), or None if no forces satisfy balance, friction and grip limits.
         """
         if not peak or friction is None:
             forces = self._solve_linear(cost, target)
@@ -278,7 +281,7 @@ class Balance:
     def _solve_linear(self, cost: Array | TangentialMetric, target: Array) -> Array | None:
         """Return the forces f with the smallest |cost @ f - target| that balance the base load.
 
-        Friction cones are ignored. None if no forces balance the load.
+        Friction cones and grip limits are ignored. None if no forces balance the load.
         """
         if isinstance(cost, np.ndarray):
             forces = self._solve_by_gglse(cost, target)
@@ -293,10 +296,10 @@ class Balance:
     def _solve_by_gglse(self, cost: Array, target: Array) -> Array | None:
         """Minimise |cost @ f - target| subject to balance by LAPACK's ``gglse``.
 
-        ``gglse`` solves equality-constrained least squares by a generalised QR factorisation, in a
-        third of the time of a singular value decomposition. Returns None if the equations of
-        balance are linearly dependent or nearly dependent, are as many as the unknowns, or if the
-        minimum is not unique.
+        ``gglse`` solves equality-constrained least squares by a generalised QR factorisation, which
+        is faster than a singular value decomposition. Returns None if the equations of balance are
+        linearly dependent or nearly dependent, are at least as many as the unknowns, or if the
+        minimum is not unique or nearly not unique.
         """
         count, size = self.base_rows.shape
         if not count < size <= count + len(cost):
@@ -340,7 +343,7 @@ class Balance:
         """Return the largest violation of a friction cone or grip limit [N].
 
         The violation is ``|f_t| - mu f_n`` for a contact, and ``|f| - limit`` for a grip. Negative
-        if all forces are strictly inside; NaN if a force is NaN.
+        if all forces are strictly inside, -inf without contacts and grips, NaN if a force is NaN.
         """
         excess = []
         for force, normal, coefficient in zip(
@@ -387,7 +390,8 @@ class Balance:
 
         z (k,) are null-space coordinates: the forces (size,), ``particular + free @ z``, must be
         inside the friction cones. The second program, which minimises the sum of squares, may
-        exceed the peak by `_PEAK_SLACK` (relative). None if infeasible.
+        exceed the peak by `_PEAK_SLACK` (relative). If the second program fails, z of the first is
+        returned. None if the first program fails, for example if it is infeasible.
         """
         size = len(target)
         scale = float(np.abs(cost @ np.linalg.lstsq(cost, target)[0] - target).max(initial=0.0))
@@ -422,7 +426,7 @@ class Balance:
         """Minimise |cost @ z - target|^2 with the forces in the cones, and A z <= b.
 
         z (k,), which is returned, are null-space coordinates: the forces (size,) are
-        particular + free @ z. ``bounds`` is (A, b). None if infeasible.
+        particular + free @ z. ``bounds`` is (A, b). None as in `_solve_cone_program`.
         """
         quadratic = cost.T @ cost
         # In singular leg configurations some forces need no torque: select the smallest of them.
@@ -480,12 +484,12 @@ class TangentialMetric:
     """Weighting matrix W of shape (size, size) that makes |W f| a norm of tangential forces.
 
     For a contact, W multiplies the normal component by 1 and the tangential components by
-    1000 / sqrt(viscosity). Components of welds and grips are multiplied by 1. The matrix is never
-    formed; the class implements the products with W and with the inverse.
+    `_TANGENTIAL_WEIGHT` / sqrt(viscosity). Components of welds and grips are multiplied by 1. The
+    class implements the products with W and with the inverse, without the dense matrix.
 
     Args:
         normals: Shape (n, 3); unit vectors out of the ground.
-        viscosity: Shape (n,); viscosities of the contacts, relative to each other. Equal by
+        viscosity: Shape (n,); positive viscosities of the contacts, relative to each other. 1 by
             default.
     """
 
@@ -568,5 +572,5 @@ def _to_csc(matrix: Array) -> SimpleNamespace:
 
 
 def _nan_or_max(values: list[float]) -> float:
-    """Return the largest of some numbers: NaN if a number is NaN, -inf for an empty list."""
+    """Return the largest number: NaN if the sum of the numbers is NaN, -inf for an empty list."""
     return math.nan if math.isnan(sum(values)) else max(values, default=-math.inf)

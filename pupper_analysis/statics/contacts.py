@@ -73,8 +73,9 @@ class Contacts:
         """Compute the horizontal distance from a point to the edge of the support region.
 
         The support region contains the horizontal CoM positions for which forces of these contacts
-        exist, within friction and grip limits, that balance the weight. If all normals are equal
-        and neither grips nor prescribed forces exist, it is the convex hull of the contacts,
+        exist, within friction and grip limits, that balance the weight. The sum of their normal
+        forces is at most `MAX_TOTAL_NORMAL_FORCE` weights. If all normals are equal and neither
+        grips nor prescribed forces exist, the region is the convex hull of the contacts,
         independent of friction. The hull is also used if no CoM position allows equilibrium.
 
         Args:
@@ -85,7 +86,8 @@ class Contacts:
         Returns:
             Distance [m]: positive inside, negative outside. Infinity if a part is welded, since a
             weld holds any CoM. Otherwise minus infinity if a horizontal coordinate of ``place`` is
-            not finite.
+            not finite. NaN without contacts, if there are no grips or the grips cannot carry the
+            robot for any CoM position.
         """
         if len(self.fixed_parts) > len(self.grips):
             return math.inf
@@ -221,7 +223,8 @@ def make_contacts(
         UnknownNameError: If a contact point is unknown.
         ConfigurationError: If a friction coefficient is missing or not in [0, `MAX_FRICTION`], a
             normal is not a direction, a depth is not a length, a contact point is named twice,
-            the ground's friction is unknown, or a robot with a fixed base has contacts.
+            the ground's friction is unknown, or a robot with a fixed base has contacts. Without
+            contact points, ``friction``, ``normals`` and ``depths`` are not checked.
     """
     feet = tuple(robot.bearing_points if contacts is None and robot.floating else contacts or ())
     if friction is None and normals is None and depths is None:
@@ -230,7 +233,7 @@ def make_contacts(
 
 
 def _make_default_contacts(robot: Robot, feet: tuple[str, ...]) -> Contacts:
-    """Create read-only contacts on level ground with the friction of MuJoCo's model."""
+    """Create contacts on level ground with MuJoCo's friction; three arrays are read-only."""
     contacts = _make_contacts(robot, feet, None, None, None)
     for array in (contacts.normals, contacts.friction, contacts.offsets):
         array.flags.writeable = False
@@ -343,7 +346,7 @@ def list_grips(robot: Robot, places: Mapping[str, Array]) -> Array | None:
 
 
 def _to_unit_vector(foot: str, normal: ArrayLike) -> Array:
-    """Return the normalised direction (3,); ConfigurationError if it is zero or not a vector."""
+    """Return the unit vector (3,); ConfigurationError if ``normal`` is zero or no finite vector."""
     vector = real_array("normals", normal)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         problem = diagnose("normal-not-a-direction", subject=("foot", foot), given=repr(normal))

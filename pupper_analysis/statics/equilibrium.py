@@ -211,14 +211,14 @@ class GravityCompensation(Equilibrium):
     Attributes:
         foot_loads: {foot: load}; of a flat foot, the sum over its contact points.
         base_wrench: External wrench that holds the base, shape (6,): force in world axes (N),
-            torque in base axes (N m). Zero with contacts or welds; empty for a fixed base.
-        weld_wrenches: {part welded to the world: (6,)} force (N), and moment (N m) about the
-            base's frame, a foot's centre or the welded point, both in world axes; of a grip no
-            moment.
+            torque in base axes (N m). Zero with contacts, welds or grips; empty for a fixed base.
+        weld_wrenches: {welded or gripping part: (6,)} force (N), and moment (N m) about the
+            base's frame, a foot's centre or the welded point, both in world axes. The moment of a
+            grip is zero.
         center_of_mass: (3,) position in the world (m).
         com_margin: Distance from the vertical projection of the CoM, or of the zero-moment point of
             a motion, to the edge of the support region (m), positive inside. Infinite with a weld;
-            None without contacts and welds.
+            None without contacts, welds and grips.
     """
 
     foot_loads: FootLoads
@@ -245,7 +245,7 @@ def gravity_compensation(
     the generalised force of gravity minus the passive forces of the MJCF, which are springs,
     gravity compensation and wind (`Configuration.static_load`). The six base rows determine the
     total wrench of f; ``distribution`` selects a force vector f in the friction cones. Without
-    contacts and welds, an external wrench holds the base, and tau is the joint part of g.
+    contacts, welds and grips, an external wrench holds the base, and tau is the joint part of g.
 
     In closed loops and couplings, joints without a motor have no torque: the constraints transfer
     the load of such joints to the motors (`Configuration.transfer_to_motors`). Passive joints
@@ -253,8 +253,9 @@ def gravity_compensation(
     selected accordingly, for example with another centre of pressure.
 
     A second-order cone program is solved if the optimum without friction cones violates the cones,
-    and always for ``MIN_MAX_TORQUE``. Balance holds to rounding, independent of the tolerance of
-    the solver, which uses null-space coordinates of the base rows (see `statics.cone_program`).
+    and always for ``MIN_MAX_TORQUE`` with contacts, welds or grips. Balance holds to rounding,
+    independent of the tolerance of the solver, which uses null-space coordinates of the base rows
+    (see `statics.cone_program`).
 
     Args:
         config: State of the robot. The velocity is ignored.
@@ -273,10 +274,10 @@ def gravity_compensation(
 
     Raises:
         UnknownNameError: If a contact point is unknown.
-        ConfigurationError: If an argument has another type, a friction coefficient, a normal or
-            ``distribution`` is invalid, a contact point is named twice, the friction of the ground
-            is unknown, a robot with a fixed base has contacts, or a closed loop is open or
-            singular.
+        ConfigurationError: If an argument has another type, a friction coefficient, a normal, a
+            depth or ``distribution`` is invalid, a contact point is named twice, the friction of
+            the ground is unknown, a robot with a fixed base has contacts, or a closed loop is open
+            or singular.
         StaticsInfeasibleError: If no feasible forces exist. The error states the reason.
     """
     carrying = make_contacts(config.robot, contacts, friction, normals, depths)
@@ -305,9 +306,10 @@ def balance_load(
             the zero-moment point at rest. ``com_margin`` of the result refers to this point.
         distribution: Criterion that selects the contact forces among the feasible ones.
         tipping: Reason that the error states if ``point`` is outside the support region.
-        held: If True, the friction cones and unilateral limits do not apply, as if the feet were
-            glued to the ground. If the robot has welds and the distribution is minimum tangential,
-            the unilateral limits apply in any case.
+        held: If True, the friction cones, unilateral limits and grip limits do not apply, as if
+            the feet were glued to the ground. Exception: for the minimum tangential distribution of
+            a robot with welds or grips, forces without tangential parts that respect unilateral and
+            grip limits are returned if they exist. With a weld, other forces are not considered.
 
     Raises:
         ConfigurationError: If ``distribution`` is unknown, or a closed loop is open or singular.
@@ -326,8 +328,8 @@ def balance_load(
     def distribute(problem: Balance) -> Array | None:
         """Return the contact forces by the requested criterion; None if no forces are feasible.
 
-        Feasible forces satisfy the equations of balance ``problem``, and also the friction cones,
-        unless the feet are treated as glued to the ground (``held``).
+        Feasible forces satisfy the equations of balance ``problem``, and also the friction cones
+        and grip limits, unless the feet are treated as glued to the ground (``held``).
         """
         if criterion is ForceDistribution.MIN_MAX_TORQUE:
             return problem.min_max_torque(friction, robot.effort_limits)
@@ -409,7 +411,7 @@ def distribute_loads(
 _EQUAL_FORCES_RTOL = 1e-6
 """Largest difference between contact forces and the minimum-norm forces of the balance equations,
 relative to the largest component, up to which `differentiate_torques` treats them as equal. Forces
-on the boundary of a friction cone differ by more. Chosen, not tuned."""
+that an active friction cone changes usually differ by more. Chosen, not tuned."""
 
 
 def differentiate_torques(
@@ -434,10 +436,10 @@ def differentiate_torques(
             penetrations of the contacts must be constant in these motions.
 
     Returns:
-        Derivatives of the motor torques, shape (nu, k) [N m per unit of the motion]. None if the
-        balance equations are linearly dependent, or if ``forces`` are not the minimum-norm forces
-        of these equations, for example if a friction cone or a unilateral limit is active, or
-        normal forces are prescribed.
+        Derivatives of the motor torques, shape (nu, k) [N m or N, per unit of the motion]. None if
+        the matrix of the balance equations is singular, or if ``forces`` are not the minimum-norm
+        forces of these equations, for example if a friction cone or a unilateral limit is active,
+        or normal forces are prescribed.
     """
     free, metric = carrying.free, carrying.metric
     transposed = carrying.transposed_jacobian(config)
@@ -509,7 +511,8 @@ def _solve_minimum_tangential(
         robot: Robot.
         problem: Equations of balance.
         carrying: Contacts that carry load.
-        friction: Friction coefficients, shape (n,). None removes cones and unilateral limits.
+        friction: Friction coefficients, shape (n,). None removes cones, unilateral limits and grip
+            limits, except from the forces of `Balance.solve_normal_only` with welds or grips.
 
     Returns:
         Contact forces, weld wrenches and grip forces [N, N m], in the order of `Balance`.
@@ -532,10 +535,10 @@ def _iterate_viscosities(
 
     The viscosity of a contact (tangential force / creep velocity) depends on its normal force, so
     each iteration takes the normal forces of the previous one. The iteration ends if no force
-    component changes by `BALANCE_TOLERANCE` times the largest component or more, or after
-    `_MAX_VISCOSITY_ITERATIONS`. If the viscosity of a contact is zero, the last forces are
-    returned. On level ground the viscosities have no influence, and ``forces`` is returned. None if
-    an iteration finds no feasible forces.
+    component changes by `BALANCE_TOLERANCE` times the largest component of ``forces`` or more, or
+    after `_MAX_VISCOSITY_ITERATIONS`. If the viscosity of a contact is zero, the last forces are
+    returned. On level ground ``forces`` is returned: a weight needs no tangential forces there.
+    None if an iteration finds no feasible forces.
 
     Args:
         robot: Robot.
@@ -567,8 +570,8 @@ def compute_utilisation(robot: Robot, torques: Array) -> Array:
     """Compute the utilisation |torque| / effort limit.
 
     Args:
-        robot: Robot with effort limits, shape (nu,) [N m].
-        torques: Shape (..., nu) [N m].
+        robot: Robot with effort limits, shape (nu,) [N m or N].
+        torques: Shape (..., nu) [N m or N].
 
     Returns:
         Shape (..., nu). NaN for an unknown (infinite) limit. For a limit of zero: infinite if the
@@ -604,8 +607,8 @@ def find_hardest_motor(statics: Equilibrium) -> int:
 
     A loaded motor with a limit of zero comes first (of several, the one with the largest torque),
     then the motor with the largest known utilisation. If a motor with an unknown limit exerts a
-    larger torque than this motor, the motor with the largest torque among those with unknown limits
-    is returned.
+    larger torque than this motor, or if no limit is known, the motor with the largest torque among
+    those with unknown limits is returned.
     """
     shares, torques = statics.motor_utilisation, np.abs(statics.joint_torques)
     is_powerless, is_unknown = np.isinf(shares), np.isnan(shares)
@@ -633,12 +636,14 @@ def _make_statics_result(
     """Create the result from a load and the solved forces.
 
     The friction utilisation is 0 for tangential forces below `BALANCE_TOLERANCE` times the force on
-    the base. Without contacts and welds, the base part of ``load`` is the external base wrench.
+    the base. Without contacts, welds and grips, the base part of ``load`` is the external base
+    wrench.
 
     Args:
         config: State of the robot.
         remainder: Shape (nv,) [N, N m]; ``load`` minus the generalised force of ``forces``. The
-            joint part contains the motor torques, the base part is the residual.
+            joint part contains the motor torques. The base part is the residual of the balance, or
+            the external base wrench.
         load: Shape (nv,) [N, N m]; generalised force that motors and contacts must produce.
         carrying: Contacts that carry load.
         forces: Contact forces, weld wrenches and grip forces, as in `Balance`.
@@ -709,7 +714,8 @@ def _make_statics_result(
 _UNLIMITED_FRICTION = 1e4
 """Friction coefficient with which a contact practically cannot slide, and factor on grip limits
 with which a grip practically cannot fail. If balance is possible with this value but not with the
-real value, friction or the grips are reported as the cause. Chosen, not tuned."""
+real value, friction or the grips are reported as the cause. Also the upper end of the search for
+the smallest sufficient value (`_find_threshold`). Chosen, not tuned."""
 
 
 def explain_infeasibility(
@@ -719,7 +725,7 @@ def explain_infeasibility(
     carrying: Contacts,
     tipping: Infeasibility,
 ) -> StaticsInfeasibleError:
-    """Determine why no feasible forces exist.
+    """Create the error that states why no feasible forces exist.
 
     The causes are tested in this order: a prescribed contact force out of reach, grips too weak,
     friction too low, the centre of mass outside the support region, feet that would have to pull.
@@ -813,7 +819,8 @@ def _explain_stated_force(problem: Balance, carrying: Contacts) -> StaticsInfeas
     """Return an error with the feasible range if a prescribed contact force is out of this range.
 
     None if no force is prescribed, if the load cannot be balanced without the prescribed forces, or
-    if each prescribed force is within the range that is feasible without the others.
+    if each prescribed force is within the range that is feasible without the prescribed forces. An
+    end of a range for which the cone program fails is ignored.
     """
     if carrying.stated is None:
         return None
@@ -852,16 +859,17 @@ def _explain_stated_force(problem: Balance, carrying: Contacts) -> StaticsInfeas
 _REPORTED_FORCE_MARGIN = 1e-3
 """Relative reduction of the largest feasible force in a message. The support region is a polygon
 inside the true region (`support_corners`), so the exact limit would be refused if a user enters
-it."""
+it. Chosen, not tuned."""
 
 UNLIMITED_MASS_RATIO = 1e4
 """Ratio of payload to the robot's mass above which a payload counts as unlimited: the lever arm of
 the motors is then rounding, and `payload` ends its search. Chosen, not tuned."""
 
 MIN_TORQUE_PER_MASS = 1e-9
-"""Torque per payload mass [N m/kg] below which a motor counts as not loaded by the payload: the
+"""Torque per payload mass [N m/kg] up to which a motor counts as not loaded by the payload: the
 lever arm is a rounding error. Also torque per robot mass, up to which a motor with an effort limit
-of zero has the utilisation 0 (`compute_utilisation`). Chosen, not tuned."""
+of zero has the utilisation 0 (`compute_utilisation`), and up to which a passive joint counts as not
+loaded. Chosen, not tuned."""
 
 
 def find_mass_limit(torques: Array, rates: Array, limits: Array) -> float:
@@ -871,10 +879,10 @@ def find_mass_limit(torques: Array, rates: Array, limits: Array) -> float:
     torque does not depend on the mass is ignored, even if the torque exceeds the limit.
 
     Args:
-        torques: Shape (nu,) [N m]; motor torques without payload.
-        rates: Shape (nu,) [N m/kg]; torque per payload mass. Values below `MIN_TORQUE_PER_MASS`
-            are zero.
-        limits: Shape (nu,) [N m]; effort limits.
+        torques: Shape (nu,) [N m or N]; motor torques or forces without payload.
+        rates: Shape (nu,) [N m/kg or N/kg]; torque or force per payload mass. Values up to
+            `MIN_TORQUE_PER_MASS` in magnitude count as zero.
+        limits: Shape (nu,) [N m or N]; effort limits; infinite if unknown.
 
     Returns:
         Mass [kg]; 0 if a motor is already beyond the limit that counts, infinite if no motor limits

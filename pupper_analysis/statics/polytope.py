@@ -2,9 +2,9 @@
 
 With the static load l, the Jacobian J (3, nu) of the point and the effort limits, an external force
 f on the point is withstood if ``|l - J^T f| <= limits``. Loops and couplings transfer l and J^T f
-to the motors. The base is held. These forces form a convex polytope, with one pair of parallel
-faces per motor (Chiacchio, Bouffard-Vercelli and Pierrot 1997, "Force polytope and force ellipsoid
-for redundant manipulators").
+to the motors. The base is held. These forces form a convex polytope, with at most one pair of
+parallel faces per motor (Chiacchio, Bouffard-Vercelli and Pierrot 1997, "Force polytope and force
+ellipsoid for redundant manipulators").
 """
 
 from __future__ import annotations
@@ -70,7 +70,8 @@ class ForcePolytope(Tabular):
         """Return the largest external force [N] along a direction.
 
         NaN if a motor that bears the force has an unknown limit. Otherwise 0 if the static load
-        alone exceeds the limit of a motor, and infinite if no motor bears the force.
+        alone exceeds the limit of a motor of ``joints``, even if the force would relieve the motor,
+        and infinite if no motor bears the force.
 
         Args:
             direction: Direction (3,) of the force, in world axes; normalised here.
@@ -134,7 +135,7 @@ class ForcePolytope(Tabular):
     def _columns(self) -> dict[str, ArrayLike]:
         """Return {"x", "y", "z": coordinates of the vertices [N]}, the columns of the table.
 
-        The columns are empty if the vertices are unknown or the polytope is unbounded.
+        The columns are empty if ``vertices`` is None or empty.
         """
         vertices = np.zeros((0, 3)) if self.vertices is None else self.vertices
         return dict(zip(("x", "y", "z"), vertices.T, strict=True))
@@ -151,7 +152,7 @@ def force_polytope(config: Configuration, point: str | FramePoint) -> ForcePolyt
         config: State of the robot; the velocity is ignored.
         point: Contact point (the lowest point of its sphere), foot (the mean of its contact
             points), link, site, body or geom; or a position (3,) [m] in the base frame or, as
-            ``("right_hand", 0.0, 0.0, 0.05)``, in the frame of a link, site or body.
+            ``("right_hand", 0.0, 0.0, 0.05)``, in the frame of a link, site, body or geom.
 
     Raises:
         UnknownNameError: If the robot has no such frame.
@@ -242,7 +243,7 @@ def force_limits_along(
     along = directions @ rows.T
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.where(along > MIN_LEVER_ARM, slack / along, np.inf)
-    if slack.min() < 0:  # the load alone exceeds a limit: no direction counts, not even relief
+    if slack.min() < 0:  # the load alone exceeds a limit: 0 also for a relieving force
         ends[:, slack < 0] = 0.0
     nearest = ends.argmin(axis=1)
     forces = ends[np.arange(len(ends)), nearest]
@@ -259,12 +260,14 @@ def find_vertices(rows: Array, slack: Array) -> Array | None:
     without volume (a motor with a limit of zero) has no interior point, which Qhull requires.
 
     Args:
-        rows: Shape (n, 3).
-        slack: Shape (2 n,), finite: upper bounds of ``rows @ f``, then of ``-rows @ f``.
+        rows: Shape (n, 3) [m, or 1 for a slide].
+        slack: Shape (2 n,) [N m, or N for a slide], finite: upper bounds of ``rows @ f``, then of
+            ``-rows @ f``.
 
     Returns:
-        Shape (k, 3), k = 0 if the inequalities contradict each other. None if the polytope is
-        unbounded.
+        Shape (k, 3) [N]. k = 0 if a row of a length up to `MIN_LEVER_ARM` has a negative bound.
+        Otherwise None if the other rows do not span three dimensions: the polytope is then
+        unbounded, or empty. Otherwise k = 0 if the inequalities contradict each other.
     """
     lengths = np.linalg.norm(rows, axis=1)
     bearing = lengths > MIN_LEVER_ARM

@@ -79,14 +79,16 @@ def support_region(
     position belongs to the region if forces f in the friction cones of the contact points p exist
     with
 
-        sum f = m g e_z,    sum p x f = m g com x e_z.
+        sum f = m g e_z,    sum p x f = m g com x e_z,
 
-    If ``torque_limits`` is True, the joint torques l - J^T f must also be within the effort limits,
-    with the static load l of gravity and the Jacobian J of the contact points.
+    and if the sum of their normal forces is at most `MAX_TOTAL_NORMAL_FORCE` weights. If
+    ``torque_limits`` is True, the joint torques l - J^T f must also be within the effort limits,
+    with the static load l and the Jacobian J of the contact points.
 
     On level ground, without torque limits and prescribed forces, the region is the convex hull of
-    the contact points. Otherwise the result is the convex hull of extreme points of the region. It
-    is within the region, and its distance to the edge of the region is at most 0.01 mm.
+    the contact points. Otherwise the result is the convex hull of extreme points of the region, to
+    the accuracy of the cone program (about 1e-8 m). It is within the region. Its distance to the
+    edge of the region is at most 0.01 mm, if no cone program fails.
 
     Args:
         config: State of the robot. The velocity is ignored.
@@ -100,9 +102,11 @@ def support_region(
 
     Raises:
         UnknownNameError: If a contact point is unknown.
-        ConfigurationError: If an argument has another type, or a friction coefficient or a normal
-            is invalid; if the base is fixed, there are no contacts, a part is welded or grips; or,
-            with ``torque_limits``, if no file states the effort limit of a joint.
+        ConfigurationError: If an argument has another type; if a friction coefficient, a normal or
+            a depth is invalid; if a contact point is named twice; if the friction of the ground is
+            unknown; if the base is fixed, there are no contacts, a part is welded or grips; or,
+            with ``torque_limits``, if no file states the effort limit of a motor, or a closed loop
+            is singular.
     """
     robot = config.robot
     robot.check_floating()
@@ -140,11 +144,12 @@ def support_region(
 def _limit_torques(config: Configuration, carrying: Contacts) -> tuple[Array, Array]:
     """Return A (m, size) and b (m,) of the torque limits A f <= b, for contact forces f.
 
-    f are contact forces divided by the robot's weight. The limits are those of independent joints,
-    and each row is divided by the limit if this is positive.
+    f are contact forces divided by the robot's weight. The limits are those of independent joints.
+    Each row is divided by the limit, if the limit is positive.
 
     Raises:
-        ConfigurationError: If no file states the effort limit of a joint.
+        ConfigurationError: If no file states the effort limit of a motor, or a closed loop is
+            singular.
     """
     robot = config.robot
     limits, first = robot.effort_limits, robot.nv - robot.nu

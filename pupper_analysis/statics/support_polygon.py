@@ -32,8 +32,8 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
 
     Returns:
         Distance [m]: positive inside, negative outside. Minus infinity if x or y of ``com`` is not
-        finite, for example the zero-moment point of feet that would have to pull. NaN without
-        contact points.
+        finite, for example the zero-moment point of feet that would have to pull. Otherwise NaN
+        without contact points.
     """
     x, y, *_ = com.tolist()
     return margin_of_position((x, y), tuple([_corner(point) for point in points.values()]))
@@ -42,7 +42,8 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
 def margin_of_position(place: Corner, points: tuple[Corner, ...]) -> float:
     """Return the distance [m] of a position from the support polygon's edge; negative outside.
 
-    Minus infinity if a coordinate of the position is not finite.
+    Minus infinity if a coordinate of the position is not finite. Otherwise NaN without contact
+    points.
 
     Args:
         place: Horizontal position (x, y) [m], for example of the CoM.
@@ -116,8 +117,9 @@ def _hull_sides(points: tuple[Corner, ...]) -> tuple[tuple[float, ...], ...]:
 
 
 SIDES = 48
-"""Number of directions in which the boundary of the support region is computed. A regular polygon
-with 48 corners has 0.3 % less area than its circumscribed circle."""
+"""Number of directions in which the boundary of the support region is computed if no tolerance is
+given, and so the largest number of its sides. Chosen: a regular polygon with 48 corners has 0.3 %
+less area than its circumscribed circle."""
 
 _MIN_FAILURES = 3
 """Number of first directions without a solution after which the region counts as empty. Measured on
@@ -205,10 +207,11 @@ def find_extreme_positions(
     """Compute the farthest CoM position with equilibrium in several horizontal directions.
 
     The result, points (x, y) [m] in the world frame, is empty if no CoM position allows
-    equilibrium. A direction in which the cone program fails is left out. Without ``tolerance`` the
-    number of directions is `SIDES`. With ``tolerance`` it is at least `_FIRST_SIDES`: the normal of
-    a side is added as long as the region may extend beyond the side by more than ``tolerance``
-    (Bretl and Lall 2008, section IV).
+    equilibrium, or if the cone program fails in the first `_MIN_FAILURES` directions. Any other
+    direction in which the cone program fails is left out. Without ``tolerance`` the number of
+    directions is `SIDES`. With ``tolerance`` it is at least `_FIRST_SIDES`: the normal of a side is
+    added as long as the region may extend beyond the side by more than ``tolerance`` (Bretl and
+    Lall 2008, section IV).
 
     Args:
         points: Shape (n, 3) [m]; contact points in the world frame.
@@ -219,8 +222,8 @@ def find_extreme_positions(
         grips: Shape (g, 4), g >= 0: position [m] and force limit in units of the weight.
         inequalities: Further bounds on the forces f, in units of the weight: rows and upper bounds
             of ``rows @ f <= upper``, for example torque limits.
-        tolerance: Largest distance [m] between the region and the convex hull of the result; None:
-            not bounded.
+        tolerance: Largest distance [m] between the region and the convex hull of the result, if no
+            cone program fails; None: not bounded.
     """
     count = len(points)
     positions = np.vstack([points, grips[:, :3]])
@@ -281,10 +284,10 @@ def _refine_sides(
     find_extreme: Callable[[float], Corner | None],
     tolerance: float,
 ) -> list[Corner]:
-    """Return further extreme points, so that the hull differs from the region by ``tolerance``.
+    """Return extreme points, so that the hull differs from the region by at most ``tolerance``.
 
-    The region is convex, so that beyond a side it is within the triangle of the side and the
-    tangents at both ends.
+    The difference may be larger at a side for which the cone program fails. The region is convex,
+    so that beyond a side it is within the triangle of the side and the tangents at both ends.
 
     Args:
         sides: Sides of the region's inner approximation, counter-clockwise: (angle of a tangent's
@@ -297,7 +300,8 @@ def _refine_sides(
         start, end = sides.pop()
         (first, (x0, y0)), (last, (x1, y1)) = start, end
         length, turn = math.hypot(x1 - x0, y1 - y0), last - first
-        # Angles between the side and the tangents at both ends; both are 0 for an exact side.
+        # Angles between the side and the tangents at both ends. If an angle is 0, the tangent
+        # contains the side, so that the region ends at the side.
         normal = math.atan2(x0 - x1, y1 - y0)
         before = (normal - first + math.pi) % (2 * math.pi) - math.pi
         after = turn - before
@@ -368,7 +372,7 @@ def polygon_sides(contacts: Array, count: int = 0, *, from_first: bool = False) 
 def _start_at_first_corner(
     sides: tuple[tuple[float, ...], ...], corners: Sequence[Corner]
 ) -> tuple[tuple[float, ...], ...]:
-    """Rotate the cyclic order of the sides of a hull: the earliest of ``corners`` starts.
+    """Rotate the cyclic order of sides: the first side begins at the earliest of ``corners``.
 
     Each side begins with its corner (x, y), which is an element of ``corners``.
     """
