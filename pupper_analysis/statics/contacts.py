@@ -293,7 +293,7 @@ def _list_depths(feet: tuple[str, ...], depths: Mapping[str, float] | None) -> l
     """Return the penetration [m] of each contact point; ConfigurationError if one is no length."""
     listed = [(depths or {}).get(foot, 0.0) for foot in feet]
     try:
-        if abs(math.fsum(listed)) <= MAX_LENGTH:  # faster than a check of each; False for NaN
+        if math.hypot(*listed) <= MAX_LENGTH:  # faster than a check of each; False for NaN
             return listed
     except (TypeError, ValueError, OverflowError):
         pass

@@ -667,6 +667,7 @@ def test_com_margin_equals_the_distance_to_a_rectangles_edge(
         ({"depths": {"FR": math.inf}}, "depths"),
         ({"depths": {"FR": "deep"}}, "depths"),
         ({"depths": {"FR": None}}, "depths"),
+        ({"depths": {"FR": 5e3, "FL": -5e3}}, r"depths\[FR\]"),  # the sum of the depths is 0
         ({"contacts": ""}, "contacts"),  # a text was read as a list without contacts
         ({"contacts": "FR"}, "contacts"),
     ],
