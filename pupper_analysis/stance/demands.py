@@ -253,7 +253,8 @@ def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tu
         return least, max(0.0, value)
     if turns:
         return min(field.low, value), max(field.high, value)
-    return (_MIN_HEIGHT_RATIO * value if field.open else value - far), value + far
+    stays_positive = field.open and value > 0.0  # beside contacts a height may be negative
+    return (_MIN_HEIGHT_RATIO * value if stays_positive else value - far), value + far
 
 
 def differs_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:

@@ -270,3 +270,14 @@ def test_bounds_of_an_offset_grow_with_the_stand_height() -> None:
     assert heights[1] > 1.1 * heights[0]
     assert widths[1] / widths[0] == pytest.approx(heights[1] / heights[0])
     assert widths[0] > 2 * heights[0]
+
+
+def test_bounds_of_a_negative_height_contain_the_height() -> None:
+    """A task with contacts may require a height below the feet; a refusal raised a ValueError."""
+    robot, table = load("v3"), pa.Contact(pa.Plane((0, 0, 0.3), (0, 0, 1)))
+    task = pa.StandTask(height=-0.1, contacts={"FR": table})
+    numbers = DemandVector(robot, task, ["height"])
+    far = 3 * robot.stand_height
+    assert (numbers.low[0], numbers.high[0]) == pytest.approx((-0.1 - far, -0.1 + far))
+    positive = DemandVector(robot, replace(task, height=0.1), ["height"])
+    assert positive.low[0] == pytest.approx(1e-4)
