@@ -489,7 +489,8 @@ def _check_support_area(robot: Robot, corners: Array, stance_feet: Sequence[str]
         corners: Corners of the region, shape (n, 2) [m].
         stance_feet: Contact points that carry load, for the message.
     """
-    seen = corners - corners.mean(axis=0)
+    # A robot on grips alone has no corners if the grips cannot carry the weight.
+    seen = corners - corners.mean(axis=0) if len(corners) > 1 else np.zeros((2, 2))
     if np.linalg.svd(seen, compute_uv=False)[1] < _MIN_SUPPORT_WIDTH:
         raise ConfigurationError(
             "swing" if len(stance_feet) < len(robot.contact_points) else "robot",

@@ -68,6 +68,15 @@ def grip_bar(of: pa.Robot, grip: float = 30.0, beyond: float = -0.02) -> pa.Stan
     return pa.StandTask(contacts={"hand": hand}, com=com, foot_offsets=forward, height=0.27)
 
 
+@pytest.mark.parametrize("grip", [1.0, 500.0])
+def test_a_robot_on_a_single_grip_is_refused(armed: pa.Robot, grip: float) -> None:
+    """Neither too weak a grip, which was a LinAlgError, nor a strong one has a support area."""
+    contacts = grip_bar(armed, grip).contacts
+    task = pa.StandTask(contacts=contacts, swing=dict.fromkeys(armed.feet, 0.02), com="inside")
+    with pytest.raises(pa.ConfigurationError, match="support polygon needs an area"):
+        pa.solve_stand(armed, task)
+
+
 def test_mujoco_holds_a_stand_on_a_roof() -> None:
     """Reference: simulation on two planes of 30 deg."""
     robot = load("v3")
