@@ -276,7 +276,12 @@ class PostureUnreachableError(PupperAnalysisError):
         residual: The residual of this task, in ``unit``.
         unit: Unit of the residual: m or rad.
         residuals: {task: residual [m, rad]} in the best configuration found.
+        conflicting: Tasks and kept contacts whose residuals increase if that of ``task`` decreases.
         at_limit: {joint: limit [rad, m]} of the joints at a limit in this configuration.
+        blocking: {joint: limit [rad, m]} of the joints at a limit that a motion of ``task`` towards
+            its target moves beyond this limit.
+        out_of_reach: Whether no motion reduces the residual of ``task``, even without limits and
+            other tasks: for example a stretched limb.
         qpos: The best configuration found, shape (nq,).
     """
 
@@ -286,26 +291,34 @@ class PostureUnreachableError(PupperAnalysisError):
         residual: float,
         unit: str,
         residuals: Mapping[str, float],
+        *,
+        conflicting: Iterable[str],
         at_limit: Mapping[str, float],
+        blocking: Mapping[str, float],
+        out_of_reach: bool,
         units: Mapping[str, str],
         qpos: Any,
     ) -> None:
         self.task, self.residual, self.unit = task, residual, unit
-        self.residuals, self.at_limit, self.qpos = dict(residuals), dict(at_limit), qpos
+        self.residuals, self.conflicting = dict(residuals), tuple(conflicting)
+        self.at_limit, self.blocking = dict(at_limit), dict(blocking)
+        self.out_of_reach, self.qpos = out_of_reach, qpos
         joints = [
             diagnose(
                 "posture-joint-at-limit",
                 subject=("joint", name),
                 limit=Quantity(limit, units[name]),
             )
-            for name, limit in at_limit.items()
+            for name, limit in (self.at_limit if out_of_reach else self.blocking).items()
         ]
         super().__init__(
             diagnose(
                 "posture-out-of-reach",
                 task=task,
                 residual=Quantity(residual, unit),
+                conflicting=self.conflicting,
                 joints=joints,
+                stretched=out_of_reach,
             )
         )
 

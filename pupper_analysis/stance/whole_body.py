@@ -35,6 +35,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import find_tool
 from pupper_analysis.stance.clearance import NUM_NEAREST_PAIRS, ClearanceShapes
 from pupper_analysis.stance.judge import Stand, attach_robot
+from pupper_analysis.stance.posture_conflict import find_conflict
 from pupper_analysis.stance.posture_contacts import (
     KeptContact,
     keep_contacts,
@@ -107,10 +108,6 @@ _NUM_RESTARTS = 8
 _REGULARIZATION = 1e-9
 """Weight of the squared step of the joints, relative to a task's weight of 1. Chosen small: it
 selects a step of redundant joints, and does not bias the solution."""
-
-_AT_LIMIT = 1e-6
-"""Distance from a joint limit [rad, m] up to which a joint counts as being at the limit, in the
-error of an unreachable posture. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +187,7 @@ def solve_posture(
 
     Raises:
         PostureUnreachableError: If a residual exceeds `POSTURE_TOLERANCE`. The error states the
-            task with the largest residual, and the joints at their limits.
+            task with the largest residual, and the tasks and joint limits that oppose this task.
         ConfigurationError: If there is no task, ``start`` is not valid, a task is not valid,
             ``contacts`` are given for a fixed base or beside a stand, the stand belongs to another
             robot, a lifted foot of the stand is not above the ground, or the robot has closed loops
@@ -338,7 +335,7 @@ class _Problem:
         assert best is not None
         largest, solved, residuals = best
         if largest > POSTURE_TOLERANCE:
-            raise _explain_failure(robot, tasks, self._names, residuals, solved, self._limits)
+            raise self._explain_failure(residuals, solved, collision)
         return SolvedPosture(
             qpos=solved,
             tasks=self._names,
@@ -347,6 +344,51 @@ class _Problem:
             units=tuple(task.unit for task in tasks),
             contacts=tuple(dict.fromkeys(contact.name for contact in self._kept)),
             iterations=solver.iterations,
+        )
+
+    def _explain_failure(
+        self, residuals: Array, qpos: Array, collision: _LazyShapes
+    ) -> PostureUnreachableError:
+        """Return the error of an unreachable posture.
+
+        It names the required task with the largest residual, and the tasks and joint limits that
+        oppose this task (`find_conflict`). The unit of a `JointsTask` is that of the joint with the
+        largest deviation.
+
+        Args:
+            residuals: Residual of each task [m or rad].
+            qpos: Configuration with these residuals, shape (nq,).
+            collision: Collision shapes of the robot.
+        """
+        robot, tasks, names = self._robot, self._tasks, self._names
+        weights = np.array([float(task.required) for task in tasks])
+        weights[len(tasks) - len(self._kept) :] *= _CONTACT_WEIGHT
+        worst = int(np.where(weights > 0, residuals, -1.0).argmax())
+        conflict = find_conflict(
+            robot,
+            qpos,
+            self._limits,
+            lambda at: _compute_residuals(tasks, _PinocchioBody(robot, at, collision)),
+            weights.tolist(),
+            worst,
+        )
+        task, unit = tasks[worst], tasks[worst].unit
+        if isinstance(task, JointsTask):
+            joints = qpos[robot.nq - robot.nu :].tolist()
+            positions = dict(zip(robot.joint_names, joints, strict=True))
+            gaps = {name: abs(positions[name] - at) for name, at in task.positions.items()}
+            unit = joint_unit(robot, max(gaps, key=gaps.__getitem__))
+        return PostureUnreachableError(
+            names[worst],
+            float(residuals[worst]),
+            unit,
+            dict(zip(names, residuals.tolist(), strict=True)),
+            conflicting=tuple(names[index] for index in conflict.tasks),
+            at_limit=conflict.at_limit,
+            blocking=conflict.blocking,
+            out_of_reach=conflict.out_of_reach,
+            units={name: joint_unit(robot, name) for name in conflict.at_limit},
+            qpos=qpos,
         )
 
 
@@ -662,47 +704,3 @@ def _describe_task(task: PostureTask) -> str:
     """Return a description of a task: its type, and its links or joints."""
     subjects = task.positions if isinstance(task, JointsTask) else task.frames
     return " ".join([type(task).__name__, *subjects])
-
-
-def _explain_failure(
-    robot: Robot,
-    tasks: Sequence[PostureTask],
-    names: Sequence[str],
-    residuals: Array,
-    qpos: Array,
-    limits: _Limits,
-) -> PostureUnreachableError:
-    """Return the error of an unreachable posture.
-
-    It names the required task with the largest residual, and the joints at their limits. The unit
-    of a `JointsTask` is that of the joint with the largest deviation.
-
-    Args:
-        robot: Robot.
-        tasks: Tasks of the posture.
-        names: Description of each task.
-        residuals: Residual of each task [m or rad].
-        qpos: Configuration with these residuals, shape (nq,).
-        limits: Joint limits.
-    """
-    required = np.array([task.required for task in tasks])
-    worst, first = int(np.where(required, residuals, -1.0).argmax()), robot.nq - robot.nu
-    at_limit = {}
-    for name, value, low, high in zip(robot.joint_names, qpos[first:], *limits, strict=True):
-        if min(value - low, high - value) < _AT_LIMIT:
-            at_limit[name] = float(low if value - low < high - value else high)
-    task, unit = tasks[worst], tasks[worst].unit
-    if isinstance(task, JointsTask):
-        positions = dict(zip(robot.joint_names, qpos[first:].tolist(), strict=True))
-        gaps = {name: abs(positions[name] - target) for name, target in task.positions.items()}
-        unit = joint_unit(robot, max(gaps, key=gaps.__getitem__))
-    units = {name: joint_unit(robot, name) for name in at_limit}
-    return PostureUnreachableError(
-        names[worst],
-        float(residuals[worst]),
-        unit,
-        dict(zip(names, residuals.tolist(), strict=True)),
-        at_limit,
-        units,
-        qpos,
-    )

@@ -283,7 +283,8 @@ def test_target_out_of_reach_names_task_residual_and_joints_at_limits() -> None:
         pa.solve_posture(robot, [PositionTask("tip", (2.0, 0.0, 0.5))])
     error = caught.value
     assert error.residual == pytest.approx(2.0 - reach, abs=1e-6)
-    assert error.at_limit == {"elbow": 0.2, "b_slide": 0.2}
+    assert error.at_limit == error.blocking == {"elbow": 0.2, "b_slide": 0.2}
+    assert error.conflicting == ()
     assert "b_slide" in str(error)
     assert "b_slide (0.2 m)" in str(error)
     np.testing.assert_allclose(arm_angles(error.qpos)[2:], 0.2, atol=1e-6)

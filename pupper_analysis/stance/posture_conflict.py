@@ -1,0 +1,102 @@
+"""Find the tasks and joint limits that keep a task of a posture from its target.
+
+Input is the configuration in which the task has the smallest residual that was found; output is a
+`PostureConflict`. In this configuration, each step that reduces the residual increases the weighted
+residuals of other tasks, or moves joints beyond their limits. The gradients of the weighted squared
+residuals, by central finite differences, show which (Karush-Kuhn-Tucker conditions of the
+least-squares problem of `stance.whole_body`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from pupper_analysis.base.array_types import Array
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.sag.equilibrium import integrate_step
+
+_DIFFERENCE_STEP = 1e-5
+"""Step of the finite differences [rad, m]. Chosen, not tuned: residuals of an unreachable posture
+exceed 1e-6, and vary over lengths of links, about 0.1 m."""
+
+_AT_LIMIT = 1e-6
+"""Distance from a joint limit [rad, m] up to which a joint counts as being at the limit. Chosen,
+not tuned."""
+
+_MIN_SHARE = 0.01
+"""Smallest share of the gradient of the failed task that an opposing task or limit must balance to
+be reported. Chosen, not tuned: below are rounding, and tasks that are nearly satisfied."""
+
+_MIN_RATE = 1e-3
+"""Upper bound of the derivative of the residual by a step of norm 1 (m and rad mixed) in a posture
+without motion towards the target, for example a stretched limb. Chosen, not tuned: the levers of
+joints exceed 1 cm."""
+
+
+class PostureConflict(NamedTuple):
+    """Reasons why a task of a posture misses its target.
+
+    Attributes:
+        tasks: Indices of the tasks whose residuals increase if the residual of the failed task
+            decreases.
+        at_limit: {joint: limit [rad, m]} of all joints at a limit.
+        blocking: {joint: limit [rad, m]} of the joints at a limit that would have to move beyond
+            this limit.
+        out_of_reach: Whether no motion of joints or base reduces the residual, even without the
+            other tasks and the limits: for example a stretched limb.
+    """
+
+    tasks: tuple[int, ...]
+    at_limit: dict[str, float]
+    blocking: dict[str, float]
+    out_of_reach: bool
+
+
+def find_conflict(
+    robot: Robot,
+    qpos: Array,
+    limits: tuple[Array, Array],
+    residuals: Callable[[Array], Array],
+    weights: Sequence[float],
+    failed: int,
+) -> PostureConflict:
+    """Find the tasks and limits that keep a task from its target in a configuration.
+
+    The gradient of task i is w_i r_i dr_i/dv, with weight w_i, residual r_i and displacement v. A
+    task opposes the failed task f if the inner product of both gradients is negative, and a limit
+    if the descent direction -dr_f/dv points beyond it. Of both, at least `_MIN_SHARE` is needed.
+
+    Args:
+        robot: Robot.
+        qpos: Configuration with the smallest residual that was found, shape (nq,).
+        limits: Lower and upper joint limits, shape (nu,) each [rad, m].
+        residuals: Function that returns the residual of each task at a configuration, shape (n,)
+            [m, rad].
+        weights: Weights of the squared residuals of the n tasks; 0 for a task that may miss its
+            target.
+        failed: Index of the task that misses its target.
+    """
+    at = residuals(qpos)
+    rates = np.empty((len(at), robot.nv))
+    for column, step in enumerate(_DIFFERENCE_STEP * np.eye(robot.nv)):
+        change = residuals(integrate_step(qpos, step)) - residuals(integrate_step(qpos, -step))
+        rates[:, column] = change / (2 * _DIFFERENCE_STEP)
+    gradients = (np.asarray(weights) * at)[:, None] * rates
+    own, rate = gradients[failed], float(np.linalg.norm(rates[failed]))
+    out_of_reach = rate < _MIN_RATE
+    opposing = -gradients @ own > _MIN_SHARE * float(own @ own)
+    tasks = () if out_of_reach else tuple(np.flatnonzero(opposing).tolist())
+    at_limit, blocking = dict[str, float](), dict[str, float]()
+    descent = -rates[failed, robot.nv - robot.nu :]
+    positions = qpos[robot.nq - robot.nu :]
+    for joint, (value, low, high) in enumerate(zip(positions, *limits, strict=True)):
+        if min(value - low, high - value) < _AT_LIMIT:
+            name, is_low = robot.joint_names[joint], bool(value - low < high - value)
+            at_limit[name] = float(low if is_low else high)
+            outward = -descent[joint] if is_low else descent[joint]
+            if outward > _MIN_SHARE * rate and not out_of_reach:
+                blocking[name] = at_limit[name]
+    return PostureConflict(tasks, at_limit, blocking, out_of_reach)
