@@ -147,6 +147,9 @@ def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) ->
         if touching.offset is not None
     }
     fixed = [name for name, tool in tools.items() if properties[name].is_fixed and not tool.chain]
+    for name in fixed:
+        if properties[name].grip is not None:
+            raise ConfigurationError("contacts", diagnose("contact-is-on-the-base", name=name))
     hands = {
         name: touching
         for name, touching in properties.items()
