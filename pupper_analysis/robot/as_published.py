@@ -36,11 +36,10 @@ class ServosUsed:
     Attributes:
         source: Origin of the gains: the MJCF; added on loading at some joints, where the
             MJCF has no servo or an invalid one; or passed by the caller.
-        kp: Minimum and maximum stiffness (N m/rad or N/m) of the added servos; of all servos
-            if none was added.
-        kd: Minimum and maximum damping (N m s/rad or N s/m) of the added servos; of all servos
-            if none was added.
-        made: Added servos that are in use.
+        kp: Minimum and maximum stiffness (N m/rad or N/m) of the added servos; of all servos if
+            none was added, or the caller passed gains.
+        kd: Minimum and maximum damping (N m s/rad or N s/m) of the servos of ``kp``.
+        made: Added servos that are in use; empty if the caller passed gains.
         stiffness_unit: Unit of ``kp``; both units if the servos are at hinges and slides.
         damping_unit: Unit of ``kd``; both units if the servos are at hinges and slides.
     """
@@ -67,14 +66,14 @@ stiffness, and usually moves to a stop."""
 
 MAX_TORQUE_DEVIATION = 0.05
 """Largest torque deviation of a simulation of the published MJCF that agrees with the computed
-equilibrium, relative to the largest computed torque. Solo 12, whose mesh feet this package replaces
-by spheres, deviates by 0.016."""
+equilibrium, relative to the scale of `PublishedRun.torque_error`. Solo 12, whose mesh feet this
+package replaces by spheres, deviates by 0.016."""
 
 MAX_IMPORTED_TORQUE_DEVIATION = 0.1
-"""Largest torque deviation of a simulation of a URDF, relative to the largest computed torque;
-replaces ``MAX_TORQUE_DEVIATION`` there. MuJoCo's import of a URDF keeps the collision meshes of the
-file, whose contacts are at slightly different positions than those of the computed spheres (Go2:
-0.065)."""
+"""Largest torque deviation of a simulation of a URDF, relative to the scale of
+`PublishedRun.torque_error`; replaces ``MAX_TORQUE_DEVIATION`` there. MuJoCo's import of a URDF
+keeps the collision meshes of the file, whose contacts are at slightly different positions than
+those of the computed spheres (Go2: 0.065)."""
 
 MAX_PUBLISHED_DEVIATION = 0.02
 """Largest deviation of a joint position [rad, m] with which a simulation of the published MJCF with
@@ -162,7 +161,9 @@ orientation. Chosen, not tuned: a knee angle with a wrong sign gives 18 to 21 de
 
 @dataclass(frozen=True)
 class OwnRun(BodyMotion):
-    """Simulation of a published file from its keyframe, without changes other than a nudge.
+    """Simulation of a published file from its keyframe, with small nudges (`simulate_keyframe`).
+
+    An MJCF is simulated without changes; for a URDF see ``imported``.
 
     Attributes:
         imported: Whether the model is MuJoCo's import of a URDF, completed by free base, floor,
@@ -247,13 +248,16 @@ class OwnRun(BodyMotion):
 
 @dataclass(frozen=True)
 class PublishedRun:
-    """Simulation of the unmodified MJCF from a computed equilibrium, compared with this state.
+    """Simulation of the published file from a computed equilibrium, compared with this state.
+
+    An MJCF is simulated without changes; for a URDF see ``imported``.
 
     Attributes:
         feedforward: Whether the commands include feed-forward; otherwise positions only.
         duration: Simulated time (s); the nudge is applied after the first second.
         torque_error: Largest torque deviation within the last second, relative to the largest
-            computed torque.
+            computed torque, or to a fraction of the weight times 1 m if that is larger. With a
+            fixed base, the dry friction of the joint is subtracted from the deviation.
         height_error: Final minus computed height of the CoM (m); None if the base is fixed.
         joint_error: Largest joint deviation.
         collapses: Whether the robot has fallen, sunk or risen by ``MAX_HEIGHT_LOSS_RATIO`` (in
@@ -298,7 +302,7 @@ class PublishedRun:
 
 @dataclass(frozen=True)
 class Published:
-    """Deviations of the published MJCF from the computed equilibrium.
+    """Deviations of the published file from the computed equilibrium.
 
     Attributes:
         runs: Simulations.

@@ -153,9 +153,9 @@ def build_robot(
 
 
 def _refuse_flexes(model: mujoco.MjModel, source: Path) -> None:
-    """Raise an error if a model contains flexible bodies, which statics and contacts lack.
+    """Raise an error if a model contains flexible bodies, which statics does not support.
 
-    Each vertex of a flexible body has joints of its own; it would count as a limb without motors.
+    If a vertex of a flexible body has joints of its own, it would count as a limb without motors.
 
     Raises:
         ModelError: If the model contains a flexible body (``flex``).
@@ -174,17 +174,19 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
         changes: Fields of ``Description``, such as ``mjcf``.
 
     Raises:
-        ModelError: If MuJoCo or Pinocchio rejects the changed description, the joints of both files
-            differ, or a contact point is not the centre of a collision sphere.
+        ModelError: For example if MuJoCo or Pinocchio rejects the changed description, the joints
+            of both files differ, or a contact point is not the centre of a collision sphere; for
+            all cases see `build_robot`.
         UnknownNameError: If a contact point has no link in the URDF, or no site, body or geom in
             the MJCF.
+        KeyError: If ``foot_geoms`` of the description names a geom that the MJCF lacks.
     """
     description = replace(robot.description, **changes)
     return copy_metadata(build_robot(description, fixed_base=not robot.floating), robot)
 
 
 def with_additions(robot: Robot, *additions: Addition) -> Robot:
-    """Build a robot with additions to the MJCF; stand height, notes and contacts are kept.
+    """Build a robot with additions to the MJCF; see `copy_metadata` for the data that are kept.
 
     Raises:
         ModelError: If MuJoCo rejects the MJCF with the additions.
@@ -234,11 +236,11 @@ def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) 
 
 
 def _check_forces_at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
-    """Report settings of the MJCF with effect at rest, and clear ``actuatorgravcomp`` in place.
+    """Report settings of the MJCF with effect at rest; make gravity compensation passive, in place.
 
     Reported are MuJoCo's sleep, passive forces at rest (such as springs), and gravity compensation
-    that MuJoCo would add to the motor torques. Without the attribute ``actuatorgravcomp``, the
-    compensation is a passive force, which reduces the motor torques.
+    that MuJoCo would add to the motor torques. In the latter case, ``actuatorgravcomp`` is cleared,
+    so that the compensation is a passive force, which reduces the motor torques.
     """
     notes: list[Diagnostic] = []
     if mj_model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP.value:
@@ -264,9 +266,9 @@ def _copy_armature(
 ) -> list[Diagnostic]:
     """Copy the armature of MuJoCo's model to Pinocchio's, in place.
 
-    Returns notes about armature, and about torque limits that MuJoCo does not apply. ``null`` is
-    {joint: statement of an empty force range of the MJCF, such as ``forcerange="0 0"``}, which
-    MuJoCo ignores.
+    Returns notes about armature, and about effort limits (`report_efforts`). ``null`` is {joint:
+    statement of an empty force range of the MJCF, such as ``forcerange="0 0"``}, which MuJoCo
+    ignores.
     """
     limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {}, null)
     notes = report_efforts(limits)

@@ -35,12 +35,15 @@ CLOSED_ATOL = 1e-10
 loop. Chosen, not tuned."""
 
 MAX_OPENING = 1e-6
-"""Largest constraint violation of a loop [m, rad], in excess of its static deflection, with which
-the loop counts as closed; other configurations are rejected. Chosen, not tuned."""
+"""Largest constraint violation [m, rad] with which an unloaded loop counts as closed; other
+configurations are rejected. Under load, the accepted static deflection is added
+(`_MAX_COMPLIANCE_FACTOR`). Chosen, not tuned."""
 
 _RANK_RTOL = 1e-7
 """Singular value, relative to the largest, above which constraint equations count as independent.
-The redundant equation of a planar loop has up to 1e-9 in files with rounded numbers."""
+The redundant equation of a planar loop has up to 1e-9 in files with rounded numbers. Also the
+absolute bound below which an entry of a constraint Jacobian, or a negative determinant
+(`Closure.has_reference_assembly`), counts as zero."""
 
 _MAX_ITERATIONS = 50
 """Maximum number of Newton iterations that close a loop. Chosen, not tuned."""
@@ -52,7 +55,7 @@ steps are scaled down. Chosen, not tuned."""
 _START_ATOL = 1e-3
 """Constraint violation [m, rad] below which qpos0 or a keyframe serves as the reference
 configuration with closed loops. Keyframes are written with a few digits, and violate constraints by
-up to a millimetre; qpos0 violates constraints by rounding errors only."""
+up to a millimetre. Chosen, not tuned."""
 
 _DIFFERENCE_STEP = 1e-7
 """Step of the joint positions [rad, m] in the central differences of the constraint torques. The
@@ -61,8 +64,8 @@ violation. Chosen, not tuned."""
 
 _MAX_COMPLIANCE_FACTOR = 2.0
 """Largest accepted violation of a soft loop constraint under load, less `MAX_OPENING`, relative to
-the computed deflection of the constraint. Larger than 1, because the deflection is computed with
-the forces of the closed loop, not of the deflected loop. Chosen, not tuned."""
+the constraint force times the largest compliance of the constraint. Larger than 1, because the
+force is that of the closed loop, not of the deflected loop. Chosen, not tuned."""
 
 _FOOT_JOINT_MOBILITY = 1e-2
 """Weight of the Newton step of joints between base and feet, relative to other joints, while loops
@@ -73,8 +76,8 @@ _DISABLE_FLAGS = (
     *("mjDSBL_CONTACT", "mjDSBL_LIMIT", "mjDSBL_FRICTIONLOSS", "mjDSBL_ACTUATION"),
     "mjDSBL_SENSOR",
 )
-"""MuJoCo's disable flags that are set in the copied model with which loops are closed, so that
-equality constraints are the only constraints."""
+"""MuJoCo's disable flags that are set in the copied model with which loops are closed: equality
+constraints are then the only constraints, and no forces of actuators or sensors are computed."""
 
 
 class Closure:
@@ -89,7 +92,7 @@ class Closure:
         dependent_joints: Indices (k,) of the dependent joints, which have no motor.
         driving_joints: Indices (n,) of the other joints in loops and couplings.
         constraint_names: Types and names of the active equality constraints.
-        is_world_coupled: Whether a constraint couples the robot to the world, which is not
+        is_world_coupled: Whether a constraint couples a free base to the world, which is not
             supported.
     """
 
@@ -133,7 +136,7 @@ class Closure:
         """Return the derivatives of ``residual`` by the joint positions, shape (m, nu).
 
         Columns are in actuator order; those of joints outside of loops and couplings are zero. The
-        pose of the base does not affect the violations.
+        pose of the base does not affect the violations, unless `is_world_coupled` is true.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -362,7 +365,7 @@ class Closure:
         return mobility
 
     def describe(self) -> Diagnostic:
-        """Return a message that lists the dependent joints and the driving joints."""
+        """Return a message that lists the dependent joints, if any, and the driving joints."""
         following = [self._joint_names[joint] for joint in self.dependent_joints]
         leading = [self._joint_names[joint] for joint in self.driving_joints]
         if not following:
@@ -385,7 +388,7 @@ class Closure:
         return data
 
     def _mujoco_jacobian(self, data: mujoco.MjData) -> Array:
-        """Return the constraint Jacobian (m, nv) of MuJoCo's data, columns in actuator order."""
+        """Return the constraint Jacobian (m, nv) of MuJoCo's data, columns in the order of qvel."""
         values = data.efc_J[: data.nefc * self._model.nv]  # MuJoCo may allocate more rows
         rows: Array = values.reshape(-1, self._model.nv)[:, self._convention.qvel_index]
         return rows
@@ -453,7 +456,10 @@ class Closure:
         return rows[:, self._first_dof :]
 
     def _independent_combinations(self, rows: Array) -> Array:
-        """Return r combinations (r, m) of constraint rows (m, nu); r is the rank of the rows."""
+        """Return r combinations (r, m) of constraint rows (m, nu); r is the rank of the rows.
+
+        r is at most the rank at the generic configuration (`_generic_jacobian`).
+        """
         left_vectors, singular_values, _ = np.linalg.svd(rows, full_matrices=False)
         count = int(
             np.count_nonzero(singular_values > _RANK_RTOL * singular_values.max(initial=0.0))
@@ -522,7 +528,7 @@ def find_closure(
     """Return the loops and couplings of a robot; None if there are none to model.
 
     The result is None if the model has no active equality constraint, if constraints are disabled,
-    if no joint of the robot is constrained, or if a constraint couples the robot to the world.
+    if no joint of the robot is constrained, or if a constraint couples a free base to the world.
     """
     disabled = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY
     if not model.eq_active0.any() or model.opt.disableflags & int(disabled):

@@ -32,8 +32,8 @@ Chosen, not tuned."""
 
 _DEPTH_RTOL = 4e-16
 """Difference between upper and lower bound of a penetration, relative to the penetration plus the
-contact margin, at which the iteration of `GroundLaw.depth` ends. The value is two roundings of
-double precision (2.2e-16 each)."""
+contact margin, at which the iteration of `GroundLaw.depth` ends. The value is about two
+roundings of double precision (2.2e-16 each)."""
 
 
 @dataclass(frozen=True)

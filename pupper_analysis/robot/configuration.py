@@ -78,7 +78,7 @@ class Configuration(Pictured):
         own.flags.writeable = False
 
         self._model = structure.model
-        # The workspace is owned by this configuration and its copies.
+        # The workspace is owned by this configuration alone; a copy acquires its own.
         self._workspace = structure.acquire_workspace()
         self._data = self._workspace.data
         self._q = structure.convention.unit_q(own)
@@ -150,7 +150,7 @@ class Configuration(Pictured):
             reference: "local_world_aligned": velocity of the point, in world axes. "local":
                 velocity of the point, in the axes of the link. "world": velocity of the point of
                 the link that coincides with the world origin, in world axes; ``offset`` has no
-                effect.
+                effect, and is not checked.
 
         Raises:
             UnknownNameError: If the URDF has no such link.
@@ -189,7 +189,8 @@ class Configuration(Pictured):
                 state; it moves with the link. Zero by default.
             reference: Velocity that J maps to: "local_world_aligned": of the point, in world axes;
                 "local": of the point, in the axes of the link; "world": of the point of the link at
-                the world origin, in world axes, so that ``offset`` has no effect.
+                the world origin, in world axes, so that ``offset`` has no effect, and is not
+                checked.
 
         Raises:
             UnknownNameError: If the URDF has no such link.
@@ -439,7 +440,7 @@ class Configuration(Pictured):
         ``pin.computeCentroidalMapTimeVariation`` differentiates about a fixed point at the CoM.
         Its angular rows therefore lack the cross product of the CoM velocity and the linear rows
         of ``centroidal_map``, which is subtracted here (Pinocchio's issue 2093). Multiplied by
-        qvel, both matrices give the same vector.
+        qvel, both matrices give the same vector, unless a fixed base has mass.
         """
         # Pinocchio's function reads data.vcom[0], which must be zero, as in new data.
         data = self._model.createData()
@@ -482,7 +483,8 @@ class Configuration(Pictured):
         """Return the gravity vector g, shape (nv,) [N, N m]: the bias forces at rest.
 
         With a free base, g[:3] = -m gravity [N]. As ``pin.computeGeneralizedGravity``. The joint
-        part contains the motor torques of a robot whose base is held, without contacts;
+        part contains the motor torques of a robot whose base is held, without contacts and passive
+        forces;
         ``gravity_compensation`` computes the motor torques of a standing robot.
         """
         forces = pin.computeGeneralizedGravity(self._model, self._data, self._q)
@@ -501,9 +503,10 @@ class Configuration(Pictured):
             return springs.forces(self.qpos)
 
     def static_load(self) -> Array:
-        """Return the generalised force that motors and contacts must exert at rest, shape (nv,).
+        """Return the generalised force that the robot needs at rest, shape (nv,) [N, N m].
 
-        Gravity vector minus passive forces of the MJCF [N, N m].
+        Motors, contacts and constraints must exert this force together: the gravity vector minus
+        the passive forces of the MJCF.
         """
         return self.gravity() - self.passive_forces() if self.robot.acts_at_rest else self.gravity()
 
@@ -551,7 +554,8 @@ class Configuration(Pictured):
                 constant in world axes.
 
         Raises:
-            ConfigurationError: If a wrench is no vector of six finite numbers.
+            ConfigurationError: If ``wrenches`` is no mapping with names as keys, or a wrench is no
+                vector of six finite numbers.
             UnknownNameError: If there is no such contact point.
         """
         check_type("wrenches", wrenches, Mapping[str, object])
@@ -601,7 +605,7 @@ class Configuration(Pictured):
         pushed = jacobians[:, :3].reshape(-1, n).T @ turned[:, :3].reshape(-1, n)
         combined = jacobians.reshape(-1, n).T @ turned.reshape(-1, n)
         # Derivative of the columns of J: a joint nearer the base rotates the column, and a joint
-        # farther from the base moves the foot.
+        # farther from the base moves the point.
         result: Array = np.where(structure.carried, combined, pushed.T)
         return result
 
@@ -764,16 +768,16 @@ def _check_reference(reference: str) -> pin.ReferenceFrame:
 
 
 _DIFFERENCE_STEP = 1e-6
-"""Step of the central differences of passive forces [rad, m]. The forces are smooth: springs are
-linear or polynomial, and gravity compensation varies with sines of the angles. Chosen, not
-tuned."""
+"""Step of the central differences of passive forces [rad, m]. Most forces are smooth: springs are
+linear or polynomial, and gravity compensation varies with sines of the angles. A tendon spring has
+a kink at each end of a range of its rest length. Chosen, not tuned."""
 
 
 class AtRest:
     """Passive forces at rest, from MuJoCo's ``qfrc_passive``; see `Configuration.passive_forces`.
 
-    Borrow an instance with ``borrow``, because creating MuJoCo's data takes 50 times as long as an
-    evaluation.
+    Borrow an instance with ``borrow``, because creating MuJoCo's data takes longer than an
+    evaluation (measured on Pupper v3: 12 times as long).
 
     Args:
         robot: The robot.

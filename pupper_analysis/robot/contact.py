@@ -318,6 +318,7 @@ def foot_geoms(
 
     Raises:
         ModelError: If a contact point has no entry and no such sphere.
+        KeyError: If the MJCF lacks the geom of an entry.
     """
     geoms: dict[str, tuple[int, float]] = {}
     for foot, (body, position) in centres.items():
@@ -365,16 +366,16 @@ def stand_height(
 ) -> float:
     """Return the height [m] of the base above the ground in the stand of the default `StandTask`.
 
-    With ``foot_depth``, the centres of the feet are this distance below the hips, the first bodies
-    of their legs, with all joints at the values in qpos0. Otherwise, the lowest foot touches the
+    With ``foot_depth``, the centre of the lowest foot is this distance below its hip, the first
+    body of its leg, with all joints at the values in qpos0. Otherwise, the lowest foot touches the
     ground with the joint positions of the keyframe. Distances are along the z axis of the base. The
     height is 0 without feet.
 
     Args:
         model: MuJoCo model.
         base: Name of the base body.
-        centres: {foot: (body id, position (3,) [m] in the body)}.
-        radius: {foot: radius [m]}.
+        centres: {contact point: (body id, position (3,) [m] in the body)}.
+        radius: {contact point: radius [m]}.
         keyframe: Configuration in MuJoCo's order; only the last ``model.nq`` values are used, since
             the keyframe may be that of a model with a free base.
         foot_depth: Distance [m] below the hips, or None.

@@ -4,7 +4,7 @@ Heights are those of the robot's centre of mass (CoM) above the ground that carr
 of the base frame is not used, because a file may place that frame anywhere.
 
 Each reference is taken at reset, before the motion that is judged. The initial height is the CoM
-height at reset minus the clearance of the robot's lowest point at reset.
+height above the ground at reset, minus the clearance of the robot's lowest point at reset.
 """
 
 from __future__ import annotations
@@ -59,7 +59,8 @@ ground by then."""
 
 MAX_TRAVEL_RATIO = 1.0
 """Horizontal travel of the CoM, relative to the CoM height, above which a robot has moved away.
-On planted feet no robot travels as far. (Sideways gravity moves it by 20 m in 2 s.)"""
+Chosen, not tuned: on planted feet, a robot would fall before. (Sideways gravity moves it by 20 m in
+2 s.)"""
 
 NUDGE_SPEED = 1e-3
 """Largest component of a nudge, a change of the velocities [m/s, rad/s]. Unstable equilibria were
@@ -124,15 +125,16 @@ class BodyMotion:
     Attributes:
         duration: Simulated time (s).
         height: CoM height above the ground at reset, minus ``clearance`` (m).
-        end_height: CoM height above the ground at the end (m).
-        lean: Angle between the base's vertical axis at reset and at the end (rad).
+        end_height: CoM height at the end above the ground of the start (m).
+        lean: Tilt of the base at the end relative to reset (rad); a yaw about the world's z axis
+            has no effect (`tilt_between`).
         away: Horizontal distance of the CoM at the end from the CoM at reset (m).
         diverged: Whether MuJoCo reset the state because of numbers that were not finite or too
             large, or stopped with an error.
-        clearance: Vertical distance of the robot's lowest point from the ground at reset (m);
-            negative if the point penetrates the ground.
-        lies: Whether the robot ends on the base or hips, or on no end of a limb. Then the drop by
-            ``clearance`` counts as lost height.
+        clearance: Vertical distance by which the robot could move downward to the ground at reset
+            (m); negative if the robot penetrates the ground; 0 if no ground was found.
+        lies: Whether the robot ends on the base or hips, or on bodies of which none is the end of a
+            limb. Then the drop by ``clearance`` counts as lost height.
     """
 
     duration: float = field(metadata={"unit": "s"})
@@ -180,8 +182,8 @@ def simulate_keyframe(
     signs are needed because a robot may end in a pose from which it falls to one side only.
 
     The second and third run end halfway if they are then equal to the first run, within
-    `_MAX_RUN_DISTANCE`, and the model has no activations: since the first run did not collapse,
-    they would not collapse either.
+    `_MAX_RUN_DISTANCE`, and the model has no activations. Such a run counts as one in which the
+    robot does not collapse, like the first run.
 
     Args:
         model: MuJoCo model.
@@ -252,7 +254,7 @@ def simulate_held_keyframe(
         advance: Advances a state by a time [s], in place.
 
     Returns:
-        Motion of the robot, in which all heights and distances are 0, and the state at the end.
+        Motion of the robot, in which heights, distance and tilt are 0, and the state at the end.
     """
     data, seconds = copy.copy(start), keyframe_duration(model)
     data.qvel[:] += nudge_velocity(model)
@@ -326,9 +328,10 @@ class InitialHeight:
 
     Attributes:
         com: CoM height at reset (m).
-        clearance: Vertical distance of the robot's lowest point from the ground (m); 0 if there is
-            no ground within ``MAX_CLEARANCE`` below it.
-        ground: Height of the ground below that point (m).
+        clearance: Vertical distance by which the robot can move downward to the ground (m);
+            negative if the robot penetrates the ground; 0 if no ground is found within
+            ``MAX_CLEARANCE``.
+        ground: Height of the ground (m) at the point that the robot would touch first.
     """
 
     com: float
@@ -344,9 +347,10 @@ def initial_height(
     The clearance is the vertical distance by which the robot can move downward to the ground. In a
     copy of the state, the robot is moved downward in steps until a distance is below
     ``_CONTACT_DISTANCE``. The length of a step is ``min(distance / normal_z)`` over the contacts
-    with fixed geoms that MuJoCo finds within ``_SEARCH_MARGIN``, or this margin without such a
-    contact. A step of that length penetrates no convex geom. The clearance is 0 if no ground is
-    found within ``MAX_CLEARANCE``.
+    with fixed geoms that MuJoCo finds within ``_SEARCH_MARGIN``, and whose unit normal has a
+    vertical component above ``_MIN_UPWARD_NORMAL``. The step is at most ``_SEARCH_MARGIN``, also
+    without such a contact; it penetrates no convex geom. The clearance is 0 if no ground is found
+    within ``MAX_CLEARANCE``.
 
     Args:
         model: MuJoCo model. The option ``o_margin`` and the flag ``override`` are changed during

@@ -1,7 +1,7 @@
-"""Ground plane of an MJCF: search, removal, and levelling.
+"""Ground plane of an MJCF: search, levelling, and disabling of its contacts.
 
-Functions that change a spec do so in place. Prepared robots have one level plane at z = 0: a tilted
-or raised floor is levelled, and a missing floor is added (`level_ground`).
+Functions that change a spec do so in place. Prepared robots have a level floor at z = 0: a tilted
+or raised floor is levelled, and a missing floor is added; for exceptions see `level_ground`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from pupper_analysis.models.spec_tree import SpecTree
 
 _LEVEL_ATOL = 1e-9
 """Tolerance with which a floor counts as level at z = 0 and is not changed: distance from z = 0
-[m], and x and y components of the quaternion. Chosen, not tuned."""
+[m], and x and y components of the quaternion. In the compiled model: 1 - cos(tilt). Chosen, not
+tuned."""
 
 
 def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:

@@ -47,8 +47,8 @@ class Step(NamedTuple):
         rotation: Rotation matrix (3, 3). The third axis is the normal of the top, or the axis of a
             bar.
         round: Whether the step is a bar: a cylinder within these sizes.
-        height: Height [m] above the plane of the ground; negative for a pit, 0 for a plane of its
-            own.
+        height: Height [m] above the plane of the ground; negative for a pit, 0 for a plane or bar
+            of its own that is not on a step.
     """
 
     centre: Array
@@ -125,7 +125,8 @@ class Ground:
 
         Returns:
             Kind of the surface (wall, table, ceiling, plane, bar or step) and the foot, such as
-            "wall of left_palm". None if the foot has no surface of its own: it is on the floor.
+            "wall of left_palm". None if the foot is in neither ``planes`` nor ``heights``: it is on
+            the floor.
         """
         if foot in self._planes:
             plane = self._planes[foot]
@@ -171,7 +172,9 @@ class Ground:
         A box extends ``STEP_HALF_WIDTH`` beyond the contact points of the foot. For a step of
         height h > 0, the box stands on the ground. For h < 0 (a pit), the top of the box is the
         bottom of the pit at height h, and the thickness of the box is -h times the cosine of the
-        slope.
+        slope. The box below a plane of its own is half as thick as wide. Feet without a contact
+        point in ``places``, and feet on a step of height 0 without a plane of their own, are
+        omitted.
 
         Args:
             places: {contact point: centre (3,) [m]}; the points of a flat foot are ``foot/1``,
@@ -272,5 +275,5 @@ of a box for the same foot (reach of the contact points plus ``STEP_HALF_WIDTH``
 tuned: a foot must not reach the end of the bar."""
 
 STEP_HALF_WIDTH = 0.03
-"""Distance [m] by which the box of a step extends horizontally beyond the contact points of its
+"""Distance [m] by which the box of a step extends along its top beyond the contact points of its
 foot, so that the foot stays on the box if the foot slips a little. Chosen, not tuned."""

@@ -43,7 +43,8 @@ constraint under a force ends: rounding level. Chosen, not tuned."""
 def clip_solimp(solimp: Iterable[float]) -> tuple[float, ...]:
     """Return the five numbers of a solimp, clipped to MuJoCo's bounds.
 
-    Order: dmin, dmax, width [m, rad], midpoint, power.
+    Order: dmin, dmax, width [m, rad], midpoint, power. The width is not clipped: a negative width
+    has the effect of MuJoCo's lower bound, zero (`solimp_impedance`).
     """
     dmin, dmax, width, midpoint, power = (float(value) for value in solimp)
     dmin, dmax, midpoint = (
@@ -70,7 +71,8 @@ def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
 def solimp_impedance(solimp: tuple[float, ...], violation: float) -> tuple[float, float]:
     """Return the impedance d of a constraint, and its derivative by abs(violation) [1/m, 1/rad].
 
-    d changes from dmin at zero to dmax at ``width``; for a ``width`` of zero d is the mean of both.
+    d changes from dmin at zero to dmax at ``width``; for a ``width`` of zero or less, d is the mean
+    of both.
 
     Source: MuJoCo documentation, "Computation: Solver parameters"; ``engine_core_constraint.c``.
 

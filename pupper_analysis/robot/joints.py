@@ -185,8 +185,8 @@ def named_positions(
 
     Raises:
         UnknownNameError: If a pattern matches no joint.
-        ConfigurationError: If a position is not finite, or has a unit of length for a hinge or a
-            unit of angle for a slide.
+        ConfigurationError: If a position is not a finite number, or has a unit of length for a
+            hinge or a unit of angle for a slide.
     """
     positions: dict[str, Position] = {}
     for pattern, value in joints.items():
@@ -218,8 +218,8 @@ def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
 
     Raises:
         UnknownNameError: If a pattern matches no joint.
-        ConfigurationError: If a position is not finite, or has a unit of length for a hinge or a
-            unit of angle for a slide.
+        ConfigurationError: If a position is not a finite number, or has a unit of length for a
+            hinge or a unit of angle for a slide.
     """
     result = dict(posture)
     for pattern, value in posture.items():

@@ -16,14 +16,15 @@ from pupper_analysis.robot.floor import disable_ground, find_floor
 def make_mujoco_spec(
     description: Description, *, fixed_base: bool
 ) -> tuple[mujoco.MjSpec, Array, list[Diagnostic]]:
-    """Return a copy of the MJCF of a description with its base free or fixed, ready to compile.
+    """Return a copy of the MJCF of a description, with its base fixed if requested.
 
-    With a fixed base, free joints and keyframes are removed; if the MJCF had a free joint, its
-    ground does not collide. A robot with a free base and without a floor gets a floor.
+    If ``fixed_base`` is true, free joints and keyframes are removed; if the MJCF had a free joint,
+    its ground does not collide. A robot with a free base and without a floor gets a floor.
 
     Returns:
-        Spec; qpos of the keyframe ``home`` (else of the first keyframe, else empty), in MuJoCo's
-        order and with the coordinates of a free joint that was removed; notes.
+        Spec; qpos of the keyframe ``home`` (else of the first keyframe), in MuJoCo's order and with
+        the coordinates of a free joint that was removed, empty if no keyframe or no qpos is stated;
+        notes.
     """
     notes = []
     spec = description.mjcf.copy()

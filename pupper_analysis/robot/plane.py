@@ -210,7 +210,7 @@ class Tangent(Plane):
     """Tangent plane of a bar.
 
     Attributes:
-        bar: The bar.
+        bar: Bar that the plane touches.
     """
 
     bar: Bar | None = None
@@ -226,8 +226,8 @@ class Contact:
     """Contact of a foot, or of another part of the robot (a hand), with a plane or a bar.
 
     A foot touches with the collision geometry. A hand touches with a massless sphere at a point of
-    its link, which collides with that plane only. A sole (foot with several contact points) cannot
-    touch a bar.
+    its link, which collides with that plane only. A sole (foot with several contact points) can
+    neither touch a bar nor grip.
 
     Attributes:
         plane: Plane, slope or bar.
@@ -294,7 +294,8 @@ class Contact:
             numbers: Angle of a slope [rad], position of another plane [m], or point of a bar [m].
 
         Raises:
-            ConfigurationError: If the plane is a bar, and ``numbers`` are not three finite numbers.
+            ConfigurationError: If the plane is a bar, and ``numbers`` are not three valid
+                coordinates; or if the plane is a slope, and the angle is not from 0 to pi.
         """
         if isinstance(self.plane, Bar):
             return replace(self, plane=replace(self.plane, point=_check_position("point", numbers)))
@@ -367,7 +368,7 @@ class Weld:
         """Return a copy of this weld at another position (x, y, z) [m].
 
         Raises:
-            ConfigurationError: If ``numbers`` are not three finite numbers.
+            ConfigurationError: If ``numbers`` are not three finite numbers, or exceed `MAX_LENGTH`.
         """
         return replace(self, place=_check_position("place", numbers))
 
@@ -481,7 +482,7 @@ def _check_slope_angle(value: float) -> float:
     """Return an angle between the horizontal and a plane [rad], from 0 to pi.
 
     Raises:
-        ConfigurationError: If the angle is out of range.
+        ConfigurationError: If the angle is out of range, or no finite number.
     """
     name, low, high = "slope.angle", 0.0, math.pi
     angle = check_finite(name, value)
@@ -501,7 +502,7 @@ def _check_friction(name: str, value: float | None) -> float | None:
     """Return a friction coefficient from 0 to ``MAX_FRICTION``, or None.
 
     Raises:
-        ConfigurationError: If the coefficient is out of range.
+        ConfigurationError: If the coefficient is out of range, or no finite number.
     """
     if value is None:
         return None

@@ -68,8 +68,9 @@ def efforts_of(
         pin_model: Pinocchio's model of the URDF.
         convention: Coordinate maps of Pinocchio's model.
         joint_names: Names of the joints.
-        original_limits: {joint: limit of the motor that a servo replaced}. If the limit of the
-            servo is equal, the original limit is returned, because it states its source in a file.
+        original_limits: {joint: requested limit, or limit of the motor that a servo replaced}. If
+            the limit of both models is equal, the original limit is returned, because it states its
+            source.
         null: {joint: statement of the MJCF}, for joints whose force range in the MJCF is empty.
     """
     urdf, limits = pin_model.effortLimit.take(convention.v_index).tolist(), []
@@ -143,7 +144,7 @@ _CACHED_ATTRIBUTES = (
     "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "fixed_parts",
     "grips", "collision_model", "_cache",
 )  # fmt: skip
-"""Cached attributes that are not pickled, because recomputation is faster."""
+"""Cached attributes that are not pickled, but computed again when they are needed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +154,10 @@ class PublishedFile:
     Attributes:
         file: MJCF. None for a URDF without MJCF, and if the robot was loaded without changes.
         keyframe: Requested keyframe; None if none was requested.
-        imported: URDF without MJCF, for MuJoCo's importer.
+        imported: URDF without MJCF, for MuJoCo's importer; None otherwise.
         options: (name, value) of the requested MuJoCo options, which replace those of the file.
-        loaded: Robot as loaded from the file, if this belongs to a robot that was changed later.
+        loaded: Robot as loaded from the file, if the robot with this record was changed later; None
+            otherwise.
     """
 
     file: MjcfFile | None
@@ -209,7 +211,7 @@ def with_task_friction(
     feet: Mapping[str, Sequence[str]],
     touching: Mapping[str, Touching],
 ) -> Mapping[str, ContactParameters]:
-    """Return contact parameters in which sliding friction is that of the planes that feet touch.
+    """Return contact parameters with the sliding friction of the planes of a task.
 
     Args:
         contacts: {contact point: parameters} on the ground.
@@ -263,15 +265,17 @@ class Robot(EngineModels):
             the frame of the body)}.
         foot_geoms: {geom id of ``mj_model``: foot}.
         contact_radius: {contact point: radius [m] of its sphere}; 0 for the corner of a sole.
-        contacts: {contact point: effective parameters of the contact with the ground}.
+        contacts: {contact point: effective parameters of the contact with the ground, or with the
+            friction of a plane in ``touching``}; empty if the MJCF has no ground plane.
         home: Configuration (nq,) of the keyframe ``home``, of the first keyframe, or of qpos0.
         nominal: Joint positions (nu,) [rad, m] at which the feet have the nominal horizontal
             positions.
-        stand_height: Height [m] of the base above the ground in the nominal stand.
+        stand_height: Height [m] of the base above the ground in the nominal stand. Without feet 0,
+            or half the extent of a robot whose fixed base a task welds.
         imu: Frame with gyro and accelerometer; None if there is none.
         pin_convention: Coordinate maps of Pinocchio's model.
         mj_convention: Coordinate maps of MuJoCo's model.
-        fingerprint: Name, and hash of the URDF's joint names, kinematics, inertias and joint
+        fingerprint: Name, and hash of the URDF's joint names, kinematics, inertias and position
             limits, and of the contact points; identifies the robot of a stand. A copy with a
             payload, the ground of a task, or contacts of a task keeps the fingerprint.
         notes: Diagnostics of assumptions, additions and errors in the files.
@@ -347,7 +351,8 @@ class Robot(EngineModels):
 
         Servos change neither configurations nor torques at rest. The robot has the start pose, the
         collision shapes, the contacts and the effort limits of this robot; its MuJoCo model lacks
-        the postponed servos and visual meshes. This robot itself, if nothing is postponed.
+        the postponed servos and visual meshes. This robot itself, if nothing is postponed, or if
+        `defer_stages` got no function ``pose``.
         """
         found: Robot | Callable[[], Robot] | None = vars(self).get(_BEFORE_SERVOS)
         if found is None or isinstance(found, Robot):
@@ -410,7 +415,8 @@ class Robot(EngineModels):
     def hands(self) -> tuple[str, ...]:
         """Names of the parts in ``feet`` that a task uses as hands.
 
-        A hand touches its plane with a massless contact sphere.
+        A hand has a massless contact sphere, with which it touches its plane; the sphere of a
+        welded or gripping hand does not collide.
         """
         touching = self.touching.items()
         return tuple(
@@ -541,8 +547,8 @@ class Robot(EngineModels):
     def closure(self) -> Closure | None:
         """Closed loops and joint couplings of the robot, from the equalities of the MJCF.
 
-        None if no active equality constrains the robot's joints, or if one couples the robot to the
-        world (`find_closure`).
+        None if no active equality constrains the robot's joints, if constraints are disabled, or if
+        an equality couples a free base to the world (`find_closure`).
         """
         robot = self.before_servos
         return find_closure(robot.mj_model, robot.mj_convention, self.joint_names)
@@ -633,7 +639,7 @@ class Robot(EngineModels):
         """Effort (nu,) [N m, N] that each joint can exert in both directions; inf without a limit.
 
         The value is min(-lower, upper) of the joint's effort range from both files (`efforts`), or
-        0 if the range does not contain both signs.
+        0 if that number is below ``MIN_EFFORT``, for example if the range has a single sign.
         """
         limits = np.array([limit.symmetric_torque for limit in self.efforts], dtype=float)
         limits.flags.writeable = False
@@ -872,7 +878,7 @@ largest moment of the body; a body with a larger magnitude is refused. Chosen, n
 
 
 def _check_bodies(robot: Robot) -> None:
-    """Raise a ModelError if a body of the URDF has a negative mass or moment of inertia.
+    """Raise a ModelError if a moving body of the URDF has a negative mass or moment of inertia.
 
     `Robot.check_bodies` calls this function once per robot.
     """

@@ -2,7 +2,7 @@
 
 A servo exerts tau = clip(kp (ctrl / gear - q) - kd qvel, +- limit) at the joint.
 `model_with_servos` returns a copy of the model with requested gains; `resolve_servo_gains` returns
-the gains without a model.
+the gains without a model; `with_options` returns a robot with other MuJoCo options.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ _CONVERGING_DYNAMICS = (
     mujoco.mjtDyn.mjDYN_FILTER.value,
     mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
 )
-"""Types of actuator dynamics (``dyntype``) with which, if the command is constant, the activation
-equals the command or converges to it. Only such an actuator can be a position servo."""
+"""Types of actuator dynamics (``dyntype``) with which, if the command is constant, the input of the
+force law equals the command or converges to it. Only such an actuator can be a position servo."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class Servos:
         model: MuJoCo model, a copy of the robot's.
         kp: Stiffness at the joints, shape (nu,) [N m/rad, N/m]; 0 for dependent joints of loops.
         kd: Damping at the joints, shape (nu,) [N m s/rad, N s/m]; 0 for dependent joints of loops.
-        gear: Actuator length per joint angle, shape (nu,).
+        gear: Actuator length per joint position, shape (nu,); 1 for dependent joints of loops.
         integrator: Name of MuJoCo's integrator.
     """
 
@@ -77,8 +77,8 @@ class Servos:
     def command(self, robot: Robot, positions: Array, torques: Array | None = None) -> Array:
         """Compute MuJoCo's ctrl for joint positions with feed-forward torques.
 
-        Position servos that do not act on a single joint, for example on tendons, are commanded not
-        to exert a force (`make_neutral_commands`). Other actuators without joint are commanded 0.
+        All other position servos, for example on tendons or beside another actuator of a joint, are
+        commanded not to exert a force (`make_neutral_commands`). Other actuators are commanded 0.
 
         Args:
             robot: Robot with n joints (``robot.nu``).
@@ -106,9 +106,9 @@ class Servos:
 def make_position_commands(robot: Robot, positions: Array) -> Array:
     """Compute the ctrl (model.nu,) with which the servos of the robot's model hold joint positions.
 
-    Motors that are no position servos are commanded 0, and servos that do not act on a single joint
-    are commanded not to exert a force. Joints without motor are allowed, unlike in
-    `model_with_servos`.
+    Motors that are no position servos are commanded 0. Position servos that are not the servo of a
+    joint, for example on tendons, are commanded not to exert a force. Joints without motor are
+    allowed, unlike in `model_with_servos`.
 
     Args:
         robot: Robot.
@@ -244,7 +244,7 @@ class Gains:
     Attributes:
         kp: Stiffness at the joints, shape (nu,) [N m/rad, N/m].
         kd: Damping at the joints, shape (nu,) [N m s/rad, N s/m].
-        gear: Actuator length per joint angle, shape (nu,).
+        gear: Actuator length per joint position, shape (nu,); 1 for dependent joints.
         servo: Mask, shape (nu,): the motor is a position servo in the robot's model, or the joint
             is dependent.
     """
@@ -309,9 +309,10 @@ def resolve_servo_gains(
         Gains of each joint; 0 for the dependent joints of loops and couplings.
 
     Raises:
-        ConfigurationError: If a gain is invalid or the stiffness too small.
-        ModelError: If a joint has no actuator, or is no servo and kp or kd is None; except
-            dependent joints.
+        ConfigurationError: If a gain is not a number, has another shape or is out of range, or the
+            stiffness is below `MIN_STIFFNESS`.
+        ModelError: If a joint has no actuator, or its actuator is no position servo and kp or kd is
+            None; except dependent joints.
     """
     actuators = robot.mj_convention.actuator_index
     following = np.zeros(robot.nu, dtype=bool)
@@ -345,8 +346,9 @@ def resolve_servo_gains(
 def command_ranges(robot: Robot) -> Array:
     """Return the ranges of servo commands, shape (nu, 2) [rad, m].
 
-    MuJoCo clips the command of a servo to the ``ctrlrange``. The range is infinite for a servo
-    without ``ctrlrange``, a torque motor that is driven as a servo, and a joint without motor.
+    MuJoCo clips the command of a servo to the ``ctrlrange``, unless the flag ``clampctrl`` is
+    disabled; the flag is ignored here. The range is infinite for a servo without ``ctrlrange``, a
+    torque motor that is driven as a servo, and a joint without motor.
     """
     model, actuators = robot.mj_model, robot.mj_convention.actuator_index
     ranges = np.tile((-math.inf, math.inf), (robot.nu, 1))
@@ -420,7 +422,8 @@ def _read_actuator_gains(
     Gain and damping are at the joint [N m/rad, N m s/rad; N/m, N s/m].
 
     An actuator with a constant force, or with an integrated or delayed command, is no position
-    servo: the ctrl is not a joint position.
+    servo: the ctrl is not a joint position. Neither is an actuator whose gain is not positive, or
+    differs from the stiffness of its bias.
     """
     gear = model.actuator_gear[actuators, 0].copy()
     gain = model.actuator_gainprm[actuators, 0] * gear**2
@@ -436,7 +439,11 @@ def _read_actuator_gains(
 
 
 def _check_gain(name: str, value: ArrayLike, size: int) -> Array:
-    """Convert a gain to shape (size,); ConfigurationError if it is not in [0, ``MAX_GAIN``]."""
+    """Convert a gain to shape (size,).
+
+    Raises:
+        ConfigurationError: If the shape differs, or a number is not in [0, ``MAX_GAIN``].
+    """
     given = real_array(name, value)
     try:
         gain: Array = np.broadcast_to(given, (size,)).copy()

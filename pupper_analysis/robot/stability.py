@@ -72,7 +72,8 @@ def step_derivative(
     Args:
         model: MuJoCo model. During the call, the tolerance of the solver is tightened, and sleeping
             is disabled.
-        data: State; not changed.
+        data: State; not changed, but derived quantities (for example accelerations) may be
+            recomputed.
         difference: Step of the central finite differences [m, rad; m/s, rad/s].
     """
     size = 2 * model.nv + model.na
@@ -131,8 +132,7 @@ SETTLING_TIME = 0.5
 that doubles in a second grows by a factor of 1.4 only."""
 
 _MAX_SETTLING_TIME = 600.0
-"""Largest accepted settling time of `step_stability` [s]. Chosen: no simulation of a stand is
-longer."""
+"""Largest accepted settling time of `step_stability` [s]. Chosen, not tuned."""
 
 _LIMIT_DISTANCE = 10 * DIFFERENCE_STEP
 """Distance of a joint position from a joint limit [rad, m] up to which the finite differences are
@@ -142,7 +142,8 @@ Hz, but came to rest in simulations."""
 
 _NEUTRAL_RATE = 1e-4
 """Upper bound of |eigenvalue - 1| / (time step) of a mode that counts as neither growing nor
-decaying [1/s]: such a mode needs two hours or more to double. Chosen, not tuned."""
+decaying [1/s]: such a mode needs 1.9 hours or more to double. The error of the eigenvalue replaces
+the bound if it is larger. Chosen, not tuned."""
 
 _EIGENVALUE_ERROR = 1e-9
 """Numerical error of a well-conditioned eigenvalue of the linearised MuJoCo step, measured for
@@ -152,7 +153,7 @@ or a smaller angle in the complex plane [rad], is therefore not counted as an os
 _MAX_EIGENVALUE_ERROR = 1e-5
 """Upper bound of the error of an ill-conditioned eigenvalue near 1. For example, a wheel that rolls
 freely has a double eigenvalue 1 with a single eigenvector; an error e of the matrix changes it by
-sqrt(e)."""
+sqrt(e). Chosen, not tuned."""
 
 _MAX_REST_SPEED = 0.1
 """Largest element of qvel of a state at rest [m/s, rad/s]. Pupper v3 sags with up to 0.02 after the
@@ -183,16 +184,16 @@ class Mode(Result):
         damping_ratio: 1 for decay without oscillation, 0 for an undamped oscillation, negative for
             growth.
         time_constant: Time in which the mode grows or decays by a factor of e (s).
-        doubling_time: Time in which the mode doubles (s); None if the mode decays, or is
-            ``sustained``.
+        doubling_time: Time in which the mode doubles (s); None if the mode decays, or is sustained
+            (``is_sustained``).
         joints: Joints with the largest motion in the mode, largest first.
         without_dry_friction: Whether the spectrum is that without dry friction of joints and
             tendons.
         repeated_at_second_step: Whether the spectrum with ``SECOND_STEP`` has the mode as well;
             also True if that spectrum was not computed.
-        nudge: Largest initial deviation of a joint in the simulation that measured growth (rad or
-            m), 0 if only velocities deviated; None if the mode is known from the spectrum only.
-            With a value, ``doubling_time`` is the simulated time.
+        nudge: Largest initial deviation of a position (joint or base) in the simulation that
+            measured growth (rad or m), 0 if only velocities deviated; None if the mode is known
+            from the spectrum only. With a value, ``doubling_time`` is the simulated time.
     """
 
     growth: float = field(metadata={"unit": "1"})
@@ -211,7 +212,7 @@ class Mode(Result):
     def nudge_unit(self) -> str:
         """Unit (m or rad) of ``nudge``, the deviation from which growth was measured.
 
-        m if the coordinate with the largest displacement in the mode is a translation.
+        m if the position with the largest initial deviation is a translation.
         """
         return self._nudge_unit
 
@@ -219,7 +220,7 @@ class Mode(Result):
     def direction(self) -> Array:
         """Direction of the mode in the tangent space of (qpos, qvel, act), shape (2 nv + na,).
 
-        The largest deviation of a position is 1 rad or 1 m.
+        The largest deviation of a position is 1 rad or 1 m, if any position deviates.
         """
         assert self._direction is not None
         return self._direction
@@ -346,8 +347,8 @@ def step_stability(
 
     Args:
         model: MuJoCo model. During the call the solver tolerance is smaller, sleeping is disabled,
-            joint limits may be displaced by 1e-6, and the dry friction of joints and tendons may be
-            zero.
+            joint limits may be displaced by up to 2e-6 rad or m, and the dry friction of joints and
+            tendons may be zero.
         data: State with ``ctrl``; not changed.
         settle: Time for which the state is simulated first [s].
 
@@ -375,7 +376,7 @@ def judge_settled(
 
     - ``settle`` is below half a time step,
     - the simulation diverges,
-    - only the initial state is at rest, and one of its modes doubles more than
+    - only the initial state is at rest, and its fastest growing mode doubles more than
       ``_MIN_THROWING_DOUBLINGS`` times during settling, so that the mode explains the motion.
     """
     start, data = data, copy_data(model, data)
@@ -400,7 +401,7 @@ def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
     """Evaluate a state with and without the dry friction of joints and tendons.
 
     The result is that with dry friction. Growing modes without dry friction are added if they grow
-    within ``HOLD_DURATION``, and the least damped mode is the smaller damping ratio of both.
+    within ``HOLD_DURATION``. The least damped mode is that with the smaller damping ratio of both.
     """
     found = _mark_repeated(model, data, _evaluate_at_limits(model, data))
     rubbing = model.dof_frictionloss, model.tendon_frictionloss
@@ -461,9 +462,10 @@ def _evaluate_at_limits(
 ) -> Stability:
     """Evaluate the spectrum of a state in which joints may be at their limits.
 
-    Finite differences are invalid across a limit. If joints are within `_LIMIT_DISTANCE` of limits,
-    these limits are set to this distance from the joint positions, once so that the joints are
-    inside and once so that they are beyond. The result with the larger spectral radius is returned.
+    Finite differences are invalid across a limit. If joints are within `_LIMIT_DISTANCE` of the
+    positions at which limits begin to act (``margin`` included), these positions are moved to this
+    distance from the joint positions, once so that the joints are inside and once so that they are
+    beyond. The result with the larger spectral radius is returned.
     ``difference`` is the finite-difference step.
     """
     scalar = np.isin(model.jnt_type, (JointKind.HINGE, JointKind.SLIDE))

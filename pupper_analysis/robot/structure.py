@@ -2,8 +2,8 @@
 
 Structure contains a Pinocchio model whose coordinates have the same axes as this package's
 (MuJoCo's; see ``robot.coordinates``), and the indices of frames and joints. It is computed once per
-robot, so that a configuration needs no search for names, no rotation of axes, and no new Pinocchio
-data.
+robot, so that a configuration needs no search for names and no rotation of axes, and can reuse
+Pinocchio data.
 """
 
 from __future__ import annotations
@@ -19,12 +19,14 @@ from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.robot.coordinates import PinocchioConvention, normalise_quaternion
 
 _MAX_SPARE_DATA = 32
-"""Maximum number of unused Pinocchio data that a robot keeps for reuse. An upper bound of memory:
-some 10 kB each. Chosen, not tuned."""
+"""Maximum number of unused Pinocchio data that a robot keeps for reuse. Bounds the memory:
+each takes 0.4 MB for Pupper v3 (measured). Chosen, not tuned."""
 
 
 class Workspace:
     """Pinocchio data with a single owner; returned to the pool when the workspace is deleted.
+
+    If the pool contains `_MAX_SPARE_DATA` already, the data are dropped.
 
     Args:
         data: Pinocchio data.
@@ -69,7 +71,7 @@ class Structure:
             j moves the axis of i.
         total_mass: Mass [kg] of all links, including those fixed to a fixed base.
         fixed: Mass that does not move (with a fixed base), relative to the total mass.
-        lever: CoM (3,) [m] of the fixed mass.
+        lever: CoM (3,) [m] of the fixed mass, in the world frame.
     """
 
     def __init__(
@@ -122,7 +124,7 @@ class Structure:
     def acquire_workspace(self) -> Workspace:
         """Return a workspace: Pinocchio data, new or reused, for exclusive use by the caller.
 
-        The data return to the pool when the `Workspace` is deleted.
+        The data return to the pool when the `Workspace` is deleted, unless the pool is full.
         """
         try:
             data = self._spare_data.pop()
@@ -246,7 +248,7 @@ def _sort_depth_first(model: pin.Model, preferred_order: Sequence[int]) -> Itera
 
     Args:
         model: Pinocchio model.
-        preferred_order: Joint indices.
+        preferred_order: Joint indices; joints that are missing there precede their siblings.
     """
     rank = {joint: index for index, joint in enumerate(preferred_order)}
     children: dict[int, list[int]] = {}
@@ -333,8 +335,7 @@ class Kinematics:
 def is_pinocchio_memory(array: Array) -> bool:
     """Return True if an array is a view of Pinocchio's memory, which later computations overwrite.
 
-    The array must come from Pinocchio: the result is True for any view.
-
-    This is Pinocchio's default; after ``pin.sharedMemory(False)`` arrays are copies.
+    The array must come from Pinocchio: the result is True for any view. By default, Pinocchio
+    returns views; after ``pin.sharedMemory(False)``, it returns copies.
     """
     return not array.flags.owndata

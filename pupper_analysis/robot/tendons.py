@@ -18,7 +18,8 @@ SUPPORTED_EQUALITIES = frozenset(
         mujoco.mjtEq.mjEQ_TENDON,
     }
 )
-"""Types of equality constraints that computed stances satisfy (see ``closure``)."""
+"""Types of equality constraints that computed stances satisfy, unless a constraint couples a free
+base to the world (`find_closure` in ``closure``)."""
 
 _LIMIT_DISABLING_BITS = (
     mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value | mujoco.mjtDisableBit.mjDSBL_LIMIT.value
@@ -45,8 +46,8 @@ def report_ignored_equalities(model: mujoco.MjModel) -> list[Diagnostic]:
 def report_ignored_tendon_ranges(model: mujoco.MjModel) -> list[Diagnostic]:
     """Report the tendons with a range, which the stance solver ignores.
 
-    Empty if the MJCF disables limits or constraints, because MuJoCo then ignores the ranges as
-    well.
+    Empty without such tendons, or if the MJCF disables limits or constraints, because MuJoCo then
+    ignores the ranges as well.
     """
     messages = []
     for tendon in model.tendon_limited.nonzero()[0].tolist():

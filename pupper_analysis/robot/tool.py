@@ -69,7 +69,7 @@ class Tool(Result):
         """Return a copy of this point, translated by ``way``, shape (3,) [m], in link axes.
 
         Raises:
-            ConfigurationError: If ``way`` is no finite vector (3,).
+            ConfigurationError: If ``way`` is no finite vector (3,), or too large.
         """
         return replace(self, offset=self.offset + check_point(way))
 
@@ -298,14 +298,14 @@ def with_payload(
     Args:
         robot: The robot.
         mass: Mass of the payload [kg], finite and >= 0.
-        point: Position (3,) [m] in the base frame; or in the frame of a link, site or body, as
-            ``("right_hand", 0.0, 0.0, 0.05)``; or a ``Tool``.
+        point: Position (3,) [m] in the base frame; or in the frame of a link, site, body or geom,
+            as ``("right_hand", 0.0, 0.0, 0.05)``; or a ``Tool``.
 
     Returns:
         The loaded robot; the robot itself if the mass is zero.
 
     Raises:
-        ConfigurationError: If mass or point is not valid, or the point is on a fixed base.
+        ConfigurationError: If mass or point is not valid, or the link of the point is a fixed base.
         UnknownNameError: If the robot has no such frame.
         ModelError: If the loaded model cannot be built.
     """

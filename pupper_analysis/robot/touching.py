@@ -54,8 +54,9 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
     example without contacts.
 
     A part other than a foot (hand) gets a contact point: a massless sphere that collides only with
-    its plane. The friction of a plane is that of the contact. The contact spheres of welded hands
-    do not collide. A base that the file fixes to the world becomes free, and is held by the weld.
+    its plane. The friction of a plane is that of the contact. The contact spheres of welded or
+    gripping hands do not collide. If a task welds a base that is fixed to the world, the base
+    becomes free, and is held by the weld.
 
     Args:
         robot: Robot, which may already be the result of this function.
@@ -70,7 +71,8 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
               ``offset`` in the weld of a foot or of the base;
             * a foot with several contact points touches a bar, or grips;
             * a contact other than a weld is on the base;
-            * a weld and another weld or hand are on links that move with the same joint;
+            * a weld or grip and another contact, both of hands, are on links that move with the
+              same joint;
             * a fixed base cannot be made free;
             * the robot was changed after it got other contacts.
         ModelError: If the model with the contacts cannot be built.
@@ -107,7 +109,7 @@ def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
     Args:
         name: Name of the part, for messages.
         contact: Contact or weld of the part.
-        foot: Whether the part is a foot; otherwise a hand.
+        foot: Whether the part is a foot; otherwise a hand or the base.
     """
     if isinstance(contact, Weld):
         _require_hand(name, not foot or not any(contact.offset), "offset")
@@ -132,14 +134,16 @@ def _require_hand(name: str, is_hand: bool, arguments: str) -> None:
 
 @lru_cache(maxsize=_CACHE_SIZE)
 def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) -> Robot:
-    """Build a robot with the hands, welds and grips of a task; cached for `_CACHE_SIZE` robots.
+    """Build a robot with the hands, welds and grips of a task; `_CACHE_SIZE` results are cached.
 
     A hand is a part of the robot that touches a surface of the task and is not a foot.
 
     Raises:
         UnknownNameError: If the robot has no frame of a name.
-        ConfigurationError: If two contacts fix one link, one of them as a weld or grip; if a part
-            that is fixed to the base is welded with an offset; or if the base cannot be free.
+        ConfigurationError: If two hands move with the same joint, and one of them is welded or
+            grips; if a part that is fixed to the base has a contact other than a weld, or is welded
+            with an offset; if a hand moves with a foot; or if the base cannot be free.
+        ModelError: If the model with the contacts cannot be built.
     """
     tools = {
         name: _find_frame(robot, name)

@@ -125,7 +125,8 @@ def offsets_in_world(
 def _mask_robot_bodies(robot: Robot, reference: Reference) -> list[bool]:
     """Return a mask (nbody,) of the bodies of a compiled MJCF that belong to the robot.
 
-    For a fixed base, all static bodies belong to the robot, as in `pinocchio_from_mujoco`.
+    For a fixed base, all static bodies belong to the robot, as in `pinocchio_from_mujoco`. Bodies
+    that the robot's own model lacks are omitted.
     """
     model, moving = reference.model, reference.bodies()
     kept = {robot.mj_model.body(body).name for body in range(robot.mj_model.nbody)}
@@ -240,13 +241,13 @@ nv^3 bytes, 0.26 GB for nv = 200 and 256 GB for nv = 2000.
 """
 
 _MAX_STATE_BYTES: Final = 80e6
-"""Maximum size of the mass matrices of all states in each of the five evaluations [bytes]. A robot
-with 306 degrees of freedom is compared at no more than 106 states, a robot with 1000 at 10. Chosen,
-not tuned."""
+"""Maximum size of the mass matrices of all states in an evaluation of a large robot [bytes]. A
+robot with 306 degrees of freedom is compared at no more than 106 states, a robot with 1000 at 10.
+Chosen, not tuned."""
 
 _MIN_STATES: Final = 2
-"""Smallest number of random states of a comparison, however large the robot is: a single state
-might be singular. Chosen, not tuned."""
+"""Smallest number of random states to which the size of a robot reduces the number of states: a
+single state might be singular. Chosen, not tuned."""
 
 
 def is_large(robot: Robot) -> bool:
@@ -257,8 +258,8 @@ def is_large(robot: Robot) -> bool:
 def affordable_states(robot: Robot, count: int) -> int:
     """Return the number of random states for a comparison: ``count``, or fewer for large robots.
 
-    The mass matrices of a large robot (`is_large`) may take `_MAX_STATE_BYTES` for all states; at
-    least `_MIN_STATES` are used.
+    The mass matrices of a large robot (`is_large`) may take `_MAX_STATE_BYTES` for all states; the
+    number is not reduced below `_MIN_STATES`.
     """
     if not is_large(robot):
         return count

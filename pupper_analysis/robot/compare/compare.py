@@ -86,7 +86,7 @@ class _PlacedShape:
     """Collision shape in MuJoCo's world at the initial pose.
 
     Attributes:
-        shape: Shape in the frame of the body.
+        shape: Shape in the frame of the link or body.
         world: Shape in the world frame.
         place: Function that returns the location in the file.
     """
@@ -115,7 +115,7 @@ def compare_collisions(
     Returns:
         Differences of feet, and notes. If the files have different base frames or joint zeros,
         nothing is compared, and a note reports this. Both are empty if the URDF has no collision
-        shape, or the MJCF has no geom outside of the world body.
+        shape, or the MJCF has no compiled model or no geom outside of the world body.
     """
     conventions = matched.conventions
     urdf_model, mjcf_model = read_urdf_model(urdf), read_mjcf_model(mjcf)
@@ -156,7 +156,7 @@ def _collect_limb_shapes(
     of_mjcf: tuple[RobotModel, MjcfFile],
     data: mujoco.MjData,
 ) -> MovingShapes | None:
-    """Return the collision shapes that move with a joint; None if a link or extent is unknown.
+    """Return the collision shapes that move with a joint; None if a link or extent is unknown or 0.
 
     Args:
         name: Joint.
@@ -321,6 +321,7 @@ def _compare_feet(
                 higher=Quantity(-lower, "m") if lower < 0 else None,
                 **values,
             )
+            # The scale of the relative effect is 1 m.
             effects = {"contact surface": Effect(abs(lower), abs(lower), math.inf)}
             yield Difference(
                 "collision",
@@ -481,7 +482,7 @@ class Compared:
     Attributes:
         result: Differences.
         matched: Matched files.
-        explanation: All differences, with effects and the residual.
+        explanation: Differences of the multibody trees and of MJCF-only effects, and the residual.
         sources: Locations of the values in both files.
     """
 

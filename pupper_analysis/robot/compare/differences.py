@@ -125,7 +125,7 @@ class Effect(Result):
         deviation: Largest absolute deviation that the difference causes alone.
         relative: Deviation relative to the scale of the quantity.
         share: Deviation relative to the deviation that all differences cause together; may exceed 1
-            if differences cancel. Infinite if that deviation is a rounding error.
+            if differences cancel. Infinite if that deviation is a rounding error or infinite.
     """
 
     deviation: float = field(metadata={"unit": "varies"})
@@ -576,7 +576,7 @@ def change_of(
 
 
 def _format_value(value: Any, unit: str) -> Any:
-    """Return a value for a message: numbers with unit, texts unchanged."""
+    """Return a value for a message: numbers and arrays with unit, texts unchanged."""
     if isinstance(value, str | Quantity):
         return value
     if isinstance(value, np.ndarray):

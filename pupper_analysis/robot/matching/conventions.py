@@ -51,7 +51,7 @@ class Conventions:
     """Differences between the coordinates of a URDF and an MJCF of the same robot.
 
     Attributes:
-        base: Pose of the URDF's base frame in the MJCF's; None if equal.
+        base: Pose of the URDF's base frame in the MJCF's; None if equal, or if no pose was found.
         shown: Whether the displaced base frame is confirmed by the body of the base, by several
             joints on the base, or by equal limits of the single joint. Otherwise, the zero of that
             joint may be displaced.
@@ -130,7 +130,7 @@ def _find_zero_offset(
     """Return the offset of a joint: coordinate in ``first`` minus that in ``second`` [rad, m].
 
     0 if the offset is within tolerance, if type, axis or frame of the joint differ otherwise, or if
-    the limits contradict the offset.
+    a limit is finite and the limits of both files do not differ by the offset.
     """
     first_joint, second_joint = first.joints[name], second.joints[name]
     if (
@@ -293,9 +293,9 @@ def _do_joints_coincide(
 
 _MIN_JOINTS_OF_POSE, _MIN_SPREAD = 2, 1e-3
 """Smallest number of joints on the base from which `_find_pose_of_joints` determines the pose of
-the base frame: two joints with axes state ten numbers, a pose has six. And smallest range [m] of
-the joints' coordinates along an axis of the base; with a smaller range, or with points on one line,
-no pose is determined. Chosen, not tuned."""
+the base frame: two joints with axes state ten numbers, a pose has six. And lower bound of the
+largest range [m] of the joints' coordinates along an axis of the base; with a smaller range, or
+with points on one line, no pose is determined. Chosen, not tuned."""
 
 
 def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array, Array]:
@@ -328,7 +328,8 @@ def _candidate_base_poses(first: MultibodyTree, second: MultibodyTree) -> Iterat
 
     First the poses with which a joint of the base has the same placement in both trees, for the
     first `_MAX_JOINTS_TRIED` joints; then the 24 rotations by quarter turns, each without
-    translation, and with the translation that makes the mean joint position equal.
+    translation, and with the translation that makes the mean joint position equal. The mean
+    includes the CoM of the base if both files state its mass.
     """
     names = first.children(first.base)
     for name in names[:_MAX_JOINTS_TRIED]:

@@ -235,8 +235,8 @@ class Match:
         only_urdf: Joints that the MJCF lacks; fixed at zero for the comparison.
         only_mjcf: Joints that the URDF lacks; fixed at zero for the comparison.
         notes: Diagnostics of assumptions and omissions.
-        reference: Model of the MJCF with the whole scene. Joints that the URDF lacks are fixed at
-            zero.
+        reference: Model of the MJCF with the whole scene. If the URDF lacks joints, the model of
+            the robot without the scene, in which these joints are fixed at zero.
         mimics: Mimic joints of the URDF.
         conventions: Conventions of the MJCF to which the URDF was converted: base frame, zeros of
             joints.
@@ -321,7 +321,8 @@ def match_models(
 
     Raises:
         ModelError: If too few joints match, two names are mapped to one, a file cannot be analysed,
-            or (with ``complete``) the MJCF closes loops and has joints that the URDF lacks.
+            or (with ``complete``) the MJCF has joints that the URDF lacks, and closed loops or
+            couplings with these joints.
         UnknownNameError: If ``names`` or ``feet`` contain unknown names.
     """
     root = copy.deepcopy(urdf.root) if complete else without_shapes(urdf.root)
@@ -512,7 +513,8 @@ def _unify_joints(
         only_mjcf: Joints that the URDF lacks, which are deleted.
 
     Returns:
-        The URDF's mimic couplings, in the new names; they are removed from the URDF.
+        The mimic couplings of the URDF's paired joints, in the new names. All mimic couplings are
+        removed from the URDF.
     """
     mjcf_names = {*pairs.values(), *only_mjcf}
     mimics = {
@@ -662,8 +664,8 @@ def drop_other_objects(
     * if the base is free: static bodies without a plane in the body or a descendant.
 
     Limbs directly on the world belong to the robot: MuJoCo merges a fixed base with the world. The
-    joint names of the URDF identify such limbs. The mass of mocap bodies is set to zero. Cameras
-    and lights with a deleted body as target are deleted, too.
+    joint names of the URDF identify such limbs. Mocap bodies are kept, and their mass is set to
+    zero. Cameras and lights with a deleted body as target are deleted, too.
 
     Args:
         spec: Spec to modify.

@@ -57,8 +57,8 @@ def match_joints(
             names, for example of frames, are ignored.
 
     Raises:
-        ModelError: If no joint is matched, or if fewer than half of the joints are matched and not
-            all of these pairs were requested by the user.
+        ModelError: If no joint is matched, or if fewer than half of the joints of the file with
+            fewer joints are matched and not all of these pairs were requested by the user.
     """
     urdf_joints, mjcf_joints = joints
     pairs = {old: new for old, new in wanted.items() if old in urdf_joints and new in mjcf_joints}
@@ -192,7 +192,7 @@ def _find_common_prefix(words: Sequence[tuple[str, ...]]) -> list[str]:
 
 
 def _split_words(name: str) -> tuple[str, ...]:
-    """Return the alphanumeric words of a name in lower case."""
+    """Return the alphanumeric words of a name in lower case; the name itself if it has none."""
     return tuple(word for word in re.split(r"[^A-Za-z0-9]+", name.lower()) if word) or (name,)
 
 
@@ -265,9 +265,9 @@ class Guess:
 def match_by_structure(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
     """Match the unmatched joints of two trees by position and axis below matched parents.
 
-    If no pairs are given, and not all joints can be matched, all matches are returned as candidates
-    (`Guess.choices`) instead of pairs: the base frames of the files may be rotated relative to each
-    other, so that each leg is matched with a wrong leg.
+    If no pairs are given, and not all joints of the file with fewer joints can be matched, all
+    matches are returned as candidates (`Guess.choices`) instead of pairs: the base frames of the
+    files may be rotated relative to each other, so that each leg is matched with a wrong leg.
 
     Args:
         urdf: Tree of the URDF.

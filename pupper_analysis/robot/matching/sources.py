@@ -62,8 +62,8 @@ class UrdfSources:
         file: The file.
         tree: Links and joints as compared.
         links: {base or joint: moved link}.
-        joints: {joint: name in the file}, if different.
-        frames: {frame: link}, if different.
+        joints: {joint: name in the file}; a missing joint has the same name.
+        frames: {frame: link}; a missing frame has the name of its link.
         base: Names of the base in the comparison.
     """
 
@@ -127,7 +127,7 @@ class MjcfSources:
         file: The file.
         model: Compiled model.
         bodies: {base or joint: moved body}.
-        frames: {frame: site, body or geom}, if different.
+        frames: {frame: site, body or geom}; a missing frame has the name of its element.
         base: Names of the base in the comparison.
         renumbered: Whether elements without a name have other numbers than in the file, because
             joints were removed.

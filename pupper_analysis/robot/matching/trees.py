@@ -1,8 +1,8 @@
 """Multibody trees of the models of a robot, and normalisation of a URDF for matching.
 
 Input: a robot, or the XML of a URDF. Output: `MultibodyTree` objects with equal names for URDF and
-MJCF (`kinematic_trees`), and changed copies of a URDF that can be matched with an MJCF: without
-shapes, massless root links, floating joints and the mass of a base that the MJCF lacks.
+MJCF (`kinematic_trees`), and a URDF that can be matched with an MJCF: without shapes, massless root
+links, floating and planar joints, and the mass of a base that the MJCF lacks.
 """
 
 from __future__ import annotations
@@ -164,8 +164,9 @@ def strip_roots(
 ) -> tuple[etree._Element, list[Diagnostic]]:
     """Remove massless root links with a single fixed or floating joint.
 
-    For a fixed base, all such links are removed. For a floating base, the number of removed links
-    minimises the sum of the distances [m] between joints with equal names in both files.
+    If the MJCF has a fixed base, all such links are removed. If it has a free base, the number of
+    removed links minimises the sum of the distances [m] between joints with equal names in both
+    files; a link with a floating joint is always removed.
 
     Args:
         root: Root element of the URDF; not modified.
