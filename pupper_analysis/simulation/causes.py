@@ -1,7 +1,7 @@
 """Diagnostics of stands that do not come to rest: growing modes, contact chatter, creeping feet.
 
-Inputs are the spectrum and the states of a simulation, or the predicted contact forces; outputs are
-diagnostics with the quantities that show the cause.
+Inputs are the spectrum, the response to a nudge and the states of a simulation, or the predicted
+contact forces. Most outputs are diagnostics with the quantities that show the cause.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ at rest move at 0.02 to 0.12 of the nudge without end."""
 def find_instability(
     stability: Stability, nudge: Nudge | None, *, bounces: bool = False
 ) -> list[Diagnostic]:
-    """Report the fastest growing mode, or else a nudge that does not decay.
+    """Report the fastest mode that grows within ``HOLD_DURATION``, or else a nudge without decay.
 
     A joint that the nudge displaces by ``MAX_JOINT_DISPLACEMENT`` or more, at the end or
     temporarily, is reported as well. A remaining speed of at most ``_SOLVER_NOISE_RATIO`` times the
@@ -95,9 +95,8 @@ def proves_unrest(nudge: Nudge) -> bool:
 def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
     """Create the message about a growing mode that a nudged simulation does not confirm.
 
-    A mode is an eigenvector of MuJoCo's simulation step at rest.
-
-    The first of `Stability.refuted_modes` is described; empty if there is none.
+    A mode is an eigenvector of MuJoCo's simulation step at rest. The first of
+    `Stability.refuted_modes` is described; the result is empty if there is none.
     """
     if not stability.refuted_modes:
         return ()
@@ -113,7 +112,7 @@ def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
 
 
 def describe_growth(mode: Mode) -> Diagnostic:
-    """Create the message about a growing mode, with the deviation that was simulated, if any.
+    """Create the message about a growing mode, with the initial deviation that was simulated.
 
     A mode is an eigenvector of MuJoCo's simulation step at rest. The message states, for example,
     the frequency [Hz] of an oscillating mode, the joints that move most, and the doubling time [s].
@@ -134,8 +133,9 @@ def describe_growth(mode: Mode) -> Diagnostic:
 def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> list[Diagnostic]:
     """Report contact chatter: ground forces on a standing robot that vary from step to step.
 
-    The result is empty if the standard deviation of the total vertical force, over the last
-    ``_CHATTER_STATES`` states, is at most ``_MAX_FORCE_VARIATION`` times the weight.
+    The result is empty if the standard deviation of the total vertical force on the feet, over the
+    last ``_CHATTER_STATES`` states, is at most ``_MAX_FORCE_VARIATION`` times the weight, or is not
+    a number.
 
     Possible causes are pyramidal friction cones with an ``impratio`` above 1, whose edges MuJoCo's
     solver resolves to a limited accuracy, and stiff ground, which amplifies the error of each step.
@@ -163,10 +163,11 @@ def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> lis
 def compute_creep_speeds(
     robot: Robot, stand: Stand, prediction: GravityCompensation
 ) -> dict[str, float]:
-    """Compute the creep speed of each contact point in MuJoCo's friction: {point: |f_t| / c [m/s]}.
+    """Compute the creep speed of the loaded contact points: {point: |f_t| / c [m/s]}.
 
-    f_t is the predicted tangential force [N], and c the viscosity [N s/m] of ``GroundLaw`` at the
-    depth of the point in the stand. The speed is infinite if the viscosity is zero.
+    f_t is the predicted tangential force [N], and c the viscosity [N s/m] of MuJoCo's friction
+    (``GroundLaw``) at the depth of the point in the stand. The speed is infinite if the viscosity
+    is zero. The points are those of ``prediction.contact_forces``.
 
     Args:
         robot: The robot.
@@ -183,7 +184,7 @@ def compute_creep_speeds(
 
 
 def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[Diagnostic]:
-    """Report the contact point with the largest creep speed, if above ``MAX_CREEP_SPEED``."""
+    """Report the contact point with the largest creep speed; empty up to ``MAX_CREEP_SPEED``."""
     speeds = compute_creep_speeds(robot, stand, prediction)
     foot = max(speeds, key=speeds.__getitem__, default="")
     if not speeds.get(foot, 0.0) > MAX_CREEP_SPEED:

@@ -1,8 +1,9 @@
 """Lower bounds of the distance [m] between a moving robot and the ground.
 
-`ClearanceBounds` excludes contacts without collision detection. At one state it computes the
-distance of the bounding boxes of all parts. For other states of a simulation it subtracts a bound
-of the displacement between both states.
+`ClearanceBounds` excludes contacts without collision detection. At one state `distance` computes
+the distance of the bounding boxes of the parts, except the feet. For other states of a simulation
+`displacements` returns an upper bound of the displacement from that state. A part cannot reach the
+ground while the displacement is smaller than the distance.
 """
 
 from __future__ import annotations
@@ -19,16 +20,21 @@ from pupper_analysis.simulation.rollout import STATE_SPEC
 
 
 class ClearanceBounds:
-    """Distance bounds between the ground and all parts of a robot except its feet.
+    """Distance bounds between the ground and the moving geoms that can collide, except the feet.
 
-    The distance is measured between planes and the bounding boxes of the geoms. Between two states
-    no point of the robot moves by more than
+    The ground consists of the geoms of the world body that can collide. The distance is measured
+    between planes and the bounding boxes of the geoms. Between two states no point of the robot
+    moves by more than
 
         |dp| + 2 L sin(a / 2) + L sum |dq_hinge| + sum |dq_slide|
 
     with the displacement p and the rotation angle a of the base, and the length L of the longest
-    chain of bodies. The bound is not available if the ground is no plane, or if a joint is a ball
-    joint, a second free joint, or a slide joint without limits.
+    chain of bodies. The bounds are not available if a geom of the ground is no plane, or if a joint
+    is a ball joint, a second free joint, or a slide joint without limits. A slide joint is assumed
+    to stay within ``_MAX_LIMIT_RATIO`` times its limits.
+
+    Attributes:
+        is_available: Whether the bounds are available.
 
     Args:
         robot: The robot.
@@ -59,8 +65,8 @@ class ClearanceBounds:
         """Return a lower bound of the distance between the ground and the parts [m].
 
         The parts are the colliding geoms of the robot without the feet. The bound is 0 if it is
-        unavailable (``is_available``), or if a bounding box reaches the contact margin of the
-        ground. It is infinite without such geoms or without ground.
+        unavailable (``is_available``), or if a bounding box is within the contact margins of the
+        ground. An available bound is infinite without such geoms or without ground.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
@@ -104,7 +110,7 @@ class ClearanceBounds:
 
 
 def _chain_length(model: mujoco.MjModel) -> float:
-    """Return an upper bound of the distance between the base and any point of the robot [m].
+    """Return an upper bound of the distance between the base and any point of a geom [m].
 
     The bound is infinite with a slide joint without limits.
     """
@@ -133,6 +139,6 @@ def _chain_length(model: mujoco.MjModel) -> float:
 
 
 _MAX_LIMIT_RATIO = 2.0
-"""Largest position that a slide joint is assumed to reach in a simulation, divided by its limit.
-Used for the upper bound of the robot's displacements, because limits in MuJoCo are soft. Chosen,
-not tuned."""
+"""Largest position that a slide joint is assumed to reach in a simulation, divided by its larger
+limit [1]. Used for the upper bound of the robot's displacements, because limits in MuJoCo are soft.
+Chosen, not tuned."""

@@ -10,8 +10,8 @@ q and velocities v once per control period and commands
 which acts after the delay. `find_worst_mode` returns the mode of the closed loop that grows
 fastest; `survives_simulation` simulates the same controller in MuJoCo, with all friction.
 
-The linear model has no dry friction of joints. While a joint is at rest, this friction holds the
-joint like a large damper, so that each gain appears stable; a moving joint lacks this damping.
+The linear model has no dry friction of joints and tendons. This friction holds a joint at rest like
+a large damper, so that each gain appears stable; a moving joint lacks this damping.
 """
 
 from __future__ import annotations
@@ -58,8 +58,9 @@ more steps only if the model's own time step requires it. Chosen, not tuned."""
 
 _DELAY_TOLERANCE = 1e-6
 """Deviation of a delay from a multiple of the time step, relative to the larger of the time step
-and the delay, that counts as rounding. Also the absolute value up to which an eigenvalue of the
-closed loop, or its imaginary part, counts as zero. Chosen, not tuned."""
+and the delay, that counts as rounding; and excess of the control period over a multiple of the
+file's time step, in time steps. Also the absolute value up to which an eigenvalue of the closed
+loop, or its imaginary part, counts as zero. Chosen, not tuned."""
 
 _DIFFERENCE_STEP = 1e-6
 """Step of the central differences that linearise a time step [m, rad, m/s, rad/s, N m]. Measured on
@@ -70,8 +71,8 @@ _NUDGE_ANGLE, _NUDGE_SPEED = 0.02, 0.2
 simulation along a mode. Chosen: more than dry friction holds, and less than makes a foot slip."""
 
 _REST_SPEED = 0.01
-"""Largest joint velocity [rad/s, m/s] at the end of a simulation with which the robot counts as at
-rest. Chosen: 5 % of ``_NUDGE_SPEED``."""
+"""Upper bound of the joint velocities [rad/s, m/s] in the last ``_COMPARED_SHARE`` of a simulation,
+below which the robot counts as at rest. Chosen: 5 % of ``_NUDGE_SPEED``."""
 
 _COMPARED_SHARE = 0.2
 """Length of each of two intervals of a simulation, as a fraction of the simulated time. One
@@ -138,13 +139,16 @@ class ControlledStand:
 
     Args:
         held: Initial state of the stand, with servos.
-        rate: Control rate [Hz]; None: one command per time step of the model.
+        rate: Control rate [Hz]; None: one command per time step of the model in ``held``.
         delay: Time between measurement and effect of a command [s].
 
     Attributes:
+        model: MuJoCo model with torque motors and ``timestep``.
         period: Control period [s].
-        timestep: Time step of the model [s]: the file's, or a smaller one that divides the period.
+        steps: Number of time steps per control period.
+        timestep: Time step of ``model`` [s]: ``period`` / ``steps``.
         delay: Delay, rounded to time steps [s].
+        delay_steps: Number of time steps of the delay.
 
     Raises:
         ConfigurationError: If rate or delay is out of range, or the linear model is not finite.
@@ -162,8 +166,8 @@ class ControlledStand:
         self.delay = self.delay_steps * self.timestep
         _replace_servos(self.model, actuators, held.drive.gear[self._driven])
         self.model.opt.timestep = self.timestep
-        # With torque motors, integrators differ only in the damping of joints, which Euler and
-        # implicitfast treat alike. MuJoCo cannot differentiate RK4.
+        # Euler and implicitfast both integrate the damping of joints implicitly. MuJoCo cannot
+        # differentiate RK4.
         self.model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST.value
         self._controls = self.model.actuator_ctrladr[actuators]
         self._dofs = conv.qvel_index[-held.robot.nu :][self._driven]
@@ -186,9 +190,9 @@ class ControlledStand:
     def _linearise(self) -> tuple[Array, Array, Array]:
         """Linearise a control period of the stand, x' = F x + L u_late + P u_prompt.
 
-        x is the deviation of (qpos, qvel, act) from the stand, u are motor torques [N m]. During
-        the first ``delay_steps % steps`` time steps of a period the previous command, u_late, still
-        acts.
+        x is the deviation of (qpos, qvel, act) from the stand, u the deviation of the motor torques
+        [N m]. During the first ``delay_steps % steps`` time steps of a period the earlier command,
+        u_late, still acts. Dry friction of joints and tendons is zero.
 
         Returns:
             F, shape (n, n), L and P, shape (n, number of driven joints).
@@ -286,7 +290,7 @@ class ControlledStand:
         """Return the transition matrix, (n, n), of a control period with PD gains kp and kd (nu,).
 
         The states are the deviations x of `_linearise`, then the torques [N m] that were commanded
-        in previous periods and act later because of the delay, the latest first.
+        in the ``delay_steps // steps + 1`` previous periods, the latest first.
         """
         nv, count = self.model.nv, len(self._driven)
         feedback = np.zeros((count, len(self._first)))
@@ -323,10 +327,10 @@ class ControlledStand:
             mode: Mode of this controlled stand.
 
         Returns:
-            True if the joints come to rest or their oscillation decays, no joint displacement or
-            velocity exceeds `_MAX_SHIFT` or `_MAX_JOINT_SPEED`, and the largest joint displacement
-            in the second half of the simulation is at most `_MAX_SHIFT_RATIO` times its value at
-            the middle plus `_MIN_SHIFT`.
+            True if the joints come to rest or their oscillation decays, no joint displacement
+            exceeds `_MAX_SHIFT`, all joint velocities are below `_MAX_JOINT_SPEED`, and the largest
+            joint displacement in the second half of the simulation is at most `_MAX_SHIFT_RATIO`
+            times its value at the middle plus `_MIN_SHIFT`.
         """
         data = copy_data(self.model, self._start)
         target, stiff = data.qpos[self._places].copy(), kp[self._driven]
@@ -364,9 +368,10 @@ def find_largest_damping_factor(
 ) -> float:
     """Return the largest factor on the damping with which a controlled stand is stable.
 
-    The search starts at the stable factor nearest to 1, of the powers of 2 up to `MAX_FACTOR`, and
-    doubles the factor until the stand is unstable (``ControlledStand.is_stable``). The result is
-    infinite if `MAX_FACTOR` is reached, and NaN if no power of 2 is stable.
+    The search starts at the stable factor nearest to 1 (ratio), of the powers of 2 from
+    1 / `MAX_FACTOR` to `MAX_FACTOR`. The factor is doubled until the stand is unstable
+    (``ControlledStand.is_stable``), then bisected. The result is infinite if `MAX_FACTOR` is
+    stable, and NaN if no power of 2 is stable.
 
     Args:
         loop: The controlled stand.
@@ -412,6 +417,7 @@ def _replace_servos(model: mujoco.MjModel, actuators: NDArray[np.int64], gear: A
     """Make actuators torque motors, in place: ctrl is the torque at the joint [N m].
 
     ``gear`` is the gear ratio of each of these actuators, by which MuJoCo multiplies the force.
+    Limits of force and torque remain.
     """
     model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
     model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_NONE.value
@@ -427,7 +433,8 @@ def _divide_period(timestep: float, rate: float | None, delay: float) -> tuple[f
     Args:
         timestep: Largest time step [s].
         rate: Control rate [Hz]; None for 1 / ``timestep``.
-        delay: Delay [s]; rounded if no number of steps makes it a multiple.
+        delay: Delay [s]; rounded if no number of time steps up to ``_MAX_STEPS_PER_PERIOD`` makes
+            the delay a multiple.
 
     Returns:
         Period [s], time steps per period, and time steps of the delay.

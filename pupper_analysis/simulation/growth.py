@@ -7,12 +7,12 @@ valid for micrometres only, and dry friction makes it depend on the finite-diffe
 1. Two simulations start at the tested state, displaced along the modes by +p and -p. The friction
    of joints and contacts is that of the model.
 2. The deviation D(t) is half the difference of the two simulations: the largest over the joints.
-   Motion of both simulations, such as creep, cancels.
+   Motion of both simulations, such as creep, cancels. D is infinite after a divergence.
 3. The modes are confirmed if D grows by a factor of ``2 ** DOUBLINGS`` over the smallest value,
    within ``LONGEST_TRIAL`` seconds, without slowing down. The doubling time T is half the time of
    two successive doublings. If the simulation diverges, fewer doublings are sufficient.
 4. If a foot has almost no load (``monitor.find_light_bodies``), growth must continue until a joint
-   is displaced by ``LEAVING_ANGLE``, or until twice that time is over. Growth that ends earlier is
+   is displaced by ``LEAVING_ANGLE``, or for twice ``LONGEST_TRIAL``. Growth that ends earlier is
    a transient: the foot leaves the ground, or takes load. The test starts anew at its end.
 5. Modes that shake are confirmed, too, if the oscillation of the difference is sustained: the
    growth may end in a limit cycle. A constant difference, which dry friction leaves, is none.
@@ -45,18 +45,18 @@ opposite directions, that confirm the modes. Chosen, not tuned: growth that is e
 within micrometres ends earlier, when a contact opens or takes load."""
 
 MODE_NUDGE_ANGLE, MODE_NUDGE_SPEED = 1e-4, 0.1
-"""Largest initial deviation of a joint [rad, m] and of a velocity [rad/s, m/s] along a mode, in the
-simulations that test growth. Chosen small: a foot with 1/10,000 of the weight is 10 um deep, and
-``2 ** DOUBLINGS * MODE_NUDGE_ANGLE`` at a leg of 0.1 m moves that foot by 80 um."""
+"""Largest initial deviation of a position [rad, m] and of a velocity [rad/s, m/s] along a mode, in
+the simulations that test growth. Chosen small: ``2 ** DOUBLINGS * MODE_NUDGE_ANGLE`` at a leg of
+0.1 m moves a foot by 80 um. A foot with 1/10,000 of the weight is 10 um deep."""
 
 FREEING_ANGLE, FREEING_SPEED = 1e-2, 1.0
-"""Largest initial deviation of a joint [rad, m] and of a velocity [rad/s, m/s] along modes that dry
-friction would stop after a small nudge (``Mode.without_dry_friction``). Chosen larger than the
+"""Largest initial deviation of a position [rad, m] and of a velocity [rad/s, m/s] along modes that
+dry friction would stop after a small nudge (``Mode.without_dry_friction``). Chosen larger than the
 deviation that dry friction holds: 0.01 N m at a servo of 5 N m/rad hold 2e-3 rad."""
 
 LONGEST_TRIAL = (DOUBLINGS + 1) * HOLD_DURATION
-"""Simulated time [s] after which a growth test ends, if the deviation D (module docstring) has not
-grown by ``2 ** DOUBLINGS``; the current ``_CHUNK_DURATION`` is completed. Derived: ``DOUBLINGS``
+"""Simulated time [s] after which a growth test ends, if the deviation D (module docstring) shows no
+doubling time; the current ``_CHUNK_DURATION`` is completed. Derived: ``DOUBLINGS``
 of a mode that doubles in ``HOLD_DURATION``, and one more ``HOLD_DURATION`` for the decay of other
 motion. If a foot has almost no load, growth is followed up to twice this time."""
 
@@ -69,12 +69,12 @@ mrad, without further motion."""
 
 _CHUNK_DURATION = 2.0
 """Simulated time [s] after which a growth test evaluates again whether the motion has grown or
-decayed. Chosen, not tuned."""
+decayed; rounded to whole windows of time (``_MAX_WINDOW``). Chosen, not tuned."""
 
 _DECAYED_RATIO = 1e-2
 """Bound of the deviation D (module docstring, step 2), relative to the bound of its initial value
-and to its maximum in the first window. Below both, a growth test ends: the motion has decayed,
-which refutes the growing modes of the linear model. Chosen, not tuned."""
+and to its maximum in the first window [1]. Below both, a growth test ends without a doubling time:
+the motion has decayed. Chosen, not tuned."""
 
 _HALF_TIME, _HALF_GROWTH = 1.5 * HOLD_DURATION, 1.5
 """Simulated time [s], since the start or the end of the last transient, after which a growth test
@@ -82,14 +82,14 @@ ends if the deviation D is below ``_HALF_GROWTH`` times its smallest value in th
 growth with T = ``HOLD_DURATION`` has a factor of 2.8."""
 
 _ENDED_GROWTH = 1.25
-"""Ratio of the deviation D to its value two doubling times before, below which its growth has
-ended. Exponential growth has a ratio of 4. Measured: Pupper v3 with a foot on a slope and 2 kg
-leaves its stand, and still has 1.9 when its growth slows down."""
+"""Ratio of the maximum of the deviation D so far to its maximum up to two doubling times before,
+below which its growth has ended. Exponential growth has a ratio of 4. Measured: Pupper v3 with a
+foot on a slope and 2 kg leaves its stand, and still has 1.9 when its growth slows down."""
 
 _MAX_DOUBLING_RATIO = 1.6
-"""Upper bound of the ratio between the times of the last doubling and the doubling before, with
-which a deviation counts as growing exponentially. Chosen between 1, for exponential growth, and 2,
-for a drift at constant speed, such as creep."""
+"""Upper bound of the ratio between the times of two successive doublings, with which a deviation
+counts as growing exponentially [1]; half a window of time is added to the bound. Chosen between 1,
+for exponential growth, and 2, for a drift at constant speed, such as creep."""
 
 _SUSTAINED_RATIO = 0.5
 """Ratio of final amplitude to first maximum of the deviation D (module docstring, step 2) from
@@ -110,14 +110,14 @@ Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class GrowthTrial(Result):
-    """Result of a nudged simulation along modes.
+    """Result of two simulations that are displaced along modes in opposite directions.
 
     Attributes:
-        nudge: Largest initial deviation of a joint (rad or m); 0 if only velocities deviate.
+        nudge: Largest initial deviation of a position (rad or m); 0 if only velocities deviate.
         duration: Simulated time (s).
         doubling_time: Half the time of two successive doublings (s); None if the deviation does not
             grow by ``2 ** DOUBLINGS``, or the growth slows down or ends. If the simulation diverges
-            earlier, mean time of a doubling.
+            before, mean time of a doubling.
         joints: Joints with the largest final deviations, the largest first.
         sustained: Whether modes that shake leave an oscillation that does not decay.
     """
@@ -148,8 +148,9 @@ def confirm_growth(
     Returns:
         The stability with tested modes. In ``unstable``, modes that were tested together and are
         confirmed are replaced by one mode with the simulated doubling time (None for a sustained
-        oscillation). ``refuted_modes`` contains the tested modes that the simulation does not
-        confirm. Modes that grow within ``HOLD_DURATION`` and were not tested are omitted.
+        oscillation), which may be longer than ``HOLD_DURATION``. ``refuted_modes`` contains the
+        tested modes that the simulation does not confirm. Modes that grow within ``HOLD_DURATION``
+        and were not tested are omitted.
     """
     leaving = stability.modes_growing_within()
     if not leaving or not stability.at_rest:
@@ -405,7 +406,7 @@ def _displace_state(model: mujoco.MjModel, start: Array, displacement: Array) ->
 
 
 def _doubling_time(mode: Mode) -> float:
-    """Return the time in which a mode's deviation doubles [s]; infinite if it does not grow."""
+    """Return the time in which a mode's deviation doubles [s]; infinite without such a time."""
     return mode.doubling_time or math.inf
 
 
@@ -422,13 +423,14 @@ def _window_duration(mode: Mode) -> float:
 def _doubling_time_of(maxima: Array, window: float, *, lost: bool) -> float | None:
     """Return the doubling time [s]: half the time of two successive doublings.
 
-    None for example if the deviation does not grow by ``2 ** DOUBLINGS``, or if growth slows down.
+    None if the deviation does not grow by ``2 ** DOUBLINGS``, if growth slows down, or if a
+    deviation is zero.
 
     Args:
-        maxima: Largest deviation in each window of time, shape (n,).
+        maxima: Largest deviation in each window of time, shape (n,); infinite after a divergence.
         window: Length of a window [s].
-        lost: True if the simulation diverged. Fewer doublings are then sufficient, and the result
-            is their mean time.
+        lost: True if the simulation diverged. Fewer doublings, or growth that slows down, are then
+            sufficient, and the result is the mean time of a doubling up to the divergence.
     """
     if not math.isfinite(maxima[0]):
         return window  # diverged within the first window: an upper bound of the doubling time
@@ -465,8 +467,9 @@ def _crossing_time(rising: Array, level: float, window: float) -> float:
 def _make_confirmed_mode(modes: list[Mode], trial: GrowthTrial, timestep: float) -> Mode:
     """Return the mode that a trial confirms, with the growth and the joints of the simulation.
 
-    It is the mode whose doubling time is nearest to the simulated time; the first oscillating mode
-    if the trial confirms a sustained oscillation only. ``timestep`` is that of the model [s].
+    The mode is that with the doubling time nearest to the simulated time (ratio), or the first
+    oscillating mode if the trial confirms a sustained oscillation only; then the growth is that of
+    the spectrum. ``timestep`` is the time step of the model [s].
     """
     if trial.doubling_time is None:
         mode = next(mode for mode in modes if mode.shakes)

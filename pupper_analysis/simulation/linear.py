@@ -16,8 +16,9 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.robot.stability import step_derivative
 
 _MAX_SAMPLE_TIME = 0.05
-"""Upper bound of the time between the evaluated displacements of a prediction [s]. The displacement
-of an oscillation at 2 Hz, sampled ten times per period, is at most 5 % larger in between."""
+"""Upper bound of the time between the evaluated displacements of a prediction [s], unless the time
+step of the model is longer. The displacement of an oscillation at 2 Hz, sampled ten times per
+period, is at most 5 % larger in between: 1 / cos(pi / 10) = 1.05."""
 
 _INTERVAL_RTOL, _INTERVAL_ATOL = 0.1, 1e-6
 """Largest error of a predicted displacement with which `LinearStep.reproduces` accepts the linear
@@ -59,11 +60,11 @@ class LinearStep:
         return self._predict(before, state, math.ceil(duration / (self._stride * self._timestep)))
 
     def reproduces(self, states: Array) -> bool:
-        """Return True if this linear model, started at the first two states, predicts the others.
+        """Return True if this linear model predicts the later states from the first two.
 
-        Only positions are compared. The largest error [m, rad mixed] must be at most
-        ``_INTERVAL_RTOL`` times the largest displacement, plus ``_INTERVAL_ATOL``. False if the
-        states do not reach the first predicted time.
+        Only positions are compared, at the times of ``predict``. The largest error [m, rad mixed]
+        must be at most ``_INTERVAL_RTOL`` times the largest displacement, plus ``_INTERVAL_ATOL``.
+        False if the states do not reach the first predicted time.
 
         Args:
             states: Successive states after each step, shape (n, size), n > 2.

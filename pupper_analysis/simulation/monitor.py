@@ -50,11 +50,12 @@ class StandCheck(Result):
     """Result of the check whether a robot stands, from a simulated state.
 
     Attributes:
-        tilt: Tilt of the base relative to the expected stand, regardless of heading (rad).
-        height: CoM height above the ground, with the CoM fixed in the base (m); the expected
-            height for a fixed or welded base.
+        tilt: Tilt of the base relative to the expected stand, regardless of heading (rad); 0 for a
+            fixed or welded base.
+        height: ``expected_height`` minus the height loss of the point of the base that coincides
+            with the CoM in the expected stand (m); ``expected_height`` for a fixed or welded base.
         expected_height: CoM height of the expected stand (m), as ``StandReference.com_height``.
-        touching: Bodies other than feet that touch the ground.
+        touching: Bodies that touch the ground with a part other than a foot.
         collapses: Whether the robot has fallen over, sunk, been thrown up, or left its place; of a
             robot whose base is fixed, whether a joint has left the posture.
     """
@@ -83,8 +84,9 @@ class StandReference:
         rotation: Expected orientation of the base, base to world, shape (3, 3).
         com_position: Expected position of the reference point in the world, shape (3,) [m].
         com_offset: Position of the reference point in the base frame, shape (3,) [m].
-        com_height: Expected height of the reference point above the lowest foot contact [m]; for a
-            welded robot, distance between base and CoM plus the stand height; 1 for a fixed base.
+        com_height: Expected height of the reference point above the lowest point of all feet [m]
+            (above z = 0 without feet); for a robot with welds or grips, distance between base and
+            CoM plus the stand height; 1 for a fixed base.
         joints: Expected joint positions, shape (nu,) [rad, m].
     """
 
@@ -149,7 +151,7 @@ class StandReference:
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
-            touching: Bodies other than feet that touch the ground in that state.
+            touching: Bodies that touch the ground in that state with a part other than a foot.
         """
         lost = (
             0.0
@@ -209,7 +211,7 @@ class ContactSample:
         time: Simulated time [s].
         forces: {foot that touches the ground: force of the ground on the foot, shape (3,) [N], in
             world axes}.
-        bodies: Names of the other bodies that touch the ground.
+        bodies: Names of the bodies that touch the ground with a geom that belongs to no foot.
     """
 
     time: float
@@ -247,7 +249,7 @@ class ContactSampler:
 
         Args:
             state: MuJoCo state, mjSTATE_FULLPHYSICS.
-            ctrl: Command of the actuators.
+            ctrl: Command of the actuators, shape (model.nu,).
         """
         mujoco.mj_setState(self._model, self.data, state, STATE_SPEC)
         self.data.ctrl[:] = ctrl
@@ -410,17 +412,18 @@ _EQUAL_SPEED_ATOL = 1e-5
 MuJoCo's default contact damps 100 N per m/s and kg, thus 3 mN for v3."""
 
 LIGHT_FOOT_LOAD = 5e-3
-"""Predicted load of a foot, relative to the robot's weight, below which the foot may leave the
+"""Load of a foot, relative to the load of all feet, below which a foot is light: it may leave the
 ground for a moment without a failure. Measured: minimum tangential forces leave two of four feet on
 unequal slopes with 5e-5 to 1.05e-3 of the weight, and a nudge lifts these feet. The value is 0.02
 (``trial._MIN_LOAD_RATIO``) of the mean load of four feet."""
 
 MIN_PUSH_RATIO = 1e-3
-"""Smallest normal force of a single contact, relative to the robot's weight, with which its bodies
-are reported as touching. Chosen, not tuned."""
+"""Normal force of a single contact, relative to the robot's weight, above which its bodies are
+reported as touching. Also the force on each stance foot above which ``record_contacts`` reuses the
+contacts of an equal state. Chosen, not tuned."""
 
 MEASURING_TIME = 1.0
-"""Duration directly before the nudge over which settled torques, forces and foot positions are
+"""Duration directly before the nudge over which settled torques, forces, heights and positions are
 averaged [s]. Chosen, not tuned."""
 
 
@@ -434,9 +437,9 @@ class ContactRecord:
             that push on each other.
         touching: Pairs of robot bodies that push on each other in the settled state and are not
             in ``failures``.
-        torques: Settled motor torques, shape (nu,) [N m].
-        forces: Settled force on each foot, and constraint force of each weld or grip, shape (3,)
-            [N].
+        torques: Settled motor torques, shape (nu,) [N m, N].
+        forces: {foot: settled force of the ground, weld or grip: force of MuJoCo's constraint},
+            shape (3,) each [N], in world axes.
         feet_settled: {contact point: settled position of the centre in the world, shape (3,) [m]}.
         lifted: {light foot that left the ground: time at which the foot first did [s]}.
     """
@@ -470,11 +473,12 @@ def record_contacts(
 ) -> ContactRecord:
     """Sample the ground contacts of a rollout, and average the settled torques and forces.
 
-    Torques [N m], forces [N] and foot positions [m] are means over the last second before the
-    nudge. Contacts are not computed again for a state that is equal to the state evaluated before,
-    within `_EQUAL_POSITION_ATOL` and `_EQUAL_SPEED_ATOL`, if each stance foot carries more than
-    ``MIN_PUSH_RATIO`` of the weight. All samples of the last second before the nudge are evaluated;
-    a sample is a state per `_SAMPLE_TIME`.
+    Torques [N m, N], forces [N] and foot positions [m] are means over the last second before the
+    nudge. The states are evaluated backwards, a sample per `_SAMPLE_TIME`. Contacts are not
+    computed again for a sample that equals the sample evaluated last, within
+    `_EQUAL_POSITION_ATOL` and `_EQUAL_SPEED_ATOL`, if each stance foot carries more than
+    ``MIN_PUSH_RATIO`` of the weight there. All samples of the last second before the nudge are
+    evaluated.
 
     Args:
         robot: The robot.
@@ -483,8 +487,8 @@ def record_contacts(
         states: States after each step, shape (n, size).
         ctrl: Actuator commands, shape (model.nu,).
         settling: Number of states before the nudge.
-        loaded: Feet that must not leave the ground. Other feet may, because they are predicted to
-            carry less than ``LIGHT_FOOT_LOAD`` of the weight.
+        loaded: Feet that must not leave the ground. Other feet may, for example because they are
+            predicted to carry less than ``LIGHT_FOOT_LOAD`` of the load.
     """
     sampler = ContactSampler(robot, model)
     step = max(1, round(_SAMPLE_TIME / model.opt.timestep))
@@ -500,8 +504,8 @@ def record_contacts(
     tolerances = np.full(states.shape[1] - 1, _EQUAL_POSITION_ATOL)
     tolerances[model.nq : model.nq + model.nv] = _EQUAL_SPEED_ATOL
     evaluated: Array | None = None  # state of the last sample, if equal states may reuse the sample
-    # Backwards, so that the earliest time overwrites later ones. Both parts include their last
-    # state.
+    # Backwards, so that the earliest time overwrites later ones. The samples include the last state
+    # and the last state before the nudge.
     for index in (*range(len(states) - 1, settling - 1, -step), *range(settling - 1, -1, -step)):
         state, is_measured = states[index], index in last_second
         if (
@@ -541,7 +545,7 @@ class _SettledMeans:
     Attributes:
         count: Number of states.
         torques: Sum of the actuator forces of the joints, shape (nu,) [N m, N].
-        forces: {foot or weld: sum of the forces on this part, shape (3,) [N]}.
+        forces: {foot, weld or grip: sum of the forces on this part, shape (3,) [N]}.
         positions: {contact point: sum of positions in the world, shape (3,) [m]}.
     """
 
@@ -574,9 +578,9 @@ def _list_contact_failures(
 
     Args:
         touched: {body other than a foot of the stance: first time on the ground [s]}.
-        surfaces: {body: surface that the body touches; None for the floor}.
+        surfaces: {body: surface that the body touches; None for the floor or an unknown surface}.
         idle: {foot that must carry load: first time without load [s]}.
-        pressed: Pairs of bodies that press on each other, for a fixed base without feet.
+        pressed: Pairs of bodies that push on each other, for a fixed base without stance feet.
     """
     for body, moment in sorted(touched.items()):
         yield diagnose(
@@ -602,7 +606,7 @@ def find_pushing_bodies(
         min_force: Normal force [N] of a contact above which a pair counts.
 
     Returns:
-        Alphabetically sorted pairs of body names; the ground belongs to the body "world".
+        Pairs of body names, each in alphabetical order; the floor belongs to the body "world".
     """
     pairs, force = set(), np.zeros(6)
     for number, bodies in enumerate(contact.list_contact_bodies(model, data).tolist()):
@@ -616,8 +620,9 @@ def find_pushing_bodies(
 def find_light_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, ...]:
     """Return the ids of bodies that carry less than ``LIGHT_FOOT_LOAD`` of the load on the ground.
 
-    The load of a body is the sum of its normal forces [N] in contacts with the world; the total is
-    the sum over all bodies. Bodies without such a contact are not included.
+    The load of a body is the sum of its normal forces [N] in contacts with the world or bodies
+    fixed to it; the total is the sum over all bodies. Bodies without such a contact are not
+    included.
 
     Args:
         model: MuJoCo model.

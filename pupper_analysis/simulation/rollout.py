@@ -1,7 +1,7 @@
 """Prepare and run MuJoCo rollouts of stands; ``monitor`` evaluates the states.
 
-`make_stand_start` computes the initial state and the servo commands of a stand: the robot is
-lowered into the soft ground until the contacts carry its weight. `roll_out` and `simulate_commands`
+`make_stand_start` computes the initial state and the servo commands of a stand: a robot on feet is
+lowered into the soft ground until the contacts carry the weight. `roll_out` and `simulate_commands`
 run MuJoCo from a state and return the states after each step.
 """
 
@@ -28,8 +28,8 @@ from pupper_analysis.stance.stand import Stand, stand_contacts, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 _MIN_DROP, _MAX_DROP = 1e-6, 0.065536
-"""First and largest distance [m] by which ``place_on_ground`` lowers the base; the distance is
-doubled in between. Chosen, not tuned."""
+"""First and largest distance [m] by which ``place_on_ground`` lowers the base in the search for a
+bracket; the distance is doubled in between. Chosen, not tuned."""
 
 _DROP_RESOLUTION = 1e-12
 """Width of the bracket [m] down to which ``place_on_ground`` bisects the distance by which the base
@@ -37,8 +37,8 @@ is lowered. Chosen, not tuned."""
 
 
 FILTER_DYNAMICS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
-"""Actuator dynamics of servos with ``timeconst``: the activation lags behind the command, and
-equals the command at rest."""
+"""Actuator dynamics of servos with ``timeconst``: the activation lags behind the command within
+``ctrlrange``, and equals this command at rest."""
 
 STATE_SPEC = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
 """MuJoCo's specification of the states that rollouts return: time, qpos, qvel, act and more."""
@@ -58,7 +58,7 @@ class StandStart:
         stand: The stand.
         prediction: Statics of the stand with minimum tangential contact forces.
         drive: Servos and MuJoCo model.
-        start: State (mjSTATE_FULLPHYSICS) at rest, from `place_on_ground`.
+        start: State (mjSTATE_FULLPHYSICS) with zero velocities, from `place_on_ground`.
         ctrl: Actuator commands, shape (model.nu,).
     """
 
@@ -90,10 +90,11 @@ def make_stand_start(
         integrator: MuJoCo's integrator; the model's own by default.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the stand belongs to another
-            robot.
+        ConfigurationError: If an argument is out of range, the stand belongs to another robot, or
+            the robot cannot make the contacts of the task.
+        UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
+            both given, or if the contacts or the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     robot = stand.check(robot)
@@ -112,9 +113,9 @@ def make_stand_start(
 def weld_generalized_forces(
     robot: Robot, stand: Stand, prediction: GravityCompensation
 ) -> dict[str, Array]:
-    """Compute the generalised force of each welded body in a stand, {weld: (nv,)} [N, N m].
+    """Compute the generalised force of each weld or grip in a stand: {part: (nv,)} [N, N m].
 
-    The weld wrenches are those of ``prediction``, the statics of the stand.
+    The order is that of qvel. The wrenches are those of ``prediction``, the statics of the stand.
     """
     columns = stand_contacts(robot, stand).weld_columns(Configuration(robot, stand.qpos))
     wrenches = prediction.weld_wrenches
@@ -125,9 +126,9 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     """Lower a stand into MuJoCo's soft ground until the contacts carry the weight.
 
     Feet that just touch soft ground carry nothing. The base is lowered along the ground's normal
-    (of the first stance foot; vertically if feet are on separate planes), with constant joint
-    positions, until the balance along this direction is zero. The simulation then starts at rest
-    instead of with a fall of some millimetres.
+    (of the first stance foot; vertically if feet are on separate planes, or without stance feet),
+    with constant joint positions, until the balance along this direction is zero. The simulation
+    then starts near equilibrium instead of with a fall of some millimetres.
 
     A stand is not lowered if the base is fixed, a part is welded or grips, or the stand has feet
     on separate planes and penetration depths already. If no depth up to `_MAX_DROP` carries
@@ -140,7 +141,7 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
         torques: Motor torques that balance the stand, shape (nu,) [N m].
 
     Returns:
-        The state (mjSTATE_FULLPHYSICS), at rest.
+        The state (mjSTATE_FULLPHYSICS), with zero velocities.
     """
     model = drive.model
     data = mujoco.MjData(model)
@@ -150,7 +151,7 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     normal = UP if on_planes else next(iter(stand.normals.values()), UP)
 
     def compute_surplus_force(drop: float) -> float:
-        """Return the supporting force minus the weight [N] after lowering the base by ``drop`` [m].
+        """Return the supporting force minus the weight [N] with the base lowered by ``drop`` [m].
 
         Both are components along the ground normal. The supporting force is that of contacts,
         constraints and passive elements, such as gravity compensation.
@@ -172,14 +173,13 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     while over > 0 and high - low > _DROP_RESOLUTION:
         middle = (low + high) / 2
         low, high = (middle, high) if compute_surplus_force(middle) < 0 else (low, middle)
-    compute_surplus_force(
-        high
-    )  # the state at the end of the interval; the robot falls if no depth carries it
+    # The state at the end of the bracket; if no depth carries the robot, the robot falls.
+    compute_surplus_force(high)
     return full_state(model, data)
 
 
 def rest_state(robot: Robot, drive: Servos, qpos: Array, ctrl: Array) -> Array:
-    """Return the state (mjSTATE_FULLPHYSICS) of a robot at rest in a configuration.
+    """Return the state (mjSTATE_FULLPHYSICS) of a robot in a configuration, with zero velocities.
 
     Args:
         robot: The robot, on the ground.
@@ -199,8 +199,8 @@ def settled_activations(
     """Compute the activations of filtered actuators at rest, shape (model.na,).
 
     The activation of an actuator with filter dynamics is its command in ``ctrl``, shape
-    (model.nu,), clipped to ``ctrlrange``. Activations are zero for other actuators, and for time
-    constants above ``max_time_constant`` [s].
+    (model.nu,), clipped to ``ctrlrange`` if this range is a limit. Activations are zero for other
+    actuators, and for time constants above ``max_time_constant`` [s].
     """
     activations = np.zeros(model.na)
     for motor in range(model.nactuator) if model.na else ():
@@ -236,16 +236,16 @@ def roll_out(
     control_spec: int = int(mujoco.mjtState.mjSTATE_CTRL.value),
     warmstarts: Array | None = None,
 ) -> Array:
-    """Simulate a model from several initial states, in parallel threads.
+    """Simulate a model from several initial states, in one thread per element of ``workers``.
 
     MuJoCo's warnings about diverging simulations are suppressed, and no log file is written:
     ``monitor`` detects divergence.
 
     Args:
         model: MuJoCo model.
-        workers: MuJoCo data, an entry per thread.
+        workers: MuJoCo data, one or one per thread. The data are changed.
         starts: Initial states (mjSTATE_FULLPHYSICS), shape (runs, size) or (size,).
-        control: Controls in each step, shape (runs, steps, n).
+        control: Controls in each step, shape (runs, steps, n) or (1, steps, n) for all runs.
         control_spec: MuJoCo's specification of the controls; actuator commands by default.
         warmstarts: Accelerations with which MuJoCo's solver starts, shape (runs, model.nv)
             [rad/s^2, m/s^2]; zero by default.

@@ -3,7 +3,7 @@
 `bound_servo_gains` scales the present gains of all joints by common factors. The least stiffness is
 that without feed-forward (``stance/sag/stiffness.py``); the largest damping is that of an explicit
 PD controller with one command per time step (`ControlledStand`). `find_soft_servos` scales the
-gains of single classes of joints, to find the class that alone makes a stand fail.
+gains of up to three classes of joints, to find the classes whose stiffness makes a stand fail.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from pupper_analysis.stance.sag.stiffness import estimate_minimum_stiffness, min
 from pupper_analysis.stance.stand import Stand
 
 _DAMPING_TOLERANCE = 0.02
-"""Relative tolerance of the largest damping. Chosen for results with two digits."""
+"""Relative tolerance of the largest damping [1]. Chosen for results with two digits."""
 
 _TRIED_RATIOS = (1.02, 1.1, 1.25, 1.5, 2.0)
 """Ratios of the simulated stiffness to the least stiffness (`minimum_stiffness`), in the order of
@@ -52,17 +52,18 @@ stiffness a stand buckles with any damping. Chosen, not tuned."""
 
 @dataclass(frozen=True)
 class ServoClass(Result):
-    """Corresponding joints of similar limbs with equal gains, and the bounds of their gains.
+    """Corresponding joints of similar limbs with equal gains and effort limits, with gain bounds.
 
     Attributes:
         name: Common part of the joints' names, with * for the rest.
         joints: Joints.
         kp: Present stiffness (N m/rad or N/m).
         least_kp: Least stiffness without feed-forward, if the stiffness of all joints is scaled
-            together (N m/rad or N/m); None if unknown.
+            together (N m/rad or N/m); None if ``ServoBounds.least_kp_factor`` is None.
         kd: Present damping (N m s/rad or N s/m).
         largest_kd: Largest damping of an explicit controller, if the damping of all joints is
-            scaled together (N m s/rad or N s/m); None if unknown or without a bound.
+            scaled together (N m s/rad or N s/m); None if unknown, without a bound, or if ``kd`` is
+            0.
         are_slides: Whether the joints are slides.
     """
 
@@ -82,7 +83,7 @@ class ServoClass(Result):
 
 @dataclass(frozen=True)
 class SoftServos(Result):
-    """Servos whose stiffness alone makes a stand fail, as simulations show.
+    """Servos whose low gains alone make a stand fail, as simulations show.
 
     Attributes:
         name: Common part of the joints' names, with * for the rest; several are joined by commas.
@@ -90,7 +91,7 @@ class SoftServos(Result):
         kp: Lowest present stiffness of these joints (N m/rad or N/m).
         factor: Smallest simulated factor on the gains of these joints with which the robot stands
             with feed-forward, while all other gains are unchanged (1).
-        are_slides: Whether the joints with the lowest stiffness are slides.
+        are_slides: Whether the joint with the lowest stiffness is a slide.
     """
 
     name: str
@@ -101,7 +102,7 @@ class SoftServos(Result):
 
     @property
     def units(self) -> JointUnits:
-        """Units of the quantities of the joints with the lowest stiffness."""
+        """Units of the quantities of the joint with the lowest stiffness."""
         return select_joint_units(slides=self.are_slides)
 
 
@@ -112,8 +113,9 @@ class ServoBounds(Result):
     Attributes:
         classes: Joints with equal gains, with the bounds of these gains.
         least_kp_factor: Smallest factor on the stiffness with which the robot stands without
-            feed-forward (1); None if there is none, the base is fixed, or a part is fixed by a weld
-            or grip.
+            feed-forward by prediction (1), an estimate if the robot stands with the present
+            stiffness; None if there is none, the base is fixed, or a part is fixed by a weld or
+            grip.
         holding_kp_factor: Smallest simulated factor on the stiffness with which the robot stands
             without feed-forward (1); None if the robot stands with the present stiffness, or with
             no simulated factor, or if ``least_kp_factor`` is None.
@@ -153,7 +155,8 @@ def bound_servo_gains(
     """Bound the gains of the servos of a stand.
 
     If the robot stands, the least stiffness is an estimate (`estimate_minimum_stiffness`).
-    Otherwise it is exact, and simulations find a stiffness above it with which the robot stands.
+    Otherwise `minimum_stiffness` computes the least stiffness, and simulations find a stiffness
+    above it with which the robot stands.
 
     Args:
         robot: Robot, with the contacts of the stand.
@@ -163,8 +166,10 @@ def bound_servo_gains(
         stands: Whether the robot stands with the present stiffness without feed-forward.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
-        ModelError: If a joint has no position servo, and kp and kd are not both given.
+        ConfigurationError: If an argument is out of range, the stand belongs to another robot, or
+            the linear model of the stand is not finite.
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     held = make_stand_start(robot, stand, kp=kp, kd=kd)
@@ -211,8 +216,9 @@ def bound_servo_gains(
 def _find_holding_factor(robot: Robot, stand: Stand, drive: Servos, least: float) -> float | None:
     """Return the smallest simulated factor on kp with which the robot stands; None if none does.
 
-    The factors are `_TRIED_RATIOS` times ``least``, the least factor by `minimum_stiffness`. kd is
-    multiplied by the factor, too, if the factor is above 1.
+    The simulations are without feed-forward. The factors are `_TRIED_RATIOS` times ``least``, the
+    least factor by `minimum_stiffness`. kd is multiplied by the factor, too, if the factor is above
+    1.
     """
     for ratio in _TRIED_RATIOS:
         factor = ratio * least
@@ -234,8 +240,8 @@ _SINGLE_FACTORS = (2.0, 4.0, 8.0, 16.0)
 TienKung stands with 10 times the stiffness of its ankles, and falls with 8 times."""
 
 _MAX_SUSPECTS = 3
-"""Largest number of classes of servos that are simulated, since each takes up to four simulations.
-Chosen, not tuned."""
+"""Largest number of classes of servos that are simulated, since each class, and all classes
+together, take up to four simulations. Chosen, not tuned."""
 
 _MODE_CODES = ("mode-buckles", "mode-shakes")
 """Codes of failures that name the joints of an unstable mode."""
@@ -249,7 +255,7 @@ def find_soft_servos(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> SoftServos | None:
-    """Find the servos whose stiffness alone makes a stand with feed-forward fail.
+    """Find the servos whose low gains alone make a stand with feed-forward fail.
 
     The joints of the unstable modes that ``run`` names belong to classes of joints, of which up to
     `_MAX_SUSPECTS` are simulated: first each class alone, then these classes together. Their
@@ -269,7 +275,8 @@ def find_soft_servos(
 
     Raises:
         ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
-        ModelError: If a joint has no position servo, and kp and kd are not both given.
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     named: list[object] = []
@@ -311,8 +318,9 @@ def _bound_damping(
 ) -> float | None:
     """Return the largest factor on the damping with which a stand is stable.
 
-    The factor is infinite if there is no bound. None if the damping is zero, or if no factor is
-    stable. The stiffness is multiplied by max(1, ``_STABLE_RATIO`` * ``least``).
+    The factor is infinite if there is no bound. None if the damping is zero, or if no tried factor
+    is stable. The stiffness is multiplied by max(1, ``_STABLE_RATIO`` * ``least``), or by 1 if
+    ``least`` is None.
 
     Args:
         loop: Stand with an explicit PD controller, one command per time step.

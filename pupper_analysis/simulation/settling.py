@@ -1,10 +1,10 @@
 """Test whether a robot comes to rest in a stand, with a simulation as short as possible.
 
 `comes_to_rest` simulates a stand with given servos until base and feet are at rest, nudges the
-robot, and evaluates the growing modes; it returns True or False. A simulation ends as soon as the
-robot has left the stand, shakes without decay, or rests with displaced feet. The function is used
-to test many servos or stands. `verify_stand` simulates 12 s and returns all quantities.
-`calms_after_base_nudges` tests larger nudges, of the base.
+robot, and evaluates the growing modes; the result is True or False. A simulation ends as soon as
+the robot has left the stand, shakes without decay, or rests with displaced feet. The function is
+used to test many servos or stands. `verify_stand` simulates 12 s by default and returns all
+quantities. `calms_after_base_nudges` tests larger nudges, of the base.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ MAX_HEIGHT_DEVIATION = 2e-4
 [m]. Chosen, not tuned."""
 
 MAX_FOOT_DISPLACEMENT = 5e-3
-"""Largest horizontal displacement of a foot from the target for a robot at rest [m]. Chosen, not
-tuned."""
+"""Largest horizontal displacement of a contact point from the target for a robot at rest [m].
+Chosen, not tuned."""
 
 MAX_STAND_ROTATION = 0.1
 """Upper bound of the rotation of the base from the stand [rad], beyond which the robot has left the
@@ -65,15 +65,16 @@ whether the robot stays at rest. Chosen, not tuned."""
 
 _LOST_RATIO = 2.0
 """Ratio of foot displacement to `MAX_FOOT_DISPLACEMENT`, or of base rotation to
-`MAX_STAND_ROTATION`, above which the settling simulation ends with failure. Chosen: a base that
-starts at rest overshoots to at most twice the final tilt."""
+`MAX_STAND_ROTATION`, above which a simulation ends with failure. Chosen: a base that starts at rest
+overshoots to at most twice the final tilt."""
 
 _CHECK_INTERVAL = RECORD_INTERVAL
 """Simulated time between two tests whether the robot is at rest or has left the stand [s]."""
 
 _DECAY_TIME_CONSTANTS = 3.0
-"""Duration of the nudged simulation, in time constants of the least damped mode. Chosen: 5 % of the
-nudge remains after three."""
+"""Duration of the nudged simulation, in time constants of the least damped mode, within
+``_MIN_NUDGE_TIME`` and the time after the nudge in ``verify_stand``. Chosen: 5 % of the nudge
+remains after three."""
 
 _MIN_NUDGE_TIME = 1.5
 """Shortest simulated time after a nudge [s]. Measured: a robot whose stand does not survive a nudge
@@ -87,10 +88,11 @@ _SAMPLE_TIME = 0.02
 """Time between the states at which foot positions are evaluated [s]. Chosen, not tuned."""
 
 LARGE_NUDGE_SPEED = 0.05
-"""Initial speed of the base [m/s] along both senses of each axis of the world in
-``calms_after_base_nudges``, and in ``trial.simulate_large_nudges``. Chosen, not tuned. Measured:
-with servos of our choice at 2 ms, the soles of the reduced Talos chatter after this nudge without
-end, at 0.1 to 0.7 rad/s, and are at rest after the nudge of ``nudge_state``."""
+"""Initial speed of the base [m/s]: along both senses of each axis of the world in
+``calms_after_base_nudges``; along both senses of x and y, and divided by the CoM height for a yaw
+rotation, in ``trial.simulate_large_nudges``. Chosen, not tuned. Measured: with servos of our choice
+at 2 ms, the soles of the reduced Talos chatter after this nudge without end, at 0.1 to 0.7 rad/s,
+and are at rest after the nudge of ``nudge_state``."""
 
 _MAX_BASE_NUDGE_TIME = 6.0
 """Longest simulated time after a nudge of the base [s]. Chosen as twice ``SHAKING_SECONDS``."""
@@ -111,13 +113,14 @@ def comes_to_rest(
 ) -> bool:
     """Return True if a robot comes to rest in a stand, and again after a nudge.
 
-    The settling simulation lasts at most as long as in ``verify_stand``, but ends once the robot is
-    at rest. Then a nudge must decay, the robot must stand on its feet only, and no mode may grow
-    within ``HOLD_DURATION`` (12 s).
+    The settling simulation lasts at most 5 s, as by default in ``verify_stand``, but ends once the
+    robot is at rest. Then a nudge must decay, the robot must stand on its feet only, and no mode
+    may grow within ``HOLD_DURATION`` (12 s), unless the nudged simulations refute the mode.
 
     The result is False as soon as a simulation diverges, or the robot leaves the stand or shakes
-    without decay for ``SHAKING_SECONDS``. The result is also False as soon as the settling
-    simulation shows that a foot will remain too far from its target (`_stays_displaced`).
+    without decay for ``SHAKING_SECONDS``. The result is also False if the robot does not rest in
+    the settling simulation, or as soon as this simulation shows that a foot will remain too far
+    from its target (`_stays_displaced`).
 
     Args:
         robot: The robot.
@@ -173,7 +176,7 @@ def calms_after_base_nudges(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> bool:
-    """Return True if the motion after a nudge of the base decays, for six directions.
+    """Return True if a robot neither leaves the stand nor keeps shaking after six base nudges.
 
     The base starts in the stand, with feed-forward, at ``LARGE_NUDGE_SPEED`` along +x, -x, +y, -y,
     +z or -z of the world. Each simulation ends once the robot no longer shakes (speeds below
@@ -181,8 +184,8 @@ def calms_after_base_nudges(
     as soon as a simulation diverges, or the robot leaves the stand or shakes without decay for
     ``SHAKING_SECONDS``.
 
-    The small nudge of ``comes_to_rest`` does not lift a sole. A sole that a larger nudge lifts may
-    chatter for ever, with servos and a time step at which a smaller motion decays.
+    A sole that this nudge lifts may chatter without end, with servos and a time step at which the
+    motion after the smaller nudge of ``comes_to_rest`` decays.
 
     Args:
         robot: The robot, with a free base.
@@ -258,8 +261,9 @@ def _simulate_until_rest(
     """Simulate a stand until it rests; return the states of the last second, shape (n, size).
 
     None if the robot does not rest in time, or if the simulation ends earlier: the simulation
-    diverges, the robot leaves the stand, shaking is sustained, or the base rests and a foot is too
-    far from its target (`_stays_displaced`). The speeds are added to ``shaking``.
+    diverges, the base or a foot leaves the stand (``_LOST_RATIO``), shaking is sustained, or the
+    base rests and a foot will stay too far from its target (`_stays_displaced`). The speeds are
+    added to ``shaking``.
     """
     model, state = held.drive.model, held.start
     timestep = float(model.opt.timestep)
@@ -341,11 +345,11 @@ def _stays_displaced(ratios: Sequence[float], remaining: float) -> bool:
     """Return True if a foot will be too far from its target at the end of the simulation.
 
     The displacement is bounded from below: it decreases at most ``_DISPLACEMENT_RATE_FACTOR`` times
-    as fast as in the last second. False if less than a second is known.
+    as fast as in the last second. False if the ratios span less than a second.
 
     Args:
-        ratios: Largest foot displacement relative to ``MAX_FOOT_DISPLACEMENT``, once per
-            ``_CHECK_INTERVAL``.
+        ratios: Largest mean foot displacement in a second, relative to ``MAX_FOOT_DISPLACEMENT``,
+            once per ``_CHECK_INTERVAL``.
         remaining: Remaining simulated time [s].
     """
     if len(ratios) <= INTERVALS_PER_SECOND:
@@ -376,9 +380,9 @@ def _max_horizontal_norm(displacements: Array) -> float:
 
 
 def _mean_foot_displacements(held: StandStart, data: mujoco.MjData, states: Array) -> Array:
-    """Compute target minus mean position over ``states`` of each stance foot, (feet, 3) [m].
+    """Compute target minus mean position of each stance foot, shape (contact points, 3) [m].
 
-    Positions are sphere centres in the world frame.
+    Positions are centres of contact points in the world frame, sampled every ``_SAMPLE_TIME``.
     """
     positions, stand = [], held.stand
     for state in states[:: -max(1, round(_SAMPLE_TIME / held.drive.model.opt.timestep))]:

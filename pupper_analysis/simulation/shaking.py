@@ -17,8 +17,8 @@ RECORD_INTERVAL = 0.25
 of a foot that bounces."""
 
 SHAKING_SECONDS = 3
-"""Number of successive seconds of simulation whose speeds show whether a robot shakes without
-decay. Chosen, not tuned."""
+"""Number of successive windows of simulated time, by default of a second each, whose speeds show
+whether a robot shakes without decay. Chosen, not tuned."""
 
 MIN_SHAKING_SPEED = 1e-2
 """Speed [m/s, rad/s] above which a robot counts as shaking. Speeds are taken without their linear
@@ -26,10 +26,10 @@ trend within each ``RECORD_INTERVAL``. Chosen as ten times ``fall.NUDGE_SPEED``,
 ``stability.MAX_RESTING_SPEED``."""
 
 _MIN_SHAKING_RATIO = 0.92
-"""Smallest ratio (largest speed in a second) / (largest speed in an earlier second) within
-``SHAKING_SECONDS`` with which shaking counts as sustained. Derived from `measure_response`, in
-which a motion has decayed if the ratio of the speeds in successive thirds is at most 0.9: a decay
-by 0.92 in 2 s gives the ratio 0.907 in the longest nudged simulation (7 s)."""
+"""Smallest ratio (largest speed in a window) / (largest speed in the earlier windows) within
+``SHAKING_SECONDS`` windows with which shaking counts as sustained. Derived from `measure_response`,
+in which a motion has decayed if the ratio of the speeds in successive thirds is at most 0.9: a
+decay by 0.92 in 2 s gives the ratio 0.907 in a nudged simulation of 7 s."""
 
 INTERVALS_PER_SECOND = round(1 / RECORD_INTERVAL)
 """Number of ``RECORD_INTERVAL`` in a second."""
@@ -52,8 +52,8 @@ class ShakingRecord:
     def add(self, states: Array) -> None:
         """Record the largest speeds in successive simulated states, shape (n, size).
 
-        The states are those after each step. States after the last whole ``RECORD_INTERVAL`` are
-        ignored.
+        The states are those after each step. Each call begins an interval; states after the last
+        whole ``RECORD_INTERVAL`` are ignored.
         """
         for begin in range(0, len(states) - self._interval + 1, self._interval):
             rows = states[begin : begin + self._interval, self._velocities]
@@ -73,7 +73,10 @@ class ShakingRecord:
 
     @property
     def is_calm(self) -> bool:
-        """Whether the robot did not shake in the last interval."""
+        """Whether the speed was at most ``MIN_SHAKING_SPEED`` in the last interval.
+
+        At least one interval must be recorded.
+        """
         return self._speeds[-1] <= MIN_SHAKING_SPEED
 
     @property
@@ -89,9 +92,9 @@ class ShakingRecord:
     def is_sustained_over(self, seconds: int) -> bool:
         """Return True if the robot shakes, and has not become slower over successive windows.
 
-        The windows are the last ``SHAKING_SECONDS``, each ``seconds`` [s] long. The largest speed
-        in a window must be at least ``_MIN_SHAKING_RATIO`` times the largest speed in the windows
-        before. False if the record is too short.
+        The windows are the last ``SHAKING_SECONDS`` windows, each ``seconds`` [s] long. The largest
+        speed in a window must be at least ``_MIN_SHAKING_RATIO`` times the largest speed in the
+        windows before. False if the record is too short, or without shaking in the last second.
 
         Args:
             seconds: Length of each window [s].

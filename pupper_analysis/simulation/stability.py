@@ -3,6 +3,8 @@
 Inputs are a stand or a simulated state, and constant servo commands; output is a `Stability`. The
 eigenvalues of MuJoCo's step are computed first; a nudged simulation of the unmodified model
 confirms or refutes the modes that grow within ``HOLD_DURATION`` (`judge_stability`).
+`simulate_nudge` simulates a nudge of all coordinates, and `measure_response` the remaining motion
+(`Nudge`).
 """
 
 from __future__ import annotations
@@ -53,10 +55,11 @@ def stand_stability(
 ) -> Stability:
     """Judge whether a stand is stable, from the eigenvalues of a MuJoCo step.
 
-    The evaluation takes milliseconds unless a mode grows; then nudged simulations, of up to
-    twice ``growth.LONGEST_TRIAL`` each, test whether the mode does grow (``confirm_growth``). With
-    feed-forward the stand is evaluated; without, the equilibrium of the servos (``steady_state``,
-    feet pinned). Larger pushes are not covered.
+    If a mode grows within ``HOLD_DURATION``, nudged simulations, of up to twice
+    ``growth.LONGEST_TRIAL`` each, test whether the mode does grow (``confirm_growth``). With
+    feed-forward the stand is evaluated, after ``SETTLING_TIME``; without, the equilibrium of the
+    servos (``steady_state``, feet pinned), after ``CONTACT_SETTLING_TIME``. Larger pushes are not
+    covered.
 
     Args:
         robot: The robot.
@@ -120,7 +123,8 @@ def rest_stability(
 
 MAX_RESTING_SPEED = 5e-3
 """Largest speed [m/s, rad/s] with which `find_final_spectrum` counts a state as at rest, and
-`remains_small` a remaining motion as small; feet creep more slowly. Chosen, not tuned."""
+`remains_small` a remaining motion as small; ``causes.proves_unrest`` ignores slower motions. Feet
+usually creep more slowly. Chosen, not tuned."""
 
 
 def evaluate_final_stability(
@@ -132,15 +136,15 @@ def evaluate_final_stability(
     has_fallen: bool = False,
     tests_growth: bool = True,
 ) -> Stability:
-    """Judge the stability of the final state of a simulation, or of the initial state.
+    """Judge the stability of the final state of a simulation, or of a state near the initial one.
 
     Args:
         drive: MuJoCo model with servos.
         start: Initial state of the simulation, mjSTATE_FULLPHYSICS.
         end: Final state of the simulation, mjSTATE_FULLPHYSICS.
         ctrl: Command of the actuators, shape (model.nu,).
-        has_fallen: Whether the simulation has failed, so that the initial state is evaluated. The
-            initial state is also evaluated if the final state is not at rest.
+        has_fallen: Whether the simulation has failed, so that the initial state is evaluated. If
+            the final state is not at rest, the simulation is repeated (`find_final_spectrum`).
         tests_growth: Confirm or refute the growing modes by a nudged simulation.
     """
     spectrum, settled = find_final_spectrum(drive, start, end, ctrl, has_fallen=has_fallen)
@@ -161,7 +165,7 @@ def find_final_spectrum(
         drive: MuJoCo model with servos.
         start: Initial state of the simulation, mjSTATE_FULLPHYSICS.
         end: Final state of the simulation, mjSTATE_FULLPHYSICS.
-        ctrl: Command of the actuators.
+        ctrl: Command of the actuators, shape (model.nu,).
         has_fallen: Whether the simulation has failed.
 
     Returns:
@@ -217,8 +221,8 @@ def judge_stability(
 ) -> Stability:
     """Judge the stability of a state of a MuJoCo model: eigenvalues of a step, then a simulation.
 
-    Modes that grow within ``HOLD_DURATION`` remain in the result only if a nudged simulation of the
-    unmodified model confirms the growth (``confirm_growth``).
+    At a state at rest, modes that grow within ``HOLD_DURATION`` remain in the result only if a
+    nudged simulation of the unmodified model confirms the growth (``confirm_growth``).
 
     Args:
         model: MuJoCo model.
@@ -234,11 +238,12 @@ def _find_modes(
 ) -> tuple[Stability, mujoco.MjData]:
     """Simulate a state for a settling time, and compute its modes, with and without light contacts.
 
-    A body with less than ``LIGHT_FOOT_LOAD`` of the load leaves the ground as friction creeps. The
-    modes that leave the state without the contacts of such bodies are therefore added, if these
-    modes grow faster than the known modes. Measured for Pupper v3 with one foot on a slope of 10
-    deg and 2 kg: the foot with 2e-4 of the load hid a mode with a doubling time of 4.3 s, which
-    MuJoCo's simulation shows after 12 s.
+    A body with less than ``LIGHT_FOOT_LOAD`` of the load may leave the ground as friction creeps.
+    At a state at rest, the modes that leave the state without the contacts of such bodies are
+    therefore added, if these modes grow faster than the known modes, and do not need the absence of
+    dry friction. Measured for Pupper v3 with one foot on a slope of 10 deg and 2 kg: the foot with
+    2e-4 of the load hid a mode with a doubling time of 4.3 s, which MuJoCo's simulation shows after
+    12 s.
 
     Args:
         model: MuJoCo model. Unchanged after the call.
@@ -285,17 +290,17 @@ _NO_CONTACT_MARGIN = -1e3
 
 
 MAX_JOINT_DISPLACEMENT = 1e-2
-"""Displacement of a joint after a nudge, from the position before the nudge, from which on the
-robot counts as displaced by the nudge [rad, m]. Chosen, not tuned."""
+"""Displacement of a joint after a nudge, from the position before the nudge and beyond the creep,
+from which on the robot counts as displaced by the nudge [rad, m]. Chosen, not tuned."""
 
 _MAX_SPEED_RATIO = 0.9
 """Largest ratio ``speed in the last third / speed in the second third`` of the time after a nudge,
-with which the motion counts as decayed. A sustained oscillation has a ratio of 1. Chosen, not
+with which the motion counts as decayed [1]. A sustained oscillation has a ratio of 1. Chosen, not
 tuned."""
 
 _DECAYED_RATIO = 1e-2
-"""Speed relative to the speed of the nudge below which the motion counts as decayed: contacts and
-the constraint solver cause motion of this size. Chosen, not tuned."""
+"""Speed in the last third, relative to the speed of the nudge, up to which the motion counts as
+decayed: contacts and the constraint solver cause motion of this size. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,7 +308,7 @@ class Nudge(Result):
     """Response of a stand to a nudge.
 
     Attributes:
-        speed: Largest initial velocity of a coordinate (m/s, rad/s).
+        speed: Largest change of a coordinate's velocity by the nudge (m/s, rad/s).
         time: Simulated time of the nudge (s).
         duration: Simulated time after the nudge (s).
         motion: Largest speed in the second third of that time, without creep (m/s, rad/s). Of a
@@ -332,7 +337,7 @@ class Nudge(Result):
 
     @property
     def stays(self) -> bool:
-        """Whether all joints of the nudged robot always stayed within ``MAX_JOINT_DISPLACEMENT``.
+        """Whether no joint of the nudged robot moved by ``MAX_JOINT_DISPLACEMENT`` or more.
 
         Creep is subtracted.
         """
@@ -344,7 +349,7 @@ def simulate_nudge(model: mujoco.MjModel, state: Array, ctrl: Array, duration: f
 
     Args:
         model: MuJoCo model.
-        state: State (mjSTATE_FULLPHYSICS) at rest.
+        state: State (mjSTATE_FULLPHYSICS) without the nudge.
         ctrl: Actuator commands, shape (model.nu,).
         duration: Simulated time [s].
 
@@ -384,10 +389,10 @@ def measure_response(
     Args:
         model: MuJoCo model.
         before: State before the nudge, shape (size,).
-        states: States after the nudge, shape (n, size).
-        creep: States before the nudge, shape (m, size). The creep of the joints in these states is
-            subtracted from the displacements. None: nothing is subtracted, and mean velocities of
-            the base are not compared.
+        states: States after each step after the nudge, shape (n, size), n > 2.
+        creep: States before the nudge, shape (m, size), m > 1. The creep of the joints in these
+            states is subtracted from the displacements. None: nothing is subtracted, and mean
+            velocities of the base are not compared.
     """
     third, timestep = len(states) // 3, float(model.opt.timestep)
     windows = states[third : 2 * third], states[-third:]
@@ -439,7 +444,7 @@ def remains_small(model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge) 
     A foot with almost no load may bounce by micrometres for a long time, and shakes the robot. The
     motion is small if its speed in the last third of the time is at most ``_MAX_BOUNCE_RATIO``
     times the speed after the nudge, and at most ``MAX_RESTING_SPEED``. All joints must also stay
-    within ``MAX_JOINT_DISPLACEMENT``.
+    within ``MAX_JOINT_DISPLACEMENT`` of ``end``. False if the simulation diverges.
 
     Args:
         model: MuJoCo model.
@@ -474,8 +479,8 @@ def _find_largest(distances: Array, units: NDArray[np.str_]) -> tuple[float, str
 def _measure_base_drift(model: mujoco.MjModel, states: Array, creep: Array) -> float:
     """Return the largest increase of a mean base velocity by a nudge [m/s, rad/s], at least 0.
 
-    The result is the maximum over the velocity components of all free joints. A robot that still
-    settles slows down; only faster motion than before the nudge counts.
+    The result is the maximum over the absolute velocity components of all free joints. A robot that
+    still settles slows down; only faster motion than before the nudge counts.
 
     Args:
         model: MuJoCo model.

@@ -1,10 +1,11 @@
 """Simulate a stand with the base nudged in twelve directions, and report the first failure.
 
-A simulation ends at the first failure, or when no failure is expected for the remaining time: its
-motion is bounded from the speeds and the growing modes of a step, or predicted by the linearised
-step (`_NudgedEvaluation.will_hold`).
+A simulation ends at the first failure, at the end of the time, or when no failure is expected for
+the remaining time: its motion is bounded from the speeds and the growing modes of a step, or
+predicted by the linearised step (`_NudgedEvaluation.will_hold`).
 Failures are saturated motors, slipping or lifted feet, large joint deviations, joint limits, other
-parts on the ground, and shaking that does not decay.
+parts on the ground, shaking that does not decay, and divergence. `simulate_large_nudges` looks for
+shaking after larger nudges.
 """
 
 from __future__ import annotations
@@ -44,9 +45,9 @@ from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
 BASE_NUDGE_SPEED = 0.01
-"""Initial speed of the base in each direction [m/s]; for a yaw rotation, speed / CoM height is the
-angular speed. An unstable equilibrium is left only after a perturbation; a stand that is stable by
-a few percent survives this speed. Chosen, not tuned."""
+"""Initial speed of the base in each direction [m/s], before ``_HORIZONTAL_FACTOR``; for a yaw
+rotation, speed / CoM height is the angular speed. An unstable equilibrium is left only after a
+perturbation; a stand that is stable by a few percent survives this speed. Chosen, not tuned."""
 
 _HORIZONTAL_NUDGES = 8
 """Number of horizontal nudges, at equal angles; the first is along world x. Chosen, not tuned."""
@@ -61,12 +62,14 @@ MAX_JOINT_DEVIATION = 0.1
 buckled. Measured: joints of robots that buckle deviate by 0.3 rad and more in the end."""
 
 MAX_FOOT_SLIP = 5e-3
-"""Largest displacement of a foot along the ground after a nudge, beyond the creep [m]; beyond, the
-foot has slid. Chosen larger than the displacement of rolling feet, 1 mm."""
+"""Largest displacement of a contact point across its lift-off direction (`Stand.lift_directions`)
+after a nudge, beyond the creep [m]; beyond, the foot has slid. Chosen larger than the displacement
+of rolling feet, 1 mm."""
 
 MAX_FOOT_LIFT = 2e-3
-"""Largest rise of a foot without ground contact after a nudge [m]; beyond, the foot has lifted. A
-foot with little load rises by less after a nudge. Chosen, not tuned."""
+"""Largest rise of a contact point along its lift-off direction, without ground contact of the foot,
+after a nudge [m]; beyond, the foot has lifted. A foot with little load usually rises by less.
+Chosen, not tuned."""
 
 _MIN_MARGIN_RATIO, _MAX_UTILISATION, _MIN_LIMIT_DISTANCE = 5.0, 0.9, 0.02
 """Bounds with which ``is_near_limit`` requires nudged simulations: lower bound of the CoM margin,
@@ -82,7 +85,8 @@ may load two of four feet with only 1/10,000 of the weight. Chosen, not tuned.""
 
 _LIMIT_ATOL = 1e-6
 """Largest distance [rad, m] between a joint and its limit with which the joint counts as resting on
-the limit. Chosen as the rounding of configurations in files."""
+the limit, and largest joint range that permits no motion. Chosen as the rounding of configurations
+in files."""
 
 _SAMPLE_TIME = 0.05
 """Time between the states that are evaluated [s]. Chosen, not tuned."""
@@ -135,16 +139,17 @@ class Failure(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class NudgeTrial(Result):
-    """Simulations of a stand that is nudged in twelve directions.
+    """Simulations of a stand after nudges of the base in several directions.
 
     Attributes:
         survived: Whether the stand survived all nudges.
         failure: Earliest failure; None if there was none.
-        failing_parts: Motors, joints, feet or bodies of the failure.
+        failing_parts: Motors, joints, contact points or bodies of the failure; empty if the
+            simulation diverged.
         time: Simulated time of the failure (s); 0 if the simulation diverged; None without a
             failure.
         failed_nudges: Number of nudges that ended in a failure.
-        nudges: Number of nudges.
+        nudges: Number of simulated nudges.
         duration: Time after each nudge for which the outcome holds (s).
         simulated: Simulated time of all nudges (s); less than ``nudges * duration`` if simulations
             were decided earlier.
@@ -180,9 +185,9 @@ def simulate_nudges(
     a larger speed that covers the directions between; or a rotation about the base's z axis in
     both senses.
 
-    The model is simulated unmodified, with the dry friction of joints and contacts. A stand that
-    only dry friction holds is detected by the spectrum and a larger nudge
-    (``growth.confirm_growth``).
+    The model is simulated with the dry friction of joints and contacts. A stand that only dry
+    friction holds is detected by the spectrum and a larger nudge (``growth.confirm_growth``), not
+    here.
 
     Each simulation ends at its first failure, after ``duration``, or if the remaining motion is
     known and causes no failure. Shaking is a failure if the robot still shakes after ``duration``,
@@ -190,16 +195,16 @@ def simulate_nudges(
 
     The remaining motion counts as known in two cases:
 
-    - The bound from the current speeds and the fastest growing mode is below 1 mm or 1 mrad.
+    - The bound from the current speeds and the fastest growing mode is at most 1 mm or 1 mrad.
     - No mode grows, no motor has saturated, and the linearised step reproduces the last 0.5 s. The
       step predicts that each coordinate leaves the range passed since the nudge by at most 1 mm or
       1 mrad, and the feet do not slide too far if they continue at their mean speed.
 
-    A foot that is predicted to carry less than ``monitor.LIGHT_FOOT_LOAD`` of the weight may lift
-    if the foot is back on the ground at the end.
+    A contact point that is predicted to carry less than ``monitor.LIGHT_FOOT_LOAD`` of the load may
+    lift if its foot is back on the ground at the end.
 
     Args:
-        robot: The robot, with the payload.
+        robot: The robot, with the payload and a free base.
         stand: The stand, solved for the simulated ground.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
@@ -269,11 +274,11 @@ def simulate_large_nudges(
     """Simulate a stand after nudges of the base that may lift a sole, and look for shaking.
 
     The base starts at ``LARGE_NUDGE_SPEED``, which is five times ``BASE_NUDGE_SPEED``, along +x,
-    -x, +y or -y of the world, or rotates about its z axis. A simulation ends once the robot no
-    longer shakes (``ShakingRecord.is_calm``), and after ``HOLD_DURATION`` at the latest. Failures
-    are shaking without decay and divergence, as in ``simulate_nudges``; the first ends the trial. A
-    robot that leaves the stand has no failure here: ``simulate_nudges`` decides whether it is
-    fragile.
+    -x, +y or -y of the world, or rotates about its z axis with ``LARGE_NUDGE_SPEED`` / CoM height.
+    A simulation ends once the robot does not shake for an interval (``ShakingRecord.is_calm``), and
+    after ``HOLD_DURATION`` at the latest. Failures are shaking without decay and divergence, as in
+    ``simulate_nudges``; the first ends the trial. A robot that leaves the stand without shaking has
+    no failure here; ``simulate_nudges`` detects such failures.
 
     Args:
         robot: The robot, with a free base.
@@ -344,8 +349,8 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
     - the CoM margin is below `_MIN_MARGIN_RATIO` times the displacement of the CoM,
     - a motor utilisation or friction utilisation is above `_MAX_UTILISATION`,
     - a foot bears less than `_MIN_LOAD_RATIO` times the mean load (not with welds or grips),
-    - a joint is less than `_MIN_LIMIT_DISTANCE` from a limit; joints without a range are not
-      compared, and a joint that moves no foot may rest on a limit.
+    - a joint is less than `_MIN_LIMIT_DISTANCE` from a limit; joints whose range permits no motion
+      are not compared, and a joint that moves no foot may rest on a limit.
 
     False if the statics have no CoM margin, or if the base is fixed or welded.
 
@@ -396,9 +401,9 @@ def _find_failure_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
 
 
 def com_height_above_contacts(robot: Robot, stand: Stand) -> float:
-    """Return the height of the CoM above the mean contact point in a stand [m].
+    """Return the height of the CoM above the mean contact point of a stand with feet [m].
 
-    For a robot with welds or grips, the stand height of the robot.
+    For a robot with welds or grips, the result is the stand height of the robot.
     """
     if robot.fixed_parts:
         return robot.stand_height
@@ -429,18 +434,19 @@ def make_nudge_velocities(robot: Robot, stand: Stand) -> Array:
 
 
 _Event = tuple[float, Failure, tuple[str, ...]]
-"""Failure in a simulation: time [s], kind, and motors, joints, feet or bodies."""
+"""Failure in a simulation: time [s], kind, and motors, joints, contact points or bodies."""
 
 
 class _FailureConditions:
-    """Conditions under which a nudged stand fails; the same for all nudges.
+    """Conditions under which a nudged stand fails, shared by the simulations of all nudges.
 
     Args:
         held: Initial state, with the servo commands.
         stand: The stand.
 
     Attributes:
-        growth_rate: Largest growth rate of a mode in the spectra evaluated so far [1/s].
+        growth_rate: Largest growth rate of a mode in the spectra evaluated so far, at least 0
+            [1/s].
     """
 
     def __init__(self, held: StandStart, stand: Stand) -> None:
@@ -485,8 +491,8 @@ class _FailureConditions:
     def predict_motion(self, states: Array, remaining: float) -> tuple[Array, Array] | None:
         """Predict the motion in the remaining time with the linearised simulation step.
 
-        The step is linearised once per interval for all runs, at the state of the first run that
-        needs it.
+        The step is linearised once per interval for all runs, at the last state of the first run
+        that needs it.
 
         Args:
             states: Simulated states after successive steps of the last interval, shape (n, size).
@@ -551,7 +557,10 @@ class _FailureConditions:
         return positions
 
     def locate_feet(self) -> Array:
-        """Return the centres of the stance feet at the state sampled last, shape (n, 3) [m]."""
+        """Return the centres of the stand's contact points at the state sampled last, (n, 3) [m].
+
+        The centres are expressed in the world frame.
+        """
         centres = monitor.foot_centres(self.robot, self.data)
         return np.array([centres[foot] for foot in self.stand.stance_feet]).reshape(-1, 3)
 
@@ -562,8 +571,9 @@ class _NudgedEvaluation:
     Attributes:
         state: Last simulated state, shape (size,).
         failure: First failure; None without a failure so far.
-        saturated: First saturation of a motor; None without any. It is the failure if another
-            failure follows, or if a motor is saturated at the end.
+        saturated: First saturation of a motor; None without any. The saturation is the failure if
+            another failure follows (except shaking or divergence), or if a motor is saturated at
+            the end.
         is_decided: Whether the simulation needs no more steps.
         shaking: Speeds since the nudge.
     """
@@ -586,8 +596,8 @@ class _NudgedEvaluation:
 
         Args:
             states: States after each step of an interval, shape (n, size).
-            stride: Number of steps between two states that are evaluated.
-            remaining: Time after these states [s]; 0 if they are the last ones.
+            stride: Number of steps between two states that are evaluated, from the first one.
+            remaining: Time after these states [s]; 0 if these states are the last ones.
         """
         conditions = self._conditions
         successive, before = np.concatenate([self.state[None], states]), self._slips
@@ -615,9 +625,9 @@ class _NudgedEvaluation:
     def _find_failure(self, samples: Array) -> _Event | None:
         """Return the first failure in successive samples (n, size); None without a failure.
 
-        If a motor has saturated before, its first saturation is returned as the failure. Saturated
-        motors and lifted feet with little load are no failure by themselves; `advance` reports them
-        at the end of the simulation.
+        If a motor has saturated before, the first saturation is returned as the failure. Saturated
+        motors and lifted contact points with little load are no failure by themselves; `advance`
+        reports those that remain at the end of the simulation.
         """
         conditions = self._conditions
         robot, feet = conditions.robot, tuple(conditions.stand.stance_feet)
@@ -736,9 +746,9 @@ class _NudgedEvaluation:
         """Return upper bounds of remaining motion (nv,) [m, rad] and speeds (nv,) [m/s, rad/s].
 
         The motion is the bound from ``speed`` if that is at most ``_MAX_REMAINING_MOTION``, else
-        the prediction of the linearised step. None if the prediction does not exist, or leaves the
-        range that a coordinate has passed since the nudge by more than ``_MAX_REMAINING_MOTION``,
-        or if a foot would slide too far.
+        the prediction of the linearised step. The motion is None if a motor has saturated, if the
+        prediction does not exist, if it leaves the range that a coordinate has passed since the
+        nudge by more than ``_MAX_REMAINING_MOTION``, or if a foot would slide too far.
 
         Args:
             states: States of the last interval, shape (n, size).
@@ -768,8 +778,8 @@ class _NudgedEvaluation:
     def _reaches_ground(self, distance: float) -> bool:
         """Return True if a body or swing foot touches the ground once the base is lowered.
 
-        The base is lowered by ``distance`` [m], in turn along the ground normal of each stance
-        foot.
+        The base is moved by ``distance`` [m] against the lift-off direction of each stance foot
+        (`Stand.lift_directions`), in turn.
         """
         conditions = self._conditions
         columns = 1 + conditions.robot.mj_convention.qpos_index[:3]
@@ -782,10 +792,10 @@ class _NudgedEvaluation:
 
 
 def _find_shaking(model: mujoco.MjModel, shaking: ShakingRecord, elapsed: float) -> _Event | None:
-    """Return the failure at the end of a simulation if the robot shakes without decay.
+    """Return the failure at the end of a simulation if the robot shakes without decay; else None.
 
-    The speeds are compared over three quarters of the simulated time ``elapsed`` [s]: an
-    oscillation with a time constant below six times the simulated time counts as decaying.
+    The speeds are compared over about three quarters of the simulated time ``elapsed`` [s]: an
+    oscillation with a time constant below about six times the simulated time counts as decaying.
     """
     window = max(1, round(elapsed) // (SHAKING_SECONDS + 1))
     if not shaking.is_sustained_over(window):
@@ -804,7 +814,8 @@ def _order_failure(failed: tuple[_Event, _NudgedEvaluation]) -> tuple[float, flo
 def _is_earliest_known(runs: list[_NudgedEvaluation]) -> bool:
     """Return True if one run has failed, and no other run can still fail earlier.
 
-    A failure that follows a saturation has the time of the saturation.
+    A failure that follows a saturation has the time of the saturation. A later divergence, whose
+    time is 0, is not considered.
     """
     times = [run.failure[0] for run in runs if run.failure is not None]
     if not times:

@@ -23,7 +23,7 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 
 
 class VerdictCode(StrEnum):
-    """Verdict in a single word, from the best to the worst.
+    """Code of a verdict, from the best to the worst.
 
     ``LIMITS_UNKNOWN`` and ``MASSES_UNKNOWN`` replace only verdicts that pass.
     """
@@ -54,7 +54,7 @@ PASSING_CODES = (
 
 
 UNKNOWN_CODES = (VerdictCode.LIMITS_UNKNOWN, VerdictCode.MASSES_UNKNOWN)
-"""Verdicts of stances that hold in simulation, with values that no file states."""
+"""Verdicts of stances that hold in simulation, but depend on values that no file states."""
 
 
 IMPOSSIBLE_CODES = ("mass-beyond-metal", "inertia-beyond-robot")
@@ -97,11 +97,12 @@ class Outcome:
         passed: Whether the simulation did what was requested.
         failures: Reasons of the failure.
         duration: Simulated time (s).
-        collapses: Whether the robot fell.
+        collapses: Whether the robot collapsed.
         torque_error: Largest torque deviation / largest predicted torque; NaN without a prediction.
-        force_error: Largest relative deviation of a foot force; None if no foot carries load.
-        stability: Stability of the settled state; None if not evaluated.
-        creep: Motion over the last 10 s; None if not measured.
+        force_error: Largest relative deviation of a foot force; None if no foot carries load, or
+            without a prediction.
+        stability: Stability of the settled or the initial state; None if not evaluated.
+        creep: Mean speeds over at most the last 10 s; None if not measured.
         notes: Observations that do not decide, such as a mode that the simulation refutes.
         stays: Whether the robot stands still on its feet, even if not as predicted.
     """
@@ -124,8 +125,8 @@ class Creep(Result):
 
     Attributes:
         duration: Time over which the motion is measured (s).
-        speed: Speed of the base, or of the stance foot that moves most (m/s).
-        rate: Rate of the joint or of the base's orientation that turns most (rad/s).
+        speed: Largest speed of the base frame and of the contact points of the stance feet (m/s).
+        rate: Largest rate of the joints and of the base's orientation (rad/s; m/s for a slide).
     """
 
     duration: float = field(metadata={"unit": "s"})
@@ -150,14 +151,16 @@ class Verdict(Result):
     Attributes:
         code: The worst verdict that applies.
         question: Question that the verdict answers.
-        passed: Whether the stance holds; the exit status of commands.
-        seconds: Simulated time (s).
+        passed: Whether ``code`` is a verdict that passes, with which commands exit with status 0.
+        seconds: Simulated time (s); 0 if not simulated.
         with_feedforward: End of the simulation with gravity feed-forward, ctrl = q* + tau / kp.
         commands_alone: End of the simulation with position commands only, ctrl = q*; None if not
             simulated.
-        torque_error: With feed-forward, largest deviation / largest predicted torque.
-        force_error: With feed-forward, largest deviation of a vertical foot force / the prediction;
-            None if no foot carries load.
+        torque_error: With feed-forward, largest deviation / largest predicted torque; NaN without a
+            prediction.
+        force_error: With feed-forward, largest relative deviation of a foot force, vertical or
+            along the normal of the foot's plane; NaN if not simulated; None if no foot carries
+            load.
         failures: Reasons of a failure with feed-forward.
         failures_alone: Reasons of a failure without feed-forward.
         overloaded_motors: Motors above their effort limits.
@@ -167,12 +170,14 @@ class Verdict(Result):
         published: Differences between the published MJCF and the simulated model; None if not
             compared.
         doubling_time: Smallest doubling time of a deviation (s), with feed-forward, over the modes
-            that leave the stand within the simulated time; infinite without such a mode.
-        creep: Motion over the last 10 s of the simulation with feed-forward; None if not measured.
+            that grow within 12 s; infinite without such a time, or if the evaluated state is not at
+            rest.
+        creep: Mean speeds over at most the last 10 s of the simulation with feed-forward; None if
+            not measured.
         notes: Observations that do not decide, such as a mode that the simulation refutes.
         converted: Model that was converted from the other model, ``"urdf"`` or ``"mjcf"``: both
             engines read one file then; empty if each engine read its own file.
-        remarks: Other assumptions, such as balls in place of soles, or limbs without feet.
+        remarks: Other assumptions, for example balls in place of soles, or limbs without feet.
     """
 
     code: VerdictCode
@@ -258,8 +263,8 @@ def judge_stance(
 def _min_doubling_time(stability: Stability | None) -> float:
     """Return the smallest doubling time of the modes that grow within ``HOLD_DURATION`` [s].
 
-    Infinite without such a mode, if the oscillation of the mode is sustained, or if the state is
-    not at rest.
+    Infinite without such a mode, if all their oscillations are sustained, if the state is not at
+    rest, or if ``stability`` is None.
     """
     leaving = (
         stability.modes_growing_within() if stability is not None and stability.at_rest else ()
@@ -324,7 +329,8 @@ def _find_worst_code(
     """Return the worst verdict code that applies to the simulations of a stance.
 
     Codes of `UNKNOWN_CODES` are not considered. A robot that stands, but not as predicted, fails
-    if the published file does not stand from its keyframe, or collapses in the computed stance.
+    if a motor is overloaded, if the published file fails from its keyframe on its own servos, or if
+    this file collapses in the computed stance.
 
     Args:
         fed: Simulation with feed-forward.

@@ -1,4 +1,4 @@
-"""Verify stands: MuJoCo's simulation of a free base against the prediction by Pinocchio.
+"""Verify stands: MuJoCo's simulation against the prediction by Pinocchio.
 
 `verify_stand` simulates a stand, nudges the robot, and compares settled torques, forces and
 positions with the statics. `mujoco_balance_residual` evaluates the balance without a simulation.
@@ -65,7 +65,7 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 
 
 def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompensation) -> float:
-    """Return the largest element of MuJoCo's force balance residual in a stand [N, N m].
+    """Return the largest magnitude in MuJoCo's force balance residual of a stand [N, N m].
 
     The residual is g - J^T f - S^T tau with MuJoCo's bias forces g minus the passive forces, the
     contact Jacobian J of the MJCF, and the predicted contact forces f, weld forces and motor
@@ -100,23 +100,25 @@ STABLE_DEVIATION = 5e-3
 tuned."""
 
 JOINT_TOLERANCE = 1e-3
-"""Upper bound of the difference between settled and predicted joint position [rad, m], in addition
-to the deadband by dry friction. At or above the bound, a stand is not verified. Chosen, not
-tuned."""
+"""Upper bound of the difference between settled and predicted joint position [rad, m]; without
+feed-forward, in addition to the deadband by dry friction. At or above the bound, a stand is not
+verified. Chosen, not tuned."""
 
 FORCE_TOLERANCE = 1e-2
 """Upper bound of the difference between simulated and predicted motor torques, relative to
-`torque_scale`, and normal foot forces, relative to the prediction [1]. At or above the bound, a
-stand is not verified. Chosen, not tuned."""
+`torque_scale`, and foot forces along the lift-off direction, relative to the prediction [1]. At or
+above the bound, a stand is not verified. Without feed-forward, dry friction increases the bound for
+torques. Chosen, not tuned."""
 
 MIN_FORCE_SCALE = 0.05
-"""Lower bound of the force by which the error of a foot force is divided, relative to the weight:
-feet with almost no load have large relative errors. Chosen, not tuned."""
+"""Lower bound of the force by which the error of a foot force is divided, relative to the predicted
+vertical load on all feet (the weight, with welds or grips): feet with almost no load have large
+relative errors. Chosen, not tuned."""
 
 MAX_SINKING_RATIO = 0.1
 """Largest height loss of a verified stand with feed-forward, relative to the CoM height above the
-feet. Only stands whose legs are too short to compensate for the penetration of the feet lose
-height with feed-forward. Chosen, not tuned."""
+feet. With feed-forward, a stand loses height, for example, if the legs are too short to compensate
+for the penetration of the feet. Chosen, not tuned."""
 
 MAX_BALANCE_RESIDUAL_RATIO = 1e-3
 """Largest unbalanced generalised force in MuJoCo's model under the predicted contact forces and
@@ -136,8 +138,8 @@ _SAMPLE_TIME = 0.02
 """Time between the height samples of the result [s]. Chosen, not tuned."""
 
 NUDGED_FRACTION = 7 / 12
-"""Default fraction of the simulated time after the nudge: of 12 s, 5 s to settle and 7 s in which
-the nudge must decay. Chosen, not tuned."""
+"""Default fraction of the simulated time that is after the nudge: of 12 s, 5 s to settle and 7 s in
+which the nudge must decay. Chosen, not tuned."""
 
 _FRAME_TIME = 0.1
 """Time between the configurations of the result [s]: frequent enough for an animation. Chosen, not
@@ -149,7 +151,8 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
     """Simulation of a stand compared with the prediction, with the ``SimulationSettings``.
 
     Settled values are means over the last second before the nudge. Predictions are Pinocchio's,
-    from the URDF. For a robot with a fixed base, heights and tilts of the base are 0.
+    from the URDF. For a robot with a fixed base, heights and tilts of the base are 0. The lift-off
+    direction of a foot is upward, or the normal of the foot's separate plane, such as a wall.
 
     Attributes:
         passed: Whether the stand is verified.
@@ -166,8 +169,8 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
         servo_sag: Height lost by joint deflection (m).
         contact_sag: Height lost by the softness of feet and ground (m).
         tilt: Angle between the base's orientation at the end and that of the task (rad).
-        foot_slip: {foot: settled distance from the target} along the ground or along the foot's
-            plane (m).
+        foot_slip: {stance foot: settled distance of a contact point from the target, across the
+            lift-off direction} (m); the largest of the foot.
         joint_error: Largest deviation of a joint from the stand in that second.
         joint_error_unit: Unit of ``joint_error``: rad, or m for a slide.
         joint_positions: (nu,) settled joint positions (rad or m).
@@ -179,18 +182,19 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
         foot_forces: {foot: (3,)} settled force of the ground on the foot, in world axes (N); for
             welds and grips, force of MuJoCo's constraint.
         predicted_forces: {foot: (3,)} predicted forces, in world axes (N).
-        force_error: Largest deviation of a foot force along the contact normal / the prediction
-            (or / ``MIN_FORCE_SCALE`` of the weight, if the prediction is smaller); for a grip,
-            deviation of the force vector. None if no foot carries load.
-        mujoco_residual: Largest element of g - J^T f - S^T tau with MuJoCo's g and J and the
+        force_error: Largest deviation of a foot force along the lift-off direction / the prediction
+            (or / ``MIN_FORCE_SCALE`` of the load on all feet, if the prediction is smaller); for a
+            grip, deviation of the force vector. None without stance feet and grips.
+        mujoco_residual: Largest magnitude in g - J^T f - S^T tau with MuJoCo's g and J and the
             predicted f and tau (N, N m), less the load of closed loops.
         stability: Growing modes and stability margin of the settled state; of the initial state if
-            the robot fell or did not come to rest.
+            the robot fell before the nudge; of a repeated, shorter simulation if the settled state
+            is not at rest.
         nudge: Response to the nudge; None if the robot was not nudged.
         time: (n,) times of the height samples (s).
         height: (n,) base heights at ``time`` (m).
         motion_time: (m,) times of the configurations (s).
-        motion: (m, nq) configurations at these times, rounded to six digits, for animations.
+        motion: (m, nq) configurations at these times, rounded to six decimals, for animations.
     """
 
     stays: bool
@@ -227,7 +231,7 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
 
     @property
     def stand(self) -> Stand | None:
-        """Stand that was simulated; None for a verification from another process."""
+        """Stand that was simulated; None for a copy, or a verification from another process."""
         stand: Stand | None = vars(self).get("_stand")
         return stand
 
@@ -248,7 +252,8 @@ def verify_stand(
 ) -> StandVerification:
     """Simulate a stand on a free base, and compare the simulation with Pinocchio's prediction.
 
-    A posture of a robot with a fixed base (``held_stand``) is verified in the same way.
+    A posture of a robot with a fixed base (``held_stand``) is verified in the same way. Without
+    feed-forward the robot must stand, but is not compared with the prediction, except ``settled``.
 
     The prediction is ``gravity_compensation`` with minimum tangential forces, the equilibrium that
     MuJoCo's creeping friction sustains. MuJoCo's ground is soft: if the feet carry unequal loads, a
@@ -268,8 +273,8 @@ def verify_stand(
         integrator: MuJoCo's integrator; the model's own by default.
         duration: Simulated time [s], 2 to 600.
         nudged: Part of the duration after the nudge [s], at most ``duration`` minus 1 s. Default:
-            7/12 of ``duration``. With 0 there is no nudge, and settled values are measured at the
-            end.
+            7/12 of ``duration``, within this bound. With 0 there is no nudge, and settled values
+            are measured at the end.
         settled: Predicted equilibrium without feed-forward. If ``feedforward`` is False and the
             equilibrium has no failures, the settled state of a robot with a fixed base and no
             stance feet is compared with this equilibrium.
@@ -281,8 +286,8 @@ def verify_stand(
         The comparison; ``failures`` contains the reasons if the stand is not verified.
 
     Raises:
-        ConfigurationError: If an argument is out of range, a stand's base is fixed, or the
-            stand belongs to another robot.
+        ConfigurationError: If an argument is out of range, the base is fixed and the stand has
+            stance feet, or the stand belongs to another robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
             both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
@@ -351,9 +356,9 @@ def verify_stand(
 
 
 def _compute_total_load(robot: Robot, prediction: GravityCompensation) -> float:
-    """Return the load on all feet [N]: the sum of vertical forces, or the weight with a weld.
+    """Return the load on all feet [N]: the sum of vertical forces, or the weight with fixed parts.
 
-    A weld may carry more than the weight, or pull down.
+    Fixed parts are welds and grips. A weld may carry more than the weight, or pull down.
     """
     if robot.fixed_parts:
         return robot.weight
@@ -364,7 +369,7 @@ def _compute_total_load(robot: Robot, prediction: GravityCompensation) -> float:
 def _compute_load_shares(
     robot: Robot, stand: Stand, prediction: GravityCompensation, total_load: float
 ) -> dict[str, float]:
-    """Return {foot: predicted normal force, as a fraction of ``total_load`` [N]}."""
+    """Return {foot: predicted force along the lift-off direction / ``total_load`` [N]}."""
     normals = stand.lift_directions(robot)
     predicted = robot.per_foot(prediction.contact_forces)
     return {foot: float(force @ normals[foot]) / total_load for foot, force in predicted.items()}
@@ -373,7 +378,7 @@ def _compute_load_shares(
 def _are_failures_of_mismatch(
     robot: Robot, result: StandVerification, failures: Sequence[Diagnostic]
 ) -> bool:
-    """Return True if idle feet are the only failures, and the files describe different robots.
+    """Return True if all failures are idle feet, and the files describe different robots.
 
     Torques of another robot may unload a foot on which the simulated robot need not stand. False
     without feed-forward, and if the robot collapses.
@@ -388,7 +393,7 @@ def _are_failures_of_mismatch(
 
 
 def _is_fixed_without_feet(robot: Robot, stand: Stand) -> bool:
-    """Return True if the base is fixed and no foot of the stand carries load."""
+    """Return True if the base is fixed and the stand has no stance feet."""
     return robot.is_base_fixed and not stand.stance_feet
 
 
@@ -426,7 +431,8 @@ Chosen, not tuned."""
 def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Array) -> Creep:
     """Measure the creep of a stand: mean speeds of base, feet and joints in the last 10 s.
 
-    The duration is ``CREEP_TIME``; shorter rollouts are measured from the first state.
+    The speeds are displacements between the first and last state, divided by the time. The duration
+    is ``CREEP_TIME``; shorter rollouts are measured from the first state.
 
     Args:
         robot: The robot.
@@ -487,7 +493,8 @@ class SettlingRun:
         settling: Number of states before the nudge.
         last: States of the last second before the nudge.
         diverged: Whether the simulation diverged before the nudge.
-        stability: Stability of the settled state; see ``evaluate_final_stability``.
+        stability: Stability of the settled state, or of a state near the initial state; see
+            ``evaluate_final_stability``.
         nudge: Response to the nudge; None without a nudge.
     """
 
@@ -561,10 +568,11 @@ def _compare_with_prediction(
     reference: monitor.StandReference,
     force_scale: float,
 ) -> StandVerification:
-    """Return the deviations of a simulation from the prediction; ``passed`` is always True here.
+    """Return the deviations of a simulation from the prediction.
 
-    The error of a foot's force is relative to the predicted force, or to ``force_scale`` [N] if
-    this scale is larger.
+    ``passed``, ``stays`` and ``feedforward`` of the result are placeholders (True), and failures
+    are empty. The error of a foot's force is relative to the predicted force, or to ``force_scale``
+    [N] if this scale is larger.
     """
     timestep = float(drive.model.opt.timestep)
     states, settled, drops = run.states, run.last, record.compute_foot_drops(stand)
@@ -656,9 +664,9 @@ def _find_standing_failures(
     record: ContactRecord,
     result: StandVerification,
 ) -> list[Diagnostic]:
-    """Report why a robot does not stand still on its feet; empty if it does.
+    """Report why a robot does not stand still on its feet, apart from the response to the nudge.
 
-    ``states`` are the simulated states after each step, shape (n, size).
+    Empty without a reason. ``states`` are the simulated states after each step, shape (n, size).
     """
     failures = list(record.failures)
     if monitor.has_diverged(states, result.timestep):
@@ -680,11 +688,12 @@ def _find_standing_failures(
 def torque_scale(robot: Robot, torques: Array) -> float:
     """Return the torque [N m] by which deviations of joint torques are divided.
 
-    The largest magnitude of ``torques``, and at least the weight times `TORQUE_SCALE_LEVER`.
+    The result is the largest magnitude of ``torques``, and at least the weight (on Earth without
+    gravity) times `TORQUE_SCALE_LEVER`.
 
     Args:
         robot: Robot.
-        torques: Predicted joint torques, shape (nu,) [N m].
+        torques: Predicted joint torques, shape (nu,) [N m, N].
     """
     return max(float(np.abs(torques).max()), TORQUE_SCALE_LEVER * robot.usual_weight)
 
@@ -749,7 +758,8 @@ def describe_deviations(
         torque: Largest torque deviation, relative to ``torque_scale``.
         deadband: Joint deviation that dry friction can hold [rad, m].
         friction_share: Torque deviation that dry friction can hold, relative to ``torque_scale``.
-        details: Joint with the largest torque deviation; predicted and simulated torque.
+        details: Values of the message about torques: joint with the largest torque deviation,
+            predicted and simulated torque.
         unit: Unit of ``joint``, rad or m.
     """
     messages = []
@@ -778,7 +788,7 @@ def describe_drive_limits(
     Args:
         robot: The robot.
         run: Simulation that deviates from the prediction.
-        predicted: Predicted motor torques, shape (nu,) [N m].
+        predicted: Predicted motor torques, shape (nu,) [N m, N].
         positions: Predicted joint positions, shape (nu,) [rad, m].
     """
     weakest, strongest = robot.effort_ranges.T * (1 - _SATURATION_RTOL)
@@ -815,7 +825,7 @@ def describe_model_mismatch(robot: Robot, residual: float, weight: float) -> lis
 
 
 _MIN_UNPREDICTED_DEPTH = 1e-4
-"""Penetration of a foot [m] from which soft ground is reported as the cause of deviations of a
+"""Penetration of a foot [m] above which soft ground is reported as the cause of deviations of a
 stand on rigid ground. Chosen, not tuned."""
 
 
@@ -827,10 +837,9 @@ def _find_deviations(
     *,
     stays: bool,
 ) -> list[Diagnostic]:
-    """Report deviations of a simulation from the prediction, with a cause if known.
+    """Report deviations of a simulation with feed-forward from the prediction, with a known cause.
 
-    ``stays`` is True if the simulation has no other failure; only then may soft ground be the
-    cause.
+    Only if ``stays``, the robot stands still, soft ground may be the cause.
     """
     errors = np.abs(result.joint_torques - result.predicted_torques)
     worst = int(np.argmax(np.nan_to_num(errors)))
