@@ -1,7 +1,4 @@
-"""Compute what an arm's motors hold.
-
-Statics, simulation, payload and force limits of postures of robots with a fixed base.
-"""
+"""Evaluate postures of robots with a fixed base: statics, simulation, payload and force limits."""
 
 from pupper_analysis.base.exports import make_lazy_exports
 

@@ -75,7 +75,8 @@ def command(
     the tool that the motors withstand, each way.
 
     Joints not named by --joints have the position in a keyframe of the MJCF, or else the middle of
-    their range. Joints without a servo in the MJCF get a servo, which a note reports.
+    their range (0 without limits). Joints without a servo in the MJCF get a servo, which a note
+    reports.
 
     \b
     Examples:

@@ -274,9 +274,9 @@ def _make_limit_table(
     rows: Iterable[tuple[doc.Cell, float, str]],
     notes: tuple[doc.Text, ...],
 ) -> doc.Table:
-    """Create a table of limits, each with the joint that reaches the effort limit.
+    """Create a table of limits, each with the joint that reaches the effort or command limit.
 
-    Each of ``rows`` is (quantity, limit, joint); the joint is "" if no motor limits the quantity.
+    Each of ``rows`` is (quantity, limit, joint); the joint is "" if no joint limits the quantity.
     """
     cells = tuple(
         (quantity, _make_limit_cell(limit), doc.Name(joint or "-"))
@@ -347,7 +347,8 @@ def force_plot(force: ToolForce) -> doc.LinePlot:
 def reach_plot(reach: ReachLoad) -> doc.LinePlot:
     """Create the plot of motor utilisation [%] over the tool's distance from the first joint [mm].
 
-    The plot shows the maximum and the mean over random postures.
+    The plot shows the maximum and the mean over the random postures in each of
+    `_NUM_DISTANCE_BINS` bins of the distance; NaN if a value in the bin is unknown or infinite.
     """
     edges = np.linspace(0.0, float(reach.distances.max(initial=1e-9)), _NUM_DISTANCE_BINS + 1)
     bins = np.clip(np.digitize(reach.distances, edges) - 1, 0, _NUM_DISTANCE_BINS - 1)
@@ -367,7 +368,7 @@ def reach_plot(reach: ReachLoad) -> doc.LinePlot:
 
 
 def _describe_posture(hold: Hold) -> doc.Words:
-    """State the source of the posture, the given joint positions, and the payload."""
+    """State the source of the posture, given joint positions, a hanging robot, and the payload."""
     posture = hold.posture
     positions = {
         joint: format(Quantity(position, unit), "read:.4g")
@@ -399,7 +400,7 @@ def describe_hardest_motor(
 
     Args:
         statics: Static motor torques.
-        limits: Effort limits, shape (nu,) [N m].
+        limits: Effort limits, shape (nu,) [N m, or N for a slide].
     """
     shares = statics.motor_utilisation
     limited = np.isfinite(limits) & np.isfinite(shares)
@@ -416,7 +417,11 @@ def describe_hardest_motor(
 
 
 def _list_findings(hold: Hold) -> Iterable[doc.Words]:
-    """Yield the text of findings: sag of the tool [mm], payload [kg] and force limits [N]."""
+    """Yield the texts of findings: sag of the tool [mm], payload [kg] and force limits [N].
+
+    If no sag was predicted, the reason is yielded instead. Payload and force limits are left out if
+    effort limits are unknown.
+    """
     if hold.tool_sag is not None:
         yield text(
             "tool-sags-by",
@@ -439,7 +444,7 @@ def _list_findings(hold: Hold) -> Iterable[doc.Words]:
 def _list_warnings(hold: Hold) -> Iterator[doc.Words]:
     """Yield the warnings: weak motors; unknown limits, otherwise soft servos and a failing payload.
 
-    The failing payload is that of the simulation `Hold.payload_trial`.
+    The failing payload belongs to the simulation `Hold.payload_trial`.
     """
     if weak := _find_overloaded_motors(hold):
         yield text("motors-weak-somewhere", joints=", ".join(weak)).with_mark("warn")

@@ -36,7 +36,7 @@ class ToolForce(Tabular):
 
     A force is withstood if ``|l - J^T f| <= limits`` (see the module). If the static load alone
     exceeds the limit of a motor, no force is withstood: forces are 0, also in directions that would
-    relieve that motor.
+    relieve that motor, or NaN if a motor that bears the force has an unknown limit.
 
     Attributes:
         directions: (6, 3) directions +x, -x, +y, -y, +z, -z of the force, in world axes.

@@ -144,7 +144,8 @@ class ToolPayload(Result):
             does, or nothing.
         worst_posture_mass: Smallest limit of all postures in a search (kg): with a larger mass, a
             posture was found that the motors do not hold. 0 if a motor that may bear the mass has a
-            limit of zero, otherwise NaN if such a motor has an unknown limit.
+            limit of zero, otherwise NaN if such a motor has an unknown limit; infinite if no
+            posture has a limit.
         worst_posture_joint: Joint of the motor that limits the mass in all postures; "" if this
             mass is infinite or NaN.
         posture: (nu,) posture with the smallest limit (rad or m); the given posture if there was no
@@ -299,9 +300,9 @@ def servo_payload(
 
     Returns:
         Mass [kg], infinite without limit; 0 if, without mass, the stiffness is not positive
-        definite, or the command of a joint that bears the mass is out of range. And the
-        joint whose command reaches the end of its range first; "" if the stiffness, or nothing,
-        limits the mass.
+        definite, or the command of a joint is beyond the end of its range towards which the mass
+        moves the command. And the joint whose command reaches the end of its range first; "" if the
+        stiffness, or nothing, limits the mass.
 
     Raises:
         ModelError: If the model has no position servos and no kp is given.
@@ -362,7 +363,7 @@ def _find_bearing_motors(robot: Robot, posture: Posture, tool: Tool) -> NDArray[
 
 VERIFIED_FRACTION = 0.95
 """Fraction of the payload limit (the smaller limit of motors and servos) that is simulated: at the
-limit itself, rounding determines the verdict."""
+limit itself, rounding determines the verdict. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -378,8 +379,8 @@ class Hold(Tabular):
             in place of N m.
         tool: Point that carries payloads and external forces.
         tool_position: (3,) position of the tool in the posture, in the world (m).
-        limits: (nu,) effort limits, the smallest that both files state (N m); infinite without a
-            stated limit.
+        limits: (nu,) effort limits, the smallest that both files state (N m, or N for a slide);
+            infinite without a stated limit.
         limit_origins: (nu,) statement in the files of each limit; None without a stated limit.
         statics: Motor torques in the posture.
         verification: Simulation with feed-forward.
@@ -395,9 +396,9 @@ class Hold(Tabular):
         worst: Worst posture of each motor, with ``carried``.
         carried: Payload at the tool that all results include (kg).
         payload: Largest masses at the tool in addition to ``carried``.
-        payload_trial: Simulation, with feed-forward, of the posture with ``VERIFIED_FRACTION`` of
-            the smaller of ``payload.mass`` and ``payload.servos``; None if this mass is 0, infinite
-            or NaN.
+        payload_trial: Simulation, with feed-forward, of the posture with ``carried`` and
+            ``VERIFIED_FRACTION`` of the smaller of ``payload.mass`` and ``payload.servos``; None if
+            this mass is 0, infinite or NaN.
         force: External forces on the tool that the motors withstand.
         reach: Motor utilisation over the reach of the tool.
         weak_motors: Motors named by the caller that cannot exert the torques of ``statics`` even
@@ -479,7 +480,8 @@ def hold_posture(
     Raises:
         ConfigurationError: If the base is free, or an argument is not valid for the robot.
         UnknownNameError: If the robot has no such joint, keyframe or tool.
-        ModelError: If the robot has no position servos, and kp and kd are not both given.
+        ModelError: If a joint has no motor, or no position servo while kp and kd are not both
+            given, or if the mass or inertia of a body is invalid.
     """
     posture, point = find_posture(robot, joints, keyframe=keyframe), find_tool(robot, tool)
     robot = with_payload(robot, payload, point)

@@ -90,8 +90,8 @@ class JointMotions:
         self.moved = [np.array([joint]) for joint in self.free]
         # Per motion: all joints that are coupled to the independent joint, including that joint.
         self._coupled_joints = [np.array([joint]) for joint in self.free]
-        # {indices of the other joints of a loop, then their positions: positions of the dependent
-        # joints, or None if the loop cannot be closed within the joint ranges}.
+        # {indices of the independent joints of a loop, then their positions: positions of the
+        # dependent joints, or None if the loop cannot be closed within the joint ranges}.
         self._closed_positions: dict[tuple[float, ...], Array | None] = {}
         if self._closure is not None:
             self._add_couplings(self._closure)
@@ -121,7 +121,8 @@ class JointMotions:
 
         Displacements are those of the independent joint of a motion, from a posture. For a
         nonlinear motion, only the range of the independent joint counts: the ranges of the
-        dependent joints are checked by `move_along`.
+        dependent joints are checked by `move_along`. For other motions the range includes 0, also
+        if the posture exceeds a joint limit.
 
         Args:
             qpos: Posture, shape (nu,).
@@ -165,7 +166,8 @@ class JointMotions:
 
         Returns:
             Displaced posture, shape (nu,). None for a nonlinear motion if the loop cannot be closed
-            in its assembly mode, or if a dependent joint exceeds its range.
+            in its assembly mode, or if a dependent joint exceeds its range by more than
+            `_LIMIT_ATOL`. Joint ranges are not checked for other motions.
         """
         if not self.nonlinear[motion]:
             moved: Array = qpos + length * self.steps[:, motion]
@@ -196,7 +198,7 @@ class JointMotions:
         """Set the motions of the independent (free) joints of a robot with loops or couplings.
 
         The dependent joints follow the free joints in the ratios of the closure's Jacobian at the
-        origin. Motions that open a loop when followed in these ratios are nonlinear.
+        origin. If a motion in these ratios opens a loop, all motions of this loop are nonlinear.
         """
         count, following = len(self.origin), closure.dependent_joints
         rows = closure.jacobian(self.origin)

@@ -1,10 +1,10 @@
 """Find the posture with the largest static torque of each motor.
 
-Inputs are a robot with a fixed base, a tool and a payload; `worst_postures` returns a torque and
-a posture per motor. Method (`TorqueSearch`): coordinate search from several postures. Along one
-joint, the torque is a sinusoid plus a linear term, with a maximum in closed form. Along coupled
-joints, and with other forces at rest (for example, tendon springs), the torque is sampled. The
-largest torque found is not proven to be the global maximum.
+Inputs are a robot with a fixed base, a tool and a payload; `worst_postures` returns a torque and a
+posture per motor. Method (`TorqueSearch`): coordinate search from several postures. Along one
+hinge, the torque is a sinusoid plus a linear term, with a maximum in closed form; along a slide the
+torque is linear. Along coupled joints, and with other forces at rest (for example, tendon springs),
+the torque is sampled. The largest torque found is not proven to be the global maximum.
 """
 
 from __future__ import annotations
@@ -169,8 +169,9 @@ class TorqueSearch:
     ) -> float:
         """Find the displacement along a motion with the largest torque of a joint in one direction.
 
-        For a hinge the maximum is in closed form. Along slides the torque is linear, so an end of
-        the range is the maximum. Otherwise the torque is sampled.
+        For a hinge that moves no other joint, the maximum is in closed form. Along slides the
+        torque is linear, so an end of the range is the maximum. Otherwise, and if there are other
+        forces at rest than gravity and joint springs, the torque is sampled.
 
         Args:
             joint: Index of the joint whose torque is maximised.
@@ -251,8 +252,9 @@ def _maximize_sampled(
     """Return the argument of the maximum of a function on the interval of ``samples``.
 
     Argument and samples are displacements [rad, m] in ascending order. The function is evaluated at
-    ``samples``. With ``fine``, a bounded scalar minimisation (scipy) follows around the largest
-    value, or, with ``everywhere``, around each local maximum: between samples of a closed loop the
+    ``samples``. With ``fine``, and unless all values are equal up to rounding, a bounded scalar
+    minimisation (scipy) follows around the largest value, or, with ``everywhere``, around each
+    local maximum: between samples of a closed loop the
     global maximum need not be next to the largest sample.
     """
     from scipy import optimize  # slow to import
@@ -279,10 +281,11 @@ def _maximize_sampled(
 
 
 def _find_last_defined(function: Callable[[float], float], start: float, end: float) -> float:
-    """Return the argument nearest to ``end`` [rad, m] at which a function is defined, by bisection.
+    """Return the end [rad, m] of the interval from ``start`` in which a function is defined.
 
-    The result is ``end`` itself if the function is defined there. The function must be defined at
-    ``start``; the undefined value is -`_UNDEFINED_TORQUE`.
+    The result is ``end`` itself if the function is defined there; otherwise bisection finds the end
+    to `_PEAK_POSITION_ATOL`. The function must be defined at ``start``; the undefined value is
+    -`_UNDEFINED_TORQUE`.
     """
     if function(end) > -_UNDEFINED_TORQUE:
         return end
