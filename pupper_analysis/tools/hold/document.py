@@ -114,7 +114,7 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
     if not math.isfinite(payload) or payload <= 0:
         return doc.NextStep("audit")
     carried = hold.carried + round_mass_down(payload)
-    return doc.NextStep("hold", ("--payload", f"{carried:.3g}kg"))
+    return doc.NextStep("hold", ("--payload", f"{carried:.6g}kg"))
 
 
 def _describe_worst_posture(hold: Hold) -> doc.Words:
@@ -487,4 +487,4 @@ def _describe_unknown_limits(hold: Hold) -> doc.Text:
 
 def _format_limit(limit: float) -> str:
     """Return a limit as text: three digits, from 1000 on without decimals; "" if not finite."""
-    return (f"{limit:.3g}" if limit < 1e3 else f"{limit:.0f}") if math.isfinite(limit) else ""
+    return (f"{limit:.3g}" if limit < 999.5 else f"{limit:.0f}") if math.isfinite(limit) else ""

@@ -96,7 +96,7 @@ def _select_next_step(limit: PayloadLimit) -> NextStep:
     if step.command == "best" or not 0 < mass < math.inf:
         return step
     payload = limit.carried + round_mass_down(mass)
-    return replace(step, words=(*step.words, "--payload", f"{payload:.3g}kg"))
+    return replace(step, words=(*step.words, "--payload", f"{payload:.6g}kg"))
 
 
 def _select_verdict_word(limit: PayloadLimit) -> doc.Words:

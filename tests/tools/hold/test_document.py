@@ -68,3 +68,14 @@ def test_verdict_word_is_qualified_only_if_another_posture_exceeds_a_motor_limit
         shares = np.full(len(held.worst.utilisation), share)
         document = hold_document(replace(held, worst=replace(held.worst, utilisation=shares)))
         assert ("THIS POSTURE ONLY" in getattr(document.verdict, "en", "")) is qualified
+
+
+def test_masses_are_not_rounded_up_to_a_payload_that_does_not_hold() -> None:
+    """Reference: 10.06 kg at the tool, and at most 0.0123 kg more; a limit of 999.7 kg."""
+    held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
+    loaded = replace(held, carried=10.06, payload=replace(held.payload, worst_posture_mass=0.0123))
+    step = hold_document(loaded).next_step
+    assert step is not None
+    assert step.words == ("--payload", "10.072kg")
+    strong = replace(held, payload=replace(held.payload, worst_posture_mass=999.7))
+    assert "payload limit at tip: 1000 kg" in " ".join(map(str, hold_document(strong).findings))

@@ -26,9 +26,9 @@ def test_payload_limit_states_that_its_servos_were_added() -> None:
     assert ADDED_SERVOS_TEXT in " ".join(print_words(payload_document(result)))
 
 
-@pytest.mark.parametrize(("carried", "mass"), [(0.0, "1.2kg"), (1.0, "2.2kg")])
+@pytest.mark.parametrize(("carried", "mass"), [(0.0, "1.2kg"), (1.0, "2.2kg"), (10.06, "11.26kg")])
 def test_next_command_simulates_the_payload_with_the_typed_one(carried: float, mass: str) -> None:
-    """Reference: 97 % of 1.239 kg is 1.2018 kg, which is rounded down."""
+    """Reference: 97 % of 1.239 kg is 1.2018 kg, which is rounded down; no sum is rounded up."""
     result = make_payload_result()
     result.carried = carried
     step = payload_document(result).next_step
