@@ -1,7 +1,8 @@
 """Find the best stance of a robot for an objective, and simulate the stance.
 
 `best_stance` optimises the base pose and the foot positions. `study_best` also simulates the result
-as ``stand`` does, and takes the next best stance if the best stance fails.
+as ``stand`` does, and, unless a payload is sought, takes the next best stance if the best stance
+fails.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ class BestStance(Result):
         nominal: Stand of the initial task (by default the nominal stand).
         payload: Payload limit of ``stand``; None for the other objectives.
         coordinates: Coordinates of the best stance [m or rad] in world axes: base height; x and y
-            of the base from the centre of the feet; roll, pitch, yaw; displacement (``FR x``,
-            ``FR y`` ...) of each free foot from the position in the initial task.
+            of the base from the centre of the displaced feet; roll, pitch, yaw; displacement
+            (``FR x``, ``FR y`` ...) of each free foot from the position in the initial task.
         bounds: Lower and upper bound of each coordinate in the search [m or rad].
         evaluations: Number of evaluated stances.
     """
@@ -84,10 +85,11 @@ def best_stance(
     - Feet, inwards: up to the outward bound, and up to ``MAX_INWARD_STEP`` times the smallest
       distance of a free foot from the centre along the same axis.
 
-    The smallest singular value of each leg's Jacobian must be at least ``MIN_SINGULAR_VALUE_RATIO``
-    times the initial value, because stretched legs, which need no torque, would be optimal. Parts
-    that are apart in the initial stand must not touch each other or the ground. Contact of parts
-    with a step of the ground is not detected.
+    The smallest singular value of the Jacobian of each contact point must be at least
+    ``MIN_SINGULAR_VALUE_RATIO`` times the initial value, because stretched legs, which need no
+    torque, would be optimal. Parts that are apart in the initial stand must not touch each other or
+    the ground; contacts between feet are not checked. Contact of parts with a step of the ground is
+    not detected.
 
     Method: the objective is the maximum of smooth functions, so it has kinks, at which descent on
     the objective alone stalls. Therefore a common upper bound of these functions (the level) is a
@@ -109,7 +111,7 @@ def best_stance(
     utilisation carries 3.7 kg, the nominal stand 6.1 kg.
 
     Args:
-        robot: Robot with a floating base, without loops or welds.
+        robot: Robot with a floating base, without loops, couplings, welds or grips.
         objective: Objective, or name, such as ``"margin"``.
         task: Initial task, with all requirements that the search keeps. Default: the nominal stand.
         point: Position of the payload: (x, y, z) [m] in the base frame, (frame, x, y, z) [m] in the
@@ -149,9 +151,7 @@ def _run_search(
     The arguments, with their units, are those of `best_stance`; ``kp`` is in N m/rad.
     """
     robot = with_contacts(robot, task.contacts) if task is not None else robot
-    if (
-        not robot.fixed_parts
-    ):  # an arm is told to use hold, rather than that its fingers are coupled
+    if not robot.fixed_parts:  # first: the error for an arm names hold, not the coupled fingers
         robot.check_floating()
     robot.check_tree("the best stance")
     search = StanceSearch(robot, _parse_objective(objective), task, point, kp)
@@ -251,12 +251,13 @@ def study_best(
 ) -> BestStudy:
     """Search for the best stance that holds in simulation.
 
-    If the best stance fails, the next best stances are simulated, and finally the initial task. If
-    all fail, the best stance is returned. With the objective payload no further stance is tried,
-    because `payload_limit` already includes a simulation.
+    If the best stance fails, up to four worse stances (`StanceSearch.list_next_best`) are
+    simulated, and finally the initial task. If all fail, the best stance is returned. With the
+    objective payload no further stance is tried, because `payload_limit` already includes a
+    simulation.
 
     Args:
-        robot: Robot with a floating base, without loops or welds.
+        robot: Robot with a floating base, without loops, couplings, welds or grips.
         objective: Objective.
         task: Initial task, with all requirements that the search keeps.
         point: Position of the payload: (x, y, z) [m] in the base frame, (frame, x, y, z) [m] in the

@@ -73,11 +73,11 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
 
 
 def _make_next_step(study: BestStudy) -> doc.NextStep:
-    """Return the command that moves from the initial stance to the best one.
+    """Return the next command: ``path``, with the best stance as goal.
 
-    This command is ``path``. The result is ``stand`` instead if the best stance fails, and
-    ``workspace`` if its task specifies absolute foot positions, a CoM that is not in the centre, or
-    no height.
+    The result is ``stand`` instead if the best stance fails in simulation (with the payload, if one
+    is sought), and ``workspace`` if its task specifies absolute foot positions, a CoM that is not
+    in the centre, or no height.
     """
     task = study.best.stand.task
     if not study.passed:

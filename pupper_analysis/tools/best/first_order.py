@@ -2,9 +2,9 @@
 
 `SmallPayload.compute_rows` returns linear constraints on the payload mass, `largest_feasible_mass`
 the largest mass that satisfies the constraints. Torques and contact forces are extrapolated from
-two equilibria; the buckling masses are eigenvalues of the stiffness. This limit is smooth and takes
-about a millisecond. The limit is used only as the objective of the search for the best stance;
-`payload_limit` computes the true limit.
+two equilibria; the buckling masses follow from eigenvalues of the stiffness. The limit takes about
+a millisecond. It is used only as the objective of the search for the best stance; `payload_limit`
+computes the limit by simulation.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ class SmallPayload:
     def compute_rows(self, stand: Stand) -> Array | None:
         """Compute the inequalities a + b m >= 0 that a stand imposes on the payload mass m [kg].
 
-        Torques and minimum-tangential contact forces are taken as linear in m, and interpolated
-        between two equilibria, without and with ``mass``. This is exact on level ground, with or
+        Torques and minimum-tangential contact forces are taken as linear in m, on the line through
+        two equilibria, without and with ``mass``. This is exact on level ground, with or
         without steps, while every normal force is positive; it is an approximation on a slope.
 
         Args:
@@ -65,7 +65,7 @@ class SmallPayload:
             The rows state, in this order: the servos do not buckle; torques are within both effort
             limits (relative to the limits); normal forces are positive (relative to the robot's
             weight); and, if the stand has a ``ground_clearance``, no foot sinks by more than this
-            clearance (force relative to the robot's weight).
+            clearance below its depth in the stand (force relative to the robot's weight).
 
         Raises:
             StaticsInfeasibleError: If no contact forces balance the stand without payload or with
@@ -119,8 +119,8 @@ class SmallPayload:
 def largest_feasible_mass(rows: Array) -> float:
     """Compute the largest mass m [kg] that satisfies constraints a + b m >= 0 with b < 0.
 
-    Constraints with b >= 0 are ignored. The mass is infinite if there is no other constraint, and
-    negative if another constraint is violated without payload.
+    Constraints with b >= 0 are ignored. The mass is infinite if no constraint remains, and negative
+    if a remaining constraint is violated without payload.
 
     Args:
         rows: (a, b) of each constraint, shape (k, 2) [1, 1/kg], as in `SmallPayload.compute_rows`.

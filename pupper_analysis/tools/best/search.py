@@ -1,10 +1,10 @@
 """Search for the best stance: a smooth nonlinear program, solved from many initial guesses.
 
-The level is the objective relative to that of the initial task; smaller is better. Each stance
-yields constraints a + b level >= 0 (`EvaluatedStance.rows`): the smooth functions whose maximum is
-the level, and the slacks of `StanceSpace` (b = 0). SLSQP minimises the level over the coordinates
-and the level itself, first with feet that move together (`StanceSpace.coupled_directions`), then in
-all coordinates.
+The level is the objective, divided by its magnitude in the initial task; smaller is better. Each
+stance yields constraints a + b level >= 0 (`EvaluatedStance.rows`): the smooth functions whose
+maximum is the level, and the slacks of `StanceSpace` (b = 0). SLSQP minimises the level over the
+coordinates and the level itself, first with feet that move together
+(`StanceSpace.coupled_directions`), then in all coordinates.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ gains, because a descent can stall at a kink."""
 _DESCENT_ITERATIONS = 25
 """Upper bound of the SLSQP iterations of a descent from one of the `_FINALIST_COUNT` best results
 of the first descents, and of a descent from the best stance in which each foot moves independently.
-Chosen."""
+Chosen, not tuned."""
 
 _INDEPENDENT_FEET_ITERATIONS = 10
 """Upper bound of the SLSQP iterations of a descent in which each foot moves independently, from the
@@ -66,8 +66,8 @@ result of a descent in which the feet move together. Chosen small: without deriv
 form, an iteration evaluates a stance per coordinate (14 with four feet)."""
 
 _MIN_RELATIVE_GAIN = 3e-4
-"""Smallest decrease of the level (scaled objective) by a descent, relative to the level, with which
-another descent starts from the result. Chosen, not tuned."""
+"""Decrease of the level (scaled objective) by a descent, relative to the level, above which another
+descent starts from the result. Chosen, not tuned."""
 
 _SLSQP_FTOL = 1e-5
 """Tolerance ``ftol`` of SLSQP: decrease of the level (scaled objective) in an iteration below which
@@ -75,7 +75,8 @@ a descent ends. Chosen, not tuned."""
 
 _DIFFERENCE_STEP = 1e-6
 """Finite-difference step of the constraint Jacobian, relative to the interval between the bounds,
-if derivatives are not known in closed form (`StanceSearch.differentiate_rows`). Chosen."""
+if derivatives are not known in closed form (`StanceSearch.differentiate_rows`). Chosen, not
+tuned."""
 
 _SLACK_REDUCTION = 1e-6
 """Amount by which the nonlinear program reduces the slacks (distances from the bounds) of its
@@ -126,7 +127,8 @@ class EvaluatedStance:
 _MIN_LEVEL_STEP = 0.2
 """Smallest step between the objectives of two stances that are simulated in succession, because the
 better stances failed in simulation; relative to the difference between the objectives of the
-initial and the best stance. At most five stances follow the best stance. Chosen, not tuned."""
+initial and the best stance. The step to the initial stance, which is the last, may be smaller. At
+most five stances follow the best stance. Chosen, not tuned."""
 
 
 class StanceSearch:
@@ -214,6 +216,9 @@ class StanceSearch:
     def evaluate(self, coordinates: Array, near: Stand | None = None) -> EvaluatedStance | None:
         """Evaluate the stance with given coordinates, and update the best stance of this search.
 
+        The result is stored in ``known``; later calls with equal coordinates return this result,
+        whatever ``near`` is.
+
         Args:
             coordinates: Coordinates in the search space (`StanceSpace`), shape (n,) [m or rad].
             near: Stand with almost the same coordinates; see `StanceSpace.find_stand`.
@@ -237,12 +242,12 @@ class StanceSearch:
         return stance
 
     def list_next_best(self) -> Iterator[EvaluatedStance]:
-        """Yield allowed stances from the second best to worse ones, then the initial task's stance.
+        """Yield worse allowed stances, from better to worse, then the stance of the initial task.
 
         Stances of almost equal level (scaled objective, smaller is better) are skipped: each level
         exceeds that of the stance before (at first the best) by at least ``_MIN_LEVEL_STEP`` times
         the difference between the initial and the best level. Stances that are not better than the
-        initial task's are skipped, too.
+        initial stance are skipped, too.
         """
         allowed = [stance for stance in self.known.values() if stance and stance.allowed]
         step = _MIN_LEVEL_STEP * (self.nominal.level - self.best.level)
@@ -286,8 +291,8 @@ class StanceSearch:
             slack: Constraint slacks of the stand.
 
         Returns:
-            Level [1], the smallest number that satisfies a + b level >= 0 for all rows (a, b); and
-            the rows, shape (k, 2).
+            Level [1], the smallest number that satisfies a + b level >= 0 for all rows (a, b), for
+            the payload only for the rows with b > 0; and the rows, shape (k, 2).
 
         Raises:
             NoEquilibriumError: If the objective is the payload, and the servos do not hold the
@@ -358,8 +363,8 @@ class StanceSearch:
         """Search for the best stance, and store it in ``best``.
 
         First the feet move together, then independently. Each of the last optimisations (SLSQP)
-        starts at the best stance found, and is repeated while the objective decreases. Nothing is
-        done if no coordinate can change.
+        starts at the best stance found, and is repeated while the level decreases by more than
+        `_MIN_RELATIVE_GAIN`. Nothing is done if no coordinate can change.
         """
         space = self.space
         if not (space.high > space.low).any():
@@ -404,8 +409,8 @@ class StanceSearch:
     def merit(self, stance: EvaluatedStance | None) -> float:
         """Return the merit of a stance [1], to be minimised: level (scaled objective) + penalty.
 
-        The penalty is `_CONSTRAINT_PENALTY` times the sum of the violations (negative slacks of the
-        constraints). Infinite for None.
+        The penalty is `_CONSTRAINT_PENALTY` times the sum of the violations of the constraints that
+        do not depend on the level. Infinite for None.
         """
         if stance is None:
             return np.inf
@@ -455,8 +460,8 @@ class StanceSearch:
             a and b are the columns of ``evaluate_rows``. The first columns of the Jacobian are the
             derivatives in closed form (`differentiate_rows`), if these are known. Otherwise they
             are one-sided differences with step ``_DIFFERENCE_STEP`` in each scaled coordinate (0 to
-            1); such a column is zero if neither side has a stand. The last column, b, is the exact
-            derivative with respect to the level.
+            1), forward or backward; such a column is zero if neither side has a stand. The last
+            column, b, is the exact derivative with respect to the level.
 
             Args:
                 values: Scaled coordinates, then the level, shape (size + 1,).

@@ -2,7 +2,8 @@
 
 A stance is a vector of coordinates: base height, base x and y, roll, pitch, yaw, and the horizontal
 displacement of each free foot. `StanceSpace` converts coordinates to stand tasks and stands, and
-computes the slacks of a stand (`StanceSlack`), which are all >= 0 if the stand is allowed.
+computes the slacks of a stand (`StanceSlack`). All slacks of an allowed stand are >= 0, up to
+`JOINT_LIMIT_OVERSHOOT` at the joint limits.
 """
 
 from __future__ import annotations
@@ -35,15 +36,16 @@ _BASE_ROTATIONS = ("roll", "pitch", "yaw")
 
 HEIGHT_RESERVE = 0.05
 """Fraction of the reachable height interval that is excluded at either end, because the legs are
-stretched or folded there. Chosen."""
+stretched or folded there. Chosen, not tuned."""
 
 MAX_OUTWARD_STEP = 0.25
 """Largest outward displacement of a foot from its initial position along x or y, relative to the
-largest reachable base height. Chosen."""
+largest reachable base height; upper bound of the inward displacement, too. Chosen, not tuned."""
 
 MAX_INWARD_STEP = 0.5
 """Bound of the search: largest displacement of a foot towards the centre of the feet along x or y,
-relative to the smallest distance of a movable foot from this centre along that axis. Chosen."""
+relative to the smallest distance of a free foot from this centre along that axis. The bound of
+`MAX_OUTWARD_STEP` applies, too. Chosen, not tuned."""
 
 MAX_BASE_ROTATION = 0.3
 """Bound of the search: largest difference of the base's roll, pitch and yaw from the initial task
@@ -53,19 +55,20 @@ MIN_SINGULAR_VALUE_RATIO = 0.5
 """Lower bound of the smallest singular value of a leg's Jacobian, relative to the initial stand.
 
 The singular value of a stretched leg is zero: the leg carries a large load without torque, but a
-push topples the robot. The value is chosen.
+small push may topple the robot. Chosen, not tuned.
 """
 
 JOINT_RESERVE = 0.02
 """Distance from the joint limits [rad, m] that is required in addition to the task's joint margin,
 if the initial stand has as much. The reserve covers the deflection of servos, and the extension of
-legs whose feet sink into soft ground. Chosen. Without a reserve, a small disturbance is enough to
-fail: with the knees of Go1 at their limits, the computed payload was 61 kg, but 1 kg failed."""
+legs whose feet sink into soft ground. Chosen, not tuned. Without a reserve, a small disturbance is
+enough to fail: with the knees of Go1 at their limits, the computed payload was 61 kg, but 1 kg
+failed."""
 
 JOINT_LIMIT_OVERSHOOT = 1e-4
-"""Largest amount [rad] by which a joint may enter the reserve at its limits (`JOINT_RESERVE`): the
-optimiser slightly violates this constraint while it follows it. The reserve is at least this
-amount, so the joint stays within its limits and the task's margin. Chosen."""
+"""Largest amount [rad, m] by which a joint may enter the reserve at its limits (`JOINT_RESERVE`):
+the optimiser slightly violates this constraint while it follows it. The reserve is at least this
+amount, so the joint stays within its limits and the task's margin. Chosen, not tuned."""
 
 MIN_MOTION_RCOND = 1e-6
 """Smallest over largest singular value of the contact points' Jacobian by the joints, below which
@@ -81,7 +84,9 @@ tuned."""
 
 @dataclass(frozen=True, eq=False)
 class StanceSlack:
-    """Constraint slacks of a stance; all are >= 0 if the stance is allowed.
+    """Constraint slacks of a stance.
+
+    In an allowed stance all slacks are >= 0, those of the joints >= -`JOINT_LIMIT_OVERSHOOT`.
 
     Attributes:
         singular_values: Shape (n,); smallest singular value of the Jacobian of each contact point
@@ -90,8 +95,9 @@ class StanceSlack:
             the joint margin and the reserve. Values are at most 1.
         edges: Shape (m,) [m]; signed distances of the projected CoM from the edges of the support
             polygon, less the CoM margin. The order is continuous in the positions of the feet.
-        penetration: Negative total penetration [m] of pairs of geoms that do not touch in the
-            initial stand; zero if there is none.
+        penetration: Negative total penetration [m] of pairs of geoms that do not penetrate each
+            other in the initial stand; zero if there is none. Contacts of feet with the ground or
+            with feet are left out.
     """
 
     singular_values: Array
@@ -103,7 +109,8 @@ class StanceSlack:
         """Return the constraint slacks of a stance as a vector for the nonlinear program, (n,).
 
         The order is that of the attributes: ``singular_values``, ``joints``, ``edges``,
-        ``penetration``. Lengths [m] are multiplied by 10, to have the magnitude of the others.
+        ``penetration``. ``edges`` and ``penetration`` [m] are multiplied by 10, to have the
+        magnitude of the others.
 
         Args:
             reduction: Small number that is subtracted from the entries, so that the program ends
@@ -291,7 +298,7 @@ class StanceSpace:
         return stand.for_task(task) if stand is not None and stand.solved else None
 
     def compute_slack(self, stand: Stand) -> StanceSlack:
-        """Compute the slacks of the constraints on a stand; an allowed stand has slacks >= 0.
+        """Compute the slacks of the constraints on a stand (`StanceSlack`).
 
         The constraints bound the singular values of the legs' Jacobians, the joint positions, the
         CoM margin [m] and penetrations that the initial stand does not have [m].
@@ -326,8 +333,9 @@ class StanceSpace:
 
         Returns:
             A velocity per coordinate, in the order of ``qvel``, shape (nv, n). None if the contact
-            points do not determine the joints (redundant or singular legs), or if the robot or the
-            task has closed loops, hands, welds or contacts with separate planes.
+            points do not determine the joints (redundant or singular legs), if the joints cannot
+            move the points as required (`MAX_MOTION_RESIDUAL`), or if the robot or the task has
+            closed loops, hands, welds or contacts with separate planes.
         """
         robot, task = self.robot, stand.task
         if robot.closure is not None or robot.hands or robot.fixed_parts or task.contacts:
@@ -367,8 +375,8 @@ class StanceSpace:
                 `compute_motions`.
 
         Returns:
-            Shape (k, n); the row of the penetration is zero. None if the support region is not the
-            convex hull of the contact points.
+            Shape (k, n); the row of the penetration is zero. None if the corners of the support
+            region (`Stand.corners`) are not the contact points.
         """
         contacts = np.array([*stand.contact_points.values()])
         if not np.array_equal(stand.corners(self.robot), contacts[:, :2]):
