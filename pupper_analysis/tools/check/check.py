@@ -150,10 +150,10 @@ class RepositoryCheck(Result):
         baseline: Path of the baseline; None if there is no file.
         pairs: Result for each pair.
         remarks: All remarks, failing remarks first, with the state in the baseline.
-        failures: Number of failing findings: not in the baseline, and as severe as ``fail-on``.
-            Differences with the same cause or the same values count once.
+        failures: Number of failing findings: not in the baseline, and at least as severe as
+            ``fail-on``. Differences with the same cause or the same values count once.
         stale: Entries of the baseline that no longer occur; removed if the baseline was rewritten.
-            Empty if a file cannot be read.
+            Empty if a file cannot be read or compared.
         updated: Whether the baseline was rewritten.
         passed: Whether there are no failures.
     """
@@ -175,23 +175,25 @@ def check_repository(
 ) -> RepositoryCheck:
     """Compare and audit all models listed in a ``pupper-analysis.toml``.
 
-    Findings in the baseline with the same value pass. A file that cannot be read is a failure; the
-    other files are checked nevertheless.
+    Findings in the baseline with the same value pass. A file that cannot be read or compared is a
+    failure; the other files are checked nevertheless.
 
     Args:
         config: Configuration; by default the file in the current folder or a folder above.
-        update_baseline: Write all findings to the baseline, unless a file cannot be read.
+        update_baseline: Write all findings, except changes since a revision, to the baseline,
+            unless a file cannot be read or compared.
         since: Revision of git. Changes since this revision are reported with the effects. A change
-            is an error if the robot falls or MuJoCo diverges. Changes are never in a baseline.
+            is an error if the robot falls or MuJoCo diverges. Changes are never written to a
+            baseline.
 
     Returns:
         Result for each pair, and all remarks.
 
     Raises:
         ConfigurationError: If there is no configuration, or ``config`` is the text of a model.
-        ModelError: If the configuration or the baseline is invalid (with the line), or git does not
-            contain the revision.
-        OutputError: If the baseline cannot be written.
+        ModelError: If the configuration or the baseline is invalid (mostly with the line), or the
+            files of the revision cannot be read, for example without git or repository.
+        OutputError: If the baseline cannot be written, or this run writes a file of the check.
     """
     require_path("config", config)
     settings = read_config(Path(config) if config is not None else find_config())
@@ -207,7 +209,7 @@ def check_repository(
     if since is not None:
         all_remarks += _list_changes_since(settings, since, all_remarks)
     known, stale = mark_known_remarks(_drop_repeated(all_remarks), before.entries)
-    # If a file cannot be read, no entry is stale and no baseline is written.
+    # If a file cannot be read or compared, no entry is stale and no baseline is written.
     is_complete = not _has_refusal(known)
     if update_baseline and is_complete:
         known = tuple(replace(remark, known=remark.check != "diff") for remark in known)
@@ -326,7 +328,7 @@ def _check_pair_files(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[
 
 
 def _has_refusal(remarks: Iterable[Remark]) -> bool:
-    """Return True if a file could not be read, or a comparison failed."""
+    """Return True if a file could not be read, or a comparison or another tool's check failed."""
     return any(remark.kind == REFUSED_KIND for remark in remarks)
 
 

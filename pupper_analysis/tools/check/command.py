@@ -115,7 +115,8 @@ def _find_typed_config(config: Path | None, folder: Path | None) -> Path:
     """Return the typed configuration file, or the one of the typed or the current folder.
 
     Raises:
-        ConfigurationError: If both were typed, or the folder is a file or has no configuration.
+        ConfigurationError: If both were typed, or the folder does not exist, is a file, or has no
+            configuration in it or above it.
     """
     from pupper_analysis.base.diagnostics import diagnose
     from pupper_analysis.base.errors import ConfigurationError

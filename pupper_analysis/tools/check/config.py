@@ -1,7 +1,8 @@
 """Configuration ``pupper-analysis.toml``: models to be checked, and settings.
 
 `read_config` converts the file to a `GuardConfig`: the pairs of files, with patterns expanded, and
-the settings. Unknown keys, invalid values and missing files are errors with the line of the key.
+the settings. Unknown keys, invalid values and missing files are errors, with the line of the key if
+the key is in the file.
 `write_config` writes a first configuration from the models below a folder.
 """
 
@@ -50,10 +51,11 @@ class GuardedPair:
         urdf: URDF; None without.
         mjcf: MJCF; None without. With both, the files are compared.
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
-        feet: Frames that are compared; all common frames if empty.
+        feet: Frames that are compared, as named in the MJCF; all common frames if empty.
         packages: {ROS package: folder}.
         tolerances: Tolerances of the comparison.
-        strict: Whether names, damping that a URDF does not state, and tilts are differences.
+        strict: Whether names, damping and friction that a URDF does not state, and tilts of a fixed
+            base are differences. The default of all tolerances is then 1e-9.
         disabled: {disabled audit rule: reason}.
         guards: {tool: sources to compare with the models}, for tools with a ``guard.py``.
     """
@@ -76,7 +78,7 @@ class GuardConfig:
 
     Attributes:
         path: Path of the configuration. Relative paths in the file refer to its folder.
-        pairs: Robots.
+        pairs: Files of each robot.
         fail_on: Lowest severity of a failing finding.
         baseline: Path of the baseline, which need not exist.
     """
@@ -104,7 +106,10 @@ def find_config(start: Path | None = None) -> Path:
 
 
 def is_include_part(path: Path) -> bool:
-    """Return True if a file is a part that other MJCFs include (root element ``mujocoinclude``)."""
+    """Return True if a file is a part that other MJCFs include (root element ``mujocoinclude``).
+
+    False for a file that cannot be read.
+    """
     try:
         # No entities and no network access: the files are not trusted.
         parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
@@ -118,8 +123,9 @@ def read_config(path: Path) -> GuardConfig:
     """Read a ``pupper-analysis.toml``: pairs of model files, tolerances and settings.
 
     Raises:
-        ModelError: If the file cannot be read, or contains an invalid key or value. The message
-            states the line and the valid keys or values.
+        ModelError: If the file cannot be read, lacks a required key, contains an invalid key or
+            value, or names a missing file. The message states the line, if known, and the valid
+            keys or values.
     """
     try:
         text, values = read_toml(path)
@@ -242,7 +248,7 @@ class _ConfigReader:
         self._text, self._entry = text, 0  # index of the current [[pair]]
 
     def make_error(self, key: KeyPath, message: Diagnostic) -> ModelError:
-        """Return the error for a key of the configuration, with the line of the key."""
+        """Return the error for a key of the configuration, with the line of the key, if found."""
         return ModelError(source_name(self.path, find_key_line(self._text, key)), message)
 
     def locate_key(self, *key: str) -> KeyPath:
@@ -319,7 +325,8 @@ class _ConfigReader:
     def match_files(self, pattern: str, key: str) -> list[str]:
         """Return the paths of the files that a pattern matches, relative to the configuration.
 
-        Files that other MJCFs include are left out. ``key`` names the pattern in an error.
+        Files with the root element ``mujocoinclude`` are left out. ``key`` names the pattern in an
+        error.
 
         Raises:
             ModelError: If no file matches, or the pattern is not valid.
@@ -375,7 +382,9 @@ class _ConfigReader:
         )
 
     def resolve_file(self, key: str, text: str) -> Path:
-        """Return the path of an existing file, relative to the configuration.
+        """Return the path of an existing file that the configuration names.
+
+        Relative paths in the configuration refer to its folder.
 
         Args:
             key: Key of the [[pair]]: ``urdf``, ``mjcf``, or the name of a tool such as
@@ -383,7 +392,7 @@ class _ConfigReader:
             text: Path in the configuration.
 
         Raises:
-            ModelError: If there is no such file.
+            ModelError: If there is no such file (or, for a tool, folder).
         """
         path, source = self.folder / text, self.folder / text.rpartition(":")[0]
         if not (is_input(path) or (key not in _PAIR_KEYS and (path.is_dir() or source.is_file()))):
@@ -392,7 +401,9 @@ class _ConfigReader:
         return path
 
     def resolve_package(self, name: str, folder: str) -> Path:
-        """Return the folder of the ROS package ``name``, relative to the configuration.
+        """Return the folder of the ROS package ``name``.
+
+        A relative path in the configuration refers to its folder.
 
         Raises:
             ModelError: If there is no such folder.

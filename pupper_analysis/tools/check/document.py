@@ -80,12 +80,12 @@ def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
 
 
 def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
-    """Return the command that details the first failing finding, or simulates the first pair.
+    """Return the command that details the first failing finding, or examines the first pair.
 
     If nothing fails and the baseline has stale entries, the command updates the baseline. A pair
     whose differences are known is compared by ``crosscheck``; a pair that agrees is simulated by
-    ``stand``, or by ``hold`` if its base is fixed. None for a failing change or finding of another
-    tool, and if no pair has two files.
+    ``stand``, or by ``hold`` if its base is fixed. The first pair is the first with two files. None
+    for a failing change or finding of another tool, and if no pair has two files.
     """
     if check.stale and not check.updated and not check.failures:
         return doc.NextStep("check", ("--update-baseline",))
@@ -143,7 +143,7 @@ def _is_audit_rule(remark: Remark) -> bool:
 def _make_remark_block(group: list[Remark]) -> doc.FileFinding:
     """Create the block of a group of remarks: message, quoted lines, effects and repair.
 
-    A group are remarks with the same cause or the same values; the first defines the message.
+    A group contains remarks with the same cause or the same values; the first defines the message.
     """
     first, *others = group
     notes: list[doc.Words] = []

@@ -28,36 +28,42 @@ from pupper_analysis.tools.audit.audit import RULES, Audit
 from pupper_analysis.tools.check.config import GuardedPair
 
 NUM_DIGITS = 9
-"""Significant digits of values in the baseline. Further digits are rounding errors."""
+"""Significant digits of values in the baseline. Further digits may be rounding errors. Chosen, not
+tuned."""
 
 
 REFUSED_KIND = "refused"
-"""Value of ``Remark.kind`` for a file that cannot be read, or a failed comparison. The baseline
-never accepts such a remark."""
+"""Value of ``Remark.kind`` for a file that cannot be read, or a failed comparison or check of
+another tool. The baseline never accepts such a remark."""
 
 
 @dataclass(frozen=True, eq=False)
 class Remark(Result):
-    """Difference between two files, or finding in a file.
+    """Difference between two files, finding in a file, or change since a revision.
 
     Attributes:
         check: ``crosscheck``, ``audit``, ``diff`` for changes since a revision, or the name of
             another tool, such as ``contract``.
         pair: Name of the pair; "" for an audit finding, which belongs to the file.
-        kind: Kind of the difference; ``joint``, ``part`` or ``agreement``; audit rule; or
-            ``refused`` if the file could not be read.
-        element: Joint, body, frame or other element; "" if the remark concerns the whole file.
+        kind: Kind of the difference, change or finding; ``joint``, ``part`` or ``agreement``; audit
+            rule; ``simulation`` for the effect of all changes; or ``refused`` if the file could not
+            be read or compared.
+        element: Joint, body, frame or other element; "" if the remark concerns the whole file; name
+            of the pair if the file could not be read or compared.
         file: File; for a difference, the URDF. Path relative to the configuration, with ``/``.
         values: Values in the baseline: both values of a difference, or code and values of the
             diagnostic.
         severity: Severity.
         diagnostic: Message.
-        place: ``file:line``, a path that can be opened.
-        other_place: Place of a difference in the MJCF.
+        place: ``file:line``, a path that can be opened, without the line if unknown; None if no
+            place is known.
+        other_place: Second place: of a difference in the MJCF, or of another tool's finding; None
+            if there is none.
         known: Whether the baseline contains the remark with the same values.
         fails: Whether the remark makes the check fail: not known, and severe enough.
         cause: Mistake that explains this difference together with others.
-        consequences: Effects of a change since a revision, in a simulation.
+        consequences: Effects of a change since a revision, in a simulation, or effects that another
+            tool states.
     """
 
     check: str
@@ -94,7 +100,8 @@ class Remark(Result):
     def finding(self) -> tuple[object, ...]:
         """Key of the finding to which this remark belongs, for counts and groups.
 
-        Remarks with the same cause, or the same values at several elements, have equal keys.
+        Remarks of a pair and file with the same cause, or the same values at several elements, have
+        equal keys.
         """
         what = (self.kind, str(self.values)) if self.cause is None else (str(self.cause),)
         return self.check, self.pair, self.file, self.known, *what
@@ -199,10 +206,10 @@ def list_guard_remarks(
 def make_error_remark(
     error: PupperAnalysisError, check: str, pair: GuardedPair, path: Path, folder: Path
 ) -> Remark:
-    """Create the remark about a file that cannot be read, or a failed comparison.
+    """Create the remark about a file that cannot be read, or a failed comparison or other check.
 
     Args:
-        error: Error of the audit or comparison.
+        error: Error of the audit, the comparison or another tool.
         check: ``audit``, ``crosscheck`` or the name of another tool.
         pair: Pair of the file.
         path: File.
@@ -270,7 +277,7 @@ def relative_path(file: str | Path, folder: Path) -> str:
 
 
 def to_rounded_plain(value: Any) -> Any:
-    """Convert a value to JSON types, with numbers of `NUM_DIGITS` digits.
+    """Convert a value to JSON types, with floats rounded to `NUM_DIGITS` significant digits.
 
     The baseline, a file with known remarks, contains the result. A diagnostic becomes a table with
     its code and values, in SI units.
@@ -286,7 +293,7 @@ def to_rounded_plain(value: Any) -> Any:
         return to_rounded_plain(np.array(value.values))
     if isinstance(value, np.ndarray):
         largest = float(np.abs(value).max(initial=0.0))
-        # Values below 1e-12 of the largest are rounding errors of a machine.
+        # Values below 1e-12 of the largest may be rounding errors, which depend on the machine.
         return to_rounded_plain(np.where(np.abs(value) > 1e-12 * largest, value, 0.0).tolist())
     if isinstance(value, np.generic):
         return to_rounded_plain(value.item())
@@ -384,8 +391,8 @@ def read_baseline(path: Path) -> Baseline:
     """Read the accepted remarks and the comments of a baseline; empty if the file does not exist.
 
     Raises:
-        ModelError: If it cannot be read, or a line is neither a comment nor an entry; the error has
-            the line.
+        ModelError: If the file cannot be read, or a line is neither a comment nor an entry; the
+            error has the line, if known.
     """
     try:
         content = read_input(path, MAX_TEXT_BYTES)
