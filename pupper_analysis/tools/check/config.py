@@ -14,7 +14,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, Final, NamedTuple
 
 from lxml import etree
@@ -300,7 +300,9 @@ class _ConfigReader:
             ("pair", self._entry),
             {**_PAIR_KEYS, **dict.fromkeys(find_tool_modules("guard"), _NAMES_VALUE)},
         )
-        patterns = {kind: entry[kind] for kind in ("urdf", "mjcf") if kind in entry}
+        patterns = {
+            kind: PurePath(entry[kind]).as_posix() for kind in ("urdf", "mjcf") if kind in entry
+        }  # without "./" and "//", as in the paths of the matches
         if not any(char in text for text in patterns.values() for char in _WILDCARDS):
             yield self.make_pair(entry)
             return

@@ -222,3 +222,15 @@ def test_line_of_each_key_is_that_of_its_statement() -> None:
     assert lines[line - 1].startswith("module = ")
     for key in (("tool", "nothing"), ("project", "dependencies", 99), ("project", 0)):
         assert config.find_key_line(text, key) is None
+
+
+def test_pattern_with_a_leading_dot_keeps_all_pairs_and_their_names(tmp_path: Path) -> None:
+    """Two names with the same third letter: the prefix is cut from the path without "./"."""
+    for name in ("abc", "xyc"):
+        for kind, suffix in (("urdf", "urdf"), ("mjcf", "xml")):
+            (tmp_path / kind).mkdir(exist_ok=True)
+            (tmp_path / kind / f"{name}.{suffix}").write_text("<robot/>")
+    text = '[[pair]]\nname = "all"\nurdf = "./urdf/*.urdf"\nmjcf = "mjcf//*.xml"\n'
+    pairs = read_config(write_config(tmp_path, text)).pairs
+    assert [pair.name for pair in pairs] == ["all/abc", "all/xyc"]
+    assert all(pair.urdf is not None and pair.mjcf is not None for pair in pairs)
