@@ -62,9 +62,9 @@ the spectrum is evaluated. Chosen, not tuned."""
 
 _MAX_SLOW_SPEED = 0.02
 """Largest velocity of any degree of freedom within the last ``_SLOW_DURATION`` [m/s, rad/s] with
-which a pushed robot may count as at rest. A robot that almost tips may be as slow for a while;
-therefore the eigenvalues of the linearised motion (spectrum) are evaluated then, which contain the
-mode of the fall. Chosen, not tuned."""
+which the simulation of a push may end early, before the requested time. A robot that almost tips
+may be as slow for a while; therefore the eigenvalues of the linearised motion (spectrum) are
+evaluated then, which contain the mode of the fall. Chosen, not tuned."""
 
 _SAMPLE_TIME = 0.004
 """Time between the states whose ground contacts are evaluated [s]. Chosen, not tuned."""
@@ -87,8 +87,8 @@ counts as at rest. The motion is predicted from the speed for the remaining time
 
 _SPEED_FACTOR = 1.5
 """Safety factor on the motion of the base that is predicted from its speed for the remaining time,
-since the measured speed of an oscillation may be small for a while. A robot at rest has a predicted
-motion below `_MAX_REMAINING_RATIO`. Chosen, not tuned."""
+since the measured speed of an oscillation may be small for a while. The product is compared with
+`_MAX_REMAINING_RATIO`. Chosen, not tuned."""
 
 _STILL_RATIO = 0.01
 """Fraction of the bound `_MAX_REMAINING_RATIO`. If the predicted motion of the base is at most this
@@ -115,7 +115,7 @@ class PushSettings(SimulationSettings):
 
 
 class MotorSamples(NamedTuple):
-    """Samples of a simulated push.
+    """Motor torques and joint speeds in a simulated push.
 
     Attributes:
         torques: Motor torques at the joints, shape (n, nu) [N m; N of a slide].
@@ -135,11 +135,11 @@ class PushBench:
     Attributes:
         held: Initial state at rest, with the servo commands.
         axes: Push directions, horizontal unit vectors in the world, shape (n, 2).
-        duration: Simulated time of a push [s].
+        duration: Simulated time of a push [s], unless the outcome is decided earlier or later.
         feedforward: Whether ctrl = q* + tau / kp (otherwise ctrl = q*).
         failures_without_push: Failures without a push, from ``verify_stand``; empty if the robot
             stays on its feet.
-        rollouts: Number of simulated pushes so far, including simulations without a push.
+        rollouts: Number of simulated pushes so far, including a simulation without a push, if any.
         simulated: Simulated time of these pushes [s].
     """
 
@@ -169,7 +169,7 @@ class PushBench:
 
     @cached_property
     def creep_speed(self) -> float:
-        """Largest speed of the base at the end of a simulation without a push [m/s].
+        """Largest speed of the base in the last ``_REST_DURATION`` of a run without a push [m/s].
 
         The speed is not zero, because feet creep with MuJoCo's regularised friction.
         """
@@ -198,10 +198,10 @@ class PushBench:
         """Simulate pushes until each outcome is decided, and return the failure of each or None.
 
         None means that the robot recovers. A simulation ends early if it diverges, if a body other
-        than a foot touches the ground, or if the robot is at rest and no mode of the linearised
-        dynamics leaves that state. If the robot is not at rest after ``duration``, the simulation
-        goes on until the robot rests or falls, up to ``MAX_DURATION_RATIO`` times the duration. A
-        slow fall does not count as rest (``_will_rest``).
+        than a foot touches the ground, or if the robot is at rest and no growing mode of the
+        linearised dynamics leaves that state. If the robot is not at rest after ``duration``, the
+        simulation goes on until the robot rests or falls, up to ``MAX_DURATION_RATIO`` times the
+        duration. A slow fall does not count as rest (``_will_rest``).
 
         Args:
             directions: Index of each push's direction in ``axes`` (horizontal unit vectors in the
@@ -314,7 +314,8 @@ class PushBench:
     def extend_until_rest(self, states: Array) -> Array:
         """Continue a complete simulation while its only failure is that the base still moves.
 
-        The simulation is continued up to ``MAX_DURATION_RATIO`` times the duration.
+        The continuation ends at the latest when a body other than a foot touches the ground. The
+        simulation is continued up to ``MAX_DURATION_RATIO`` times the duration.
 
         Args:
             states: States of a simulation of ``duration``, shape (n, size).
@@ -401,13 +402,15 @@ class PushBench:
 
         Motion: the predicted motion of the base, ``_SPEED_FACTOR`` v min(T, 1 / d), must be at most
         ``_MAX_REMAINING_RATIO`` of the CoM height. v is the speed of the base (less the creep speed
-        without a push, if the motion is too large otherwise), d the rate at which v decreases, and
-        T the remaining time of the longest simulation, at least ``HOLD_DURATION``.
+        without a push, if the motion is too large otherwise), d the relative rate at which v
+        decreases (0 if it does not), and T the remaining time of the longest simulation, at least
+        ``HOLD_DURATION``.
 
-        Modes: none may double within the longest simulation, with both finite-difference steps.
-        Near a saddle point a robot almost stops before it falls (v3-long-leg: 0.1 mm/s after 14 s,
-        and on its shanks after 35 s). At the end of the longest simulation, modes are ignored if
-        the speed decreases, or if the motion is at most ``_STILL_RATIO`` of the bound.
+        Modes: none may grow within the longest simulation (`Mode.grows_within`) with both
+        finite-difference steps. Modes that grow only without dry friction are ignored. Near a
+        saddle point a robot almost stops before it falls (v3-long-leg: 0.1 mm/s after 14 s, and on
+        its shanks after 35 s). At the end of the longest simulation, modes are ignored if the speed
+        decreases, or if the motion is at most ``_STILL_RATIO`` of the bound.
 
         Args:
             states: Last states, at least those of ``_REST_DURATION``, shape (n, size).
@@ -438,11 +441,11 @@ class PushBench:
         """Return True if a pushed robot is at rest at the end of its simulated states.
 
         The robot is upright and slower than `_MAX_SLOW_SPEED` during the last `_SLOW_DURATION`;
-        linearised there, no mode of its motion doubles within `HOLD_DURATION`, and the predicted
-        motion of the base is small (`_will_rest`).
+        linearised there, no mode of its motion grows within `HOLD_DURATION`, with or without dry
+        friction, and the predicted motion of the base is small (`_will_rest`).
 
         Args:
-            states: MuJoCo's full states of the last steps, shape (n, 1 + nq + nv + ...).
+            states: MuJoCo's full states of the last steps, shape (n, size): time, qpos, qvel, ...
         """
         model = self.drive.model
         rates = states[-round(_SLOW_DURATION / self.timestep) :, 1 + model.nq :][:, : model.nv]
@@ -456,6 +459,8 @@ class PushBench:
 
     def simulate_motors(self, direction: int, impulse: float) -> MotorSamples:
         """Simulate a push, and return torques and speeds of the joints at all time steps.
+
+        The simulation lasts ``duration``.
 
         Args:
             direction: Index of the push direction in ``axes``.
@@ -520,8 +525,8 @@ def make_push_bench(
         stand: The stand.
         angles: Directions about the vertical, from the base's forward axis, shape (n,) [rad].
         duration: Simulated time [s].
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own if None.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own if None.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own if None.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own if None.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         integrator: MuJoCo's integrator; the model's own if None.
         verification: Result of ``verify_stand`` with the same arguments; computed if None.
@@ -608,20 +613,22 @@ def simulate_push(
         duration: Simulated time from the start of the push [s], 2 to 600. If the robot is not at
             rest then, the simulation goes on until it rests or falls, up to
             ``MAX_DURATION_RATIO`` times as long.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         integrator: MuJoCo integrator. Default: the model's.
 
     Returns:
-        The outcome, with the motion. If the simulation diverges, the finite states are included.
+        The outcome, with the motion. If the simulation diverges, only finite states are included.
 
     Raises:
-        ConfigurationError: If an argument is out of range, the base is fixed, or the stand contains
-            a weld or grip.
+        ConfigurationError: If an argument is out of range, the stand belongs to another robot,
+            contains a weld or grip, or has contacts that the robot cannot make, or the base is
+            fixed and the stand has feet.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
-            both given, or if the ground cannot be added (``build_on_ground``).
+            both given, or if the ground or a contact cannot be added.
         StaticsInfeasibleError: If no contact forces balance the stand.
+        UnknownNameError: If the robot lacks the foot or frame of a contact of the stand.
     """
     robot = with_stand_contacts(robot, stand)
     check_duration(duration)

@@ -74,9 +74,7 @@ def command(
     fitted = [apply_motors(motors, robot, request.effort) for robot in robots]
     robots = [robot for robot, _ in fitted]
     kp, kd = request.gains(robots[0])
-    with shared.show_progress(
-        f"pushing {', '.join(robot.name for robot in robots)}: some three seconds each"
-    ):
+    with shared.show_progress(f"pushing {', '.join(robot.name for robot in robots)}"):
         results = study_pushes(
             robots,
             task,

@@ -66,8 +66,8 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
 def _select_next_step(pushed: PushedStance) -> NextStep:
     """Return the next command: `best margin` (stance that tips later), or after a failure `stand`.
 
-    If the files explain the failure, it is `crosscheck` or `audit`. If the robot stands and torque
-    limits are unknown, the next command is `audit`.
+    If the files explain the failure, the next command is `crosscheck` or `audit`. If the robot
+    stays on its feet and torque limits are unknown, it is `audit`.
     """
     if pushed.peak_torques is not None:
         return NextStep("audit")
@@ -113,9 +113,10 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
 
 
 def _describe_region(pushed: PushedStance) -> Iterable[doc.Words]:
-    """Yield the motor that is longest beyond its torque-speed region, or closest to its edge.
+    """Yield the text of the motor that is beyond its torque-speed region for the longest time.
 
-    Nothing is yielded without assigned motors.
+    If all motors are within their regions, the text is that of the motor with the largest
+    utilisation. Nothing is yielded without assigned motors, or if the robot falls without a push.
     """
     peaks, times = pushed.region_peaks, pushed.beyond_times
     if peaks is None or times is None:
@@ -133,7 +134,7 @@ def _describe_region(pushed: PushedStance) -> Iterable[doc.Words]:
 
 _MAX_PRINTED_SHARE = 10.0
 """Utilisation of a torque-speed region from which only "> 1000 %" is printed: at the no-load speed
-it is infinite."""
+it is infinite. Chosen, not tuned."""
 
 
 def _make_push_table(pushed: PushedStance) -> doc.Table:
@@ -181,7 +182,7 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
 
     Args:
         pushed: {name of the robot: largest pushes}.
-        rigid: Name of the robot whose tipping estimate is drawn as well, if all values are finite.
+        rigid: Key of the robot whose tipping estimate is drawn as well, if all values are finite.
     """
     series = [
         _make_closed_series(

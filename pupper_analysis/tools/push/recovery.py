@@ -59,25 +59,25 @@ class PushedStance(Result):
         joint_names: (nu,) joints, in actuator order.
         stand: Pushed stand: the feet penetrate the simulated ground; on rigid ground if that stand
             is out of reach or soft loops do not converge (``solve_stand_as_simulated``).
-        recovery: Largest pushes in MuJoCo; upper bounds if ``code`` is ``unknown``, since a motor
-            without a torque limit is simulated with unlimited torque.
+        recovery: Largest pushes in MuJoCo; if ``code`` is ``unknown``, a motor without a stated
+            torque limit is simulated with unlimited torque.
         impulse: Impulse in the weakest direction [N s]; not a number if ``code`` is ``unknown``.
         code: ``unknown`` if a motor that carries the robot has an unknown torque limit; else
             ``zero`` if a motor has no torque, else ``stated``.
-        unknown_limits: Joints that carry a foot or are coupled, and whose torque limit no file
-            states.
-        peak_torques: (nu,) largest |torque| of each motor during the weakest push of ``recovery``
-            [N m or N]; None if ``unknown_limits`` is empty, or the robot does not stand without a
-            push.
+        unknown_limits: Joints with a motor that move a foot or hand, or belong to a closed loop or
+            coupling, and whose torque limit no file states.
+        peak_torques: (nu,) largest |torque| of the motor at each joint during the weakest push of
+            ``recovery`` [N m or N]; None if ``unknown_limits`` is empty, or the robot does not
+            stand without a push.
         torque_units: (nu,) unit of the torque of each motor: N m for a hinge, N for a slide.
         verdict: Verdict of the stance without a push, with feed-forward. A robot that stays on the
-            feet although the verdict fails is pushed as well.
+            feet is pushed even if the verdict fails.
         motors: {joint: name of the assigned motor}.
         region_peaks: (nu,) largest torque of each motor during the weakest push of ``recovery``,
             relative to the torque that the motor exerts at its speed; not a number for a joint
             without motor. None without motors, or if the robot does not stand without a push.
         beyond_times: (nu,) time of the weakest push in which each motor is beyond its torque-speed
-            region [s]; None if ``region_peaks`` is.
+            region [s], 0 for a joint without motor; None if ``region_peaks`` is None.
     """
 
     name: str
@@ -109,8 +109,8 @@ class PushedStance(Result):
 
 
 MAX_BEYOND_TIME = 0.01
-"""Longest time for which a motor may be beyond its torque-speed region during a push [s]: single
-steps of an impact are permitted. Chosen, not tuned."""
+"""Largest total time for which a motor may be beyond its torque-speed region during a push [s]:
+single steps of an impact are permitted. Chosen, not tuned."""
 
 
 def study_pushes(
@@ -123,15 +123,15 @@ def study_pushes(
     resolution: float = 0.02,
     motors: Mapping[str, Mapping[str, Motor]] | None = None,
 ) -> dict[str, PushedStance]:
-    """Find the largest pushes of robots in a stance (about three seconds per robot).
+    """Find the largest pushes of robots in a stance (about three seconds for a Pupper).
 
     The stands of all robots are solved before the first robot is pushed.
 
     Args:
         robots: Robots with different names.
         task: Task of all stands.
-        kp: Servo stiffness [N m/rad], a scalar or (nu,); the model's own by default.
-        kd: Servo damping [N m s/rad], a scalar or (nu,); the model's own by default.
+        kp: Servo stiffness [N m/rad, N/m], a scalar or (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad, N s/m], a scalar or (nu,); the model's own by default.
         directions: Number of directions, evenly spaced, the first direction forward; 3 to 360.
         resolution: Resolution of the impulses [N s].
         motors: {name of the robot: {joint: motor}}, whose torque-speed regions the torques of the
@@ -144,12 +144,14 @@ def study_pushes(
     Raises:
         StanceUnreachableError: If the stance is out of reach.
         StaticsInfeasibleError: If no contact forces balance the stance: a robot slides or tips.
-        NotSettlingError: If the penetration depths of the feet do not converge.
+        NotSettlingError: If the penetration depths of the feet do not converge, for a robot without
+            closed loops.
         ConfigurationError: If the task, or another argument, is invalid for a robot, the base is
             fixed, or the stand contains a weld or grip.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
-        ModelError: If a robot has no position servos, and kp and kd are not both given; or the mass
-            or inertia of a body is invalid.
+        ModelError: If a joint has no motor, or no position servo and kp and kd are not both given;
+            if the mass or inertia of a body is invalid; if the ground or a contact cannot be added;
+            or if a number of an assigned motor is unknown.
     """
     stands = [solve_stand(robot, task) for robot in robots]
     results = {}
@@ -218,8 +220,11 @@ def _compare_with_regions(
     """Compare the torques of a push with the torque-speed regions of motors.
 
     Returns:
-        Largest torque relative to the torque that the motor exerts at its speed, NaN without motor,
-        and time beyond the region [s], shape (nu,) each.
+        Largest torque relative to the torque that the motor exerts at its speed, NaN without motor;
+        and time beyond the region [s], 0 without motor; shape (nu,) each.
+
+    Raises:
+        ModelError: If a number of a motor is unknown.
     """
     shares = compute_motor_utilisation(motors, robot.joint_names, samples.torques, samples.speeds)
     peaks: Array = shares.max(axis=0)
@@ -246,8 +251,8 @@ def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
 
 
 CHECKED_LEVELS = 8
-"""Number of pushes per direction, equally spaced below the limit that the bisection found, that are
-simulated to check that the robot survives smaller pushes, too. Chosen, not tuned."""
+"""Largest number of pushes per direction, equally spaced below the limit that the bisection found,
+that are simulated to check that the robot survives smaller pushes, too. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +265,7 @@ class PushRecovery(PushSettings, Tabular):
         impulses: (n,) largest push from which the robot recovers, as from each smaller simulated
             push [N s]; a push that is larger by at most ``resolution`` fails.
         velocity_steps: (n,) changes of the robot's velocity: impulse / mass [m/s].
-        failures: (n,) failure of the larger push.
+        failures: (n,) failure of the larger push, or of the stand without a push.
         bisected_impulses: (n,) result of the bisection [N s], before the check of smaller pushes;
             larger than ``impulses`` if a smaller push failed, or if the push itself failed when
             simulated to the end.
@@ -271,9 +276,9 @@ class PushRecovery(PushSettings, Tabular):
         weakest_failure: Failure in the weakest direction.
         mass: Mass of the robot [kg].
         resolution: Resolution of the impulses [N s].
-        rollouts: Number of simulated pushes.
-        simulated: Simulated time of these pushes [s]; less than ``rollouts * duration`` if the
-            outcomes were decided earlier.
+        rollouts: Number of simulated pushes, including a simulation without a push, if any.
+        simulated: Simulated time of these pushes [s]; less than ``rollouts * duration`` if outcomes
+            were decided earlier, more if simulations were prolonged.
         failures_without_push: Failures without a push, from ``verify_stand``; empty if the robot
             stands, as predicted or not.
     """
@@ -326,34 +331,36 @@ def push_recovery(
 ) -> PushRecovery:
     """Find the largest horizontal push, in each direction, from which a stand recovers.
 
-    The push is a constant force for 20 ms from t = 0 on, at the CoM of the base body, on a robot at
-    rest in balance. The servos hold the stand; without feed-forward the robot starts to sag during
-    the push.
+    The push is a constant force for about 20 ms (whole time steps) from t = 0 on, at the CoM of the
+    base body, on a robot at rest in balance. The servos hold the stand; without feed-forward the
+    robot starts to sag during the push.
 
     A stand that does not stay on the feet in ``verify_stand`` withstands no push.
 
     The robot recovers if only feet touch the ground in the whole simulation, and if at the end the
     base tilts by less than 0.5 rad, the CoM has more than half of its height, and the base is at
-    rest. A slow fall is no rest: the motion extrapolated to the remaining time must be less than a
-    tenth of the CoM height. The robot may slide or turn about the vertical. A simulation ends
-    early if another body touches the ground, or if the robot is at rest and no mode leaves this
-    state; the returned limits were simulated to the end. If the robot is upright at the end and not
-    at rest, the simulation goes on until the robot rests or falls, up to ten times as long.
+    rest. A slow fall is no rest: the motion extrapolated to the remaining time must be at most a
+    tenth of the CoM height, and no mode may grow. Contacts are searched every 4 ms. The robot may
+    slide or turn about the vertical. A simulation ends early if another body touches the ground, or
+    if the robot is at rest and no mode leaves this state; the returned limits were simulated to the
+    end. If the robot is upright at the end and not at rest, the simulation goes on until the robot
+    rests or falls, up to ten times as long.
 
     All directions are simulated at once. Impulses are doubled until the robot falls, then bisected.
     Recovery need not be monotonic: a robot may fall after a push and survive a larger one, for
-    example by sliding. Bisection finds a single boundary of possibly several. Therefore 8 smaller
-    pushes are simulated afterwards, if the distance between them is larger than ``resolution``. If
-    a smaller push fails, the boundary below the smallest failed push is returned. A failure between
-    these pushes may remain undetected.
+    example by sliding. Bisection finds a single boundary of possibly several. Therefore up to 8
+    smaller pushes are simulated afterwards, if the distance between them is larger than
+    ``resolution``. If a smaller push fails, a boundary below this push is returned. A failure
+    between these pushes may remain undetected.
 
     Args:
         robot: The robot.
         stand: The stand.
         directions: Number of directions, evenly spaced, the first direction forward; 3 to 360.
-        duration: Simulated time from the start of the push [s], 2 to 600.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
-        kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
+        duration: Simulated time from the start of the push [s], 2 to 600, unless the outcome is
+            decided earlier or later.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
+        kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         integrator: MuJoCo's integrator; the model's own by default.
         resolution: Resolution of the impulses [N s].
@@ -365,10 +372,13 @@ def push_recovery(
         ``failures_without_push`` then has the reasons.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, the stand belongs to another robot
-            or contains a weld or grip, or the base is fixed and the stand has feet.
-        ModelError: If the model has no servos and no gains are given.
+        ConfigurationError: If an argument is out of its range, the stand belongs to another robot,
+            contains a weld or grip, or has contacts that the robot cannot make, or the base is
+            fixed and the stand has feet.
+        ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
+            both given, or if the ground or a contact cannot be added.
         StaticsInfeasibleError: If no contact forces balance the stand.
+        UnknownNameError: If the robot lacks the foot or frame of a contact of the stand.
     """
     robot = with_stand_contacts(robot, stand)
     check_duration(duration)
@@ -420,15 +430,16 @@ def tipping_impulses(
 ) -> Array:
     """Compute the horizontal impulses [N s] that would tip over the robot as a rigid body.
 
-    The robot rolls over an edge of the support polygon on two feet, spheres of radius r. With the
-    inertia I about the edge on the ground and the lever s of the push, an impulse p gives the
-    energy (p s)^2 / (2 I). The feet's centres keep their height, so the CoM rises from the height
-    h over the centres to the distance from the line between the centres, hypot(h, d):
+    The robot rolls over an edge of the support polygon on two feet, spheres of radius r (the mean
+    over all contact points of the robot). With the inertia I about the edge on the ground and the
+    lever s of the push, an impulse p gives the energy (p s)^2 / (2 I). The feet's centres keep
+    their height, so the CoM rises from the height h over the centres to the distance from the line
+    between the centres, hypot(h, d):
 
         p = sqrt(2 I m g (hypot(h, d) - h)) / s, minimum over the edges in the push direction.
 
-    For a point mass on pointed feet (r = 0), pushed perpendicular to the edge, and d << h, the
-    result is m sqrt(2 g (hypot(h, d) - h)).
+    For a point mass on pointed feet (r = 0), pushed at the CoM and perpendicular to the edge, and
+    d << h, the result is m sqrt(2 g (hypot(h, d) - h)).
 
     Not included: legs that fold (folding knees absorb energy, but lower the CoM, and may touch the
     ground); sliding feet (more is needed to tip a robot on ice); rolling friction and other contact
@@ -436,13 +447,13 @@ def tipping_impulses(
     robot can fall over a side.
 
     Args:
-        config: Configuration of the robot on level ground.
+        config: Configuration of the robot with a free base on level ground.
         point: Point of application in the world, shape (3,) [m].
         axes: Horizontal unit vectors, shape (n, 2).
         feet: Stance feet; all feet by default.
 
     Returns:
-        Impulses, shape (n,); infinite if the feet span no polygon.
+        Impulses, shape (n,) [N s]; infinite if the feet span no polygon.
     """
     robot, com, mass_matrix = config.robot, config.center_of_mass(), config.mass_matrix()
     ground = np.array(list(config.contact_points(feet).values()))
@@ -476,17 +487,20 @@ def _find_push_limits(
 ) -> tuple[Array, Array, tuple[Diagnostic, ...]]:
     """Find the largest survived impulse in each of n directions by bisection.
 
-    A check then simulates `CHECKED_LEVELS` smaller impulses per direction. If a smaller impulse
-    fails, the limit is below this impulse. If the robot fails without a push, all limits are 0.
+    A check then simulates up to `CHECKED_LEVELS` smaller impulses per direction, if their distance
+    is larger than ``resolution``. If a smaller impulse fails, the limit is below this impulse. The
+    limits are finally simulated to the end (`confirm_limits`). If the robot fails without a push,
+    all limits are 0.
 
     Args:
         bench: Simulations of the stand.
-        estimate: Initial impulses, shape (n,) [N s]; infinite values are replaced by 1 N s.
+        estimate: Initial impulses, shape (n,) [N s]; infinite values are replaced by 1 N s, values
+            below ``resolution`` by ``resolution``.
         resolution: Resolution of the impulses [N s].
 
     Returns:
         Largest survived impulses, shape (n,) [N s]; limits of the bisection before the check, shape
-        (n,) [N s]; failure above each limit.
+        (n,) [N s]; failure above each limit, or without a push.
     """
     count = len(bench.axes)
     if bench.failures_without_push:
@@ -521,9 +535,11 @@ class _LimitSearch:
 
     Attributes:
         bench: Simulations of the stand.
-        survived: Lower ends of the brackets, shape (n,) [N s]: a survived push, or 0.
-        failed: Upper ends of the brackets, shape (n,) [N s]: a failed push, or infinite.
-        failures: {direction: failure of ``failed``}.
+        survived: Lower ends of the brackets, shape (n,) [N s]: a survived push, or 0; changed in
+            place.
+        failed: Upper ends of the brackets, shape (n,) [N s]: a failed push, or infinite; changed in
+            place.
+        failures: {index of the direction: failure of ``failed``}; changed in place.
     """
 
     bench: PushBench
@@ -532,10 +548,10 @@ class _LimitSearch:
     failures: dict[int, Diagnostic]
 
     def confirm_limits(self, initial: Array, resolution: float) -> None:
-        """Simulate the survived pushes for the full time; search again below each that fails.
+        """Simulate the survived pushes to the end; search again below each push that fails.
 
         Args:
-            initial: Impulses from which the search started, shape (n,) [N s].
+            initial: Impulses at which the search started, shape (n,) [N s].
             resolution: Tolerance of the largest survived impulses [N s].
         """
         unconfirmed = np.flatnonzero(self.survived > 0)
@@ -551,8 +567,8 @@ class _LimitSearch:
     def bisect_limits(self, initial: Array, resolution: float) -> None:
         """Find the largest survived push of each direction to within ``resolution`` [N s].
 
-        The impulse is doubled from ``initial``, shape (n,) [N s], until the robot falls; then the
-        bracket from `survived` to `failed` is bisected.
+        The impulse is doubled from ``initial``, shape (n,) [N s], until the push fails; then the
+        bracket from ``survived`` to ``failed`` is bisected.
         """
         rounds = 0
         while (wide := np.flatnonzero(self.failed - self.survived > resolution)).size:
