@@ -217,7 +217,8 @@ def command(
       pupper-analysis fit v3 --log hanging.csv --hold-out 0.2
       pupper-analysis fit v3 --listen 20 --bridge ros2 -o trace.npz
 
-    Exit status: 0 the model explains the measurements, 1 the model does not, 2 bad input.
+    Exit status: 0 the model explains the measurements, or the plan or recording is complete, 1
+    otherwise, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.fit.result import Fit
 
@@ -299,16 +300,18 @@ def _read_measurements(
     Args:
         stands: File of stands; None: ``logs`` are read.
         logs: Files of logs.
-        hold_out: Values of ``--hold-out``: files of logs, or a share as the last value.
-        topics: Values ``NAME=TOPIC`` of ``--topic``, for logs.
-        joints: Names of the joints in logs, separated by commas; None: from the logs.
+        hold_out: Values of ``--hold-out``: files of logs; or, as the last value, a share, with
+            which the other values are ignored.
+        topics: Values ``ROLE=TOPIC`` of ``--topic``, for bags.
+        joints: Names of the joints in bags, separated by commas; None: from the messages.
 
     Returns:
-        Stands or logs; held-out share [1] or logs, None if nothing is held out.
+        Stands or logs; held-out share [1] or logs, None without ``--hold-out``.
 
     Raises:
-        ConfigurationError: If a value of ``--topic`` has another form, the share is 1 or more, or
-            topics or joints are passed for a log that is not a bag.
+        ConfigurationError: If a value of ``--topic`` has another form, an unknown role or an
+            unsuitable topic, the share is 1 or more, or topics or joints are passed for a log that
+            is not a bag.
         MeasurementError: If a file cannot be read, or is no list of stands or no log.
         MissingPackageError: If a log is a bag, and rosbags is not installed.
     """
@@ -344,8 +347,8 @@ def _select_next_step(
     """Return the suggested next command; it depends on the type of ``result``.
 
     A plan is to be written or recorded, a recording completed or fitted, a trace compared with its
-    policy, a fit shown in detail or written. None after an explained fit with an output folder:
-    `command` then suggests a command with the written files.
+    policy, an unexplained fit shown in detail, an explained fit written. None after an explained
+    fit with an output folder: `command` then suggests a command with the written files.
     """
     from pupper_analysis.tools.fit.record.listen import TraceRecording
     from pupper_analysis.tools.fit.record.recorder import Recording
@@ -384,7 +387,8 @@ def _record_plan(robot: Robot, plan: Path, output: Path | None, bridge: str | No
     """Record the stands of the file ``plan`` with the robot to which ``bridge`` connects.
 
     Raises:
-        ConfigurationError: If ``bridge`` or ``output`` is None, or the bridge cannot be opened.
+        ConfigurationError: For example, if ``bridge`` or ``output`` is None, or the bridge cannot
+            be opened.
     """
     from pupper_analysis.tools.fit.record.bridge import open_bridge
     from pupper_analysis.tools.fit.record.recorder import record_stands
@@ -423,10 +427,10 @@ def _write_models(
     *,
     anyway: bool,
 ) -> tuple[str, ...]:
-    """Write the corrected models of the selected robot ``selection``, and return their paths.
+    """Write a fit of the selected robot ``selection`` to a folder, and return the model paths.
 
-    An unexplained fit is only written if ``anyway`` is True, with inflated intervals; otherwise the
-    result is empty.
+    An unexplained fit is only written if ``anyway`` is True, with inflated intervals; otherwise
+    nothing is written, and the result is empty.
     """
     from pupper_analysis.tools.fit.write import write_fit
 
@@ -439,7 +443,7 @@ def _write_models(
         return ()
     with TemporaryDirectory() as temporary:
         files = None
-        if not isinstance(selection, RobotFiles):  # a derived variant has no files of its own
+        if not isinstance(selection, RobotFiles):  # a variant may have no files of its own
             from pupper_analysis.pupper.variant_files import write_variant
 
             files = write_variant(selection, temporary)

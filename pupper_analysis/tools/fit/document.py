@@ -1,7 +1,7 @@
 """Documents of fits, plans and recordings.
 
-Inputs are a fit of motions or stands, a plan of stands, or a recording; outputs are documents that
-are independent of the output format, with estimates and intervals in printed units.
+Inputs are a fit of motions or stands, a plan of stands, or a recording of stands or of a policy;
+outputs are documents that are independent of the output format, with values in printed units.
 """
 
 from __future__ import annotations
@@ -89,9 +89,9 @@ def describe_fit(
 
 
 def _describe_largest_change(estimates: Sequence[Estimate]) -> Iterator[doc.Words]:
-    """Yield the text of the parameter that changed most, in posterior standard deviations.
+    """Yield the text of the estimate that changed most, in posterior standard deviations.
 
-    The change is abs(mean - stated) / std.
+    The change is abs(mean - stated) / std. Nothing is yielded if no estimate has a positive std.
     """
     changes = [
         (abs(estimate.mean - estimate.stated) / estimate.std, estimate)
@@ -116,8 +116,8 @@ def _make_estimate_table(
 ) -> doc.Table:
     """Create the table of estimates with intervals, a row per parameter.
 
-    If ``planned``, the table contains the stated values and the intervals that a plan predicts. If
-    ``detail``, the short terminal view omits the table.
+    If ``planned``, the values are only the stated values and the half widths of the intervals that
+    a plan predicts. If ``detail``, the short terminal view omits the table.
     """
     units = {
         estimate.unit: READ_IN.get(estimate.unit, (1.0, estimate.unit)) for estimate in estimates
@@ -190,7 +190,7 @@ def _format_position(position: float, unit: str) -> str:
 
 
 def _make_joint_error_plots(fit: MotionFit) -> Iterator[doc.BarPlot]:
-    """Create the bar plots of position errors and encoder noise: of hinges, then of slides."""
+    """Yield the bar plots of position errors and encoder noise: hinges, then slides, if any."""
     for slides in (False, True):
         factor, unit = READ_IN["m" if slides else "rad"]
         bars = [
@@ -244,7 +244,7 @@ def _describe_total_mass(mass: Estimate) -> doc.Words:
 
 
 def _describe_com(com: Sequence[Estimate]) -> doc.Words:
-    """Return the text of the CoM of the whole robot [mm]; ``com`` are its components."""
+    """Return the text of the CoM of the whole robot [mm]; ``com`` are its components [m]."""
     values = {estimate.component: f"{1e3 * estimate.mean:.1f}" for estimate in com}
     halves = {
         f"d{estimate.component}": f"{1e3 * (estimate.high - estimate.mean):.1f}" for estimate in com
@@ -256,7 +256,8 @@ def _describe_com(com: Sequence[Estimate]) -> doc.Words:
 def _describe_kp_factor(fit: StandFit) -> Iterator[doc.Words]:
     """Yield the text of the mean factor on kp, if the fit has one.
 
-    A second text may name the measurement that would determine kp, if the robot was not weighed.
+    A second text names measurements that would separate kp from the mass, if the robot was not
+    weighed, no known mass was added, and the total mass is determined by data.
     """
     if (factor := fit.kp_factor) is not None:
         values = _format_estimate(factor)
@@ -271,7 +272,7 @@ def _describe_kp_factor(fit: StandFit) -> Iterator[doc.Words]:
 
 
 def _make_stand_residual_plot(fit: StandFit) -> doc.BarPlot:
-    """Create a bar plot of the RMS residual of each stand, in standard deviations of the noise."""
+    """Create the bar plot of the RMS residual of each stand, in standard deviations."""
     worst = sorted(fit.residuals.items(), key=lambda item: -item[1])
     return doc.BarPlot(
         text("residuals-of-stands"),
@@ -283,7 +284,10 @@ def _make_stand_residual_plot(fit: StandFit) -> doc.BarPlot:
 
 @build_document.register(StandPlan)
 def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
-    """Create the report of a measurement plan: stands, and predicted interval per parameter."""
+    """Create the report of a measurement plan: stands, and predicted interval per parameter.
+
+    `build_document` calls this function for a `StandPlan`.
+    """
     num_determined = sum(estimate.determined is Determined.DATA for estimate in plan.expected)
     expected = _make_estimate_table(
         text("what-stands-will-tell"), plan.expected, detail=True, planned=True
@@ -311,7 +315,10 @@ def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
 
 
 def _describe_known_mass(plan: StandPlan) -> Iterator[doc.Words]:
-    """Yield where a known mass [kg] is attached [mm], and in how many stands, if a plan has one."""
+    """Yield the text of a plan's known mass [kg], its position [mm] and its number of stands.
+
+    Nothing is yielded for a plan without a known mass.
+    """
     if (place := plan.place) is not None:
         loaded = [stand for stand in plan.stands if stand.added]
         x, y, z = (f"{1e3 * value:.1f}" for value in place.offset)
@@ -395,7 +402,10 @@ def recording_document(recording: Recording, _: Robot | None = None) -> doc.Docu
 
 @build_document.register(TraceRecording)
 def recorded_trace_document(recording: TraceRecording, _: Robot | None = None) -> doc.Document:
-    """Create the report of a recorded policy: samples, and signals that were not received."""
+    """Create the report of a recorded policy: samples, and signals that were not received.
+
+    `build_document` calls this function for a `TraceRecording`.
+    """
     summary = text(
         "trace-recorded",
         samples=str(recording.samples),

@@ -1,7 +1,7 @@
 """Maximum a posteriori estimate of parameters: weighted least squares with a normal prior.
 
 Minimises chi2(x) + z^T P z, with z = (x - stated) / width and P the prior precision, by damped
-Gauss-Newton steps. The result is a normal distribution about the minimum.
+Gauss-Newton steps. The result is a normal distribution about the last parameters.
 """
 
 from __future__ import annotations
@@ -19,23 +19,25 @@ from pupper_analysis.base.errors import FitError
 from pupper_analysis.tools.fit.parameters import PARAMETER_KINDS, Parameter, ParameterTable
 
 _MAX_STEPS = 60
-"""Upper bound of the Gauss-Newton steps of a fit. After these, the fit fails unless the predicted
-further decrease is small (`_MAX_UNREALISED_DECREASE`). A fit that starts at the values of the model
-file takes 4 to 10. Chosen, not tuned."""
+"""Upper bound of the Gauss-Newton steps of a minimisation. After these, the minimisation fails
+unless the predicted further decrease is small (`_MAX_UNREALISED_DECREASE`, `_STALL_RTOL`). Chosen,
+not tuned."""
 
 _MIN_PREDICTED_DECREASE = 1e-4
-"""Predicted decrease of the cost chi2 + z^T P z below which the iteration has converged, with z the
-deviation from the stated values (in prior widths) and P the prior precision. An accepted step may
-also fall short of the required decrease by this amount. A decrease d corresponds to a step of
-sqrt(d) standard deviations: 1e-4 is a hundredth of a standard deviation. Chosen, not tuned."""
+"""Default of the predicted decrease of the cost chi2 + z^T P z below which the iteration has
+converged, with z the deviation from the stated values (in prior widths) and P the prior precision.
+An accepted step may also fall short of the required decrease by this amount. A decrease d
+corresponds to a step of sqrt(d) standard deviations: 1e-4 is a hundredth of a standard deviation.
+Chosen, not tuned."""
 
 _STALL_RTOL = 0.01
-"""Predicted decrease, relative to the cost, from which a failed step is an error, if the decrease
-also exceeds `_MAX_UNREALISED_DECREASE`: the derivatives are wrong. Chosen, not tuned."""
+"""Predicted decrease, relative to the cost, below which a stalled minimisation ends without error,
+even if the decrease exceeds `_MAX_UNREALISED_DECREASE`. Chosen, not tuned."""
 
 
 _MIN_DECREASE_RATIO = 0.1
-"""Smallest ratio of actual to predicted decrease with which a step is accepted. Otherwise the
+"""Smallest ratio of actual to predicted decrease with which a step is accepted, apart from a
+shortfall of `_MIN_PREDICTED_DECREASE`. Otherwise the step is corrected (`_MAX_CORRECTIONS`) or the
 damping is raised. Chosen, not tuned."""
 
 _MAX_CORRECTIONS = 2
@@ -44,24 +46,25 @@ little. The cost has curved valleys: inertia is quadratic in large CoM displacem
 known added mass only the ratios of masses and kp are determined. Chosen, not tuned."""
 
 _MAX_UNREALISED_DECREASE = 1.0
-"""Largest predicted decrease of the cost (chi2 plus prior) with which a stalled fit still ends
-without error. A fit has stalled if its steps do not achieve the predicted decrease; the last step
-then widens the covariance. 1 corresponds to one standard deviation. Chosen, not tuned."""
+"""Predicted decrease of the cost (chi2 plus prior) below which a stalled minimisation ends without
+error. A minimisation has stalled if its steps do not achieve the predicted decrease; the last
+undamped step then widens the covariance. 1 corresponds to one standard deviation. Chosen, not
+tuned."""
 
 _MIN_DAMPING = 1e-3
-"""Smallest nonzero damping of a step, relative to the diagonal of the information matrix. Chosen,
-not tuned."""
+"""Smallest nonzero damping of a step, relative to the diagonal of the posterior information matrix.
+Chosen, not tuned."""
 
 _MAX_DAMPING = 1e2
-"""Largest damping of a step, relative to the diagonal of the information matrix: the step is about
-a hundredth of the undamped step. Chosen, not tuned."""
+"""Largest damping of a step, relative to the diagonal of the posterior information matrix. If that
+matrix is diagonal, the step is a hundredth of the undamped step. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedResiduals:
     """Whitened residuals r + A dx of measurements, linearised about a parameter vector, as sums.
 
-    Whitened residuals have unit covariance at the true parameters.
+    Whitened residuals have unit covariance at the true parameters, if the noise model is right.
 
     Attributes:
         information: Sum of A^T A, shape (n, n).
@@ -114,11 +117,16 @@ class LinearisedResiduals:
         """Compute the log marginal likelihood of the measurements, up to a constant.
 
         The parameters are integrated out under the prior, with residuals that are linear in the
-        parameters.
+        parameters. The constant depends on the numbers of residuals and parameters, and on the
+        correlation of the prior.
 
         Args:
             table: Parameters.
-            z: Deviation from the stated values, in units of the prior widths, shape (n,).
+            z: Deviation of the point of linearisation from the stated values, in units of the prior
+                widths, shape (n,).
+
+        Raises:
+            LinAlgError: If the information of measurements and prior is not positive definite.
         """
         width = table.width
         posterior_information = width[:, None] * self.information * width + table.precision
@@ -137,10 +145,12 @@ class Posterior:
         mean: Most probable values, shape (n,), in the parameters' units.
         covariance: Covariance, shape (n, n), in the parameters' units.
         information: Information of the measurements alone, shape (n, n), in units of the prior
-            widths: a direction with eigenvalue 1 is as well determined by the prior width.
+            widths: 1 is the information of an uncorrelated prior.
         precision: Inverse of the prior covariance, shape (n, n), in units of the prior widths.
         chi2: Sum of squares of the whitened residuals.
-        moved: Deviation from the stated values, in units of the prior widths, shape (n,).
+        moved: Deviation of the mean from the stated values in the coordinates of the fit, in units
+            of the prior widths, shape (n,). A fit of stands has logarithms of masses and kp as
+            coordinates, a fit of motions has first moments.
         rows: Number of residuals.
     """
 
@@ -210,9 +220,10 @@ def estimate_parameters(
 ) -> Posterior:
     """Compute the most probable parameters by damped Gauss-Newton steps (Levenberg-Marquardt).
 
-    A step minimises the linearised cost within the lower bounds. It is accepted if the cost
-    decreases by at least 10 % of the predicted decrease, minus `_MIN_PREDICTED_DECREASE`; otherwise
-    it is repeated with more damping.
+    A step minimises the linearised cost; entries that would violate a lower bound end at the bound.
+    The step is accepted if the cost decreases by at least 10 % of the predicted decrease, minus
+    `_MIN_PREDICTED_DECREASE`. Otherwise an undamped step gets up to two second-order corrections,
+    and the step is then repeated with more damping.
 
     The iteration has converged if the predicted decrease of the undamped step is below
     ``min_decrease``. It has stalled if no step is accepted up to `_MAX_DAMPING`, if an accepted
@@ -232,11 +243,13 @@ def estimate_parameters(
             linearised, and the parameters at which the noise is evaluated.
         start: Initial guess, shape (n,); the stated values by default.
         lower_bounds: Lower bounds, shape (n,); by default 0 for kinds that are positive.
-        min_decrease: Predicted decrease below which the iteration has converged.
+        min_decrease: Predicted decrease of the undamped step below which the iteration has
+            converged, and actual decrease up to which the iteration has stalled.
 
     Raises:
         FitError: If the iteration neither converges nor gives a result when it stalls, or the
-            information of the cost is not finite or not positive definite.
+            gradient or the information of the cost is not finite, or the information is not
+            positive definite.
     """
     x = table.stated.copy() if start is None else np.array(start, dtype=float)
     if lower_bounds is None:
@@ -338,13 +351,14 @@ class _QuadraticCost:
         return float(step @ (2 * self.descent - self.posterior_information @ step))
 
     def make_posterior(self, unrealised_step: Array | None = None) -> Posterior:
-        """Return the normal distribution with the current parameters as the mean.
+        """Return the normal distribution with the parameters ``x`` as the mean.
 
-        The covariance is the inverse of the posterior information.
+        The covariance is the inverse of the posterior information, plus the outer product of
+        ``unrealised_step`` if that is given.
 
         Args:
             unrealised_step: Predicted step, shape (n,), in units of the prior widths, that did not
-                decrease the cost as predicted. Its outer product is added to the covariance.
+                decrease the cost as predicted.
         """
         width = self.table.width
         covariance = np.linalg.inv(self.posterior_information)
@@ -366,7 +380,7 @@ class _QuadraticCost:
 def _find_decrease(
     cost: _QuadraticCost, linearise: Callable[[Array, Array], LinearisedResiduals], damping: float
 ) -> tuple[tuple[Array, float] | None, float]:
-    """Find a step that decreases the cost, with increasing damping from ``damping`` on.
+    """Find an acceptable step (`_MIN_DECREASE_RATIO`), with increasing damping from ``damping`` on.
 
     ``linearise`` returns the residuals, linearised at its first argument, with the noise evaluated
     at the second one.

@@ -8,7 +8,7 @@ from pupper_analysis.base.kinds import NUM_HEAD_BYTES, OutputKind
 
 
 def _is_trace(file: BinaryIO) -> bool:
-    """Return True if a file is a trace: a zip archive with ``observations.npy`` at its start."""
+    """Return True if a file is a zip archive with ``observations.npy`` in its first bytes."""
     head = file.read(NUM_HEAD_BYTES)
     return head.startswith(b"PK") and b"observations.npy" in head
 

@@ -1,8 +1,9 @@
 """Parameters of a fit: kinds, priors, and the order in a vector.
 
 A parameter is a scalar of the robot (for example a link's mass) or of the surroundings (for example
-the slope of the ground). The prior is a normal distribution about the stated value, the value of
-the robot's files. `ParameterTable` maps parameters to entries of a vector.
+the slope of the ground). The prior is a normal distribution about the stated value: the value of
+the robot's files, or the value that is assumed for the surroundings. `ParameterTable` maps
+parameters to entries of a vector.
 """
 
 from __future__ import annotations
@@ -35,9 +36,10 @@ class ParameterKind:
         name: Name of the kind.
         unit: SI unit of the values.
         share: Default standard deviation, as a fraction of the stated value.
-        width: Default standard deviation, in the kind's unit.
+        width: Smallest default standard deviation, in the kind's unit.
         positive: Whether negative values are impossible.
-        factor: Whether errors are multiplicative: twice the stated value is as probable as half.
+        factor: Whether errors are multiplicative: a fit of stands then estimates the logarithm, so
+            that twice the stated value is as probable as half.
         common: Prior correlation between two parameters of this kind.
     """
 
@@ -53,7 +55,7 @@ class ParameterKind:
 PARAMETER_KINDS: Mapping[str, ParameterKind] = {
     kind.name: kind
     for kind in (
-        # Published masses are wrong by up to half; Stretch's base has 7 times its published mass.
+        # Published masses may be wrong by half; the base of Stretch has 7 times its published mass.
         ParameterKind("mass", "kg", share=0.5, positive=True, factor=True),
         # Centimetres: a battery mounted elsewhere, a payload plate. Chosen, not tuned.
         ParameterKind("com", "m", width=0.03),
@@ -77,15 +79,15 @@ PARAMETER_KINDS: Mapping[str, ParameterKind] = {
         # Factor on the penetration that the MJCF's contact softness gives. 0 is a rigid floor, as
         # far from 1 as a floor twice as soft.
         ParameterKind("softness", "1", width=0.5),
-        # Factor on the distance from the last joint of a leg to its foot. Legs of another variant
-        # are some per cent longer; encoder offsets and uneven ground have similar effects.
+        # Factor on the distance from the axis of a leg's last joint to its foot. Legs of another
+        # variant are some per cent longer; encoder offsets and uneven ground have similar effects.
         ParameterKind("length", "1", width=0.02),
         # Contact moment that is the same in all stands, divided by the normal force: the friction
         # of a foot that turned or rolled on the ground.
         ParameterKind("moment", "m", width=3e-4),
         # Servo error below which a servo gives no torque: 0.1 deg in data sheets of hobby servos.
-        # Negative values describe dry friction that holds all joints against their load: on Go1 4 %
-        # of weight times height is 1.5 deg of servo error.
+        # Negative values describe dry friction that holds all joints against their load, for
+        # example on Go1 1.5 deg of servo error.
         ParameterKind("deadband", "rad", width=math.radians(1.0)),
         # Dry friction of loaded joints in stands with a known mass, beyond the friction that is
         # common to all stands, as a fraction of the stated friction. Uniform in [-1, 1], hence 1 /
@@ -97,7 +99,7 @@ PARAMETER_KINDS: Mapping[str, ParameterKind] = {
         ParameterKind("load", "1", width=0.08),
         # Factor on a known mass, measured on a kitchen scale.
         ParameterKind("added", "1", width=0.005, positive=True),
-        # Position of a known mass, measured with a ruler.
+        # Displacement of a known mass from its stated position, measured with a ruler.
         ParameterKind("place", "m", width=3e-3),
     )
 }
@@ -106,9 +108,9 @@ PARAMETER_KINDS: Mapping[str, ParameterKind] = {
 SURROUNDINGS_KINDS = (
     *("slope", "softness", "length", "moment", "deadband", "settling", "load", "added", "place"),
 )
-"""Keys of `PARAMETER_KINDS` for the ground, the servos' friction and known masses, which no robot
-file contains and results list last. (``offset``, ``delay`` and ``lag`` are in no robot file either,
-but are listed with the robot.)"""
+"""Keys of `PARAMETER_KINDS` that results list last: ground, leg lengths, dead band and friction of
+the servos, scale and known masses. They are not written to robot files. (``offset``, ``delay`` and
+``lag`` are not written either, but are listed with the robot.)"""
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,8 @@ class Parameter:
         kind: Key of ``PARAMETER_KINDS``.
         subject: Link, joint or foot; ``floor``, ``servos`` or ``scale`` for the surroundings.
         component: ``x``, ``y`` or ``z``; ``command`` or ``position`` of a lag; empty for a scalar.
-        stated: Value of the model, in the kind's unit: the mean of the prior.
+        stated: Value of the model, in the kind's unit: the mean of the prior. Of the surroundings,
+            the assumed value.
         width: Standard deviation of the prior, in the kind's unit.
     """
 
@@ -147,7 +150,7 @@ class Prior:
 
     Attributes:
         kind: Key of ``PARAMETER_KINDS``.
-        subject: Name of a link, joint or foot, or a pattern (``*knee*``); all by default.
+        subject: Subject of a `Parameter`, or a pattern (``*knee*``); all by default.
         share: Standard deviation as a fraction of the stated value; NaN if ``width`` is set.
         width: Standard deviation in the kind's unit; NaN if ``share`` is set.
     """
@@ -158,11 +161,11 @@ class Prior:
     width: float = math.nan
 
     def compute_std(self, stated: float) -> float:
-        """Return the prior standard deviation of a parameter.
+        """Compute the prior standard deviation of a parameter, in the unit of the kind.
 
         Args:
-            stated: Value in the model file, in the unit of the kind. This value is the reference of
-                a relative width (``share``).
+            stated: Stated value of the parameter, in the unit of the kind. The absolute value is
+                the reference of a relative width (``share``).
         """
         return self.share * abs(stated) if math.isnan(self.width) else self.width
 
@@ -175,16 +178,17 @@ _PRIOR_PATTERN = re.compile(
 
 _MIN_PRIOR_WIDTH = 1e-9
 """Exclusive lower bound of a nonzero width of a prior that a user enters (``KIND=VALUE[UNIT]``), in
-the unit of the entry. The upper bound is the reciprocal, so that squared widths stay within double
-precision. Chosen, not tuned."""
+the unit of the entry. The exclusive upper bound is the reciprocal. Chosen, not tuned."""
 
 
 def parse_prior(text: str) -> Prior:
     """Parse ``KIND[:SUBJECT]=WIDTH``, for example ``mass=50%``, ``com:base=5mm`` or ``kp=0``.
 
+    A width without unit is in the unit of the kind.
+
     Raises:
-        ConfigurationError: If the text does not have this form, the kind or the unit is unknown, or
-            the value is out of range.
+        ConfigurationError: If the argument is no text or does not have this form, the kind or the
+            unit is unknown, or the value is out of range.
     """
     check_type("text", text, str)
     match = _PRIOR_PATTERN.fullmatch(text.strip())
@@ -228,12 +232,13 @@ def apply_priors(
     """Return the parameters of a fit with prior standard deviations (widths).
 
     The width is that of the last matching prior, or the default of the kind. Parameters of width 0
-    (``kp=0``, a mass of 0) are known exactly and are left out.
+    (``kp=0``, or a mass of 0) count as known exactly and are left out, and so are parameters whose
+    width is NaN.
 
     Args:
         stated: Kind, subject, component and stated value (in the kind's unit) of each possible
             parameter.
-        priors: Priors that replace the defaults.
+        priors: Priors that replace the defaults; of several that match, the last.
 
     Raises:
         ConfigurationError: If a prior matches no possible parameter.
@@ -299,7 +304,7 @@ class ParameterTable:
     def find_index(self, kind: str, subject: str, component: str = "") -> int | None:
         """Return the index of a parameter in the parameter vector; None if not estimated.
 
-        A parameter is given by the kind, the subject (joint or link), and the component, if any.
+        A parameter is given by the kind, the subject, and the component, if any (`Parameter`).
         """
         return self._indices.get((kind, subject, component))
 
@@ -310,12 +315,12 @@ class ParameterTable:
 
         Args:
             kind: Key of ``PARAMETER_KINDS``.
-            subjects: Joints, feet or links; an entry may occur several times.
+            subjects: Subjects, for example joints; an entry may occur several times.
             components: Components of each subject.
 
         Returns:
             Positions of the estimated parameters in the list of all subjects, each with all
-            components; and their indices in the parameter vector.
+            components; and, for each position, the index in the parameter vector.
         """
         keys = [(kind, subject, component) for subject in subjects for component in components]
         indices = [*map(self._indices.get, keys)]
@@ -344,8 +349,8 @@ class ParameterTable:
     ) -> float:
         """Return the value of a parameter, in its unit, from a parameter vector.
 
-        ``kind``, ``subject`` (joint or link) and ``component`` select the `Parameter`. If the
-        parameter is not estimated, the result is ``default``.
+        ``kind``, ``subject`` and ``component`` select the `Parameter`. If the parameter is not
+        estimated, the result is ``default``.
         """
         index = self._indices.get((kind, subject, component))
         return default if index is None else float(vector[index])
@@ -365,8 +370,8 @@ class ParameterTable:
     def get_com(self, vector: Array, link: str, stated: Array) -> Array:
         """Return the CoM of a link's body from a parameter vector, shape (3,) [m].
 
-        ``stated``, shape (3,) [m], has the components that are not estimated. The CoM is in the
-        frame of ``stated``.
+        Components that are not estimated are those of ``stated``, shape (3,) [m]. The CoM is in the
+        frame of ``stated``, the frame of the Pinocchio joint.
         """
         axes = zip(AXES, stated.tolist(), strict=True)
         return np.array(
@@ -378,9 +383,9 @@ class ParameterTable:
 
         Args:
             vector: Parameters, shape (n,).
-            kind: Key of ``PARAMETER_KINDS``.
+            kind: Key of ``PARAMETER_KINDS``; a kind without components.
             subjects: Names of k joints or links.
-            stated: Values of subjects that are not estimated, shape (k,).
+            stated: Stated values of the subjects, shape (k,); used if a subject is not estimated.
         """
         pairs = zip(subjects, stated.tolist(), strict=True)
         return np.array(
@@ -391,7 +396,7 @@ class ParameterTable:
 # Names of moving bodies.
 
 AXES = ("x", "y", "z")
-"""Components of a CoM, in the link's frame."""
+"""Components of a vector, for example of a CoM in the frame of the Pinocchio joint."""
 
 
 def find_moved_link(model: pin.Model, number: int) -> str:

@@ -1,8 +1,8 @@
-"""Results of a fit: estimates with intervals, and how much of each comes from the measurements.
+"""Results of a fit: estimates with intervals, classified by the effect of the measurements.
 
 Input is the posterior distribution of the parameters; output is, for each parameter, the mean and
 the 95 % interval in the parameter's unit, and whether data, prior or both determine the estimate:
-the smaller the ratio of posterior to prior variance, the more the data determine.
+the smaller the ratio of posterior to prior variance, the larger the effect of the data.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class Determined(StrEnum):
     """Classification of an estimate by the ratio of posterior to prior variance."""
 
     DATA = "data"
-    """Ratio below 0.1: the interval is at most a third as wide as the prior's."""
+    """Ratio below 0.1: the interval is less than a third as wide as the prior's."""
     PARTLY = "partly"
-    """Ratio of 0.1 to 0.9: measurements and prior both count."""
+    """Ratio from 0.1 to less than 0.9: measurements and prior both count."""
     PRIOR = "prior"
     """Ratio of at least 0.9: the measurements hardly narrow the prior."""
 
@@ -57,14 +57,15 @@ def classify_determination(variance_ratio: float) -> Determined:
 
 @dataclass(frozen=True)
 class Estimate(Result):
-    """Estimate of a parameter after measurements.
+    """Estimate of a parameter, or of a quantity that depends on parameters, after measurements.
 
     Attributes:
         name: Parameter name.
         kind: Parameter kind.
-        subject: Link, joint or foot; ``floor``, ``servos`` or ``scale`` for the surroundings.
+        subject: Link, joint or foot; ``floor``, ``servos`` or ``scale`` for the surroundings; robot
+            name for the whole robot.
         component: ``x``, ``y`` or ``z``; ``command`` or ``position`` of a lag; empty for a scalar.
-        unit: Unit of the following values.
+        unit: Unit of the following numbers.
         stated: Value of the model.
         mean: Most probable value.
         std: Standard deviation.
@@ -96,8 +97,8 @@ class Fit(Result):
         estimates: Estimates of all parameters, parameters of the surroundings last.
         failures: Measurements or estimates that contradict the model.
         diagnostics: Notes.
-        kp_over_mass: Mean factor on the stated kp over the factor on the total mass, the ratio that
-            positions determine; None if kp is not estimated.
+        kp_over_mass: Mean factor on the stated kp over the factor on the carried mass, the ratio
+            that positions determine; None if kp is not estimated.
         posterior: Joint distribution of all parameters.
     """
 
@@ -117,7 +118,10 @@ class Fit(Result):
 
     @property
     def noise_inflation(self) -> float:
-        """Ratio of residuals to assumed noise, sqrt(chi2 / degrees of freedom), at least 1."""
+        """Ratio of residuals to assumed noise, sqrt(chi2 / degrees of freedom), at least 1.
+
+        The degrees of freedom are at least 1.
+        """
         return max(
             1.0, math.sqrt(self.posterior.chi2 / max(self.posterior.degrees_of_freedom, 1.0))
         )
@@ -126,8 +130,7 @@ class Fit(Result):
 def describe_parameters(posterior: Posterior) -> Iterator[Estimate]:
     """Yield the estimate of each parameter of a fit.
 
-    Parameters that no robot file contains, for example of the ground (`SURROUNDINGS_KINDS`), are
-    last.
+    Parameters of the surroundings (`SURROUNDINGS_KINDS`) are last.
     """
     order = sorted(
         range(len(posterior.parameters)),
@@ -152,7 +155,7 @@ def describe_parameter(
         parameter: Parameter.
         mean: Most probable value, in the parameter's unit.
         std: Standard deviation, in the parameter's unit.
-        determined: Whether data or prior determine the value.
+        determined: Whether data, prior or both determine the value.
     """
     stated = {name: getattr(parameter, name) for name in PARAMETER_FIELDS}
     low, high = mean - HALF_WIDTH_95 * std, mean + HALF_WIDTH_95 * std
@@ -160,7 +163,7 @@ def describe_parameter(
 
 
 PARAMETER_FIELDS = ("name", "kind", "subject", "component", "unit", "stated")
-"""Fields that an `Estimate` takes from the `Parameter`."""
+"""Fields and properties of a `Parameter` that an `Estimate` has as well."""
 
 
 def derive_estimate(
@@ -191,12 +194,13 @@ def estimate_kp_over_mass(posterior: Posterior, *, kp_only: bool = False) -> Est
     """Estimate the ratio (mean factor on kp) / (factor on the carried mass), dimensionless.
 
     The factor on kp is the geometric mean of estimated kp / stated kp over the joints. The factor
-    on the mass is (sum of estimated masses) / (sum of their stated values), times 1 + load. The
-    load is a force on the feet beyond the masses, as a fraction of the weight.
+    on the mass is (sum of the masses that are parameters) / (sum of their stated values), times 1 +
+    load. The load is a force on the feet beyond the masses, as a fraction of the weight. A factor
+    without parameters is 1.
 
     Args:
         posterior: Distribution of the parameters.
-        kp_only: Return the factor on kp, without the factor on the mass.
+        kp_only: Whether to estimate the factor on kp alone, without the factor on the mass.
 
     Returns:
         Estimate with a 95 % interval; None if no kp is estimated.
@@ -224,7 +228,7 @@ class MotionFit(Fit):
     """Parameters of a robot, estimated from logs of motions.
 
     Attributes:
-        seconds: Total duration of the logs.
+        seconds: Total duration of the logs, without logs that were passed to be predicted.
         held_out: RMS position error in samples that were not fitted; NaN if there are none.
         held_out_before: RMS position error in the same samples, with the parameters of the files.
         fitted: RMS position error in samples that were fitted.
@@ -232,8 +236,8 @@ class MotionFit(Fit):
         repeatability: RMS difference between runs of the same commands, divided by sqrt(2); NaN if
             no two runs have the same commands.
         by_joint: RMS position error of each joint, in samples that were not fitted if there are
-            any, otherwise in samples that were fitted.
-        encoder_noise: Standard deviation of each joint's encoder noise.
+            any, otherwise in samples that were fitted; NaN without samples.
+        encoder_noise: Standard deviation of each joint's encoder noise; NaN without samples.
         slides: Names of the joints that are slides. Errors over all joints count 1 m as 1 rad.
     """
 

@@ -1,8 +1,8 @@
 """Write a fit to a folder: corrected models, encoder offsets, samples of the posterior and JSON.
 
 Parameters are rounded by their standard deviations; a parameter that hardly changed keeps the
-value of the file. The models are copies of the original files in which only the changed values
-differ. Samples are drawn jointly from the posterior, for `study`.
+value of the file. The models are copies of the original files in which only changed values and the
+inertias of changed masses differ. Samples are drawn jointly from the posterior, for `study`.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ from pupper_analysis.tools.sync.numbers import (
 
 _UNCHANGED_STDS = 1e-3
 """Difference between estimate and stated value of a parameter, in standard deviations, up to which
-the stated value is written instead of the estimate. Chosen, not tuned."""
+the stated value is kept instead of the estimate. Chosen, not tuned."""
 
 _EXTRA_DIGITS = 2
 """Decimal digits written beyond the first digit of a standard deviation. Chosen, not tuned:
 rounding changes a value by at most 0.5 % of the standard deviation."""
 
 _FACTOR_KINDS = ("mass", "kp", "friction", "damping", "armature")
-"""Kinds of fitted parameters for which `study` has a variable, a factor on the stated value. Of
-other kinds only the CoM has a variable; the rest is not written for `study`."""
+"""Kinds of fitted parameters for which `study` has a variable that is a factor on the model's
+value. Of the other kinds only ``com`` has a variable; the others are not written for `study`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +59,9 @@ class FitFiles:
 
     Attributes:
         models: Corrected URDF and MJCF.
-        vector: Parameter values as written, shape (n,), rounded by the standard deviations.
-        diagnostics: Estimates that no file contains.
+        vector: Rounded parameter values, shape (n,). Masses and kp are at least `_MIN_FACTOR` times
+            the stated value.
+        diagnostics: Notes on changed servo gains and armatures that the files cannot state.
     """
 
     models: WrittenNumbers
@@ -92,9 +93,9 @@ def _collect_numbers(
     """Return {(kind, link or joint): fitted value} to write to the files, and notes.
 
     The fitted values ``vector``, shape (n,), are those of the parameters of ``posterior``. Values
-    within `_UNCHANGED_STDS` standard deviations of the stated value are left out, and so are kinds
-    that no robot file contains, such as encoder offsets. A note names each servo gain or armature
-    that the files of this robot cannot state.
+    within `_UNCHANGED_STDS` standard deviations of the value of the model are left out, and so are
+    kinds that no robot file contains, such as encoder offsets. A note names each changed servo gain
+    or armature that the files of this robot cannot state.
     """
     numbers: dict[PropertyKey, float | Array] = {}
     notes: list[Diagnostic] = []
@@ -131,7 +132,8 @@ def _set_com_component(
 ) -> None:
     """Set a component of a link's CoM [m] in ``numbers``, the values that the new files get.
 
-    Components that were not set before are those of the robot's model.
+    Components that were not set before are those of the robot's model. The CoM is that of all links
+    that are fixed together, in the frame of their Pinocchio joint.
     """
     model = robot.pin_model
     joint = model.frames[model.getFrameId(parameter.subject, pin.FrameType.BODY)].parentJoint
@@ -166,10 +168,11 @@ def draw_samples(
     Parameters drawn independently would give robots that the measurements exclude: measurements
     determine, for example, the total mass, but hardly how the links share the mass.
 
-    Robots with a mass or kp below 10 % of the written value are drawn again; other factors are
-    clipped at 0. Masses are normal: log-normal masses would bias the total mass (v3: 2.957 instead
-    of 2.787 kg). The deviation of a CoM is multiplied by the ratio of written to drawn mass,
-    because gravity depends on mass times CoM position.
+    Robots with a mass or kp of at most 10 % of the written value are drawn again; other factors are
+    clipped at 0. Masses are normal: log-normal masses would bias the total mass (in a fit of v3
+    2.957 instead of 2.787 kg). The deviation of a CoM is multiplied by the ratio of written to
+    drawn mass of the body, if the mass is a parameter, because gravity depends on mass times CoM
+    position.
 
     Args:
         posterior: Distribution of the parameters.
@@ -178,8 +181,8 @@ def draw_samples(
         seed: Seed of the generator.
 
     Returns:
-        Names of k variables of a `study`; and their values, shape (count, k): factors on the values
-        of the corrected model, or displacements of a CoM [m].
+        Names of k variables of a `study`; and their values, shape (number of robots, k): factors on
+        the values of the corrected model, or displacements of a CoM [m].
     """
     rng, parameters = np.random.default_rng(seed), posterior.parameters
     table = ParameterTable(parameters)
@@ -210,13 +213,13 @@ def draw_samples(
 
 _MAX_DRAW_ROUNDS = 100
 """Upper bound of the rounds in which the requested number of random robots is drawn; a round
-rejects robots below `_MIN_FACTOR`. If the rounds are not enough, fewer samples are returned.
+rejects robots by `_MIN_FACTOR`. If the rounds are not enough, fewer samples are returned.
 Chosen, not tuned."""
 
 _MIN_FACTOR = 0.1
-"""Lower bound of masses and kp, as a fraction. Estimates below this fraction of the value in the
-model files are raised to it before they are written; robots that are drawn at random from the
-fitted distribution are rejected below this fraction of a written value. Chosen, not tuned."""
+"""Lower bound of masses and kp, as a fraction. Estimates below this fraction of the stated value
+are raised to it before they are written; robots that are drawn at random from the fitted
+distribution are rejected up to this fraction of a written value. Chosen, not tuned."""
 
 
 _SAMPLES_HEADER = """\
@@ -240,8 +243,9 @@ def _format_json(
 ) -> bytes:
     """Return the content of ``fit.json``.
 
-    It contains the paths and hashes of the written models, each parameter with its interval and its
-    written value (from ``vector``), the covariance, the edits, the notes ``messages``, and ``fit``.
+    It contains the paths of the written models, the hashes of the written files, each parameter
+    with its interval and its rounded value (from ``vector``), the covariance, the edits, the notes
+    ``messages``, and ``fit``, if not None.
     """
     rows = [
         {name: getattr(parameter, name) for name in PARAMETER_FIELDS}
@@ -279,11 +283,12 @@ def write_fit(
 ) -> FitFiles:
     """Write a fit to a folder: all files or none.
 
-    The corrected URDF and MJCF are written with the meshes and included files that both need, in
-    the same relative folders. Only the bytes of changed values differ from the originals.
-    ``fit.json`` contains all parameters with the covariance. ``offsets.csv`` contains the encoder
-    offsets: measured position minus true position. ``samples.csv`` contains samples of the
-    posterior, with the factor names of `study`.
+    The corrected URDF and MJCF are written with the meshes and included files that they need, in
+    the same relative folders. Only the bytes of changed attributes differ from the originals.
+    ``fit.json`` contains all parameters with the covariance. ``offsets.csv``, if offsets are
+    parameters, contains the encoder offsets: measured position minus true position.
+    ``samples.csv``, if `study` can vary a parameter, contains samples of the posterior, with the
+    variable names of `study`.
 
     Args:
         robot: Robot, with the values of the files.
@@ -291,14 +296,15 @@ def write_fit(
         folder: Output folder, created if necessary.
         fit: Result that is included in ``fit.json``.
         files: URDF and MJCF, if the robot was not loaded from files.
-        force: Whether to replace files that no fit has written, or that were edited since. Files
-            from which the robot was loaded are never replaced.
+        force: Whether to replace files that no fit has written, or models that were edited since.
+            Files from which the robot was loaded are never replaced.
 
     Returns:
-        Corrected models, rounded parameter values, and notes on estimates that no file can state.
+        Corrected models, rounded parameter values, and notes on servo gains and armatures that the
+        files cannot state.
 
     Raises:
-        ModelError: If a value cannot be written to the file.
+        ModelError: If a value cannot be written to the files, or a file cannot be read.
         OutputError: If a file cannot be written, must not be replaced, or is a file from which the
             robot was loaded.
     """
@@ -335,7 +341,7 @@ def write_fit(
 def _read_own_hashes(folder: Path) -> dict[str, str]:
     """Return {relative path: hash} of the models that an earlier fit has written to a folder.
 
-    The hashes are in its ``fit.json``; without a readable file the result is empty.
+    The hashes are in its ``fit.json``; the result is empty if this file cannot be read.
     """
     try:
         document = orjson.loads(read_input(folder / "fit.json", MAX_TEXT_BYTES, rewritten=True))

@@ -42,16 +42,17 @@ _ROLE_TYPES = {
     "state": (_STATE_TYPE, _CONTROLLER_TYPE),
     "command": (_ARRAY_TYPE, _TRAJECTORY_TYPE, _CONTROLLER_TYPE),
 }
-"""{role of a topic: message types that a topic with this role may have}. The role is ``state`` for
-measured and ``command`` for commanded joint positions."""
+"""{role of a topic: message types of the topics that are selected automatically}. The role is
+``state`` for measured and ``command`` for commanded joint positions. A topic of commands that the
+user selects may also have `_STATE_TYPE`."""
 
 _CONTROLLER_FIELDS = {"state": ("feedback", "actual"), "command": ("reference", "desired")}
-"""{role: names of the field with the joint positions in a controller's state message}: the name
-since ROS 2 Humble, then the name before. The role is ``state`` (measured) or ``command``."""
+"""{role: names of the field with the joint positions in a controller's state message}: the current
+name, then the older name. The role is ``state`` (measured) or ``command``."""
 
 MAX_BAG_BYTES: Final = 2_000_000_000
-"""Upper bound of the size of a file of a bag [bytes]. A larger file is refused; usually it contains
-camera topics that can be left out. Chosen, not tuned."""
+"""Upper bound of the size of a file of a bag, packed and unpacked [bytes]. A larger file is
+refused; usually it contains camera topics that can be left out. Chosen, not tuned."""
 
 MAX_MESSAGE_BYTES: Final = 500_000_000
 """Upper bound of the total size of the messages that are read [bytes]. With more, the bag is
@@ -80,7 +81,7 @@ def read_bag(
         path: Bag.
         topics: {``state`` or ``command``: topic}, chosen by the user. A role without an entry uses
             the only topic with a suitable message type.
-        joints: Names of the joints, for messages without names.
+        joints: Names of the joints, for messages without the names of joints.
 
     Returns:
         Times from the first sample on, shape (n,) [s], and {``position`` or ``command``: {joint:
@@ -88,8 +89,8 @@ def read_bag(
 
     Raises:
         ConfigurationError: If a topic in ``topics`` has an unknown role or an unsuitable type.
-        MeasurementError: If the bag cannot be read, has no joint states, or the topic of a role is
-            ambiguous.
+        MeasurementError: For example, if the bag cannot be read or is too large, has no joint
+            states or no joint names, or the topic of a role is ambiguous.
         MissingPackageError: If rosbags is not installed.
     """
     try:
@@ -125,8 +126,8 @@ def limit_unpacking() -> Iterator[None]:
     The decompression functions of rosbags are replaced while the block runs.
 
     Raises:
-        MeasurementError: If a chunk or message exceeds ``MAX_CHUNK_BYTES``, or a file of a bag
-            ``MAX_BAG_BYTES``.
+        MeasurementError: In the block, if a chunk or message exceeds ``MAX_CHUNK_BYTES``, or a file
+            of a bag ``MAX_BAG_BYTES``.
     """
     from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
     from rosbags.rosbag1 import reader as ros1
@@ -168,8 +169,9 @@ def limit_unpacking() -> Iterator[None]:
 def limit_decompressor(decompressor: Callable[[], Any]) -> Callable[[bytes], bytes]:
     """Return a function that unpacks a chunk frame by frame, up to ``MAX_CHUNK_BYTES``.
 
-    ``decompressor`` creates the object that unpacks a frame. The returned function raises a
-    MeasurementError if the unpacked chunk is larger, and a ValueError if a frame is incomplete.
+    A chunk is here any packed data, for example a message. ``decompressor`` creates the object that
+    unpacks a frame. The returned function raises a MeasurementError if the unpacked chunk is
+    larger, and a ValueError if a frame is incomplete.
     """
 
     def unpack(data: bytes) -> bytes:
@@ -199,7 +201,7 @@ class _LimitedFile:
         """Return up to ``size`` further bytes of the unpacked file.
 
         Raises:
-            MeasurementError: If more than `MAX_BAG_BYTES` bytes have been read in total.
+            MeasurementError: If more than `MAX_BAG_BYTES` bytes are read in total.
         """
         data: bytes = self._file.read(size)
         self._size += len(data)
@@ -217,15 +219,16 @@ def _choose_topics(types: Mapping[str, str], requested: Mapping[str, str]) -> di
     """Return {role: topic}: the requested topic, or the only topic with a type of the role.
 
     The role is ``state`` (measured positions) or ``command``; ``command`` is left out without a
-    topic. For ``state``, a ``JointState`` topic is preferred to the state of a controller, which
-    may be late.
+    topic. For ``state``, a ``JointState`` topic that is not selected for ``command`` is preferred
+    to the state of a controller, which may be late.
 
     Args:
         types: {topic of the bag: message type}.
         requested: {role: topic} as typed by the user.
 
     Raises:
-        ConfigurationError: If a requested role or topic is not valid.
+        ConfigurationError: If a requested role is unknown, or a requested topic is missing or has
+            an unsuitable type.
         MeasurementError: If several topics fit a role, or no topic fits ``state``.
     """
     topics: dict[str, str] = {}
@@ -264,8 +267,9 @@ def _read_series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) 
         joints: Joint names of messages without names.
 
     Raises:
-        MeasurementError: If the messages are larger than `MAX_MESSAGE_BYTES` together, or a message
-            has no joint names or another number of positions than names.
+        MeasurementError: If the messages are larger than `MAX_MESSAGE_BYTES` together; if a message
+            has no joint names, or another number of positions than names, unless it has none; or if
+            a trajectory does not have exactly one point.
     """
     series: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
     used = chosen.values()

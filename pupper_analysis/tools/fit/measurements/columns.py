@@ -2,7 +2,7 @@
 
 `read_columns` reads a file into arrays in SI units, and texts. Each column must match one of the
 columns that the caller accepts, whose physical quantity determines the units that the header may
-state in brackets. Missing cells are NaN, and errors name the line in the file.
+state in brackets. Missing numbers are NaN. Errors of a row contain the number of the line.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ MAX_CSV_BYTES = 100_000_000
 twelve joints at 1 kHz, with 9 characters per number. Chosen, not tuned."""
 
 _CELL_SEPARATORS = (",", ";", "\t")
-"""Possible separators; the most frequent separator in the first line is used."""
+"""Possible separators of cells; the most frequent separator in the first line that is not blank is
+used."""
 
 _DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(?=\d+([eE][-+]?\d+)?$)")
 """Start of a number with a decimal comma, up to the comma; the group is the integer part."""
@@ -50,7 +51,7 @@ class MeasurementColumn:
 
     Attributes:
         pattern: Column name, for example ``time``, or a pattern (``position.*``).
-        quantity: Physical quantity, a key of the units; empty for texts.
+        quantity: Physical quantity, a key of ``UNIT_FACTORS``; empty for texts.
     """
 
     pattern: str
@@ -65,7 +66,8 @@ class Columns:
         source: Path of the file.
         numbers: {name: values in SI units, shape (n,)}; NaN for missing cells.
         words: {name: n texts} of columns that contain texts.
-        lines: Line number of each row, shape (n,).
+        lines: Number of each row in the file, shape (n,); the header has the number 1, if no blank
+            line precedes. A cell that contains a line end counts as one line.
     """
 
     source: str
@@ -92,10 +94,10 @@ class Columns:
 def read_columns(path: str | Path, known: Sequence[MeasurementColumn]) -> Columns:
     """Read a CSV file of measurements.
 
-    The first line has the names of the columns, with units in brackets if not SI units:
-    ``position.FL_knee [deg]``. Separators are commas, semicolons or tabs; with semicolons, numbers
-    may have decimal commas. Empty cells, and words such as ``nan`` (`_MISSING_CELLS`), are missing
-    values.
+    The first line that is not blank has the names of the columns, with units in brackets if not SI
+    units: ``position.FL_knee [deg]``. Separators are commas, semicolons or tabs; with semicolons,
+    numbers may have decimal commas. Empty cells, and words such as ``nan`` (`_MISSING_CELLS`), are
+    missing values.
 
     Args:
         path: CSV file.

@@ -29,8 +29,8 @@ from pupper_analysis.tools.fit.measurements.bags import MAX_BAG_BYTES, is_bag, r
 from pupper_analysis.tools.fit.measurements.columns import MeasurementColumn, read_columns
 
 _MIN_JUMP = 0.5
-"""Time [s] between two samples above which the clock has jumped, which ends a run; ten median
-intervals if these are longer. Chosen, not tuned."""
+"""Time [s] between two samples above which the clock has jumped; ten median intervals if these are
+longer. A jump ends a run. Chosen, not tuned."""
 
 MIN_SAMPLES = 100
 """Smallest number of samples of a log, half a second at 200 Hz. A shorter log is refused. Chosen,
@@ -70,8 +70,8 @@ class Log:
     def jumps(self) -> list[int]:
         """Index of the last sample before each clock jump.
 
-        The next sample follows more than 0.5 s and ten median intervals later: the clock was set,
-        or the log was interrupted.
+        The next sample follows more than 0.5 s and more than ten median intervals later: the clock
+        was set, or the log was interrupted.
         """
         min_jump = max(_MIN_JUMP, 10 * self.interval)
         return [int(index) for index in np.flatnonzero(np.diff(self.time) > min_jump)]
@@ -117,8 +117,8 @@ def make_log(
         lines: Line number of each sample in the file, shape (n,).
 
     Raises:
-        MeasurementError: If columns are missing, a joint has no commands, time does not increase,
-            or samples are too few.
+        MeasurementError: If columns are missing, a joint has commands without positions or no
+            commands, a time is missing, time does not increase, or samples are too few.
     """
     position = kinds["position"]
     if not len(time) or not position:
@@ -192,22 +192,24 @@ def read_log(
 
     In a bag, states are ``sensor_msgs/JointState`` messages; commands are
     ``std_msgs/Float64MultiArray`` messages, ``trajectory_msgs/JointTrajectory`` messages with one
-    point, or a second ``JointState`` topic that is named. A
+    point, or a ``JointState`` topic that ``topics`` names. A
     ``control_msgs/JointTrajectoryControllerState`` contains both. Times are those of the headers,
-    or of recording if any message lacks a header time. The log has the sample times of the joint
-    with the most samples: positions of other joints are interpolated unless samples are missing,
-    and a command holds until the next.
+    or of recording if any message that is read lacks a header time. The log has the sample times of
+    the joint with the most samples: positions of other joints are interpolated unless samples are
+    missing, and a command holds until the next.
 
     Args:
         path: File, or folder of a ROS 2 bag.
-        topics: Of a bag with several topics: {``"state"`` or ``"command"``: topic}.
-        joints: Of a bag: joints of messages without names, in order.
+        topics: Topics of a bag, {``"state"`` or ``"command"``: topic}. By default the only topic of
+            a suitable type.
+        joints: Joints of a bag's messages without names, in order.
 
     Returns:
         The log. ``inspect_log`` checks the log for a robot.
 
     Raises:
-        ConfigurationError: If topics or joints are passed for a file that is not a bag.
+        ConfigurationError: If topics or joints are passed for a file that is not a bag, or a topic
+            has an unknown role or an unsuitable type.
         MeasurementError: If the file is not a log: for example columns are missing or unknown, a
             joint has no commands, a cell is not a number, time does not increase, or samples are
             too few.
@@ -226,12 +228,13 @@ def read_log(
 
 
 def _check_files(bag: Path) -> None:
-    """Check that all files of a bag are regular and not too large.
+    """Check that all files of a bag are accessible, regular and not too large.
 
     A reader would wait forever for the end of a pipe, for example.
 
     Raises:
-        MeasurementError: If a file is not regular, or too large.
+        MeasurementError: If a file is missing, not accessible, not regular or too large, or the
+            folder cannot be read.
     """
     try:
         for file in bag.iterdir() if bag.is_dir() else (bag,):

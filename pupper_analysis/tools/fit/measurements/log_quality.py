@@ -23,26 +23,27 @@ _MAX_GAP_RATIO = 1.5
 Chosen, not tuned."""
 
 _MIN_JOINT_RANGE = 2e-3
-"""Range [rad, m] below which a joint has not moved. The backlash of a gearbox is larger. Chosen,
-not tuned."""
+"""Range [rad, m] up to which a joint has not moved; three encoder steps if these are larger. Also
+the standard deviation of positions up to which a joint is left out of the comparison of units.
+Chosen, not tuned."""
 
 _MAX_REACH_RATIO = 2.0
-"""Upper bound of the ratio of the median absolute position to the larger absolute joint limit.
-Above, the unit is wrong. Chosen, not tuned."""
+"""Upper bound of the ratio of the median absolute position or command to the larger absolute joint
+limit. Above, the unit is wrong. Chosen, not tuned."""
 
 _DEGREES_PER_RADIAN = 180 / np.pi
 """Degrees per radian."""
 
 _SAME_UNIT_RATIOS = (0.2, 5.0)
-"""Bounds of the ratio between the standard deviations of commands and positions. Outside, a note
-reports that the columns have two units: with degrees and radians the ratio is about 57.3 or 1/57.3.
-Chosen, not tuned."""
+"""Bounds of the ratio between the standard deviations of commands and positions. Outside, the log
+is refused, since the columns have two units: with degrees and radians the ratio is about 57.3 or
+1/57.3. Chosen, not tuned."""
 
 _MAX_SWAPPED_CORRELATION = -0.1
-"""Correlation of the displacements of a joint between samples with the servo error (command -
-position), below which commands and positions are swapped. A servo supplies the energy that friction
-dissipates, so that the correlation is positive: 0.1 to 0.9 in simulated and public logs. Swapped
-columns give -0.9 to -0.1."""
+"""Correlation of the servo error (command - position) with the changes of the position, and with
+those of the command, between samples. Below, commands and positions are swapped. A servo supplies
+the energy that friction dissipates, so that the correlation is positive: 0.1 to 0.9 in simulated
+and public logs. Swapped columns give -0.9 to -0.1."""
 
 _OFFSET_ALLOWANCE = 0.1
 """Encoder offset [rad, m] that is allowed in the energy balance of a motion with different start
@@ -79,8 +80,8 @@ def inspect_log(robot: Robot, log: Log) -> tuple[Diagnostic, ...]:
         log: Log.
 
     Raises:
-        MeasurementError: If no fit can use the log: for example degrees instead of radians, swapped
-            command and position columns, or no moving joint.
+        MeasurementError: If a fit cannot use the log, for example because of degrees instead of
+            radians, swapped columns of commands and positions, or no moving joint.
         UnknownNameError: If the robot lacks a joint of the log.
     """
     remarks = tuple(_list_remarks(robot, log.order_joints(robot), log.joints))
@@ -93,8 +94,8 @@ def inspect_log(robot: Robot, log: Log) -> tuple[Diagnostic, ...]:
 def _list_remarks(robot: Robot, log: Log, joints: tuple[str, ...]) -> Iterator[Diagnostic]:
     """Yield remarks on a log whose columns are in actuator order.
 
-    For example: coarse or uneven sample times, degrees instead of radians, exchanged or resting
-    joints. ``joints`` are the joints that the log contains.
+    The remarks are errors, warnings and notes, for example on slow sampling, degrees instead of
+    radians, exchanged or resting joints. ``joints`` are the joints that the log contains.
     """
     indices = [robot.joint_names.index(name) for name in joints]
     position, command = log.position[:, indices], log.command[:, indices]
@@ -124,7 +125,10 @@ def _list_remarks(robot: Robot, log: Log, joints: tuple[str, ...]) -> Iterator[D
 
 
 def _check_clock(log: Log) -> Iterator[Diagnostic]:
-    """Yield remarks on the sample times [s] of a log: clock jumps, gaps, uneven intervals."""
+    """Yield remarks on the sample times [s] of a log: clock jumps, gaps, uneven intervals.
+
+    The longest interval that a remark on gaps contains may be a clock jump.
+    """
     steps, jumps = np.diff(log.time), log.jumps
     interval, longest = Quantity(log.interval, "s"), Quantity(steps.max(), "s")
     if jumps:
@@ -180,11 +184,13 @@ def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterato
 def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
     """Yield a diagnostic that lists the joints whose command follows the position.
 
-    Their columns are probably swapped. A servo supplies the energy that friction dissipates, so
-    over a motion the integral of (command - position) d position is positive. With swapped columns
-    it is negative, and so is the integral of (command - position) d command. A joint is listed if
-    both are clearly negative (`_MAX_SWAPPED_CORRELATION`); a single one may be negative because the
-    load of the servo differs between start and end.
+    Their columns are probably swapped. If these are at most half of the moving joints, the
+    diagnostic is a warning, otherwise an error. Joints with fewer than ten complete samples are
+    left out. A servo supplies the energy that friction dissipates, so over a motion the integral of
+    (command - position) d position is positive. With swapped columns it is negative, and so is the
+    integral of (command - position) d command. A joint is listed if both are clearly negative
+    (`_MAX_SWAPPED_CORRELATION`); a single one may be negative because the load of the servo differs
+    between start and end.
     """
     backwards = []
     for index in moving:
@@ -208,10 +214,10 @@ def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator
 def find_degrees(
     robot: Robot, joints: Iterable[int], position: Array, command: Array
 ) -> Iterator[Diagnostic]:
-    """Find position and command columns that probably contain degrees; yield a diagnostic of each.
+    """Find position and command columns that exceed the joint limits, probably because of degrees.
 
-    The median magnitude of such a column is more than twice the larger absolute limit of the joint,
-    or more than 4 pi for a joint without a limit.
+    A diagnostic is yielded for each column whose median magnitude is more than twice the larger
+    absolute limit of the joint, or more than 4 pi for a joint without a limit.
 
     Args:
         robot: Robot.
@@ -267,10 +273,10 @@ def find_column_step(column: Array) -> float:
     of it and to `_MIN_ENCODER_STEP`.
 
     Args:
-        column: Positions of a joint, shape (n,) [rad].
+        column: Positions of a joint, shape (n,) [rad, m].
 
     Returns:
-        Step [rad]; 0 if no candidate fits, or there are fewer than `_MIN_STEPS` differences.
+        Step [rad, m]; 0 if no candidate fits, or there are fewer than `_MIN_STEPS` differences.
     """
     steps = np.diff(np.sort(column))
     steps = np.sort(steps[steps > _MIN_ENCODER_STEP])[:_MAX_TESTED_STEPS]
@@ -283,12 +289,14 @@ def find_column_step(column: Array) -> float:
 
 
 _MIN_ENCODER_STEP = 1e-5
-"""Lower bound of an encoder step [rad]: above the rounding of files, below the step of 18 bits."""
+"""Lower bound of an encoder step [rad, m]: above the rounding of files, below the step of 18
+bits."""
 
 _MIN_STEPS = 7
 """Smallest number of differences between readings that determine an encoder step. Derived: a random
 difference is within `_MULTIPLE_TOLERANCE` of a multiple of a candidate step with probability 0.1.
-The smallest difference is a multiple by construction; the six others are with probability 1e-6."""
+The smallest difference is a multiple by construction; the six others are multiples of the same
+candidate with probability 1e-6."""
 
 _MAX_PARTS = 400
 """Largest number of encoder steps that `find_column_step` tries to fit into the smallest difference
@@ -302,5 +310,5 @@ tuned."""
 _MAX_TESTED_STEPS = 50
 """Largest number of differences between readings (the smallest ones) that are tested as multiples
 of an encoder step. A tested step has the rounding error of the smallest difference, which has a
-larger effect on the ratios of large differences. Fifty random differences are multiples of a step
-with a probability of 1e-49. Chosen, not tuned."""
+larger effect on the ratios of large differences. Fifty random differences are multiples of the same
+candidate step with a probability of 1e-49. Chosen, not tuned."""

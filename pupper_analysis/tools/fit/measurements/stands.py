@@ -38,8 +38,8 @@ STAND_COLUMNS = (
 """Columns that a file of stands may contain."""
 
 _MAX_REPEAT_RANGE = 5e-3
-"""Upper bound of the range [rad] of repeated readings of a stand. Above, the robot moved. The step
-of a 12-bit encoder is 1.5e-3 rad."""
+"""Upper bound of the range [rad, m] of repeated readings of a stand. Above, the robot moved. The
+step of a 12-bit encoder is 1.5e-3 rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +47,11 @@ class MeasuredStands:
     """Measured stands at rest, a stand per row; NaN if not measured.
 
     Attributes:
-        source: File, or a description of the source.
+        source: File, or another source of the stands, for example the name of the robot.
         names: Stand names, shape (m,).
         joints: Joints of the columns, shape (n,).
-        command: Commanded joint positions in servo coordinates, shape (m, n) [rad].
-        position: Measured joint positions, shape (m, n) [rad].
+        command: Commanded joint positions in servo coordinates, shape (m, n) [rad, m].
+        position: Measured joint positions, shape (m, n) [rad, m].
         swing: Feet in the air, shape (m,).
         heading: Rotation of the robot about the vertical, shape (m,) [rad]; zeros by default.
         added: {link: known mass [kg] and position in the link frame [m], shape (m, 4)}; zeros
@@ -106,8 +106,8 @@ class MeasuredStands:
 
         Raises:
             UnknownNameError: If the robot lacks a joint, foot or link of the stands.
-            MeasurementError: If a position is missing, impossible or in degrees, or too few contact
-                points carry load.
+            MeasurementError: If a joint was not measured, a position is missing or impossible, a
+                position or command is probably in degrees, or too few contact points carry load.
         """
         ordered = self.order_joints(robot)
         for finding in find_degrees(robot, range(robot.nu), ordered.position, ordered.command):
@@ -137,11 +137,11 @@ class MeasuredStands:
 
         Args:
             robot: Robot.
-            angles: Joint positions, shape (m, nu) [rad]; NaN is ignored.
-            margin: Tolerance beyond the limits [rad].
+            angles: Joint positions or commands, shape (m, nu) [rad, m]; NaN is ignored.
+            margin: Tolerance beyond the limits [rad, m].
 
         Raises:
-            MeasurementError: If a position exceeds a limit.
+            MeasurementError: If a value exceeds a limit by more than ``margin``.
         """
         beyond = np.fmax(angles - robot.upper_limits, robot.lower_limits - angles)
         for row, joint in np.argwhere(beyond > margin).tolist():
@@ -162,7 +162,8 @@ class MeasuredStands:
     def average_repeats(self) -> MeasuredStands:
         """Return the measured stands with the commands and positions of repeated readings averaged.
 
-        Repeated readings are rows with the same name, feet in the air, heading and added masses.
+        Repeated readings are rows with the same name, feet in the air, heading and added masses
+        with their positions. Missing values are left out of the mean.
 
         Raises:
             MeasurementError: If repeated positions differ by more than `_MAX_REPEAT_RANGE`, so that
@@ -196,7 +197,7 @@ class MeasuredStands:
         )
 
     def select_rows(self, rows: Sequence[int]) -> MeasuredStands:
-        """Return the measured stands in some rows, in the order of the row indices."""
+        """Return the measured stands in some rows, in the order of ``rows``."""
         chosen = list(rows)
         return replace(
             self,
@@ -214,8 +215,8 @@ _LIMIT_MARGIN = 0.3
 17 deg, more than an unnoticed encoder offset. Chosen, not tuned."""
 
 _MIN_CONTACT_POINTS = 3
-"""Smallest number of carrying contact points of a measured stand. Fewer do not determine the tilt
-of the base."""
+"""Smallest number of carrying contact points of a measured stand. Derived: fewer do not determine
+the tilt of the base."""
 
 
 def _average_finite(values: Array) -> Array:
@@ -230,13 +231,12 @@ def _average_finite(values: Array) -> Array:
 def read_stands(path: str | Path) -> MeasuredStands:
     """Read stands at rest from a CSV file, a stand per row.
 
-    Required columns are ``command.<joint>`` and ``position.<joint>``. Optional columns are
-    ``stand`` (name; rows of the same name are repeated readings), ``swing`` (feet in the air,
-    separated by blanks), ``heading`` (rotation of the robot about the vertical), and
+    At least one column ``command.<joint>`` and one ``position.<joint>`` are required. Optional
+    columns are ``stand`` (name; rows of the same name are repeated readings), ``swing`` (feet in
+    the air, separated by blanks), ``heading`` (rotation of the robot about the vertical), and
     ``added.<link>`` with ``added_x.<link>``, ``added_y.<link>`` and ``added_z.<link>`` (known mass
-    and position in the link frame). Units are SI units, or stated in brackets:
-    ``position.FL_knee [deg]``, ``added.base [g]``. Empty cells are missing values; an empty heading
-    is 0.
+    and position in the link frame). Units are SI units, or stated in brackets: ``position.FL_knee
+    [deg]``, ``added.base [g]``. Empty cells are missing values; an empty heading is 0.
 
     Args:
         path: CSV file.
@@ -276,7 +276,7 @@ def read_stands(path: str | Path) -> MeasuredStands:
 def format_stands(stands: MeasuredStands, *, header: bool = True) -> str:
     """Return measured or planned stands as CSV text for ``read_stands``, a row per stand.
 
-    Angles are in rad, masses in kg. Missing values are empty cells.
+    Units are rad, m and kg. Missing commands and positions are empty cells.
     """
     loads = [f"added{suffix}.{link}" for link in stands.added for suffix in ("", "_x", "_y", "_z")]
     kinds = [f"{kind}.{name}" for kind in ("command", "position") for name in stands.joints]
@@ -291,13 +291,14 @@ def format_stands(stands: MeasuredStands, *, header: bool = True) -> str:
 
 
 def _read_loads(table: Columns) -> Iterator[tuple[str, Array]]:
-    """Yield (link, loads) of each link to which known masses were attached.
+    """Yield (link, loads) of each link with a column of known masses.
 
     ``loads`` has a row for each of m stands, shape (m, 4): mass [kg], and position in the link
     frame [m]; zeros in a stand without mass.
 
     Raises:
-        MeasurementError: If a mass is negative, or a position lacks a coordinate or its mass.
+        MeasurementError: If a mass is negative or lacks a coordinate of its position, or a link has
+            a column of positions and none of masses.
     """
     axes = ("added_x", "added_y", "added_z")
     for kind in axes:
@@ -316,7 +317,7 @@ def _read_loads(table: Columns) -> Iterator[tuple[str, Array]]:
 
 
 def estimate_encoder_step(stands: MeasuredStands) -> float:
-    """Estimate the resolution of the joint encoders [rad].
+    """Estimate the resolution of the joint encoders [rad, m].
 
     The step of a joint is the largest step of which all differences between its positions are
     multiples (`find_column_step`). The result is the median over the joints with a step, or 0 if at

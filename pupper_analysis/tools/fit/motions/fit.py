@@ -1,8 +1,8 @@
 """Fit of logs: estimate parameters from motions of a robot whose base is held.
 
 Inputs are commands and measured positions of the joints over time. The motion is simulated in
-MuJoCo; the parameters minimise the difference between predicted and measured positions, weighted by
-the autocorrelated residual noise.
+MuJoCo; the parameters minimise the difference between predicted and measured positions and the
+deviation from the priors. The weights follow from the autocorrelated residual noise.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def fit_motion(
 ) -> MotionFit:
     """Estimate a robot's parameters from logs of motions.
 
-    The base is fixed, or the robot hangs. The motion under the commands is simulated (MuJoCo), and
+    The base of the robot was held. The motion under the commands is simulated (MuJoCo), and
     the parameters minimise the difference from the measured positions by Gauss-Newton steps, with
     priors about the stated values. The residuals are modelled as autocorrelated noise, from which
     the intervals follow.
@@ -75,16 +75,18 @@ def fit_motion(
         priors: Prior standard deviations: ``mass=50%``, ``com:base=5mm``, ``kp=0`` (kp is exact).
         hold_out: Fraction at the end of each log that is predicted instead of fitted; or logs that
             are predicted.
-        kp: Stated servo stiffness [N m/rad], a scalar or shape (nu,); the model's by default.
-        kd: Stated servo damping [N m s/rad], a scalar or shape (nu,); the model's by default.
+        kp: Stated servo stiffness [N m/rad, N/m], a scalar or shape (nu,); the model's by default.
+        kd: Stated servo damping [N m s/rad, N s/m], a scalar or shape (nu,); the model's by
+            default.
 
     Raises:
-        ConfigurationError: If an argument is out of range.
+        ConfigurationError: If a prior, a gain or the fraction of ``hold_out`` is invalid.
         FitError: If the iteration does not converge.
         MeasurementError: If a log cannot be used or does not belong to this robot; if servo gains
             are neither stated in a file nor passed; or if a log to be predicted repeats a fitted
             motion.
-        ModelError: If the model has motors that are no servos, and no gains are passed.
+        ModelError: If a joint has no motor, or a motor is no position servo and kp and kd are not
+            both passed.
         UnknownNameError: If a log contains a joint that the robot lacks.
     """
     prior_list = parse_priors(priors)
@@ -131,10 +133,10 @@ def fit_motion(
 def _check_runs(
     robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence[LogSegment]
 ) -> None:
-    """Check that there are samples to fit, and that each joint of a log has commands and a servo.
+    """Check that there are samples to fit, and that joints of ``logs`` have commands and a servo.
 
     Raises:
-        MeasurementError: If there are no samples, or a joint lacks commands or a stiffness.
+        MeasurementError: If there are no samples to fit, or a joint lacks commands or a stiffness.
     """
     if not runs or not any(run.counts.any() for run in runs):
         source = logs[0].source if logs else robot.name
@@ -152,6 +154,9 @@ def _make_parameters(
 
     The damping kd of the servos is no parameter: an error of kd appears in the estimated damping of
     the joint, since both have the same effect.
+
+    Raises:
+        ConfigurationError: If a prior matches no parameter.
     """
     bodies = Simulator(robot, drive, ParameterTable(()), 1.0, 1).bodies
     model, dofs = bodies.model, robot.mj_convention.qvel_index
@@ -181,9 +186,9 @@ def _report_motions(
 ) -> MotionFit:
     """Create the result of a fit from its distribution of the parameters (`posterior`).
 
-    The RMS position errors [rad] compare each run with a finely simulated run, with the parameters
-    of the files and with the estimates, for fitted and held-out samples. The covariance of the
-    result is inflated if the errors exceed the encoder noise.
+    The RMS position errors [rad, m] compare each run with a finely simulated run, with the
+    parameters of the files and with the estimates, for fitted and held-out samples. The covariance
+    of the result is inflated if the median over the joints of error / encoder noise exceeds 1.
     """
     robot = motion.simulator.robot
     errors: dict[tuple[str, str], list[Array]] = {}
@@ -228,7 +233,7 @@ def _report_motions(
 
 
 def _inflate_covariance(posterior: Posterior, noise_ratio: float) -> Posterior:
-    """Return the distribution with a larger standard deviation of the measurement noise.
+    """Return the distribution for a larger standard deviation of the measurement noise.
 
     Errors beyond the encoder noise are errors of the model, which shift parameters in unknown
     directions. The prior is unchanged.
@@ -276,14 +281,14 @@ def _report_misfit(
 def _report_notes(
     runs: Sequence[LogSegment], rms_error: float, stated_error: float
 ) -> Iterator[Diagnostic]:
-    """Yield notes if the fit predicts worse than the stated parameters, or if motions repeat.
+    """Yield warnings if the fit predicts worse than the stated parameters, or if motions repeat.
 
     Motions repeat if held-out commands agree with fitted commands (`measure_replay`).
 
     Args:
         runs: Recorded runs, with fitted and held-out positions.
-        rms_error: RMS position error with the fitted parameters [rad].
-        stated_error: RMS position error with the stated parameters [rad].
+        rms_error: RMS position error with the fitted parameters [rad and m mixed].
+        stated_error: RMS position error with the stated parameters [rad and m mixed].
     """
     if rms_error > stated_error:
         yield diagnose(
@@ -305,9 +310,9 @@ repeated logs have at least 0.99, other motions of the same joints hardly 0.5.""
 def _align_commands(pattern: Array, series: Array) -> tuple[float, float]:
     """Return the shift at which a pattern agrees best with part of a series, and the correlation.
 
-    Both arrays are commands, shape (samples, nu) [rad]. The shift is in samples. All joints are
-    correlated jointly, and the shift is refined with a parabola through the maximum. (0, 0) if the
-    series is shorter than the pattern, or the pattern is constant.
+    Both arrays are commands, shape (samples, nu) [rad, m]. The shift is in samples. All joints are
+    correlated jointly, and the shift is refined with a parabola through the maximum, if that is not
+    at an end. (0, 0) if the series is shorter than the pattern, or the pattern is constant.
     """
     centred_pattern = pattern - pattern.mean(axis=0)
     if len(series) < len(pattern) or not centred_pattern.any():
@@ -343,7 +348,8 @@ def measure_replay(runs: Sequence[LogSegment]) -> float:
 
     Held-out samples are excluded from the fit, to validate it. The middle half of the held-out part
     of each run is compared with the fitted part of each run at all time shifts. The result is 0 if
-    no run has a held-out part.
+    no run has a held-out part. A comparison has the result 0 if the fitted part is shorter, or the
+    held-out commands are constant.
     """
     fitted = [run.command[run.counts.any(axis=1)] for run in runs]
     parts = [_get_middle_half(run.command[run.held_out.any(axis=1)]) for run in runs]
@@ -354,7 +360,7 @@ def measure_replay(runs: Sequence[LogSegment]) -> float:
 
 
 def measure_repeatability(runs: Sequence[LogSegment]) -> float:
-    """Return the RMS error [rad] with which joint positions repeat under the same commands.
+    """Measure the RMS error with which joint positions repeat under equal commands [rad, m mixed].
 
     This is the RMS difference of the positions in two runs, divided by sqrt(2). The middle half of
     each run is compared with the first earlier run of the same commands, aligned in time. NaN if no
@@ -381,14 +387,14 @@ def measure_repeatability(runs: Sequence[LogSegment]) -> float:
 
 
 def _estimate_encoder_noise(series: Sequence[Array]) -> float:
-    """Return the standard deviation [rad] of the encoder noise, estimated from third differences.
+    """Estimate the standard deviation [rad, m] of the encoder noise from third differences.
 
     For white noise of variance s^2 the variance of the differences is 20 s^2; motions of some Hz
     contribute little. The median is used, since joints jump for a moment after a new command. The
     result is at least the encoder step (if one is found) / sqrt(12); NaN without differences.
 
     Args:
-        series: Positions of one joint in each run, shape (n,) [rad].
+        series: Positions of one joint in each run, shape (n,) [rad, m].
     """
     steps = np.concatenate([np.abs(np.diff(column, 3)) for column in series])
     steps = steps[np.isfinite(steps)]
@@ -406,7 +412,8 @@ differences of readings to the standard deviation of the noise."""
 
 _MIN_DECREASE = 0.04
 """Predicted decrease of the cost below which the iteration has converged: sqrt(0.04) is a fifth of
-a standard deviation, with which an interval is 2 % too narrow."""
+a standard deviation. An interval with this error of the mean is 2 % too narrow. Chosen, not
+tuned."""
 
 _ROUGH_MIN_DECREASE = 10.0
 """Predicted decrease of the cost (chi2 plus prior) below which the first pass ends, in which the
@@ -419,14 +426,15 @@ two standard deviations. Chosen, not tuned."""
 
 _FINE_STEP_FACTOR = 4
 """Factor on the number of simulation steps for predictions. The error of dry friction decreases
-quadratically with the step. Derivatives are accurate to 1 % without this factor."""
+quadratically with the step. Derivatives do not need this factor: they are accurate to about 1 %.
+Chosen, not tuned."""
 
 
 class MotionResiduals:
     """Measured and simulated runs, and the whitened residuals between both.
 
-    Predictions use fine simulation steps; derivatives use coarse ones, since derivatives need about
-    thirty times as many simulations.
+    Predictions use fine simulation steps; derivatives use coarse steps, since derivatives need many
+    times as many simulations.
 
     Args:
         simulator: Simulator with coarse steps.
@@ -449,13 +457,13 @@ class MotionResiduals:
 
         The residuals are predicted minus measured joint positions, divided by the long-run standard
         deviation of the noise. If ``moments`` is the same object as ``noise_point``, the noise is
-        estimated again from these residuals, and the derivatives are evaluated again if the
-        parameters are farther than `_MAX_DERIVATIVE_DISTANCE` from those of the last evaluation.
-        Otherwise noise and derivatives of earlier calls are used.
+        estimated again from these residuals, and the derivatives are evaluated again if there are
+        none, or the squared distance of the parameters from those of the last evaluation exceeds
+        `_MAX_DERIVATIVE_DISTANCE`. Otherwise noise and derivatives of earlier calls are used.
 
         Args:
             moments: Parameters in first-moment coordinates (`MomentCoordinates`), shape (n,).
-            noise_point: Parameters at which the noise is evaluated, shape (n,).
+            noise_point: ``moments`` itself, to evaluate the noise; any other array for a trial.
         """
         vector = self.moments.to_parameters(moments)
         residuals = [
@@ -575,13 +583,13 @@ class SeriesNoise:
     """Autoregressive noise of a joint: e_k = sum_i c_i e_(k-i) + w_k, w white with deviation s.
 
     Residuals of a motion are correlated in time: a resting encoder repeats the same value, and
-    errors of the model last. A sum over many samples is as uncertain as that of independent samples
-    of standard deviation s / (1 - sum c), the long-run deviation.
+    errors of the model last. A sum over many samples is as uncertain as a sum of independent
+    samples with the long-run standard deviation s / (1 - sum c).
 
     Attributes:
         coefficients: Coefficients c, shape (lags,).
-        innovation: Standard deviation s of w [rad].
-        deviation: Standard deviation of e [rad].
+        innovation: Standard deviation s of w [rad, m].
+        deviation: Standard deviation of e [rad, m].
     """
 
     coefficients: Array
@@ -590,10 +598,10 @@ class SeriesNoise:
 
     @staticmethod
     def fit_white(series: Sequence[Array]) -> SeriesNoise:
-        """Return white noise with the RMS of given residuals as the standard deviation [rad].
+        """Return white noise with the RMS of given residuals as the standard deviation [rad, m].
 
-        Each series of residuals has the shape (n,) [rad]; NaN is ignored. The standard deviation is
-        at least ``_MIN_NOISE_STD``.
+        Each series of residuals has the shape (n,) [rad, m]; NaN is ignored. The standard deviation
+        is at least ``_MIN_NOISE_STD``.
         """
         deviation = float(np.fmax(compute_rms(series), _MIN_NOISE_STD))  # fmax ignores NaN
         return SeriesNoise(np.zeros(0), deviation, deviation)
@@ -606,7 +614,7 @@ class SeriesNoise:
         their RMS is at most ``_MIN_NOISE_STD``.
 
         Args:
-            series: Residuals of a joint in each run, shape (n,) [rad]; NaN if missing.
+            series: Residuals of a joint in each run, shape (n,) [rad, m]; NaN if missing.
         """
         filled = [np.where(np.isfinite(series_part), series_part, 0.0) for series_part in series]
         count = int(sum(np.isfinite(series_part).sum() for series_part in series))
@@ -625,10 +633,10 @@ class SeriesNoise:
 
     @property
     def long_run_std(self) -> float:
-        """Standard deviation of a joint's noise e over long times [rad], s / (1 - sum c).
+        """Standard deviation of a joint's noise e over long times [rad, m], s / (1 - sum c).
 
-        At least the standard deviation of e. The noise model is e_k = sum_i c_i e_(k-i) + w_k, with
-        white noise w of standard deviation s.
+        The value is at least the standard deviation of e. The noise model is e_k = sum_i c_i
+        e_(k-i) + w_k, with white noise w of standard deviation s.
         """
         return max(self.innovation / (1 - float(self.coefficients.sum())), self.deviation)
 
@@ -661,8 +669,9 @@ def compute_rms(series: Iterable[Array]) -> float:
 
 
 _DIFFERENCE_STEP = 0.1
-"""Finite-difference step of the parameters, in posterior standard deviations. Measured on v3: with
-steps of 0.1 to 1 the intervals of the estimated parameters agree to 1 %."""
+"""Finite-difference step along an eigenvector of the information, in posterior standard deviations
+of that direction. Measured on v3: with steps of 0.1 to 1 the intervals of the estimated parameters
+agree to 1 %."""
 
 _INITIAL_DIFFERENCE_STEP = 1e-2
 """Finite-difference step of the parameters in prior standard deviations, for the first derivatives,
@@ -681,10 +690,10 @@ def differentiate_motion(
     The parameters are in first-moment coordinates: a CoM c of a body with an estimated mass m is
     replaced by c0 + (m / m0) (c - c0), with stated values c0, m0 (`MomentCoordinates`).
 
-    Finite-difference steps are along the principal directions of the information, scaled by the
-    uncertainties. Steps along single parameters would make intervals a quarter too narrow: their
-    errors add up to a false effect of a common factor on kp, friction and masses, which has none.
-    Groups of joints without mutual effect are changed in one simulation.
+    Finite-difference steps are along the principal directions of the information of each group of
+    joints, scaled by the uncertainties. Steps along single parameters made intervals a quarter too
+    narrow: their errors add up to a false effect of a common factor on kp, friction and masses,
+    which has none. Groups of joints without mutual effect are changed in one simulation.
 
     Args:
         simulator: Simulator.

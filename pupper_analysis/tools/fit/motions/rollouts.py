@@ -2,7 +2,7 @@
 
 `Simulator` predicts the positions of a `LogSegment` for parameter vectors. `MovingBodies` writes
 masses and CoM positions into a MuJoCo model, `MomentCoordinates` replaces CoM positions by first
-moments.
+moments, scaled to lengths.
 """
 
 from __future__ import annotations
@@ -36,26 +36,28 @@ DELAY_PARAMETERS = (
     ("delay", SERVOS_SUBJECT, "", 0.0),
     *(("lag", SERVOS_SUBJECT, p, 0.0) for p in ("command", "position")),
 )
-"""Estimated delays [s], common to all servos: delay of commands, time constant of a first-order
-lag of commands, and time constant of a first-order lag of positions. A slow motor has both lags, a
-bus delays only commands. The entries are the fields of `Parameter`: kind, subject, component, and
-the value in the model, 0 s, which is the mean of the prior."""
+"""Estimated delays [s], common to all servos: delay of commands, including their lag; time constant
+of a first-order lag of commands; and time constant of a first-order lag of positions. A slow motor
+has both lags, a bus delays only commands. The entries are the fields of `Parameter`: kind, subject,
+component, and the value in the model, 0 s, which is the mean of the prior."""
 
 BURN_IN_DURATION = 0.25
 """Time [s] at the start of a run that is not compared. The initial velocity is only known from
-encoder readings; the velocity error decays within some time constants kd / kp of the servos (20 to
-50 ms)."""
+encoder readings; the velocity error decays within some time constants kd / kp of the servos (for
+example 20 to 50 ms). Chosen, not tuned."""
 
 _MAX_STEP_RATE = 0.5
 """Upper bound of the product of time step and fastest rate (kd + damping) / inertia, as far as
-`_MAX_STEPS_PER_SAMPLE` allows. The error of the Runge-Kutta method is then 1e-4 of the motion."""
+`_MAX_STEPS_PER_SAMPLE` allows. Chosen, not tuned: the error of the Runge-Kutta method is then about
+1e-4 of the motion."""
 
 _MAX_STEPS_PER_SAMPLE = 20
-"""Upper bound of the simulation steps per sample. Chosen, not tuned."""
+"""Upper bound of the default number of simulation steps per sample. Chosen, not tuned."""
 
 _SOLVER_TOLERANCE = 1e-11
 """Tolerance of MuJoCo's CG solver (``mjOption.tolerance``, dimensionless). The solver's error in
-dry friction would appear in finite differences. Chosen, not tuned."""
+dry friction would appear in finite differences. Models with equality constraints keep their own
+solver and tolerance. Chosen, not tuned."""
 
 _MAX_BATCH_SIZE = 8
 """Largest number of simulations whose states are kept in memory at once: each has 25 MB for a
@@ -72,10 +74,10 @@ class LogSegment:
 
     Attributes:
         time: Sample times from the start of the run, shape (n,) [s].
-        position: Measured positions, shape (n, nu) [rad]; NaN if missing.
-        command: Commands from each sample on, shape (n, nu) [rad]; resting positions of joints that
-            are not in the log.
-        start: Encoder positions [rad] and velocities [rad/s] at the start, shape (2, nu).
+        position: Measured positions, shape (n, nu) [rad, m]; NaN if missing.
+        command: Commands from each sample on, shape (n, nu) [rad, m]; resting positions of joints
+            without measurements in this part.
+        start: Encoder positions [rad, m] and velocities [rad/s, m/s] at the start, shape (2, nu).
         counts: Whether a position is fitted, shape (n, nu).
         held_out: Whether a position is predicted instead, shape (n, nu).
     """
@@ -93,7 +95,7 @@ def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[LogSegment]:
 
     Args:
         log: Log, joints in actuator order.
-        rest: Positions, shape (nu,) [rad], at which joints without measurements are held.
+        rest: Positions, shape (nu,) [rad, m], at which joints without measurements are held.
         hold_out: Fraction (0 to 1) at the end of each run that is predicted, not fitted.
     """
     boundaries = [0, *(jump + 1 for jump in log.jumps), len(log.time)]
@@ -135,11 +137,11 @@ def _fill_commands(command: Array) -> Array:
 
 
 def _fit_initial_state(time: Array, position: Array) -> Array:
-    """Fit a parabola in time, shape (n,) [s], to the ``position`` of each joint, (n, nu) [rad].
+    """Fit a parabola in time, shape (n,) [s], to the ``position`` of each joint, (n, nu) [rad, m].
 
     Returns:
-        Positions [rad] and velocities [rad/s] at time 0, shape (2, nu); NaN for a joint with three
-        or fewer samples.
+        Positions [rad, m] and velocities [rad/s, m/s] at time 0, shape (2, nu); NaN for a joint
+        with three or fewer samples.
     """
     initial_state = np.full((2, position.shape[1]), np.nan)
     for joint, column in enumerate(position.T):
@@ -156,14 +158,16 @@ class Simulator:
     """Simulator of runs of a robot whose base is held, for parameter vectors.
 
     Servo law: tau = kp (command(t - delay) - encoder) - kd velocity. A command holds until the next
-    sample; the encoder position is joint position plus offset.
+    sample; the encoder position is joint position plus offset. A part of the delay may be a
+    first-order lag of the commands; a first-order lag of the encoder positions is replaced by its
+    effect on damping and armature (`set_parameters`).
 
     Args:
-        robot: Robot.
+        robot: Robot with a fixed base.
         drive: Servos.
         table: Parameters.
         interval: Sampling interval of the logs [s].
-        steps: Simulation steps per sample; by default from the fastest damping (`_MAX_STEP_RATE`).
+        steps: Simulation steps per sample; by default from the fastest rate (`_MAX_STEP_RATE`).
     """
 
     def __init__(
@@ -225,7 +229,7 @@ class Simulator:
             vectors: k parameter vectors (physical parameters, in the order of the table).
 
         Returns:
-            Joint position plus encoder offset, shape (k, n, nu) [rad].
+            Joint position plus encoder offset, shape (k, n, nu) [rad, m].
         """
         starts = range(0, len(vectors), _MAX_BATCH_SIZE)
         return np.concatenate(
@@ -233,7 +237,7 @@ class Simulator:
         )
 
     def _predict_batch(self, run: LogSegment, vectors: Sequence[Array]) -> Array:
-        """Return the encoder positions of a run [rad], predicted for k parameter vectors.
+        """Return the encoder positions of a run [rad, m], predicted for k parameter vectors.
 
         The shape is (k, samples, nu); k is at most `_MAX_BATCH_SIZE`.
         """
@@ -265,7 +269,8 @@ class Simulator:
             controls.append(ctrl)
         states = roll_out(models, self._workers, np.array(starts), np.array(controls))
         states = np.concatenate([np.array(starts)[:, None], states], axis=1)
-        # A delay shifts the response in time, so that steps start at command changes.
+        # The commands are not delayed, so that steps start at their changes: the response is
+        # shifted by the delay without the lag of commands.
         convention, steps = self.robot.mj_convention, step * np.arange(states.shape[1])
         q, v = (
             states[..., 1 + convention.qpos_index],
@@ -288,7 +293,7 @@ class Simulator:
     def _get_delay(self, vector: Array, part: str = "") -> float:
         """Return the delay in a parameter vector [s], or the lag of a ``part`` [s].
 
-        Parts are those of `DELAY_PARAMETERS`: commands and positions.
+        Parts are the components of `DELAY_PARAMETERS`: ``command`` and ``position``.
         """
         return self.table.get_value(vector, "lag" if part else "delay", SERVOS_SUBJECT, part, 0.0)
 
@@ -321,11 +326,11 @@ class Simulator:
             jacobians[..., indices == lag_index] = (jacobians @ coefficients[indices])[..., None]
 
     def set_parameters(self, model: mujoco.MjModel, vector: Array) -> None:
-        """Write a parameter vector into a model: servos, damping, friction, armature, masses.
+        """Write a parameter vector into a model: servos, damping, friction, armature, masses, CoMs.
 
-        kp, dry friction and armature are clipped at 0. Damping is not, since finite differences
-        need both sides. A lag T [s] of the positions adds kp T^2 to the armature, and -kp T to the
-        damping of the servo.
+        kp, dry friction and armature are clipped at 0, masses at `MIN_MASS_FRACTION` of the stated
+        mass. Damping is not, since finite differences need both sides. A lag T [s] of the positions
+        adds kp T^2 to the armature, and -kp T to the damping of the servo.
 
         Args:
             model: Copy of the simulator's model; changed in place.
@@ -353,11 +358,13 @@ class Simulator:
 
 
 def _average_commands(time: Array, command: Array, edges: Array) -> Array:
-    """Return the mean command in each interval between k times, shape (k - 1, nu) [rad].
+    """Return the mean command in each interval between k times, shape (k - 1, nu) [rad, m].
+
+    Before the first time, the first command holds.
 
     Args:
         time: Times from which the commands hold, shape (n,) [s].
-        command: Commands, shape (n, nu) [rad]; each holds until the next one.
+        command: Commands, shape (n, nu) [rad, m]; each holds until the next one.
         edges: Boundaries of the intervals, shape (k,) [s].
     """
     boundaries = np.concatenate([[time[0] - 1.0], time, [time[-1] + 1.0]])
@@ -368,10 +375,10 @@ def _average_commands(time: Array, command: Array, edges: Array) -> Array:
 
 
 def _apply_lag(command: Array, lag: float) -> Array:
-    """Return commands after a first-order lag, as mean values per time step, shape (k, nu) [rad].
+    """Return mean commands per time step after a first-order lag, shape (k, nu) [rad, m].
 
     Args:
-        command: Mean commands per time step, shape (k, nu) [rad].
+        command: Mean commands per time step, shape (k, nu) [rad, m].
         lag: Time constant [time steps]. A negative lag has the opposite effect, so that central
             differences are possible about 0.
     """
@@ -387,8 +394,8 @@ def _apply_lag(command: Array, lag: float) -> Array:
 class MovingBodies:
     """Bodies that a robot's joints move, each merged with the bodies fixed to it.
 
-    Each body is named by its joint's URDF link; the CoM is expressed in the link frame, which is
-    the frame of the Pinocchio joint. The rotational inertia about the CoM is proportional to the
+    Each body is named by its joint's URDF link; the CoM is expressed in the frame of the Pinocchio
+    joint, called link frame here. The rotational inertia about the CoM is proportional to the
     mass, and independent of the CoM.
 
     Args:
@@ -397,7 +404,7 @@ class MovingBodies:
 
     Attributes:
         model: Copy of the model with merged inertials.
-        links: Link of each joint, shape (nu,).
+        links: Link of each joint (`find_moved_link`), shape (nu,).
         mass: Masses, shape (nu,) [kg].
         com: CoM positions in the link frames, shape (nu, 3) [m].
     """
@@ -430,7 +437,7 @@ class MovingBodies:
     def _merge_fixed_bodies(self, body: int) -> None:
         """Add the inertias of all bodies that are fixed to a body to that body's inertia.
 
-        The fixed bodies then have no mass.
+        The fixed bodies then have no mass. Nothing changes without such bodies.
         """
         model = self.model
         fixed = np.flatnonzero(model.body_weldid == body)
@@ -460,7 +467,8 @@ class MovingBodies:
         """Write masses [kg] and CoM positions [m] of a parameter vector into a MuJoCo model.
 
         Values that are not estimated keep the values of the file. The rotational inertia is scaled
-        with the mass. A mass is at least `MIN_MASS_FRACTION` of the stated mass.
+        with the mass. A mass is at least `MIN_MASS_FRACTION` of the stated mass. A body without
+        mass is not changed.
 
         Args:
             model: Copy of the model with merged inertials; changed in place.
@@ -555,8 +563,8 @@ def _compute_base_offset(robot: Robot, data: mujoco.MjData, by_pin: pin.Data) ->
 
 
 MIN_MASS_FRACTION = 0.01
-"""Lower bound of a mass as a fraction of the stated mass. The CoM of a lighter body is
-undetermined, and the simulation unstable. Chosen, not tuned."""
+"""Lower bound of a mass in a simulation, as a fraction of the stated mass. The CoM of a lighter
+body is hardly determined, and the simulation may be unstable. Chosen, not tuned."""
 
 
 class MomentCoordinates:
@@ -567,8 +575,8 @@ class MomentCoordinates:
 
     A CoM c is replaced by c0 + (m / m0) (c - c0), with stated values c0 and m0: a length, equal to
     c at the stated mass, and linear in moment and mass. The prior of this length is the prior of c.
-    The delay is replaced by the delay minus the lag of commands: both are positive, and the sum is
-    determined.
+    If both are estimated, the delay is replaced by the delay minus the lag of commands: the
+    difference and the lag are not negative, and motions determine their sum.
 
     Args:
         table: Parameters.
@@ -593,8 +601,8 @@ class MomentCoordinates:
     def _compute_mass_ratio(self, vector: Array) -> Array:
         """Return the mass ratio m0 / m of the body of each CoM coordinate of a parameter vector.
 
-        m0 is the mass in the model files, and m the mass in the vector, but at least
-        `MIN_MASS_FRACTION` times m0.
+        m0 is the stated mass, and m the mass in the vector, but at least `MIN_MASS_FRACTION` times
+        m0. Only bodies with an estimated mass are included.
         """
         min_mass = MIN_MASS_FRACTION * self._stated_mass
         return np.asarray(self._stated_mass / np.maximum(vector[self._masses], min_mass))
@@ -603,8 +611,9 @@ class MomentCoordinates:
         """Convert first-moment coordinates, shape (n,), to physical parameters, shape (n,).
 
         The inverse of `from_parameters`. A CoM component of a body with an estimated mass m is c =
-        c0 + (m0 / m) (coordinate - c0), with the stated values c0 and m0. The delay is its
-        coordinate plus the lag of commands. Other parameters are equal to their coordinates.
+        c0 + (m0 / m) (coordinate - c0), with the stated values c0 and m0; m is at least
+        `MIN_MASS_FRACTION` m0 here. The delay is its coordinate plus the lag of commands, if both
+        are estimated. Other parameters are equal to their coordinates.
         """
         vector = moments.copy()
         deviation = moments[self._coms] - self._stated_com
@@ -616,8 +625,8 @@ class MomentCoordinates:
         """Convert physical parameters, shape (n,), to first-moment coordinates, shape (n,).
 
         A CoM component c [m] of a body with an estimated mass m [kg] becomes
-        c0 + (m / m0) (c - c0), with the values c0 and m0 of the robot's files. The servo delay [s]
-        becomes the delay minus the time constant of the lag of commands. Other parameters are
+        c0 + (m / m0) (c - c0), with the stated values c0 and m0. The delay [s] becomes the delay
+        minus the time constant of the lag of commands, if both are estimated. Other parameters are
         unchanged.
         """
         moments = vector.copy()
@@ -646,7 +655,7 @@ class MomentCoordinates:
         """Convert a distribution of first-moment coordinates to a distribution of the parameters.
 
         First-moment coordinates contain mass times CoM instead of the CoM, scaled to a length. The
-        conversion is linearised about the mean.
+        conversion is linearised about the mean. ``moved`` remains in the coordinates.
 
         Args:
             posterior: Distribution of the coordinates.

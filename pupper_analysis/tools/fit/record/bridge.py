@@ -45,7 +45,7 @@ class Operator(Protocol):
     def feet_up(
         self, feet: Sequence[str], planned: Sequence[str]
     ) -> tuple[str, ...] | Diagnostic | None:
-        """Return the feet that the operator sees in the air.
+        """Return the feet in the air, as the operator reports.
 
         If the operator skips the stand, return the reason, or None if no reason is known.
 
@@ -55,7 +55,7 @@ class Operator(Protocol):
         """
 
     def stops(self) -> bool:
-        """Return True if the operator has pressed a key to stop the recording."""
+        """Return True if the operator stops the recording, for example by a key."""
 
 
 class Bridge(Protocol):
@@ -68,13 +68,14 @@ class Bridge(Protocol):
     ramps: bool
 
     def read(self) -> tuple[float, Array]:
-        """Return the time of the measurement [s], and joint positions, shape (nu,) [rad].
+        """Return the time of the measurement [s], and joint positions, shape (nu,) [rad, m].
 
-        The time is on the clock of ``now``. The joints are in actuator order.
+        The time is on the clock of ``now``. The joints are in actuator order; NaN without a
+        measurement.
         """
 
     def send(self, command: Array) -> None:
-        """Command joint positions, shape (nu,) [rad], in actuator order."""
+        """Command joint positions, shape (nu,) [rad, m], in actuator order."""
 
     def now(self) -> float:
         """Return the time on the clock of the bridge [s]; only differences have a meaning."""
@@ -98,6 +99,7 @@ def open_bridge(name: str, robot: Robot) -> tuple[Bridge, Operator]:
 
     Raises:
         ConfigurationError: If there is no bridge of this name, or it cannot be opened.
+        ModelError: If the bridge is ``mujoco``, and a joint has no position servo.
     """
     bridge, operator = open_connection(name, robot, _BUILTIN_BRIDGES, ENTRY_POINT_GROUP)
     return bridge, operator
@@ -113,7 +115,8 @@ def open_connection(name: str, robot: Robot, builtin: Mapping[str, str], group: 
         group: Group of the entry points of other packages.
 
     Raises:
-        ConfigurationError: If there is no connection of this name, or it cannot be opened.
+        ConfigurationError: If there is no connection of this name. The function that opens the
+            connection may raise other errors.
     """
     key, _, arguments = name.partition(":")
     points = {point.name: point for point in entry_points(group=group)}

@@ -29,7 +29,8 @@ SIGNALS = ("positions", "velocities", "targets", "commands", "angular_velocity",
 """Optional signals of a trace, see `pupper_analysis.tools.walk.trace`."""
 
 MIN_ACTIONS = 20
-"""Smallest number of actions of a trace; with fewer, no trace is written. Chosen, not tuned."""
+"""Smallest number of observations, of actions and of rows of a trace; with fewer, no trace is
+written. Chosen, not tuned."""
 
 LISTENERS_GROUP = "pupper_analysis.listeners"
 """Group of entry points by which other packages add listeners. An entry point is a function of the
@@ -59,10 +60,10 @@ class TraceRecording(Result):
         name: Robot name.
         file: Output file.
         samples: Number of recorded actions.
-        period: Median time between actions.
+        period: Median time between the observations of successive recorded actions.
         signals: Signals of the robot in the trace.
         missing: Signals that were not received; `walk` does not check terms that need them.
-        findings: Left out messages.
+        findings: Note on actions that were left out, if any.
     """
 
     name: str
@@ -91,7 +92,8 @@ def record_policy(robot: Robot, bridge: str, seconds: float, output: str | Path)
     Raises:
         ConfigurationError: If the duration is not from 1 to 3600 s, there is no listener of this
             name, or the listener cannot be opened.
-        MeasurementError: If too few observations and actions are received.
+        MeasurementError: If fewer than `MIN_ACTIONS` observations or actions are received, or fewer
+            actions can be recorded.
         OutputError: If the file cannot be written.
     """
     if not 1 <= seconds <= 3600:
@@ -118,19 +120,19 @@ def _open_listener(name: str, robot: Robot) -> Listener:
     """Return an open connection that receives messages; ``name`` is ``NAME`` or ``NAME:ARGUMENTS``.
 
     Raises:
-        ConfigurationError: If there is no listener of this name, or it cannot be opened.
+        ConfigurationError: If there is no listener of this name, or ROS 2 cannot be used.
     """
     listener: Listener = open_connection(name, robot, _BUILTIN_LISTENERS, LISTENERS_GROUP)
     return listener
 
 
 def assemble_trace(series: Series, source: str) -> tuple[dict[str, Array], int]:
-    """Return the arrays of a trace with a row per action, and the number of left out actions.
+    """Return the arrays of a trace with a row per action, and the number of omitted actions.
 
     An action belongs to the observation that is nearest in time. A row contains, of each signal of
-    the robot, the last message up to this observation. Actions are left out if another action is
-    nearer to their observation, or if a signal has not been received yet. A signal without messages
-    is no array of the trace.
+    the robot, the last message up to this observation. An action is left out if another action is
+    nearer to its observation (or as near, and earlier), or if a signal was first received after the
+    observation. A signal without messages is no array of the trace.
 
     Args:
         series: Messages.
@@ -141,7 +143,7 @@ def assemble_trace(series: Series, source: str) -> tuple[dict[str, Array], int]:
         that were left out.
 
     Raises:
-        MeasurementError: If fewer than `MIN_ACTIONS` rows remain.
+        MeasurementError: If there are fewer than `MIN_ACTIONS` observations, actions or rows.
     """
     counts = [len(series.get(name, ())) for name in ("observations", "actions")]
     if min(counts) < MIN_ACTIONS:

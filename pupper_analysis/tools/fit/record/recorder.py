@@ -1,11 +1,12 @@
 """Record planned stands with a robot: ramp, wait for rest, average and write positions.
 
 Each stand is approached from both sides: by commands beyond and short of those planned. Dry
-friction then acts with both signs, and hardly changes the mean of both positions at rest.
+friction then acts with both signs, and hardly changes the mean of both positions at rest. Typed
+positions are read once.
 
-Whenever the recording ends, the robot holds the last command: at the end of the plan, by a key, if
-no positions arrive, or if a servo does not follow. Each row is written before the next stand
-begins, and stands that are already in the file are not recorded again.
+When the recording ends, the last command is sent again: for example at the end of the plan, after a
+key, if no positions arrive, or if a servo does not follow. Each row is written before the next
+stand begins, and stands that are already in the file are not recorded again.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ from pupper_analysis.tools.fit.record.bridge import Bridge, Operator
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, compute_com_std
 
 MAX_JOINT_SPEED = 0.5
-"""Upper bound of the commanded joint speed [rad/s] between stands. Two adjacent stands of a plan
-are then about two seconds apart. Chosen, not tuned."""
+"""Upper bound of the commanded joint speed [rad/s, m/s] between stands. Two adjacent stands of a
+plan are then about two seconds apart. Chosen, not tuned."""
 
 _COMMAND_INTERVAL = 0.02
 """Time [s] between two commands of a ramp. Chosen, not tuned."""
@@ -54,12 +55,12 @@ _MAX_POSITION_AGE = 0.3
 controller. Chosen, not tuned."""
 
 _MAX_TRACKING_ERROR = 0.5
-"""Upper bound of the difference [rad] between position and command. A larger difference means a
+"""Upper bound of the difference [rad, m] between position and command. A larger difference means a
 servo without torque. Chosen, not tuned."""
 
 _MIN_COMMANDED_TRAVEL = 0.25
-"""Commanded travel [rad] from one stand to the next from which the response of a joint is checked.
-Chosen, not tuned."""
+"""Commanded travel [rad, m] from one stand to the next above which the response of a joint is
+checked. Chosen, not tuned."""
 
 _MIN_TRAVEL_RATIO = 0.25
 """Ratio of measured to commanded travel, from one stand to the next, below which a joint counts as
@@ -67,13 +68,14 @@ not following, and the recording stops. Positions are compared after the robot w
 stick to the ground can hold a joint of a working leg at 0.1 of its travel. Chosen, not tuned."""
 
 _LIVE_TRAVEL_RATIO = 0.6
-"""Ratio of measured to commanded travel above which a servo counts as working: gravity and the
-servos of other joints do not move a joint that far. If the servo fails later, rows recorded since
-then are withdrawn. Chosen, not tuned."""
+"""Ratio of measured to commanded travel, above `_MIN_COMMANDED_TRAVEL`, above which a servo counts
+as
+working: gravity and the servos of other joints do not move a joint that far. If the servo fails
+later, rows recorded since then are withdrawn. Chosen, not tuned."""
 
 _REST_RANGE = 1e-3
-"""Largest range of each joint position [rad] within `_REST_WINDOW` with which the robot counts as
-at rest. Chosen, not tuned."""
+"""Exclusive upper bound of the range of each joint position [rad, m] within `_REST_WINDOW` with
+which the robot counts as at rest. Chosen, not tuned."""
 
 _REST_WINDOW = 1.0
 """Duration [s] of the last measurements whose range decides whether the robot is at rest, and over
@@ -81,8 +83,8 @@ which the joint positions are averaged. Chosen, not tuned."""
 
 LEAD_RATIOS = (1.3, 0.7)
 """Factors of the lead (command minus position at rest) with which a stand is approached before the
-positions are read. Measured with simulated dry friction of 0.65 of the limit that was left in the
-joints at rest: 0.15 of the limit remains in the mean of both readings."""
+positions are read. Measured in simulations: if dry friction at rest is 0.65 of its limit, 0.15 of
+the limit remains in the mean of both readings."""
 
 _RETURN_SECONDS = 2.0
 """Least duration [s] of the ramp from a command beyond or short of the plan (`LEAD_RATIOS`) to the
@@ -106,10 +108,12 @@ class Recording(Result):
         recorded_stands: Stands that were recorded now.
         existing_stands: Stands that were in the file before.
         missing_stands: Stands that are still missing.
-        friction_angles: {joint: half the difference [rad] of its positions at rest after a larger
-            and after a smaller command, median of the stands recorded now}. Times the stiffness of
-            the servo, it is an estimate of the dry friction. Empty if positions are typed.
-        findings: Reasons for skipped stands, or for the end of the recording.
+        friction_angles: {joint: half the difference [rad, m] of its positions at rest after a
+            larger and after a smaller command, median of the stands recorded now}. Times the
+            stiffness of the servo, it is an estimate of the dry friction. Empty if positions are
+            typed, or no stand was recorded now.
+        findings: Reasons for skipped stands, for withdrawn rows, or for an early end of the
+            recording.
     """
 
     name: str
@@ -127,11 +131,11 @@ class Recording(Result):
 
 
 class _RecordingEndedError(Exception):
-    """End of the recording; the robot holds the last command.
+    """Reason to end the recording before the end of the plan.
 
     Args:
         finding: Reason.
-        rows: Number of rows recorded now that are reliable; None for all.
+        rows: Number of rows recorded now that are reliable (the first ones); None for all.
     """
 
     def __init__(self, finding: Diagnostic, rows: int | None = None) -> None:
@@ -156,9 +160,11 @@ def record_stands(
         operator: Person who lifts the robot, and observes the loaded feet.
 
     Raises:
-        ConfigurationError: If the output is the plan itself.
-        MeasurementError: If the output belongs to another plan; or, before anything moves, if a
-            command exceeds the joint limits or a stand is not balanced with the file's masses.
+        ConfigurationError: If the output is the plan itself, or the command of a joint without
+            limits is missing.
+        MeasurementError: If the plan or the output cannot be read, or the output belongs to another
+            plan; or, before anything moves, if a command is missing or exceeds the joint limits, or
+            a stand is not balanced with the file's masses.
         OutputError: If the output cannot be written, or another recording writes to the file.
         UnknownNameError: If the plan names a joint, foot or link that the robot lacks.
     """
@@ -174,7 +180,7 @@ def _lock_output(path: Path) -> Iterator[None]:
     """Prevent other recordings from writing to the same file.
 
     Raises:
-        OutputError: If another recording writes to the file, or the folder is not writable.
+        OutputError: If another recording writes to the file, or the lock file cannot be created.
     """
     target, _ = resolve_target(path)
     try:
@@ -196,11 +202,13 @@ def _record_missing_stands(
 ) -> Recording:
     """Record the stands of the file ``plan`` that the output file ``path`` does not contain yet.
 
-    The bridge is closed afterwards.
+    The bridge is closed afterwards, except after an error before the first stand.
 
     Raises:
-        MeasurementError: If the output belongs to another plan; or, before anything moves, if a
-            command exceeds the joint limits or a stand is not balanced with the file's masses.
+        MeasurementError: If the plan or the output cannot be read, or the output belongs to another
+            plan; or, before anything moves, if a command is missing or exceeds the joint limits, or
+            a stand is not balanced with the file's masses.
+        ConfigurationError: If the command of a joint without limits is missing.
         OutputError: If the output cannot be written.
         UnknownNameError: If the plan names a joint, foot or link that the robot lacks.
     """
@@ -268,13 +276,13 @@ class _RecordingSession:
     def __init__(self, robot: Robot, bridge: Bridge, operator: Operator) -> None:
         self._robot, self._bridge, self._operator = robot, bridge, operator
         self._command: Array | None = None
-        # Number of rows when each servo last worked.
+        # Number of rows that were recorded when each servo last worked (`_LIVE_TRAVEL_RATIO`).
         self._last_live_rows = np.zeros(robot.nu, dtype=int)
-        # Half differences of the two readings of each recorded stand, (nu,) [rad].
+        # Half differences of the two readings of each recorded stand, (nu,) [rad, m].
         self._half_differences: list[Array] = []
 
     def compute_friction_angles(self, num_stands: int) -> FrozenDict[str, float]:
-        """Return {joint: median of |half the difference of both readings| [rad]}.
+        """Return {joint: median of |half the difference of both readings| [rad, m]}.
 
         The median is over the first ``num_stands`` recorded stands; empty if no stand was read
         twice.
@@ -306,10 +314,10 @@ class _RecordingSession:
             stand: Planned stand.
             loads: {link: mass [kg] and position (x, y, z) [m] of a known load, shape (4,)}.
             instructions: Steps for the operator, as text.
-            rows: Number of rows recorded before.
+            rows: Number of rows recorded now, before this stand.
 
         Returns:
-            Joint positions, shape (nu,) [rad], in actuator order; names of the feet in the air.
+            Joint positions, shape (nu,) [rad, m], in actuator order; names of the feet in the air.
 
         Raises:
             _StandSkippedError: If the operator skips the stand, or the robot does not come to rest.
@@ -342,14 +350,14 @@ class _RecordingSession:
     ) -> None:
         """Check that each joint followed its command from the previous stand to this one.
 
-        For each servo that followed, the number of stands recorded so far (``rows``) is stored: if
-        the servo stops later, this number limits the rows that are kept.
+        For each servo that worked (`_LIVE_TRAVEL_RATIO`), ``rows`` is stored: if the servo stops
+        later, this number limits the rows that are kept.
 
         Args:
             stand: Stand, which the robot has reached; it was lifted and set down there.
-            commanded_travel: Differences of the commands of both stands, shape (nu,) [rad].
-            travel: Differences of the joint positions at rest, shape (nu,) [rad].
-            rows: Number of rows recorded before.
+            commanded_travel: Differences of the commands of both stands, shape (nu,) [rad, m].
+            travel: Differences of the measured joint positions, shape (nu,) [rad, m].
+            rows: Number of rows recorded now, before this stand.
 
         Raises:
             _RecordingEndedError: If a joint moved by less than `_MIN_TRAVEL_RATIO` of its commanded
@@ -370,7 +378,8 @@ class _RecordingSession:
         Args:
             stand: Stand to which the robot moves.
             joint: Index of the joint, in actuator order.
-            error: Difference between position and command [rad].
+            error: Difference between position and command, or between measured and commanded travel
+                [rad, m].
         """
         finding = diagnose(
             "servo-does-not-follow",
@@ -385,13 +394,15 @@ class _RecordingSession:
     ) -> tuple[Array, Array]:
         """Return the mean joint positions at rest after approaches from both sides.
 
+        The commands of the approaches are clipped to the joint limits.
+
         Args:
             stand: Stand, which the robot has reached.
-            target: Commands of the stand, shape (nu,) [rad].
-            rest: Joint positions at rest with these commands, shape (nu,) [rad].
+            target: Commands of the stand, shape (nu,) [rad, m].
+            rest: Joint positions at rest with these commands, shape (nu,) [rad, m].
 
         Returns:
-            Mean positions, and half the difference of both positions, shape (nu,) [rad] each.
+            Mean positions, and half the difference (first minus second), shape (nu,) [rad, m] each.
 
         Raises:
             _StandSkippedError: If the robot does not come to rest.
@@ -409,12 +420,12 @@ class _RecordingSession:
         return (first + second) / 2, (first - second) / 2
 
     def _ramp_commands(self, stand: PlannedStand, target: Array) -> tuple[Array, Array]:
-        """Ramp the command to the joint positions ``target`` of a stand, shape (nu,) [rad].
+        """Ramp the command to the joint positions ``target`` of a stand, shape (nu,) [rad, m].
 
         The ramp to the first stand starts at the measured positions.
 
         Returns:
-            Commands and joint positions before the ramp, shape (nu,) [rad] each.
+            Commands and joint positions before the ramp, shape (nu,) [rad, m] each.
         """
         if self._command is None:  # start at the measured positions
             self._command = self._read_positions(stand)
@@ -429,7 +440,7 @@ class _RecordingSession:
 
         Args:
             stand: Stand, for messages.
-            target: Commands at the end of the ramp, shape (nu,) [rad].
+            target: Commands at the end of the ramp, shape (nu,) [rad, m].
             min_seconds: Least duration of the ramp [s].
 
         Raises:
@@ -462,7 +473,7 @@ class _RecordingSession:
             raise _RecordingEndedError(diagnose("recording-stopped"))
 
     def _read_positions(self, stand: PlannedStand) -> Array:
-        """Return measured joint positions, shape (nu,) [rad], at most `_MAX_POSITION_AGE` old.
+        """Return measured joint positions, shape (nu,) [rad, m], at most `_MAX_POSITION_AGE` old.
 
         The positions are in actuator order. If the last positions are older, the function waits for
         new positions.
@@ -483,7 +494,7 @@ class _RecordingSession:
             self._bridge.wait(_COMMAND_INTERVAL)
 
     def _average_at_rest(self, stand: PlannedStand) -> Array:
-        """Return the mean joint positions, shape (nu,) [rad], once the robot is at rest.
+        """Return the mean joint positions, shape (nu,) [rad, m], once the robot is at rest.
 
         The mean is over the last `_REST_WINDOW`, within which each position changes by less than
         `_REST_RANGE`.
@@ -511,13 +522,14 @@ class _RecordingSession:
 def _list_instructions(
     stand: PlannedStand, loads: Mapping[str, Array], previous: PlannedStand | None
 ) -> Iterator[str]:
-    """Yield the instructions for the operator: heading, known mass, feet in the air.
+    """Yield the instructions for the operator: heading, known masses, feet in the air.
 
     Args:
         stand: Stand to be measured next.
-        loads: {link: mass [kg], and its position in the link frame, (4,) in total [kg, m]} of the
+        loads: {link: mass [kg] and position (x, y, z) in the link frame [m], shape (4,)} of the
             known masses in this stand.
-        previous: Stand before, None for the first; heading and masses as in it are not repeated.
+        previous: Stand before; None for the first. An unchanged heading and an unchanged total of
+            the known masses are not repeated.
     """
     if previous is None or previous.heading != stand.heading:
         heading = Quantity(stand.heading, "rad")
@@ -547,8 +559,9 @@ def _check_plan(robot: Robot, planned: MeasuredStands) -> Iterator[float]:
 
     Raises:
         MeasurementError: If a command exceeds the joint limits, or a stand is not balanced.
+        ConfigurationError: If the command of a joint without limits is missing.
     """
-    # An empty command is beyond any limit.
+    # An empty command is beyond any finite limit.
     planned.check_limits(robot, np.nan_to_num(planned.command, nan=np.inf))
     for row, name in enumerate(planned.names):
         command, loaded = planned.command[row], robot
@@ -565,7 +578,8 @@ def _check_plan(robot: Robot, planned: MeasuredStands) -> Iterator[float]:
 def _compute_com_margin(robot: Robot, command: Array, swing: Sequence[str]) -> float:
     """Return the CoM margin [m] of a robot with all feet except ``swing`` on level ground.
 
-    The joints are at ``command``, shape (nu,) [rad].
+    The joints are at ``command``, shape (nu,) [rad, m]. The base is rotated such that a plane
+    through the centres of the contact points is level.
     """
     config = Configuration(robot, robot.make_qpos(command))
     points = [
@@ -590,7 +604,8 @@ def _read_recorded_names(path: Path, planned: MeasuredStands) -> set[str]:
     """Return the names of the recorded stands of a file; empty if there is no file.
 
     Raises:
-        MeasurementError: If the stands are not the planned stands.
+        MeasurementError: If the file cannot be read, or has a stand that is not planned, or that
+            has other joints or commands.
     """
     if not path.exists():
         return set()
@@ -607,8 +622,9 @@ def _read_recorded_names(path: Path, planned: MeasuredStands) -> set[str]:
 
 
 _COMMAND_ATOL = 2e-6
-"""Largest difference [rad] between recorded and planned commands with which a recorded stand
-belongs to the plan. Files contain six decimals."""
+"""Largest difference [rad, m] between recorded and planned commands with which a recorded stand
+belongs to the plan, in addition to 1e-5 of the command (the default of ``np.allclose``). Files
+contain six decimals. Chosen, not tuned."""
 
 
 def _make_planned_stand(planned: MeasuredStands, row: int) -> PlannedStand:
@@ -628,11 +644,11 @@ def _append_row(
         path: File.
         planned: Stands of the plan.
         row: Index of the stand in the plan.
-        position: Measured joint positions, shape (nu,) [rad].
+        position: Measured joint positions, shape (nu,) [rad, m].
         swing: Feet in the air.
 
     Returns:
-        Length of the file before, with a final line end [bytes].
+        Length of the file before, with a final line end [bytes]; 0 for a new or empty file.
     """
     row_stand = replace(planned.select_rows([row]), position=position[None], swing=(tuple(swing),))
     content_before = path.read_bytes() if path.exists() else None

@@ -1,7 +1,7 @@
 """Bridge over ROS 2 topics: ``sensor_msgs/JointState`` and a forward position controller.
 
-``JointState`` messages contain ``name`` and ``position`` [rad] of some or all joints, in any order.
-The controller accepts ``std_msgs/Float64MultiArray`` with ``data`` in the joint order of the
+``JointState`` messages contain ``name`` and ``position`` [rad, m] of some or all joints, in any
+order. The controller accepts ``std_msgs/Float64MultiArray`` with ``data`` in the joint order of the
 controller, which is actuator order unless ``ros2:order=a,b,c`` states another.
 
 `RosListener` records a running policy: observations and actions, which the controller publishes as
@@ -44,7 +44,7 @@ class RosBridge(WallClock):
         messages: Message classes ``JointState`` and ``Float64MultiArray``.
         state: Topic of the joint states.
         command: Topic of the commands.
-        order: Joints of the controller.
+        order: Joints of the controller; actuator order by default.
 
     Raises:
         ConfigurationError: If ``order`` lacks a joint of the robot, or contains another joint or a
@@ -104,7 +104,7 @@ class RosBridge(WallClock):
 
         Returns:
             Time on the clock of ``now`` [s], -inf if a joint was never received; joint positions in
-            actuator order, shape (nu,) [rad], NaN if never received.
+            actuator order, shape (nu,) [rad, m], NaN if never received.
         """
         self._ros.spin_once(self._node, timeout_sec=0.0)
         positions = [self._positions.get(name, math.nan) for name in self._robot.joint_names]
@@ -119,7 +119,7 @@ class RosBridge(WallClock):
     def send(self, command: Array) -> None:
         """Publish commanded joint positions in the joint order of the controller.
 
-        ``command`` has the shape (nu,) [rad], in actuator order.
+        ``command`` has the shape (nu,) [rad, m], in actuator order.
         """
         message = self._message()
         message.data = [float(command[joint]) for joint in self._order]
@@ -141,8 +141,9 @@ def open_ros(robot: Robot, arguments: str) -> tuple[RosBridge, Terminal]:
         Bridge; operator.
 
     Raises:
-        ConfigurationError: If ROS 2 is not installed, an argument is unknown, or a topic is silent
-            or belongs to other joints.
+        ConfigurationError: If ROS 2 is not installed, an argument is unknown, the order contains
+            other joints than the robot, joint states are missing, or nothing subscribes to
+            commands.
     """
     try:
         ros = import_module("rclpy")
@@ -168,7 +169,8 @@ LISTENED_TOPICS = {
     "imu": "/imu_sensor_broadcaster/imu",
     "velocity": "/cmd_vel",
 }
-"""{part of the arguments of a listener: default topic}, those of Pupper's neural_controller."""
+"""{key in the arguments of a listener: default topic}. The first three topics are those of Pupper's
+neural_controller."""
 
 _ARRAY_SIGNALS = {"observation": "observations", "action": "actions", "target": "targets"}
 """{topic of an array: signal of a trace}."""
@@ -182,7 +184,8 @@ class RosListener(WallClock):
         ros: Module ``rclpy`` with the modules ``qos`` and ``signals``.
         messages: {class name: message class}.
         topics: {key of `LISTENED_TOPICS`: topic}.
-        order: Joints of the controller, the order of its commanded positions.
+        order: Joints of the controller, in the order of its commanded positions; actuator order by
+            default.
 
     Raises:
         ConfigurationError: If ``order`` lacks a joint of the robot, or contains another joint or a
@@ -230,7 +233,7 @@ class RosListener(WallClock):
     def _receive_array(self, signal: str, message: Any) -> None:
         """Append an array of observations, actions or targets (commanded joint positions).
 
-        Targets are stored in actuator order; those with another number of joints are ignored.
+        Targets are stored in actuator order; an array with another number of joints is ignored.
         """
         values = np.array(message.data, dtype=np.float64)
         if signal == "targets":
@@ -240,9 +243,10 @@ class RosListener(WallClock):
         self._append(signal, values)
 
     def _receive_state(self, message: Any) -> None:
-        """Update joint positions [rad] and velocities [rad/s], and append them to their signals.
+        """Update joint positions and velocities, and append them to their signals.
 
-        Nothing is appended before all joints have been received.
+        Units are rad and rad/s, or m and m/s. A signal gets no values before those of all joints
+        have been received.
         """
         for kind, state in self._state.items():
             for name, value in zip(message.name, getattr(message, kind), strict=False):
@@ -287,8 +291,8 @@ def open_ros_listener(robot: Robot, arguments: str) -> RosListener:
             part optional.
 
     Raises:
-        ConfigurationError: If ROS 2 is not installed, an argument is unknown, or the order contains
-            other joints than the robot.
+        ConfigurationError: If ROS 2 is not installed, an argument is unknown, or the order does not
+            contain each joint of the robot once.
     """
     try:
         ros = import_module("rclpy")

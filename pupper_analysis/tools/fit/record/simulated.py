@@ -2,7 +2,7 @@
 
 `SimulatedRobot` is both the bridge and the operator of a recording. Masses, CoM positions, encoder
 offsets and kp are drawn at random from a seed; commands are simulated in MuJoCo, and positions are
-rounded to the encoder step. Known masses are attached by reloading the model.
+rounded to the encoder step. Known masses are attached by building the model again.
 """
 
 from __future__ import annotations
@@ -27,22 +27,24 @@ from pupper_analysis.tools.fit.stands.plan import PlannedStand
 from pupper_analysis.tools.study.parameters import scale_robot
 
 MASS_LOG_STD, COM_STD, OFFSET_STD, KP_LOG_STD = 0.1, 0.006, math.radians(1.0), 0.07
-"""Standard deviations of the perturbations: log mass of each link, CoM components [m], encoder
-offsets [rad], and log kp, of each servo and in common. Chosen, not tuned."""
+"""Standard deviations of the perturbations: log mass of each body, CoM components [m], encoder
+offsets [rad, m], and log kp, of each servo and in common. Chosen, not tuned."""
 
 _ENCODER_STEP = 2 * math.pi / 2**14
-"""Encoder step [rad] to which the simulated robot rounds joint positions: 14 bits per turn. Chosen,
-not tuned."""
+"""Encoder step [rad, m] to which the simulated robot rounds joint positions: 14 bits per turn.
+Chosen, not tuned."""
 
 _DROP_HEIGHT = 0.01
-"""Height [m] of the lowest foot when the robot is set down. Chosen, not tuned."""
+"""Height [m] of the lowest contact point above the ground when the robot is set down. Chosen, not
+tuned."""
 
 _MAX_FOOT_FRICTION = (1e-3, 2e-4)
-"""Upper bounds of torsional and rolling friction [m], values of rubber feet. Chosen, not tuned."""
+"""Upper bounds of the torsional and rolling friction [m] of all geoms in the simulation: values of
+rubber feet. Chosen, not tuned."""
 
 _MIN_LOAD_RATIO = 0.005
-"""Normal force on a foot, as a fraction of the robot's weight, below which the simulated operator
-reports the foot in the air. Chosen, not tuned."""
+"""Normal force on a foot, as a fraction of the robot's weight without known masses, below which the
+simulated operator reports the foot in the air. Chosen, not tuned."""
 
 
 class SimulatedRobot:
@@ -51,13 +53,14 @@ class SimulatedRobot:
     Args:
         robot: Robot, with the values of the files.
         seed: Seed of the perturbations.
-        kp: Stated servo stiffness [N m/rad]; the files' by default.
+        kp: Stated servo stiffness of all joints [N m/rad, N/m]; the files' by default.
 
     Attributes:
-        total_mass: True mass [kg].
-        kp: True stiffness, shape (nu,) [N m/rad].
-        offset: Encoder offsets, shape (nu,) [rad].
-        sent: All commands, shape (nu,) [rad] each.
+        robot: Robot with the true masses and CoM positions.
+        total_mass: True mass [kg], without known masses.
+        kp: True stiffness, shape (nu,) [N m/rad, N/m].
+        offset: Encoder offsets, shape (nu,) [rad, m].
+        sent: All commands, shape (nu,) [rad, m] each.
     """
 
     ramps = True
@@ -101,7 +104,7 @@ class SimulatedRobot:
         return self._time
 
     def read(self) -> tuple[float, Array]:
-        """Return the simulated time [s] and the encoder positions, shape (nu,) [rad].
+        """Return the simulated time [s] and the encoder positions, shape (nu,) [rad, m].
 
         The positions contain the encoder offsets, and are rounded to `_ENCODER_STEP`.
         """
@@ -110,11 +113,14 @@ class SimulatedRobot:
         return self._time, np.round(positions / _ENCODER_STEP) * _ENCODER_STEP
 
     def send(self, command: Array) -> None:
-        """Store the joint command, shape (nu,) [rad], with which ``wait`` simulates the servos."""
+        """Store the joint command for ``wait``, shape (nu,) [rad, m], in actuator order."""
         self.sent.append(command.copy())
 
     def wait(self, seconds: float) -> None:
-        """Simulate the robot in MuJoCo for a duration [s] with the last command."""
+        """Simulate the robot in MuJoCo for a duration [s] with the last command.
+
+        The duration is rounded to whole time steps, at least one.
+        """
         model, data = self._drive.model, self._data
         data.ctrl[:] = self._drive.command(self._loaded, self.sent[-1] - self.offset)
         for _ in range(max(1, round(seconds / model.opt.timestep))):
@@ -133,7 +139,8 @@ class SimulatedRobot:
         """Attach known loads, and set the robot just above the ground in the commanded posture.
 
         Args:
-            stand: Stand to be set up. The base is levelled over its stance feet.
+            stand: Stand to be set up. The base is rotated such that the stance feet are on level
+                ground.
             loads: {link: mass [kg] and position (x, y, z) [m] of a known load, shape (4,)}.
             instructions: Steps for an operator; ignored.
 
@@ -171,8 +178,8 @@ class SimulatedRobot:
     ) -> tuple[str, ...] | Diagnostic:
         """Return the feet with hardly any normal force (`_MIN_LOAD_RATIO`) in the simulation.
 
-        A diagnostic, the reason for skipping the stand, if another part touches the ground or the
-        robot, or if fewer than three feet carry.
+        The result is a diagnostic, the reason for skipping the stand, if there is a contact without
+        a foot, or if fewer than three feet carry.
 
         Args:
             feet: All feet of the robot.
@@ -208,13 +215,14 @@ def open_simulated(robot: Robot, arguments: str) -> tuple[SimulatedRobot, Simula
     Args:
         robot: Robot, with the values of the files.
         arguments: ``SEED`` or ``SEED;kp=60`` (seed of the perturbations, stated stiffness
-            [N m/rad]); empty for seed 0.
+            [N m/rad, N/m]); empty for seed 0.
 
     Returns:
         The simulated robot, twice: as the bridge and as the operator.
 
     Raises:
         ConfigurationError: If the seed or the stiffness is invalid.
+        ModelError: If a joint has no position servo.
     """
     seed, _, stiffness = (arguments or "0").partition(";kp=")
     try:

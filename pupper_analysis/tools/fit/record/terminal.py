@@ -1,7 +1,7 @@
 """Operator at a terminal, and a bridge with typed positions.
 
-Prompts appear at the terminal, and the operator confirms or types joint positions. Both classes
-need no software of the robot.
+Prompts appear at the terminal; the operator confirms stands, and types feet in the air or joint
+positions. Both classes need no software of the robot.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pupper_analysis.tools.fit.stands.plan import PlannedStand
 
 
 class Terminal:
-    """Operator who answers prompts at a terminal. While the robot moves, any key stops it."""
+    """Operator who answers prompts at a terminal, and stops the recording by any key."""
 
     def prepare(
         self,
@@ -63,7 +63,7 @@ class Terminal:
             click.echo(f"  {' '.join(feet)}, or none", err=True)
 
     def stops(self) -> bool:
-        """Return True if a key was pressed since the last call; False without a terminal."""
+        """Return True if a key was pressed since the last read; False without a terminal."""
         if not sys.stdin.isatty():
             return False
         # Terminals buffer lines; without buffering a key is available at once.

@@ -1,8 +1,8 @@
 """Residual equations of measured stands at rest, as functions of the parameters.
 
 `StandEquations` has the equations of all stands. Each stand also has unknowns of its own (base tilt
-and height, contact forces), which are eliminated; the result is the whitened residuals and their
-derivatives by the parameters.
+and height, contact forces), which are eliminated. The result is `LinearisedResiduals`: sums over
+the whitened residuals and their derivatives by the parameters.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from pupper_analysis.tools.fit.parameters import AXES, PARAMETER_KINDS, Paramete
 
 _TILT_HEIGHT_INDICES = [3, 4, 2]
 """Indices in qvel of a stand's base unknowns: rotations about the base x and y axes, and height.
-The measurements do not depend on the other base coordinates (horizontal position, yaw)."""
+The other base coordinates (horizontal position, yaw) are free: the measurements do not depend on
+them."""
 
 _LAST_MOTION_FRACTION = 0.75
 """Standard deviation of six common terms of the moments on all feet, as a fraction of
@@ -52,15 +53,15 @@ _TORQUE_STD_RATIO = 1e-4
 """Assumed standard deviation of a servo's torque about kp times the servo error, as a fraction of
 robot weight times `Robot.stand_height`. The least squares divide the residual of this equation by
 the standard deviation, which also includes dry friction. A leg joint carries about a tenth of
-weight times height, so this value is about a thousandth of the joint torque."""
+weight times height, so this value is about a thousandth of the joint torque. Chosen, not tuned."""
 
 _UNKNOWN_TORQUE_STD_RATIO = 1e3
 """Standard deviation of the torque of a joint without a usable command, as a fraction of weight
 times height. It is so large that this torque has no effect on the fit. Chosen, not tuned."""
 
 _MIN_SIGN_BAND = 1e-3
-"""Smallest servo error [rad] over which the sign of friction changes smoothly, so that derivatives
-exist. Chosen, not tuned."""
+"""Smallest servo error [rad, m] over which the sign of friction changes smoothly, so that
+derivatives exist. Chosen, not tuned."""
 
 _SIGN_BAND_RATIO = 0.7
 """Sign band (servo error over which the sign of friction changes smoothly), as a fraction of the
@@ -71,21 +72,24 @@ dead bands (``docs/explanation/fit.md``)."""
 
 _HELD_FRICTION_STD = 0.45
 """Standard deviation of the friction torque of a joint that dry friction holds, as a fraction of
-dead band x kp (the largest friction torque). It is multiplied by b / sqrt(e^2 + b^2), with the
-servo error e and the sign band b (`_SIGN_BAND_RATIO`): a large error determines the sign of the
-friction. Derived from joints of Go1 and MEVIUS, whose friction has any value up to the limit."""
+dead band x kp (the friction torque at the edge of the dead band). It is multiplied by b / sqrt(e^2
++ b^2), with the servo error e and the sign band b (`_SIGN_BAND_RATIO`): a large error determines
+the sign of the friction. Derived from joints of Go1 and MEVIUS, whose friction has any value up to
+the limit."""
 
 
 @dataclass(frozen=True)
 class StandNoise:
-    """Standard deviations of the noise in a stand: encoders, ground, contact moments, friction.
+    """Noise levels in a stand: encoders, contact moments, ground, friction.
 
     Attributes:
-        encoder: Joint position [rad].
-        moment: Moment about each axis on a contact point, divided by the normal force [m]: friction
-            of a foot that turned or rolled on the ground.
-        flatness: Height of the ground under a foot, and of errors of the link lengths [m].
-        friction: Random dry friction of the joints, as a factor on the stated friction.
+        encoder: Standard deviation of a joint position [rad, m].
+        moment: Standard deviation of the moment about each axis on a contact point, divided by the
+            normal force [m]: friction of a foot that turned or rolled on the ground.
+        flatness: Standard deviation of the height of the ground under a contact point [m]; it
+            includes errors of the link lengths.
+        friction: Bound of the random dry friction of a joint, which has a uniform distribution, as
+            a factor on the stated friction.
     """
 
     encoder: float
@@ -99,11 +103,12 @@ class StandReading:
     """Measurements of a stand; NaN if not measured. See ``MeasuredStands``.
 
     Attributes:
-        command: Commanded joint positions, shape (nu,) [rad].
-        position: Measured joint positions, shape (nu,) [rad].
+        command: Commanded joint positions, shape (nu,) [rad, m].
+        position: Measured joint positions, shape (nu,) [rad, m].
         points: Names of the contact points of the feet that carry.
         heading: Rotation of the robot about the vertical [rad].
-        added: {link: known mass on the link [kg] and position in the link frame [m], shape (4,)}.
+        added: {link: known mass on the link [kg] and position in the link frame [m], shape (4,)};
+            only links with a mass.
     """
 
     command: Array
@@ -138,10 +143,11 @@ def make_readings(robot: Robot, stands: MeasuredStands) -> Iterator[StandReading
 
 
 _MIN_FORCE_SIGNAL = 1.0
-"""Singular value times robot weight, above which a combination of a stand's own unknowns (contact
-forces, base tilt, base height) is eliminated from the whitened equations of the stand: at the
-bound, a force equal to the weight changes the residuals by one standard deviation. Smaller singular
-values belong to distributions of the force within a sole. Chosen, not tuned."""
+"""Singular value [1/N] times robot weight [N], above which a combination of a stand's own unknowns
+(contact forces, base tilt, base height) is eliminated from the whitened equations of the stand: at
+the bound, a force equal to the weight changes the residuals by one standard deviation. Smaller
+singular values belong, for example, to distributions of the force within a sole. Chosen, not
+tuned."""
 
 _MIN_READING_INFORMATION = 1e-4
 """Lower bound of the information (1 / variance) about the error of a joint reading that follows
@@ -161,19 +167,19 @@ class StandRows:
         reading: Measurements.
         laws: {contact point: law of the penetration}.
         base: Base quaternion (w, x, y, z) and height [m], shape (5,).
-        forces: Forces on the contact points, shape (p, 3) [N].
+        forces: Forces on the contact points in the axes of the ground, shape (p, 3) [N].
         noise: Noise of the measurements.
         regressor: Regressor of gravity.
 
     Attributes:
         config: Configuration of the robot.
         jacobians: Jacobians of the contact points, shape (p, 3, nv).
-        kp: Servo stiffness, shape (nu,) [N m/rad].
+        kp: Servo stiffness, shape (nu,) [N m/rad, N/m].
         residual: Residuals, shape (m,): nv equations of balance, then one for each contact point.
         by_x: Derivative of the residuals by the n parameters, shape (m, n).
         by_own: Derivative of the residuals by the own unknowns, shape (m, 3 + 3 p).
         by_noise: Derivative of the residuals by noise that acts on several rows, shape (m, nu + 3 p
-            + 6): encoders, moments on contact points, last motions of the feet.
+            + 6): encoders, moments on contact points, last motions of the base.
         deviation: Standard deviations of the noise that acts on single rows, shape (m,).
     """
 
@@ -197,8 +203,8 @@ class StandRows:
         qpos[2], qpos[3:7] = base[4], base[:4]
         self.config = Configuration(robot, qpos)
         self._feet = [robot.foot_of(point) for point in points]
-        # The penetration of a sole's points is linearised about their mean. With the law of each
-        # point, points would lift off and return in alternating steps, without convergence.
+        # The penetration of a sole's points is linearised about that of their mean force. With the
+        # law at each point's force, points would lift off and return in alternating steps.
         foot_of_point = np.array(self._feet)
         mean_forces = np.array([forces[foot_of_point == foot, 2].mean() for foot in foot_of_point])
         mean_depths = [laws[p].depth(f) for p, f in zip(points, mean_forces.tolist(), strict=True)]
@@ -255,8 +261,8 @@ class StandRows:
             [np.full(self._robot.nu, noise.encoder), moment_std, last_std]
         )
         # Variance of a uniform distribution in the friction band, independent for each joint. The
-        # most likely share of a common part (by the last motion of the base) is 0: measured on 271
-        # simulated stands of v3, Go1 and a third robot.
+        # most likely share of a part that is common to the joints is 0: measured on 271 simulated
+        # stands of v3, Go1 and a third robot.
         friction = noise.friction * self._values.friction
         torque = np.hypot(_TORQUE_STD_RATIO * self._weight * height, friction / math.sqrt(3.0))
         torque = np.hypot(torque, self._held_torque_std)
@@ -298,10 +304,10 @@ class StandRows:
         of ``columns``, shape (m, n), contains the residuals.
 
         Returns:
-            Projected columns, log determinant of the noise covariance, and Gauss-Newton step of
-            the own unknowns. With the covariance C, the projection P and the derivative B by the
-            unknowns, det(P' C P) = det(C) det(B' C^-1 B) / det(B' B); the last factor does not
-            depend on the noise and is left out.
+            Projected columns; log determinant of the noise covariance of the projected residuals;
+            and Gauss-Newton step of the own unknowns. With the covariance C, the projection P and
+            the derivative B by the unknowns, det(P' C P) = det(C) det(B' C^-1 B) / det(B' B); the
+            last factor does not depend on the noise and is left out.
         """
         factor, n = np.linalg.cholesky(self._compute_covariance()), columns.shape[1]
         whitened = np.linalg.solve(factor, np.column_stack([columns, self.by_own]))
@@ -331,7 +337,7 @@ class StandRows:
             covariance: Covariance C of the parameters, shape (n, n).
 
         Returns:
-            Errors, shape (nu,) [rad], and their standard deviations, shape (nu,) [rad].
+            Errors, shape (nu,) [rad, m], and their standard deviations, shape (nu,) [rad, m].
         """
         columns = [self.residual, self.by_x, self.by_noise[:, : self._robot.nu]]
         projected = self._project_out_unknowns(np.column_stack(columns))[0]
@@ -366,10 +372,11 @@ class StandRows:
             np.add.at(rows.T, columns, derivatives.T[positions])
 
     def _fill_balance(self) -> None:
-        """Fill in the residual of S tau - g + passive + sum J_p^T f_p = 0, and its derivatives.
+        """Fill in the residual of S tau - g + passive + sum J_p^T w_p - load = 0, with derivatives.
 
-        This is the static balance. tau are the servo torques, which S maps to generalised forces;
-        g is gravity, f_p the force on contact point p.
+        This is the static balance. tau are the torques of the servos and of one-sided friction
+        (``settling``), which S maps to generalised forces; g is gravity, w_p the force and the
+        moment on contact point p, load the force on the feet beyond the masses.
         """
         values, nv, nu, forces = self._values, self._robot.nv, self._robot.nu, self._forces
         num_points = len(forces)
@@ -402,8 +409,8 @@ class StandRows:
         self._add_derivatives(by_x, lever_torques.T, "length", self._feet)
         pressed = forces[:, 2, None, None] * angular
         self._add_derivatives(by_x, pressed.reshape(-1, nv).T, "moment", self._feet, AXES)
-        # True position = measured position - offset - noise; the servo's torque follows the
-        # true position.
+        # True position = measured position - offset - noise. The servo error is the command minus
+        # the measured position without noise: both contain the offset.
         by_noise[6:, :nu] += np.diag(self.kp * self._commanded)
         by_noise[:, :nu] += stiffness[:, 6:]
         yielded_friction = values.friction * self._signs
@@ -425,9 +432,10 @@ class StandRows:
     def _compute_last_motions(self) -> Array:
         """Return the rotation rates of the feet in six base motions, shape (p, 3, 6), for p points.
 
-        Each motion is a translation or rotation of the base, with the contact points fixed. The
-        rates of a motion are divided by its largest absolute rate of a foot, and have no unit. The
-        friction that turns a foot at rest acts against the last motion, a combination of these six.
+        Each motion is a translation or rotation of the base, with the contact points fixed as far
+        as the joints permit. The rates of a motion are divided by the largest absolute rate of a
+        foot, and have no unit. Friction on a foot at rest acts against the last motion, a
+        combination of these six.
         """
         nv, twists = self._robot.nv, self._twists
         contact_jacobian = self.jacobians.reshape(-1, nv)
@@ -439,15 +447,15 @@ class StandRows:
         return rates
 
     def _fill_gravity(self, by_x: Array, by_mass: Array, by_com: Array, by_slope: Array) -> None:
-        """Add the derivatives of the balance by masses, CoMs, known masses, slope and load.
+        """Add the derivatives of the balance by bodies, known masses, slope and load.
 
         Args:
             by_x: Derivative of the balance residuals by the parameters, shape (nv, n); changed in
                 place.
             by_mass: Derivatives of the gravity forces by the masses of b bodies, then of the known
                 masses, shape (nv, b + k).
-            by_com: Derivatives of the gravity forces by the CoMs of the same bodies, shape (nv, b +
-                k, 3).
+            by_com: Derivatives of the gravity forces by the CoMs of the same bodies and masses,
+                shape (nv, b + k, 3).
             by_slope: Derivatives of the gravity forces by the slope along x and y, shape (nv, 2).
         """
         values, nv = self._values, self._robot.nv
@@ -469,12 +477,12 @@ class StandRows:
     def _scale_to_positions(
         self, residual: Array, by_x: Array, by_own: Array, by_noise: Array
     ) -> None:
-        """Multiply rows of driven joints by (noise kp) / kp, base rows by (noise mass) / mass.
+        """Multiply rows of commanded joints by (noise kp) / kp, base rows by (noise mass) / mass.
 
         The noise is computed with a constant kp and mass (``StandValues.noise_kp``,
         ``noise_mass``). Without the factors, small estimates of kp and masses would decrease the
-        residuals, but not the noise. All arrays have a row per balance equation and are changed in
-        place.
+        residuals, but not the noise. The derivatives of the factors by kp and masses are added to
+        ``by_x``. All arrays have a row per balance equation and are changed in place.
         """
         values = self._values
         driven = self._commanded & (values.kp > 0)
@@ -511,9 +519,9 @@ class StandRows:
 
 
 def _compute_sign_band(deadband: float) -> float:
-    """Return the servo error [rad] over which the sign of friction changes smoothly.
+    """Compute the servo error [rad, m] over which the sign of friction changes smoothly.
 
-    ``deadband`` is the servo error [rad] at which the servo torque equals the dry friction.
+    ``deadband`` is the servo error [rad, m] at which the servo torque equals the dry friction.
     """
     return math.hypot(_MIN_SIGN_BAND, _SIGN_BAND_RATIO * deadband)
 
@@ -527,10 +535,10 @@ class KnownMass:
 
     Attributes:
         link: Link.
-        number: Index of the Pinocchio joint that moves the link.
-        stated: Mass on the scale [kg].
+        number: Index of the joint that moves the link, in the model of the robot's ``structure``.
+        stated: Stated mass [kg].
         mass: Estimated mass [kg].
-        place: Position in the joint frame, shape (3,) [m].
+        place: Estimated position in the joint frame, shape (3,) [m].
         turn: Axes of the link in the joint frame, shape (3, 3).
     """
 
@@ -548,27 +556,27 @@ class StandValues:
 
     Attributes:
         vector: Parameters, shape (n,).
-        robot: Robot, with the masses in the Pinocchio model.
-        bodies: Link, joint index, mass [kg] and CoM in the joint frame, shape (3,) [m], of each
-            body.
-        kp: Servo stiffness, shape (nu,) [N m/rad].
-        offset: Encoder offsets, shape (nu,) [rad].
+        robot: Robot, with masses, CoMs and leg lengths of the parameters in the Pinocchio model.
+        bodies: Link, joint index in ``structure.model``, mass [kg] and CoM in the joint frame,
+            shape (3,) [m], of each body.
+        kp: Servo stiffness, shape (nu,) [N m/rad, N/m].
+        offset: Encoder offsets, shape (nu,) [rad, m].
         softness: {foot: factor on the penetration}.
         moment: {foot: moment over normal force, shape (3,) [m]}.
-        last_links: {contact point: vector from the leg's last joint to the point, shape (3,) [m],
-            in the frame of the contact}.
+        last_links: {contact point: vector from the axis of the leg's last joint to the point, shape
+            (3,) [m], in the frame of the contact}.
         gravity: Gravity in the axes of the ground, shape (3,) [m/s^2].
         gravity_by_slope: Derivatives of ``gravity`` by the slope along x and y, shape (2, 3)
-            [m/s^2].
-        deadband: Servo error without torque [rad].
+            [m/s^2]. The slope is the sine of the angle.
+        deadband: Servo error without torque [rad, m]; negative for friction against the load.
         settling: {link with a known mass: one-sided friction as a fraction of ``friction``}.
-        unweighed_load: Load on the feet beyond the masses, as a fraction of the masses.
+        unweighed_load: Load on the feet beyond the masses, as a fraction of the weight of ``mass``.
         gravity_norm: Norm of gravity [m/s^2].
         mass: Mass of the whole robot, without known masses [kg].
         noise_mass: Mass with which the noise is scaled [kg].
-        noise_kp: Stiffness with which the noise is scaled, shape (nu,) [N m/rad].
-        noise_deadband: Dead band within which the friction of joints is noise [rad].
-        friction: Dry friction, shape (nu,) [N m].
+        noise_kp: Stiffness with which the noise is scaled, shape (nu,) [N m/rad, N/m].
+        noise_deadband: Dead band within which the friction of joints is noise [rad, m].
+        friction: Stated or default dry friction, shape (nu,) [N m, N].
         loads: Known masses that are attached.
     """
 
@@ -594,7 +602,7 @@ class StandValues:
     loads: tuple[KnownMass, ...] = ()
 
     def for_reading(self, reading: StandReading, table: ParameterTable) -> StandValues:
-        """Return these values for a measured stand: masses are attached, and gravity is rotated.
+        """Return these values for a stand: known masses are attached, and gravity is rotated.
 
         Gravity is expressed in axes that are rotated by the heading of the stand.
 
@@ -631,10 +639,10 @@ class StandValues:
 
 
 def _compute_last_link(robot: Robot, point: str) -> Array:
-    """Return the vector, shape (3,) [m], from a leg's last joint to a contact point.
+    """Return the vector, shape (3,) [m], from the axis of a leg's last joint to a contact point.
 
-    The component along the joint axis is left out. The vector is expressed in the frame of the
-    contact; zeros if no joint moves the point.
+    The vector is perpendicular to the axis, and expressed in the frame of the contact; zeros if no
+    joint moves the point.
     """
     config, joints = Configuration(robot, robot.neutral()), leg_joints(robot, point)
     if not joints:
@@ -650,11 +658,12 @@ def compute_level_base(robot: Robot, joints: Array, points: Sequence[str]) -> Ar
     """Compute the base pose with the feet on the ground: quaternion (w, x, y, z) and height [m].
 
     The base is rotated such that the plane z = a x + b y + c through the contact points (least
-    squares) is level and at height 0.
+    squares) is level and at height 0. A contact point is here the centre of the sphere, lowered by
+    the radius along the base z axis.
 
     Args:
         robot: Robot.
-        joints: Joint positions, shape (nu,) [rad].
+        joints: Joint positions, shape (nu,) [rad, m].
         points: Contact points that carry load.
 
     Returns:
@@ -720,8 +729,8 @@ class GravityRegressor:
 
 
 _UNKNOWN_STEPS = 2
-"""Number of Newton steps for a stand's own unknowns (base tilt and height, contact forces) in each
-evaluation. The equations are linear in the forces. Chosen, not tuned."""
+"""Default number of Newton steps for a stand's own unknowns (base tilt and height, contact forces)
+in each evaluation. Chosen, not tuned."""
 
 
 class StandEquations:
@@ -730,23 +739,25 @@ class StandEquations:
     Unknowns are the parameters, common to all stands, and for each stand the base's tilt (2) and
     height (1) and the forces on its contact points (3 each). The equations of a stand are
 
-        S tau - g(q; masses, CoM) + passive + sum J_p^T f_p - load = 0    (nv)
+        S tau - g(q; masses, CoM) + passive + sum J_p^T w_p - load = 0    (nv)
         z_p(q) - r_p + softness depth(f_p) = 0                            (1 per contact point)
 
-    with q = position - offset and tau = kp (command - position - dead band). Encoder noise acts on
-    q and on tau. Each stand's own unknowns are eliminated: the remaining combinations of its
-    equations depend on no contact force and no motion of the base.
+    with q = position - offset, the force f_p and the moment in w_p, and tau = kp (command -
+    position - dead band), plus the one-sided friction ``settling`` if a known mass is attached. The
+    dead band has the sign of the servo error (smoothed). Encoder noise acts on q and on tau. Each
+    stand's own unknowns are eliminated: the remaining combinations of its equations depend on no
+    contact force and no motion of the base.
 
     Args:
         robot: Robot, with the values of the files.
         stands: Measurements, joints in actuator order.
         table: Parameters; may be replaced.
-        kp: Stated servo stiffness, shape (nu,) [N m/rad]; 0 without a servo.
-        friction: Dry friction of the joints, shape (nu,) [N m].
+        kp: Stated servo stiffness, shape (nu,) [N m/rad, N/m]; 0 without a servo.
+        friction: Dry friction of the joints, shape (nu,) [N m, N].
         noise: Noise of the measurements; may be replaced.
 
     Attributes:
-        noise_deadband: Dead band within which the friction of joints is noise [rad].
+        noise_deadband: Dead band within which the friction of joints is noise [rad, m]; 0 at first.
     """
 
     def __init__(
@@ -787,7 +798,8 @@ class StandEquations:
             evaluations: Newton steps of the own unknowns.
 
         Returns:
-            Sums over the residuals. ``chi2`` is infinite if the equations cannot be evaluated.
+            Sums over the residuals. ``chi2`` is infinite if the equations of a stand cannot be
+            evaluated.
         """
         total, previous_unknowns = LinearisedResiduals.empty(len(x)), list(self._unknowns)
         try:
@@ -803,9 +815,9 @@ class StandEquations:
     def set_noise_point(self, x: Array) -> None:
         """Set servo stiffness, mass and dead band that scale the noise, from a parameter vector.
 
-        Until the first call, the noise is scaled by the stated stiffness and mass, and by a dead
-        band of zero. The values are constant during a fit, since the fit would otherwise prefer
-        parameters with large noise.
+        Until the first call, the noise is scaled by the stated stiffness and mass, and by the
+        initial ``noise_deadband``. The values are constant during a minimisation, which would
+        otherwise prefer parameters with large noise.
 
         Args:
             x: Parameters, shape (n,).
@@ -821,12 +833,12 @@ class StandEquations:
         """Linearise the whitened residuals of a stand with respect to the parameters.
 
         Base tilt, base height and contact forces are the own unknowns of a stand. They are solved
-        for by Newton steps, stored, and eliminated.
+        for by Newton steps, stored, and eliminated. The sums belong to the last step's start.
 
         Args:
             stand: Index of the stand.
             values: Values of the robot for a parameter vector.
-            evaluations: Number of Newton steps.
+            evaluations: Number of Newton steps, at least 1.
         """
         for _ in range(evaluations):
             linearised, step = self._evaluate_stand(stand, values).eliminate_own_unknowns()
@@ -862,7 +874,7 @@ class StandEquations:
         Known masses that are attached in single stands are not included.
 
         Raises:
-            LinAlgError: If the slope of the ground is a wall.
+            LinAlgError: If the slope of the ground is 90 deg or more.
         """
         robot, table = self.robot, self.table
         model, bodies = robot.pin_model.copy(), []
@@ -901,7 +913,7 @@ class StandEquations:
             settling={
                 link: table.get_value(x, "settling", link, "", 0.0)
                 for link in dict.fromkeys(
-                    link for slope_x in self._readings for link in slope_x.added
+                    link for reading in self._readings for link in reading.added
                 )
             },
             unweighed_load=table.get_value(x, "load", "scale", "", 0.0),
@@ -910,11 +922,11 @@ class StandEquations:
             noise_mass=self._noise_mass,
             noise_kp=self._noise_kp,
             noise_deadband=self.noise_deadband,
-            friction=self._friction,  # stated: estimates near 0 would make the noise too small
+            friction=self._friction,
         )
 
     def _sum_masses(self, x: Array) -> float:
-        """Return the mass of the whole robot [kg] for a parameter vector, shape (n,)."""
+        """Return the robot's mass [kg], without known masses, for parameters ``x``, shape (n,)."""
         masses = [index for index, parameter in enumerate(self.table) if parameter.kind == "mass"]
         return self.robot.total_mass + float((x - self.table.stated)[masses].sum())
 
@@ -922,7 +934,8 @@ class StandEquations:
         """Return an initial base pose and contact forces, shape (p, 3) [N], of a stand.
 
         The base pose, shape (5,), is the quaternion and height [m] with which the measured joint
-        positions put the feet on the ground. The normal forces are equal.
+        positions put the feet on the ground. The normal forces are equal, and there are no
+        tangential forces.
         """
         robot, points = self.robot, reading.points
         forces = np.zeros((len(points), 3))
@@ -931,6 +944,8 @@ class StandEquations:
 
     def compute_informations(self, x: Array) -> list[Array]:
         """Return the Fisher information about the parameters that each stand provides.
+
+        The stored unknowns of the stands are updated.
 
         Args:
             x: Parameters, shape (n,).
@@ -947,7 +962,7 @@ class StandEquations:
     def sum_normal_forces(self, stand: int) -> dict[str, float]:
         """Return {foot: total normal force [N] on the contact points} of the loaded feet.
 
-        The forces are those of the last evaluation of the stand.
+        The forces are the stored unknowns of the stand.
 
         Args:
             stand: Index of the stand.
@@ -966,9 +981,9 @@ class StandEquations:
 
         Args:
             stand: Index of the measured stand.
-            x: Parameter vector of ``table``, shape (n,), each number in the unit of the parameter.
-            offsets: Standard deviation of each joint's encoder offset, shape (nu,) [rad], as part
-                of the standard deviation of the height.
+            x: Parameters, shape (n,), each in its unit.
+            offsets: Standard deviation of each joint's encoder offset, shape (nu,) [rad, m], as
+                part of the standard deviation of the height.
 
         Returns:
             {foot: height above the ground and standard deviation [m]}. The standard deviation
@@ -993,6 +1008,9 @@ class StandEquations:
     def compute_rms_residuals(self, x: Array) -> list[float]:
         """Return the root mean square of the whitened residuals of each stand; 1 is expected.
 
+        The own unknowns of the stands are eliminated from the residuals, and updated. 0 without
+        residuals.
+
         Args:
             x: Parameters, shape (n,).
         """
@@ -1010,7 +1028,7 @@ class StandEquations:
             posterior: Distribution of the parameters.
 
         Returns:
-            Errors and standard deviations of the errors, shape (stands, nu) [rad] each.
+            Errors and standard deviations of the errors, shape (stands, nu) [rad, m] each.
         """
         contradictions = [
             rows.find_contradictions(posterior.covariance)
@@ -1020,7 +1038,7 @@ class StandEquations:
         return errors, stds
 
     def _apply_step(self, stand: int, step: Array) -> None:
-        """Add a step to the unknowns of a stand.
+        """Add a step to the stored unknowns of a stand.
 
         The step, shape (3 + 3 p,), contains the base tilt about x and y [rad], the base height [m]
         and the forces at p contact points [N].

@@ -86,14 +86,14 @@ class StandFit(Fit):
         total_mass: Mass of the whole robot.
         com: Centre of mass of the whole robot (x, y, z) in the base frame, at the nominal joint
             positions of the file.
-        kp_factor: Geometric mean of the ratios of estimated to stated kp; None if kp is known, or
-            no servo was commanded.
+        kp_factor: Geometric mean of the ratios of estimated to stated kp; None if no kp is
+            estimated, because kp is known or no servo was commanded.
         weight: Mass of the whole robot on a scale; None if not weighed.
         residuals: RMS residual of each stand, in standard deviations.
         joint_residuals: Residual of each joint in each stand, the largest number of standard
             deviations first.
-        noise: Standard deviations of the noise, assumed or estimated; ``friction`` is a factor on
-            the stated dry friction.
+        noise: Noise levels, assumed or estimated: standard deviations; ``friction`` is the bound of
+            the random dry friction as a factor on the stated dry friction.
     """
 
     stands: int
@@ -112,8 +112,8 @@ def _list_joint_residuals(
     """Return the error of each joint position in each stand [rad, m], most significant first.
 
     The error is the measured position minus the position that agrees best with all other
-    measurements; significance is the ratio to the standard deviation. ``known`` is the distribution
-    of the parameters.
+    measurements; significance is the absolute ratio to the standard deviation. ``known`` is the
+    distribution of the parameters.
     """
     deviation, std = equations.find_contradictions(known)
     units = {joint: joint_unit(robot, joint) for joint in stands.joints}
@@ -143,7 +143,7 @@ def _estimate_total_mass(robot: Robot, posterior: Posterior) -> Estimate:
 def estimate_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
     """Yield the estimates of x, y, z of the robot's CoM [m], in the base frame.
 
-    Joints are at the positions ``robot.nominal`` of the default stance. Body i has mass m_i, CoM
+    Joints are at the positions ``robot.nominal``. Body i has mass m_i, CoM
     c_i in the body frame, and pose R_i, p_i. With M = sum m_i and x_i = R_i c_i + p_i:
 
         com = sum m_i x_i / M
@@ -188,14 +188,14 @@ def check_scale(
     The load is the force on the feet beyond the weight of the masses, as a fraction of it.
     Positions determine the ratio of kp to mass; the weight determines both. An error of the weight
     shifts all parameters a little, and no parameter by itself is far from the stated value.
-    Therefore the mean of log kp, the logarithm of the total mass and the load are tested jointly.
-    The load is left out if a known mass was added in some stands: `check_surroundings` then tests
-    it.
+    Therefore the mean of log kp, the logarithm of the total mass and the load are tested jointly,
+    as far as they are estimated. The load is left out if a known mass was added in some stands:
+    `check_surroundings` then tests it.
 
     Args:
         robot: Robot.
         posterior: Distribution of the parameters.
-        weight: Mass of the whole robot on a scale [kg]; None if not weighed.
+        weight: Mass of the whole robot on a scale [kg], for the message; None if not weighed.
         level: Whether the ground is level. Otherwise the load is not tested, since a slope changes
             it.
     """
@@ -248,8 +248,9 @@ def _compute_surprise(
             allows any leg.
 
     Returns:
-        chi2; its degrees of freedom (rank of S); and prior covariance times S^-1 d, shape (k,), the
-        change without the shrinkage by the prior.
+        chi2; its degrees of freedom (number of directions whose variance the measurements reduce by
+        more than `_MIN_VARIANCE_REDUCTION`; S is restricted to these); and prior covariance times
+        S^-1 d, shape (k,), the change without the shrinkage by the prior.
     """
     width = np.array([parameter.width for parameter in posterior.parameters])
     prior_covariance = combinations @ np.linalg.inv(posterior.precision) @ combinations.T
@@ -267,14 +268,14 @@ def _compute_surprise(
 
 
 def _report_unmodelled_effects(posterior: Posterior, friction_error: float) -> Iterator[Diagnostic]:
-    """Yield estimates of servos and loads that no file can state.
+    """Yield notes on a dead band of the servos and on a load, which no file can state.
 
     Left out are estimates whose 95 % interval contains 0, and a load without a known mass.
 
     Args:
         posterior: Distribution of the parameters.
-        friction_error: Mean dry friction divided by the mean kp [rad]. A dead band of the servos is
-            reported if its 95 % interval lies above this value: a smaller one may be friction.
+        friction_error: Mean dry friction divided by the mean kp [rad, m]. A dead band of the servos
+            is reported if its 95 % interval lies above this value: a smaller one may be friction.
     """
     loaded = "added" in posterior.kinds
     for index, parameter in enumerate(posterior.parameters):
@@ -289,7 +290,7 @@ def _report_unmodelled_effects(posterior: Posterior, friction_error: float) -> I
 
 
 _SURPRISE_PROBABILITY = 0.0027
-"""Probability of a chi2 test, if the priors are right, below which a deviation is reported: equal
+"""Probability of a chi2 test, if the priors are right, up to which a deviation is reported: equal
 to that of three standard deviations. Chosen, not tuned."""
 
 _MIN_VARIANCE_REDUCTION = 0.02
@@ -310,7 +311,8 @@ the fit fails, since noise of this size would hide an error of the model. Chosen
 _MAX_FRICTION_RATIO = 4.0
 """Ratio of estimated to expected dry friction above which a fit fails. The estimate has two parts:
 friction of random sign appears as noise, friction of one sign as negative dead bands of the servos.
-If a default replaces the friction of the file, half of this bound applies. Chosen, not tuned."""
+If the stated friction is implausible (`_MIN_FRICTION_RATIO`) and is scaled up, half of this bound
+applies. Chosen, not tuned."""
 
 _MAX_PARAMETER_STDS = 4.5
 """Upper bound of the deviation of a parameter or a reading, in standard deviations. Among a hundred
@@ -322,7 +324,8 @@ of the legs, and the load that the scale did not show."""
 
 _NONZERO_KINDS, _ZERO_RTOL = ("mass", "kp"), 0.01
 """Kinds whose values are never zero. An estimate below ``_ZERO_RTOL`` of the stated value counts as
-zero, and is a failure. Chosen, not tuned."""
+zero, and is a failure. ``_ZERO_RTOL`` and its square are also lower bounds of divisors [N m/rad]
+and [rad]. Chosen, not tuned."""
 
 _RESIDUALS_PROBABILITY = 1e-3
 """Probability (chi2 test) that noise alone causes residuals of at least the observed size, below
@@ -339,14 +342,15 @@ def check_residuals(
     1. chi2 of all residuals;
     2. estimated unevenness of the ground, divided by the expected unevenness;
     3. estimated dry friction (random plus one-sided), divided by the expected friction;
-    4. change of each parameter of the robot from the stated value, or a mass or kp of nearly 0;
+    4. change of each parameter of the robot from the stated value, or a mass or kp of nearly 0 (one
+       failure for all);
     5. surroundings (`check_surroundings`).
 
     Args:
         posterior: Distribution of the parameters.
         estimated: Noise levels estimated from the measurements.
         assumed: Noise levels that were expected before the fit.
-        friction_error: Mean dry friction divided by the mean kp [rad]: command minus position at
+        friction_error: Mean dry friction divided by the mean kp [rad, m]: command minus position at
             which the servo torque equals the dry friction.
     """
     from scipy import stats  # slow to import
@@ -408,7 +412,7 @@ def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Ite
             continue
         parameters = [posterior.parameters[index] for index in indices]
         width = np.array([parameter.width for parameter in parameters])
-        # A prior of the user replaces the tolerance of parts.
+        # If the user has changed a prior of the lengths, the priors are the tolerance.
         uses_length_std = kind == "length" and (width == PARAMETER_KINDS[kind].width).all()
         expected_ratio = _LENGTH_STD / PARAMETER_KINDS[kind].width if uses_length_std else 1.0
         surprise, rank, innovation = _compute_surprise(
@@ -452,18 +456,19 @@ KNOWN_MASS_FRACTION = 0.15
 the robot's mass: 480 g on Pupper v3. Measured: with 200 g alone, kp is determined to 12 to 14 %."""
 
 _DEFAULT_ENCODER_STD = 2e-4
-"""Standard deviation [rad] of a joint position if the readings show no encoder step: that of a
+"""Standard deviation [rad, m] of a joint position if the readings show no encoder step: that of a
 noisy 14-bit encoder (step 3.8e-4 rad). Chosen, not tuned."""
 
 
 _DEFAULT_FRICTION_RATIO = 5e-3
-"""Dry friction of a joint that replaces a missing or implausible value, divided by weight times
-height. Files that state plausible values have 0.24 % (Pupper v3) to 0.66 % (Go1, B1)."""
+"""Dry friction of a joint that replaces a missing value, and mean dry friction to which implausible
+values are scaled, divided by weight times height. Files that state plausible values have 0.24 %
+(Pupper v3) to 0.66 % (Go1, B1)."""
 
 _MIN_FRICTION_RATIO = 2e-3
-"""Mean stated dry friction of the joints, divided by weight times height, up to which the stated
-values count as implausible and are scaled up to `_DEFAULT_FRICTION_RATIO`. Chosen above the ratios
-of 0.03 to 0.09 % in files of Spot, HyQReal2 and Pegasus that contain the 0.2 N m of Go1."""
+"""Mean dry friction of the joints, stated or default, divided by weight times height, up to which
+the values count as implausible and are scaled up to `_DEFAULT_FRICTION_RATIO`. Chosen above the
+ratios of 0.03 to 0.09 % in files of Spot, HyQReal2 and Pegasus that contain the 0.2 N m of Go1."""
 
 _MAX_PULL_RATIO = 0.02
 """Largest computed pull of a foot on the ground, as a fraction of the weight, that is accepted for
@@ -487,8 +492,9 @@ def fit_stands(
     CoM positions of all moving bodies, encoder offsets, kp, and lengths of the legs' last links;
     and of the surroundings for example slope and softness of the ground (``list_parameters``). The
     equations are defined by ``StandEquations``; the priors are normal distributions about the
-    files' values (``parameters.PARAMETER_KINDS``). The unevenness of the ground, the moments on
-    feet and the random part of dry friction are estimated by maximum evidence.
+    stated values (``parameters.PARAMETER_KINDS``), for masses and kp of the logarithm. The
+    unevenness of the ground, the moments on feet and the random part of dry friction are estimated
+    by maximum evidence, with a prior about the expected values.
 
     Stands with contradictory data, for example a carrying foot that would have to pull, are left
     out with a note: one by one, at most a quarter.
@@ -498,16 +504,18 @@ def fit_stands(
         stands: Measurements.
         priors: Prior standard deviations: ``mass=50%``, ``com:base=5mm``, ``kp=0`` (kp is exact).
         weight: Mass of the whole robot on a scale [kg], with a standard deviation of 0.2 %.
-        kp: Stated servo stiffness [N m/rad], a scalar or shape (nu,); the model's by default.
-        encoder: Standard deviation of a joint position [rad]; derived from the encoder step by
+        kp: Stated servo stiffness [N m/rad, N/m], a scalar or shape (nu,); the model's by default.
+        encoder: Standard deviation of a joint position [rad, m]; derived from the encoder step by
             default.
 
     Raises:
-        MeasurementError: If the measurements do not belong to this robot: for example too few
-            stands, a robot that moves, missing positions, or too many contradictory stands.
+        MeasurementError: If the measurements cannot be used or do not belong to this robot: for
+            example too few stands, a robot that moves, missing positions, or too many contradictory
+            stands.
         UnknownNameError: If the measurements name a joint, foot or link that the robot lacks.
-        ConfigurationError: If a prior, the weight or the encoder noise is invalid, the base is
+        ConfigurationError: If a prior, kp, the weight or the encoder noise is invalid, the base is
             fixed, or the robot has closed loops, couplings, welds or grips.
+        ModelError: If ``kp`` is passed, and a joint has no motor.
         FitError: If the iteration does not converge. If a wrong ``weight`` is the cause, the fit
             without ``weight`` is returned instead, with a failure.
     """
@@ -520,11 +528,11 @@ def fit_stands(
     ordered = stands.order_joints(robot)
 
     def fit(ordered: MeasuredStands) -> StandFit:
-        """Fit the parameters to the stands."""
+        """Fit the parameters to stands."""
         return _StandProblem.from_stands(robot, ordered, prior_list, weight, kp, encoder).solve()
 
     def evidence(ordered: MeasuredStands) -> float:
-        """Return the log evidence of the stands."""
+        """Return the log evidence of stands."""
         return _StandProblem.from_stands(
             robot, ordered, prior_list, weight, kp, encoder
         ).compute_log_evidence()
@@ -565,15 +573,15 @@ def _fit_without_contradictions(
 ) -> tuple[StandFit, list[int]]:
     """Fit measured stands; leave out, one by one, stands with contradictory foot contacts.
 
-    In such a stand a foot that is listed as in the air would touch the ground, or the ground would
-    pull a foot.
+    In such a stand a foot that is listed as in the air would be below the ground, or the ground
+    would pull a foot. All rows with the name of the stand are left out.
 
     Returns:
-        Fit of the other stands, and the rows of the stands that were left out.
+        Fit of the other stands, and the rows that were left out.
 
     Raises:
-        MeasurementError: If more than a quarter would be left out (the first contradiction is
-            raised), or for another error of the measurements.
+        MeasurementError: If the number of such stands is more than a quarter of the rows (the first
+            contradiction is raised), or for another error of the measurements.
         FitError: If the iteration does not converge.
     """
     notes: list[Diagnostic] = []
@@ -603,9 +611,9 @@ _CONTRADICTION_CODES = ("foot-in-the-air-touches", "foot-would-pull")
 stand."""
 
 _MAX_EXCLUDED_FRACTION = 0.25
-"""Largest fraction of stands that is left out of a fit because of a contradiction
-(`_CONTRADICTION_CODES`). With more, the fit fails: so many contradictions have a common cause.
-Chosen, not tuned."""
+"""Largest number of stands, relative to the number of rows, that are left out of a fit because of a
+contradiction (`_CONTRADICTION_CODES`). With more, the fit fails: so many contradictions have a
+common cause. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -615,8 +623,9 @@ class _StandProblem:
     Attributes:
         robot: Robot.
         stands: Stands, repeated readings averaged.
-        stiffness: Stated kp, shape (nu,) [N m/rad].
-        friction: Dry friction, shape (nu,) [N m], with defaults for joints without a stated value.
+        stiffness: Stated kp, shape (nu,) [N m/rad, N/m].
+        friction: Dry friction, shape (nu,) [N m, N], with a default for joints without a stated
+            value.
         table: Parameters.
         noise: Expected noise.
         weight: Mass of the whole robot on a scale [kg]; None if not weighed.
@@ -646,13 +655,15 @@ class _StandProblem:
             stands: Measurements, joints in actuator order.
             priors: Priors that replace the defaults.
             weight: Mass of the whole robot on a scale [kg]; None if not weighed.
-            kp: Stated servo stiffness [N m/rad]; the model's if None.
-            encoder: Standard deviation of a joint position [rad]; None if unknown.
+            kp: Stated servo stiffness [N m/rad, N/m]; the model's if None.
+            encoder: Standard deviation of a joint position [rad, m]; None if unknown.
 
         Raises:
-            MeasurementError: If the stands do not belong to this robot, or are too few.
+            MeasurementError: If the stands do not belong to this robot, or are too few, or a
+                commanded joint has no kp.
             UnknownNameError: If the robot lacks a joint, foot or link of the stands.
-            ConfigurationError: If a prior matches no parameter.
+            ConfigurationError: If a prior matches no parameter, or ``kp`` is invalid.
+            ModelError: If ``kp`` is passed, and a joint has no motor.
         """
         averaged = stands.check_readings(robot).average_repeats()
         if len(averaged) < MIN_STANDS:
@@ -666,7 +677,7 @@ class _StandProblem:
 
     @property
     def friction_error(self) -> float:
-        """Expected mean dry friction divided by the mean kp [rad], over the joints with a servo.
+        """Expected mean dry friction divided by the mean kp [rad, m], over the joints with a servo.
 
         At this difference between command and position, the servo torque equals the friction.
         """
@@ -678,9 +689,9 @@ class _StandProblem:
 
     @property
     def friction_ratio(self) -> float:
-        """Factor on the stated dry friction of the joints; 1 if the stated values are plausible.
+        """Factor on the dry friction of the joints (``friction``); 1 if the values are plausible.
 
-        They are implausible if their mean is at most ``_MIN_FRICTION_RATIO`` times weight times
+        The values are implausible if the mean is at most ``_MIN_FRICTION_RATIO`` times weight times
         height. The factor then raises the mean to ``_DEFAULT_FRICTION_RATIO`` times weight times
         height.
         """
@@ -698,7 +709,7 @@ class _StandProblem:
     def make_equations(
         self, posterior: Posterior | None = None
     ) -> tuple[StandEquations, tuple[Diagnostic, ...]]:
-        """Create the residual equations of the stands, and notes on commands that are not used.
+        """Create the residual equations of the stands, and notes on missing or unused commands.
 
         Args:
             posterior: Distribution of the encoder offsets; the prior by default.
@@ -711,6 +722,9 @@ class _StandProblem:
 
     def solve(self) -> StandFit:
         """Estimate the parameters of the stands: with the expected, then with the estimated noise.
+
+        The noise is estimated again (up to `_MAX_FRICTION_PASSES` times) while the dead band
+        changes by more than its standard deviation.
 
         Raises:
             FitError: If the iteration does not converge.
@@ -786,7 +800,9 @@ class _StandProblem:
         A wrong reading increases the estimated noise, which then hides the reading. Two
         explanations are compared by the evidence: the estimated noise; or noise at most as large as
         expected, together with a wrong reading of one joint in one stand, whose error is normal
-        with ``_OUTLIER_STD``. The reading must also deviate by `_MAX_PARAMETER_STDS`.
+        with ``_OUTLIER_STD``. The reading must also deviate by more than `_MAX_PARAMETER_STDS`.
+        Nothing is yielded if the fit with the smaller noise fails. The noise and the parameters of
+        ``equations`` are changed.
 
         Args:
             equations: Equations of the stands.
@@ -816,12 +832,12 @@ class _StandProblem:
 
 
 _OUTLIER_STD = 0.3
-"""Prior standard deviation [rad] of the error of a wrong reading, for example of a blocked servo.
-Chosen, not tuned."""
+"""Prior standard deviation [rad, m] of the error of a wrong reading, for example of a blocked
+servo. Chosen, not tuned."""
 
 _MAX_FRICTION_PASSES = 5
 """Upper bound of the repeated fits, in which the noise of friction follows from the dead band of
-the previous fit. Two to four are sufficient."""
+the previous fit. Chosen, not tuned: two to four are usually sufficient."""
 
 
 def _estimate_from_stands(
@@ -834,12 +850,13 @@ def _estimate_from_stands(
     """Return the distribution of the parameters after measured stands at rest.
 
     The most probable parameters are searched in ``LogCoordinates``, from the parameters ``start``,
-    shape (n,), or from those of the model. ``scale_residual`` maps parameters to the residual of
+    shape (n,), or from the stated parameters. ``scale_residual`` maps parameters to the residual of
     the weighed mass.
 
     Raises:
         FitError: If the search fails.
-        MeasurementError: If the search fails because a foot has to pull or is below the ground.
+        MeasurementError: If the search fails, and a carrying foot has to pull or a foot in the air
+            is below the ground.
     """
     table = equations.table
     logarithms = LogCoordinates(table)
@@ -876,18 +893,18 @@ realised, because the weak dependence of the noise on contact forces is not diff
 def predict_noise(
     robot: Robot, stands: MeasuredStands, encoder: float | None
 ) -> tuple[StandNoise, Array]:
-    """Return the expected noise, and the dry friction of the joints, shape (nu,) [N m].
+    """Return the expected noise, and the dry friction of the joints, shape (nu,) [N m, N].
 
     A joint without dry friction in the model gets a default, a fraction of weight times height.
 
     Args:
         robot: Robot.
         stands: Stands, from whose positions the encoder step is estimated.
-        encoder: Standard deviation of a joint position [rad]. If None, it is derived from the
+        encoder: Standard deviation of a joint position [rad, m]. If None, it is derived from the
             encoder step, or is a default if no step is found.
 
     Returns:
-        Expected noise; dry friction of the joints, shape (nu,) [N m].
+        Expected noise; dry friction of the joints, shape (nu,) [N m, N].
     """
     torque_scale = robot.weight * robot.stand_height
     if encoder is None:
@@ -902,14 +919,14 @@ def predict_noise(
 def list_parameters(
     robot: Robot, stands: MeasuredStands, kp: Array
 ) -> Iterator[tuple[str, str, str, float]]:
-    """Yield (kind, subject, component, stated value in SI units) of each parameter of a fit.
+    """Yield (kind, subject, component, stated value in SI units) of the possible parameters.
 
-    The subject is, for example, the name of a link, joint or foot.
+    The subject is that of a `Parameter`, for example the name of a link, joint or foot.
 
     Args:
         robot: Robot.
         stands: Stands.
-        kp: Stated stiffness, shape (nu,) [N m/rad].
+        kp: Stated stiffness, shape (nu,) [N m/rad, N/m].
     """
     yield from list_inertials(robot)
     for joint, name in enumerate(robot.joint_names):
@@ -935,9 +952,10 @@ def list_parameters(
 
 
 def list_inertials(robot: Robot) -> Iterator[tuple[str, str, str, float]]:
-    """Yield (kind, link, axis, stated value) of the masses [kg] and CoM coordinates [m] of links.
+    """Yield (kind, link, axis, stated value) of the masses [kg] and CoM coordinates [m] of bodies.
 
-    The axis of a mass is "".
+    A body consists of all links that are fixed together (`list_bodies`). Coordinates are those in
+    the frame of the Pinocchio joint. The axis of a mass is "".
     """
     for link, number in list_bodies(robot):
         inertia = robot.structure.model.inertias[number]
@@ -949,16 +967,18 @@ def list_inertials(robot: Robot) -> Iterator[tuple[str, str, str, float]]:
 def get_stated_stiffness(
     robot: Robot, source: str, commanded: NDArray[np.bool_], kp: ArrayLike | None
 ) -> Array:
-    """Return the stated servo stiffness, shape (nu,) [N m/rad]; 0 without a servo.
+    """Return the stated servo stiffness, shape (nu,) [N m/rad, N/m]; 0 without a servo.
 
     Args:
         robot: Robot.
         source: Source of the commands, for error messages.
         commanded: Joints that have commands, shape (nu,).
-        kp: Stiffness that replaces the files' [N m/rad].
+        kp: Stiffness that replaces the files' [N m/rad, N/m].
 
     Raises:
         MeasurementError: If a joint has commands, but no file states its kp, and ``kp`` is None.
+        ConfigurationError: If ``kp`` is invalid.
+        ModelError: If ``kp`` is passed, and a joint has no motor.
     """
     if kp is None:
         gains = list_position_servos(robot)
@@ -975,9 +995,9 @@ def get_stated_stiffness(
 
 
 _STOP_MARGIN = 2e-3
-"""Distance [rad] from a joint limit below which a mechanical stop may carry load. The difference of
-command and position then does not determine the joint torque, and the command is not used. Chosen,
-not tuned."""
+"""Distance [rad, m] from a joint limit below which a mechanical stop may carry load. The difference
+of command and position then does not determine the joint torque, and the command is not used.
+Chosen, not tuned."""
 
 LIMIT_MARGIN_STDS = 3.0
 """Distance of a joint from a position limit, in standard deviations of the encoder offset. Planned
@@ -988,9 +1008,10 @@ stop, and its command is not used. Chosen, not tuned."""
 def _get_encoder_offsets(
     robot: Robot, table: ParameterTable, posterior: Posterior | None
 ) -> tuple[Array, Array]:
-    """Return mean and standard deviation of the encoder offsets, shape (nu,) [rad] each.
+    """Return mean and standard deviation of the encoder offsets, shape (nu,) [rad, m] each.
 
-    They are those of the posterior; without a posterior, those of the prior.
+    The values are those of the posterior; without a posterior, those of the prior; 0 for an offset
+    that is not estimated.
     """
     mean, std = (
         (table.stated, table.width) if posterior is None else (posterior.mean, posterior.std)
@@ -1003,11 +1024,12 @@ def _get_encoder_offsets(
 def _drop_uninformative_commands(
     robot: Robot, stands: MeasuredStands, kp: Array, offsets: Array, offset_std: Array
 ) -> tuple[MeasuredStands, tuple[Diagnostic, ...]]:
-    """Return stands without the commands that do not determine a torque, and notes on omissions.
+    """Return stands without the commands that do not determine a torque, and notes.
 
     Omitted are commands of joints that may rest on a stop (near a limit, within the uncertainty of
     the encoder offsets), and of motors at the torque limit, where the servo error may have any
-    size. ``kp`` [N m/rad], ``offsets`` [rad] and ``offset_std`` [rad] have the shape (nu,).
+    size. The notes report the omissions, or that there are no commands. ``kp`` [N m/rad, N/m],
+    ``offsets`` [rad, m] and ``offset_std`` [rad, m] have the shape (nu,).
     """
     commanded, position = np.isfinite(stands.command), stands.position - offsets
     servo_error, margin = (
@@ -1066,9 +1088,10 @@ def _make_scale_residual(
 
 _MAX_DEPTH_STDS = 1.0
 """Upper bound of the depth below the ground of a foot that the measurements list as in the air, in
-standard deviations of the foot's height. The height is computed from the measured joint positions;
-a larger depth is an error, as list and positions contradict each other. The bound is not 0, since a
-foot of v3 in the air may sag to within a millimetre of the ground. Chosen, not tuned."""
+standard deviations of the foot's height. The height of the lowest contact point is computed from
+the measured joint positions; a larger depth is an error, as list and positions contradict each
+other. The bound is not 0, since a foot of v3 in the air may sag to within a millimetre of the
+ground. Chosen, not tuned."""
 
 
 def _check_foot_loads(
@@ -1079,8 +1102,9 @@ def _check_foot_loads(
 ) -> None:
     """Check that no carrying foot has to pull, and no foot in the air is below the ground.
 
-    The tolerances are `_MAX_PULL_RATIO` and `_MAX_DEPTH_STDS`. Encoder offsets are those of
-    ``posterior``, or taken from the prior without a posterior.
+    The tolerances are `_MAX_PULL_RATIO` and `_MAX_DEPTH_STDS`. The parameters are those of
+    ``posterior``; without a posterior, the stated parameters, with the prior of the encoder
+    offsets. Base poses and contact forces are those that ``equations`` has stored.
 
     Raises:
         MeasurementError: For the foot in the air that is the deepest (in standard deviations) below
@@ -1131,13 +1155,15 @@ class LogCoordinates:
     inverse are equally probable.
 
     The coordinate is y = x0 + x0 log(x / x0), with the stated value x0: y has the parameter's
-    unit, and agrees with x to first order about x0, so that the prior width is unchanged.
+    unit, and agrees with x to first order about x0, so that the prior width is unchanged. For other
+    kinds of parameters, y = x.
 
     Args:
         table: Parameters.
 
     Attributes:
-        lower_bounds: Lower bounds of the coordinates, shape (n,).
+        lower_bounds: Lower bounds of the coordinates, shape (n,): 0 for positive parameters that
+            are not logarithms, otherwise minus infinity.
     """
 
     def __init__(self, table: ParameterTable) -> None:
@@ -1219,7 +1245,7 @@ tuned."""
 
 _MIN_FLATNESS = 1e-4
 """Lower bound [m] of the estimated unevenness of the ground. Simulated ground is flatter, but the
-penetration of feet is modelled to about this accuracy only."""
+penetration of feet is modelled to about this accuracy only. Chosen, not tuned."""
 
 _MIN_MOMENT = 1e-4
 """Lower bound [m] of the estimated noise of foot moments: moment on a contact point, divided by the
@@ -1235,8 +1261,7 @@ contained the truth."""
 
 _UNKNOWN_STEPS = 4
 """Number of iterations by which the own unknowns of each stand (base tilt, base height, contact
-forces) are solved before the noise is estimated. More iterations do not change the log evidence of
-the noise levels."""
+forces) are solved before the noise is estimated. Chosen, not tuned."""
 
 _MAX_EVALUATIONS = 40
 """Upper bound of the evaluations of the log evidence in the search for the three noise levels (foot
@@ -1250,9 +1275,9 @@ def scale_common_widths(
     """Scale the prior widths of foot moments and of one-sided joint friction with the noise levels.
 
     Parameters of the kind ``moment`` are the part of the moments on a foot that is equal in all
-    stands; ``settling`` is the equal (one-sided) part of the dry friction. The prior widths are
-    multiplied by the ratio of estimated to expected random noise. For ``settling`` the factor is at
-    least 1, because random noise does not show one-sided friction.
+    stands; ``settling`` is the one-sided part of the dry friction in stands with a known mass. The
+    prior widths are multiplied by the ratio of estimated to expected random noise. For ``settling``
+    the factor is at least 1, because random noise does not show one-sided friction.
 
     Args:
         table: Parameters.
@@ -1272,7 +1297,8 @@ def estimate_noise(
     """Estimate the noise of measured stands: contact moments, uneven ground and dry friction.
 
     The estimated noise levels maximise the probability of the measurements, with the parameters
-    integrated out, times a log-normal prior about the expected levels (Nelder-Mead simplex).
+    integrated out, times a log-normal prior about the expected levels (Nelder-Mead simplex, at most
+    `_MAX_EVALUATIONS`). Each level has a lower bound. The encoder noise is not estimated.
 
     Args:
         equations: Equations of the stands, with the expected noise.
@@ -1288,7 +1314,7 @@ def estimate_noise(
     stands, other_residuals = equations.evaluate_rows(mean), scale_residual(mean)
 
     def make_noise(log_levels: Array) -> StandNoise:
-        """Return the noise with moment, flatness and friction multiplied by exp(log_levels)."""
+        """Return the noise for factors exp(log_levels) on expected levels, shape (3,)."""
         moment, flatness, friction = np.exp(log_levels)
         return replace(
             expected,
@@ -1298,7 +1324,7 @@ def estimate_noise(
         )
 
     def compute_cost(log_levels: Array) -> float:
-        """Return the negative log evidence plus the log prior's penalty of noise levels (3,)."""
+        """Return the negative log evidence minus the log prior of the noise levels, shape (3,)."""
         noise, linearised = make_noise(log_levels), other_residuals
         for stand in stands:
             stand.set_noise(noise)

@@ -114,27 +114,30 @@ def plan_stands(
     """Choose the stands whose measurement determines the parameters best (D-optimal design).
 
     The candidates are random stands; ``choose_stands`` maximises the determinant of the information
-    greedily, then by exchanges. Candidates are reachable, balanced, free of self-collision and
-    within 60 % of the torque limits; the servos hold them with feed-forward for the file's masses.
-    If possible at most a third of the stands has a foot in the air. Half of the candidates has a
-    heading of 180 deg. If there is a known mass, half of the candidates carries this mass.
+    greedily, then by exchanges. Candidates are reachable, balanced and within 60 % of the known
+    torque limits; the servos hold them with feed-forward for the file's masses. They are free of
+    self-collision if the nominal stand is. If possible at most a third of the stands has a foot in
+    the air. About half of the candidates has a heading of 180 deg. If there is a known mass, about
+    half of the candidates carries this mass.
 
     Args:
         robot: Robot with a free base and feet.
         count: Number of stands.
         priors: Prior standard deviations: ``mass=50%``, ``com:base=5mm``, ``kp=0`` (kp is exact).
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
         added: Known mass [kg], 0 for none; by default 15 % of the robot's mass, rounded to two
-            digits.
-        added_at: Position of the known mass in the frame of the base or of a link [m]; by default
-            on top of the base.
+            significant digits.
+        added_at: Position of the known mass in the frame of the base, or of a link, site, body or
+            geom [m]; by default above the origin of the base, at the height of its highest point.
         seed: Seed of the random stands.
 
     Raises:
-        ConfigurationError: If the count, the seed, the mass or the place is invalid, or the base is
-            fixed.
+        ConfigurationError: If the count, the seed, a prior, kp, the mass or the place is invalid,
+            the base is fixed, or the robot has closed loops, couplings, welds or grips.
         MeasurementError: If a joint has no stated kp and ``kp`` is None, or too few random stands
             are in reach, held by the servos and within the torque limits.
+        ModelError: If ``kp`` is passed and a joint has no motor, or the model with the known mass
+            cannot be built.
         UnknownNameError: If the robot has no frame with the name in ``added_at``.
     """
     robot.check_floating()
@@ -188,22 +191,23 @@ def _draw_candidates(
 ) -> list[_Candidate]:
     """Draw the random stands from which the stands of a plan are chosen.
 
-    Half of the stands has a heading of 180 deg. If there is a known mass, half of the stands
-    carries this mass.
+    Every second stand has a heading of 180 deg, the others have 0. If there is a known mass, it is
+    on the stands of the second half.
 
     Args:
         robot: Robot without the known mass.
         loaded_robot: Robot with the known mass; ``robot`` if there is none.
         added: Known mass [kg].
         count: Number of stands of the plan.
-        stiffness: Servo stiffness, shape (nu,) [N m/rad].
-        kp: Servo stiffness that the caller requests, scalar or shape (nu,) [N m/rad].
+        stiffness: Servo stiffness, shape (nu,) [N m/rad, N/m].
+        kp: Servo stiffness that the caller requests, scalar or shape (nu,) [N m/rad, N/m].
         rng: Generator of random numbers, which is advanced.
         priors: Prior standard deviations.
 
     Raises:
-        MeasurementError: If too few random stands are in reach, held by the servos and within the
-            torque limits.
+        MeasurementError: If fewer than ``count`` random stands, with or without the known mass, are
+            in reach, held by the servos and within the torque limits.
+        ConfigurationError: If a prior of an encoder offset, mass or CoM matches no parameter.
     """
     variants = [robot] if loaded_robot is robot else [robot, loaded_robot]
     num_draws = -(-_CANDIDATES_PER_STAND * count // len(variants))  # rounded up
@@ -233,8 +237,8 @@ def _number_stands(candidates: Sequence[_Candidate]) -> tuple[PlannedStand, ...]
 def _expect_estimates(table: ParameterTable, information: Array) -> tuple[Estimate, ...]:
     """Return the parameters with the stated values and the expected intervals.
 
-    ``information`` is the information matrix of all measured stands and the priors, shape (n, n),
-    in units of the parameters' widths.
+    ``information`` is the information matrix of the planned stands and the priors, shape (n, n), in
+    units of the parameters' widths.
     """
     deviation = np.sqrt(np.diag(np.linalg.inv(information)))
     return tuple(
@@ -280,7 +284,7 @@ class _Candidate:
 
     Attributes:
         planned: Stand as it would be planned, without a name.
-        position: Predicted joint positions on the servos, shape (nu,) [rad].
+        position: Predicted joint positions in the steady state, shape (nu,) [rad, m].
         height: Base height [m] before the static deflection.
     """
 
@@ -308,7 +312,7 @@ def _make_candidate(
         robot: Robot.
         stand: Stand before the static deflection of servos and ground.
         sagged: Steady state of this stand, after the deflection.
-        kp: Servo stiffness, shape (nu,) [N m/rad].
+        kp: Servo stiffness, shape (nu,) [N m/rad, N/m].
         heading: Rotation of the robot about the vertical [rad].
         added: Known mass on the robot [kg].
     """
@@ -344,6 +348,9 @@ def choose_stands(
         count: Number of measurements to choose.
         is_rare: Whether a measurement counts towards ``max_rare``.
         max_rare: Largest number of rare measurements, as long as other measurements are available.
+
+    Returns:
+        Indices of the chosen measurements, in ascending order.
     """
     chosen: list[int] = []
     rare_indices = set(np.flatnonzero(is_rare).tolist())
@@ -384,7 +391,7 @@ def choose_stands(
 
 _MAX_EXCHANGE_ROUNDS = 5
 """Upper bound of the rounds in which each chosen stand may be exchanged for a more informative
-candidate. Two or three rounds are sufficient."""
+candidate. Chosen, not tuned: two or three rounds are usually sufficient."""
 
 
 def _log_determinant(information: Array) -> float:
@@ -395,9 +402,10 @@ def _log_determinant(information: Array) -> float:
 def _make_measured_stands(
     source: str, planned: Sequence[PlannedStand], tool: Tool | None
 ) -> MeasuredStands:
-    """Return planned stands as measured stands, with NaN as the measured joint positions [rad].
+    """Return planned stands as measured stands, with NaN as the measured joint positions [rad, m].
 
-    Stands with an added mass [kg] have the mass at the offset [m] of the tool in its link.
+    Stands with an added mass [kg] have the mass at the offset [m] of ``tool`` in the frame of its
+    link. Without ``tool``, added masses are left out.
     """
     command = np.array([list(stand.command.values()) for stand in planned])
     loads = {}
@@ -423,7 +431,7 @@ def write_plan(plan: StandPlan, path: str | Path, *, force: bool = False) -> Non
     Args:
         plan: Plan.
         path: Output file.
-        force: Whether to replace a file that is not a plan. Plans with measured positions are never
+        force: Whether to replace a file that is not a plan. Plans with measurements are never
             replaced.
 
     Raises:
@@ -437,16 +445,18 @@ def write_plan(plan: StandPlan, path: str | Path, *, force: bool = False) -> Non
 # Random stands that the servos hold in spite of uncertain parameters.
 
 _TRIES_PER_STAND = 8
-"""Upper bound of random stand tasks per requested stand. One of two to four tasks has a stand."""
+"""Upper bound of random stand tasks per requested stand. Chosen, not tuned: usually one of two to
+four tasks has a stand."""
 
 _MAX_FAILED_TRIES = 24
-"""Number of random stand tasks after which the search ends if none of them could be solved. The
+"""Number of random stand tasks after which the search ends if none of them gave a stand. The
 range of the random values shrinks after each failure (`_SHRINK_FACTOR`), by then to 2 %: nearly the
 default stand. Chosen, not tuned."""
 
 _SHRINK_FACTOR, _GROW_FACTOR = 0.85, 1.2
-"""Factors on the range of random stands after a refused and after an accepted stand. The factors
-balance at about 50 % accepted stands, for robots with large and small workspaces."""
+"""Factors on the range of random stands after a refused and after an accepted stand. The range is
+at most 1. The factors balance at 47 % accepted stands, for robots with large and small workspaces.
+Chosen, not tuned."""
 
 _MAX_UTILISATION = 0.6
 """Upper bound of motor torque over torque limit in a planned stand; random stands above are
@@ -472,13 +482,14 @@ _LIFTED_PROBABILITY = 0.4
 not tuned."""
 
 _MIN_CLEARANCE = 0.005
-"""Clearance [m] between links that planned stands require, unless the default stand has too little
-(`_CLEARANCE_FRACTION`). An encoder offset of 3 deg displaces the knees of v3 by this distance."""
+"""Clearance [m] between links that planned stands require, unless the clearance in the nominal
+stand is less than twice as large (`_CLEARANCE_FRACTION`). Chosen, not tuned: an encoder offset of 3
+deg displaces the knees of v3 by about this distance."""
 
 _CLEARANCE_FRACTION = 0.5
 """Clearance between links that planned stands require, as a fraction of the clearance in the
-default stand, if that is less than `_MIN_CLEARANCE`: thighs may be close to the body. Chosen, not
-tuned."""
+nominal stand, if the product is less than `_MIN_CLEARANCE`: thighs may be close to the body.
+Chosen, not tuned."""
 
 _COM_MARGIN_RATIO = 0.05
 """Lower bound of the CoM margin that planned stands require, as a fraction of the base height in
@@ -488,16 +499,20 @@ the default stand. Chosen, not tuned."""
 class RandomStands:
     """Generator of random stands that the servos hold.
 
-    Stands are reachable, balanced, free of self-collision, and within 60 % of the torque limits.
-    Joints keep three standard deviations of an encoder offset from the limits, since a joint may
-    rest on a stop unnoticed. The CoM margin is the larger of one standard deviation of the
-    horizontal CoM position and 5 % of the height, or 5 % if the former is not reachable.
+    Stands are reachable, balanced, and within 60 % of the known torque limits; they are free of
+    self-collision if the nominal stand is. Joints keep three standard deviations of an encoder
+    offset from the limits, since a joint may rest on a stop unnoticed. The CoM margin is at least
+    the larger of one standard deviation of the horizontal CoM position and 5 % of the height, or
+    5 % if the larger margin is not reachable.
 
     Args:
         robot: Robot with a free base and feet.
         rng: Random generator.
-        kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
         priors: Priors of the robot's parameters.
+
+    Raises:
+        ConfigurationError: If a prior of an encoder offset, mass or CoM matches no parameter.
     """
 
     def __init__(
@@ -511,7 +526,7 @@ class RandomStands:
         self._joint_margin = LIMIT_MARGIN_STDS * _get_offset_std(robot, priors)
         self._com_margin = compute_com_std(robot, priors)
         self._clearance = _compute_clearance(robot)
-        # The swing foot must stay in the air in spite of servo sag and encoder offsets.
+        # A swing foot must stay in the air in spite of servo sag and encoder offsets.
         lowered = _compute_sag(robot, kp) + self._joint_margin * robot.stand_height
         self._swing_height = max(_MIN_LIFT_RATIO * robot.stand_height, lowered)
         self._range_scale, self._num_found = 1.0, 0
@@ -521,7 +536,8 @@ class RandomStands:
         """Draw random stands that the servos hold.
 
         Args:
-            count: Number of stands. Fewer are returned if too many random tasks have no stand.
+            count: Number of stands. Fewer are returned if too many random tasks have no stand
+                (`_TRIES_PER_STAND`, `_MAX_FAILED_TRIES`).
 
         Returns:
             Pairs of a stand and the steady state to which the stand sags on the servos.
@@ -540,7 +556,7 @@ class RandomStands:
         return stands
 
     def explain_shortage(self, requested: int) -> Diagnostic:
-        """Return the most frequent reason why fewer stands than ``requested`` were found."""
+        """Return the most frequent reason of refused tasks, for ``requested`` stands."""
         code = max(self._refusal_counts, key=lambda code_name: self._refusal_counts[code_name])
         if code == "too-few-in-reach":
             offset_margin = Quantity(self._joint_margin, "rad")
@@ -554,7 +570,7 @@ class RandomStands:
     def _draw_task(self) -> StandTask:
         """Draw a stand task with random height, roll, pitch and foot positions.
 
-        If the robot has more than three feet, one foot may be lifted.
+        If the robot has more than three feet, one of them may be lifted.
         """
         rng, height, feet = self._rng, self._robot.stand_height, list(self._robot.feet)
         swing = {}
@@ -583,9 +599,9 @@ class RandomStands:
     def _solve_task(self, task: StandTask) -> tuple[Stand, SteadyState] | None:
         """Return the stand of a task and its steady state with feed-forward, or None.
 
-        The result is None, and the reason is counted, if the stand is out of reach, if the servos
-        do not hold the robot on the same feet, or if a motor exceeds `_MAX_UTILISATION` of its
-        limit.
+        The result is None, and the reason is counted, if there is no stand (also with the smaller
+        CoM margin), if the servos do not hold the robot on the same feet, or if a motor exceeds
+        `_MAX_UTILISATION` of its limit.
         """
         robot, smaller_margin = self._robot, _COM_MARGIN_RATIO * self._robot.stand_height
         try:
@@ -612,10 +628,10 @@ class RandomStands:
 
 
 def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
-    """Return the height [m] that the base loses in the default stand without feed-forward.
+    """Return the height [m], at least 0, that the base loses in the nominal stand on its servos.
 
-    ``kp`` is the servo stiffness [N m/rad]; the model's if None. 0 if the stand cannot be solved or
-    has no equilibrium on its servos.
+    ``kp`` is the servo stiffness [N m/rad, N/m]; the model's if None. 0 if the stand cannot be
+    solved or has no equilibrium on its servos.
     """
     try:
         stand = solve_stand(robot, explain=False)
@@ -627,8 +643,8 @@ def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
 def _compute_clearance(robot: Robot) -> float | None:
     """Return the clearance [m] between links that planned stands must keep.
 
-    The result is `_CLEARANCE_FRACTION` of the clearance in the default stand, and at most
-    `_MIN_CLEARANCE`. None if the default stand cannot be solved, for example since links overlap,
+    The result is `_CLEARANCE_FRACTION` of the clearance in the nominal stand, and at most
+    `_MIN_CLEARANCE`. None if the nominal stand cannot be solved, for example since links overlap,
     or has no link pairs.
     """
     try:
@@ -641,7 +657,11 @@ def _compute_clearance(robot: Robot) -> float | None:
 
 
 def _get_offset_std(robot: Robot, priors: Sequence[Prior]) -> float:
-    """Return the largest prior standard deviation of an encoder offset [rad]."""
+    """Return the largest prior standard deviation of an encoder offset [rad, m], 0 if known.
+
+    Raises:
+        ConfigurationError: If a prior of an encoder offset matches no joint.
+    """
     offsets = [("offset", name, "", 0.0) for name in robot.joint_names]
     offset_priors = [prior for prior in priors if prior.kind == "offset"]
     return max((parameter.width for parameter in apply_priors(offsets, offset_priors)), default=0.0)
@@ -651,8 +671,8 @@ def compute_com_std(robot: Robot, priors: Sequence[Prior]) -> float:
     """Compute the standard deviation [m] of the robot's CoM before any measurement.
 
     The deviation follows from the priors of link masses and CoM positions, with the joints at their
-    nominal positions; links without a prior have the default. The result is the larger value of the
-    x and the y component in the base frame.
+    nominal positions; links without a prior in ``priors`` have the default. The result is the
+    larger value of the x and the y component in the base frame.
 
     Args:
         robot: Robot.

@@ -1,8 +1,8 @@
 """Search for wrong wiring: servos that are exchanged, or rotate in the opposite direction.
 
-A `Wiring` assigns the measured columns to joints, with signs. `find_wiring` ranks all wirings with
-a single error by the evidence of the measurements, fits the most probable ones, and returns the
-first with which the model explains the stands.
+A `Wiring` assigns the measured columns to joints, with signs. `find_wiring` ranks wirings with a
+single error by the evidence of the measurements, fits the most probable ones, and returns the first
+with which the model explains the stands.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pupper_analysis.tools.fit.result import Fit
 
 _MAX_WEIGHED_WIRINGS = 12
 """Maximum number of wirings that are ranked by the evidence of all stands, if only some stands are
-doubted. A robot with 12 joints has 84 wirings with one error. Chosen, not tuned."""
+doubted. A robot with four legs of three joints has 84 wirings with one error. Chosen, not tuned."""
 
 _MAX_FITTED_WIRINGS = 3
 """Maximum number of wirings (assignments of measured columns to joints, with signs) that are
@@ -59,7 +59,10 @@ class Wiring:
 
 
 def generate_wirings(robot: Robot) -> Iterator[Wiring]:
-    """Yield wirings with one error: a wrong sign, two exchanged joints, or two exchanged legs."""
+    """Yield wirings with one error: a wrong sign, two exchanged joints, or two exchanged legs.
+
+    Legs are exchanged if they have the same number of joints, more than one, and none in common.
+    """
     names, identity, positive = robot.joint_names, tuple(range(robot.nu)), (1.0,) * robot.nu
     for joint, name in enumerate(names):
         signs = tuple(-1.0 if column == joint else 1.0 for column in identity)
@@ -111,22 +114,22 @@ def find_wiring(
         evidence: Function that returns the log evidence of stands.
         fit: Function that fits stands.
         doubted: Rows of stands that contradict the present wiring, if the others are explained.
-            Only the `_MAX_WEIGHED_WIRINGS` wirings that these stands make most probable are then
-            ranked by all stands, which is faster.
+            Only the `_MAX_WEIGHED_WIRINGS` wirings that these stands (with others, up to
+            `MIN_STANDS`) make most probable are then ranked by all stands, which is faster.
 
     Returns:
         First fitted wiring whose fit has no failures; None without such a wiring.
     """
 
     def evaluate(candidate: MeasuredStands) -> float:
-        """Return the log evidence; minus infinity if it cannot be computed."""
+        """Return the log evidence of stands; minus infinity if it cannot be computed."""
         try:
             return evidence(candidate)
         except (PupperAnalysisError, np.linalg.LinAlgError):  # unreachable or not balanced
             return -math.inf
 
     def rank(wirings: Iterable[Wiring], weighed: MeasuredStands) -> list[Wiring]:
-        """Return the wirings that are more probable than the present one, the best first."""
+        """Return the wirings that are more probable than the present one, most probable first."""
         present = evaluate(weighed)
         ranked = [(evaluate(wiring.apply(weighed)), wiring) for wiring in wirings]
         better = [item for item in ranked if item[0] > present]
