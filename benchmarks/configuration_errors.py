@@ -35,6 +35,7 @@ from tests.robot.test_configuration_analysis import (  # noqa: E402
     load_odd_robot,
     states,
 )
+from tests.statics.test_region import farthest_by_linear_programs  # noqa: E402
 from tests.support.engines import addresses, evaluate_mujoco, with_efforts  # noqa: E402
 
 Array = np.ndarray
@@ -174,6 +175,39 @@ def compare_forces(config: pa.Configuration, offset: Array) -> Iterator[Row]:
                 yield "force_polytope", engine, np.array(mine / size), np.array(expected / size)
 
 
+REGION_LEVERS = (0.03, 0.1, 0.3)
+"""Effort limits of all motors over the weight [m] in the comparison of support regions. Chosen: of
+each robot, motors limit some regions, and some states of most robots have no equilibrium."""
+
+REGION_FRICTION = 0.5
+"""Sliding friction coefficient in the comparison of support regions."""
+
+
+def compare_regions(config: pa.Configuration, offset: Array) -> Iterator[Row]:
+    """Yield the extents [m] of the support region in a random and the opposite direction.
+
+    The reference are linear programs with tangent planes of the friction cones (HiGHS), with
+    points, Jacobians and loads of MuJoCo. The contact points are where the random joint positions
+    put them. Without equilibrium the extents are 0. Robots with closed loops, a fixed base or less
+    than three contact points are left out.
+    """
+    robot = config.robot
+    if not robot.floating or robot.closure is not None or len(robot.contact_points) < 3:
+        return
+    normals = {name: np.array([0.0, 0.0, 1.0]) for name in robot.contact_points}
+    direction = offset[:2] / np.linalg.norm(offset[:2])
+    for lever in REGION_LEVERS:
+        at_rest = pa.Configuration(with_efforts(robot, lever * robot.weight), config.qpos)
+        region = pa.statics.support_region(at_rest, friction=REGION_FRICTION)
+        for way in (direction, -direction):
+            expected = farthest_by_linear_programs(at_rest, normals, REGION_FRICTION, way)
+            corners = region.corners @ way
+            mine = float(corners.max()) if corners.size else -np.inf
+            if np.isinf(expected) and np.isinf(mine):
+                mine = expected = 0.0
+            yield "support_region", "MuJoCo", np.array(mine), np.array(expected)
+
+
 @click.command()
 @click.option("--table", is_flag=True, help="Write docs/data/configuration-errors.csv.")
 def main(*, table: bool) -> None:
@@ -189,6 +223,7 @@ def main(*, table: bool) -> None:
                     *compare_frames(config, mj, offset),
                     *compare_dynamics(config, mj),
                     *compare_forces(config, offset),
+                    *compare_regions(config, offset),
                 ]
                 for function, engine, value, expected in rows:
                     size = max(1.0, float(np.abs(expected).max(initial=0.0)))

@@ -116,6 +116,10 @@ def test_friction_bounds_the_region_between_sloped_contacts() -> None:
         assert not balances(corner + 1e-3 * out)
 
 
+INFEASIBLE = 2
+"""Status of `linprog` for a program without solution."""
+
+
 def farthest_by_linear_programs(
     config: pa.Configuration,
     normals: dict[str, np.ndarray],
@@ -124,7 +128,7 @@ def farthest_by_linear_programs(
 ) -> float:
     """Return the largest ``direction @ com`` [m] in equilibrium within the limits of the motors.
 
-    HiGHS solves linear programs. Tangent planes of the friction cones are added until no cone is
+    -inf without equilibrium. HiGHS solves linear programs. Tangent planes of the friction cones are added until no cone is
     violated by more than 1e-9 of the weight. Points, Jacobians and loads are those of MuJoCo.
     """
     robot, names = config.robot, list(normals)
@@ -148,7 +152,7 @@ def farthest_by_linear_programs(
         plane = np.eye(3) - np.outer(normal, normal)
         cones.append((part, normal, plane))
     torques = robot.weight * np.hstack(columns)
-    load, limits = data.qfrc_bias[dofs], robot.effort_limits
+    load, limits = (data.qfrc_bias - data.qfrc_passive)[dofs], robot.effort_limits
     rows = [*torques, *-torques]
     upper = [*(limits + load), *(limits - load)]
 
@@ -172,6 +176,8 @@ def farthest_by_linear_programs(
             method="highs-ds",
             options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
         )
+        if found.status == INFEASIBLE:
+            return -np.inf
         assert found.success
         violated = False
         for part, normal, plane in cones:
