@@ -1,4 +1,4 @@
-"""Branches of the legs' inverse kinematics (IK): all leg postures with the same foot position.
+"""Branches of the legs' inverse kinematics (IK): leg postures with the same foot position.
 
 A leg with three joints reaches a foot position with a few postures, for example knee forward or
 backward. With a fixed base the limbs are independent, so the branches of each limb are found on its
@@ -39,11 +39,11 @@ Chosen, not tuned."""
 
 _FOOT_ERROR_STEP = 1e-6
 """Foot errors are rounded to multiples of this length [m] before branches are sorted, so that the
-order does not depend on rounding errors. Chosen, not tuned."""
+order rarely depends on rounding errors. Chosen, not tuned."""
 
 _JOINT_DISTANCE_STEP = 1e-3
 """Costs of branch combinations are rounded to multiples of this value [rad or m] before sorting, so
-that the order of equal costs does not depend on rounding errors. Chosen, not tuned."""
+that the order of equal costs rarely depends on rounding errors. Chosen, not tuned."""
 
 _MAX_BRANCHES = 6
 """Upper bound of the IK branches that are kept per limb, in ascending order of foot error. A
@@ -137,10 +137,10 @@ def find_branches(
         upper: Upper joint limits, shape (nu,) [rad, m].
 
     Returns:
-        {limb: at most `_MAX_BRANCHES` branches}, smallest foot error first; empty for a robot
-        without feet. Of positions that differ by whole turns of a joint, that nearest to home is
-        kept, if it is within the limits. For an unreachable target, the branches are local minima
-        of the foot error.
+        {limb: at most `_MAX_BRANCHES` branches}, smallest foot error first, to `_FOOT_ERROR_STEP`;
+        empty for a robot without feet. Of positions that differ by whole turns of a joint, the
+        position nearest to home is kept, if it is within the limits. For an unreachable target, the
+        branches are local minima of the foot error.
 
     Raises:
         ModelError: If the lower limit of a joint is above its upper limit.
@@ -382,7 +382,7 @@ class _Descent:
     ) -> Array:
         """Return Levenberg-Marquardt steps of n limb joints in k configurations, (k, n) [rad, m].
 
-        Joints at a bound with an outward gradient stay.
+        The step of a joint at a bound is zero if the direction of descent is outward.
 
         Args:
             errors: Position errors of the f contact points, shape (k, f, 3) [m].
@@ -459,8 +459,8 @@ def combine_branches(
 
 _MAX_SORTED_COMBINATIONS = 100_000
 """Upper bound of the number of combinations (an IK branch per limb) that are sorted by cost. Six
-legs with six branches each have 46,656; twelve legs would have 2e9, more than memory holds.
-Chosen."""
+legs with six branches each have 46,656; twelve legs would have 2e9, more than memory holds. Chosen,
+not tuned."""
 
 
 def _select_cheap_branches(costs: Sequence[Array]) -> list[list[int]]:

@@ -59,7 +59,8 @@ class OffGround(NamedTuple):
     Attributes:
         number: Index in the shapes of the robot.
         shape: Shape.
-        sunk: Foot whose sphere the shape intersects; None if there is none.
+        sunk: Contact point on the same joint whose sphere the shape intersects; None if there is
+            none.
     """
 
     number: int
@@ -138,7 +139,8 @@ class ClearanceShapes:
         shapes: Collision shapes of the robot (``robot.shapes``), including foot shapes.
         kinematics: Kinematics of links, CoM and feet.
         parts: Shapes that must be above the ground: without feet, shapes that cannot touch the
-            ground, and shapes on a fixed base or on the link of a sole, weld or grip.
+            ground (if the model has a floor), and shapes on a fixed or welded base or on the joint
+            of a sole, weld or grip.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -166,7 +168,7 @@ class ClearanceShapes:
         """Index pairs, shape (n, 2), of shapes whose distances count.
 
         Pairs on neighbouring links are left out: links on equal or adjacent joints, links that the
-        MJCF excludes from contact, and links that overlap in the home configuration.
+        MJCF excludes from contact, and links that overlap or touch in the home configuration.
         """
         model, shapes = self.robot.pin_model, self.shapes
         base = 1 if self.robot.floating else 0  # 0 is Pinocchio's universe
@@ -248,7 +250,7 @@ class ClearanceShapes:
         return nearest[:most]
 
     def _shape_poses(self, at: Kinematics) -> list[coal.Transform3s]:
-        """Return the pose of each shape in the world frame [m], at given link poses."""
+        """Return the pose of each shape in the world frame [m], for the kinematics ``at``."""
         links = [(at.links[shape.link], shape.form.pose) for shape in self.shapes]
         return [
             coal.Transform3s(turn @ pose.rotation, turn @ pose.position + place)
@@ -312,7 +314,8 @@ class ClearanceShapes:
     ) -> list[float]:
         """Return the height [m] of each collision shape in ``parts`` above slope and steps.
 
-        ``parts`` are the shapes that must be above the ground.
+        ``parts`` are the shapes that must be above the ground. If no step is above the slope and no
+        foot has a separate plane, all heights are above the slope, also over lower steps.
 
         The penetration of a foot is added to the height of a part that intersects the sphere of
         this foot, such as a calf: the part may be in the ground as deep as the foot.
@@ -408,8 +411,8 @@ class ClearanceShapes:
     def _list_parts(self) -> Iterator[OffGround]:
         """Yield each shape of the robot that is no foot and must stay above the ground.
 
-        Shapes on a fixed base, and on the link of a sole, weld or grip, are left out: the file or
-        the task determines the pose of the link.
+        Shapes on a fixed or welded base, and on the joint of a sole, weld or grip, are left out:
+        the file or the task determines the pose of the link.
         """
         robot, model = self.robot, self.robot.pin_model
         feet: dict[str, str] = {}  # {joint: foot}

@@ -41,7 +41,8 @@ class Constraint:
         goal: Goal.
 
     Attributes:
-        name: Name in ``stance/fields.toml``, or of a constraint without a field.
+        name: Value of ``constraint`` in ``stance/fields.toml``; another name for a constraint
+            without a field (``loops``).
         is_equality: Whether the residual must be zero; otherwise it must not be negative.
         is_presatisfied: Whether each configuration that the nonlinear program evaluates satisfies
             the constraint (base height and orientation).
@@ -348,14 +349,15 @@ class SelfClearance(Constraint):
         return self._shapes.distance_jacobian(at, NUM_NEAREST_PAIRS)
 
     def smallest_clearance(self, _: Goal, at: Kinematics) -> Clearance | None:
-        """Return the smallest distance [m] between links that are not neighbours; None if none."""
+        """Return the smallest distance [m] of links that are not neighbours; None without such."""
         return self._shapes.find_closest_links(at.qpos)
 
 
 def _has_fixed_com_on_planes(goal: Goal) -> bool:
     """Return True if the CoM target is fixed and feet have separate planes.
 
-    The support region is then slow to compute; `make_goal` has checked the target already.
+    The support region is then slow to compute, and `make_goal` checks a target other than the
+    centre of the feet.
     """
     return bool(goal.task.ground.planes) and goal.task.com != "inside"
 
@@ -369,7 +371,8 @@ class ConstraintEvaluation(NamedTuple):
     """Violations and clearances of a configuration.
 
     Attributes:
-        violation: {constraint name: violation} [m, rad], without clearances and CoM margin.
+        violation: {constraint name: violation} [m, rad], without clearances and CoM margin;
+            infinite for loops in another assembly.
         com_margin: Distance of the CoM from the edge of the support polygon [m]; negative outside;
             infinite for a welded robot.
         nearest: {clearance name: smallest clearance} of the ground clearance and, if requested, the

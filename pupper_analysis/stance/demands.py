@@ -41,15 +41,16 @@ for _field in FIELDS.values():
         _FIELDS_BY_DEMAND.setdefault(_field.attribute, []).append(_field)
 
 DEMANDS = tuple(_FIELDS_BY_DEMAND)
-"""Demands: attributes of `StandTask` that may be relaxed. The fields of the ground form one
+"""Demands: attributes of `StandTask` that may be relaxed. Slope and steps of the ground form one
 demand."""
 
 _MAX_RELAXATION = 3.0
-"""Upper bound of the change of a length by relaxation [stand heights]. Chosen, not tuned."""
+"""Upper bound of the change, by relaxation, of a length that may change in both directions [stand
+heights]. Chosen, not tuned."""
 
 _MIN_HEIGHT_RATIO = 1e-3
-"""Lower bound of a relaxed value that must stay positive (``open`` in ``fields.toml``), relative to
-the requested value. Chosen, not tuned."""
+"""Lower bound of a relaxed positive value that must stay positive (``open`` in ``fields.toml``),
+relative to the requested value. Chosen, not tuned."""
 
 _ROUNDING_ATOL = 1e-12
 """Difference from the requested value [m, rad] below which a relaxed value is set to the requested
@@ -68,7 +69,7 @@ class DemandValue(NamedTuple):
 
     Attributes:
         field: Name of the field.
-        foot: Foot or joint, for a field that is a mapping; else empty.
+        foot: Foot, joint or link, for a field that is a mapping; else empty.
         axis: Axis, for a component of a point; else empty.
     """
 
@@ -157,7 +158,7 @@ class DemandVector:
         )
 
     def _make_value(self, field: str, foot: str, parts: list[float]) -> Any:
-        """Convert numbers [m, rad] of a field, or of a foot in a field, to a value of the task."""
+        """Convert numbers [m, rad] of a field, or of a key in a field, to a value of the task."""
         contact = self._task.contacts.get(foot)
         if FIELDS[field].kind == "contact" and contact is not None:
             return contact.with_parameters(parts)
@@ -178,7 +179,7 @@ def _split_value(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]
     """
     if isinstance(value, tuple):
         yield from zip("xy", value, nominal, strict=True)
-    elif isinstance(value, Contact | Weld):  # distance or position of the surface
+    elif isinstance(value, Contact | Weld):  # position or angle of the surface
         yield from zip("xyz", value.parameters, nominal.parameters, strict=False)
     else:
         yield "", value, nominal
@@ -245,7 +246,9 @@ def _find_bounds(robot: Robot, field: Field, value: float, *, turns: bool) -> tu
     """Return the bounds (lower, upper) [m, rad] within which a relaxation may change a number.
 
     ``value`` is the number in the stand task, and ``turns`` is True for an angle. Margins, lifts,
-    slopes and steps may only change towards zero; other numbers may change in both directions.
+    slopes and steps may only change towards zero. Other numbers may change in both directions:
+    angles within the range of the field, lengths by `_MAX_RELAXATION`, and a positive height down
+    to `_MIN_HEIGHT_RATIO` of its value.
     """
     far = _MAX_RELAXATION * robot.stand_height
     if field.gives == "less" or (turns and field.kind == "contact"):  # a slope becomes flatter

@@ -33,7 +33,7 @@ UNIT_BY_KIND = {
     "damping": "N m s/rad",
     "contact": "m",
 }
-"""{kind of a field of the stand task: SI unit of its numbers}."""
+"""{kind of a field: SI unit of its numbers}. The angle of a contact with a slope is in rad."""
 
 _AXES_BY_KIND = {"point": "xy", "point3": "xyz"}
 """{kind of a field: axes of the point}; other kinds have no axes."""
@@ -66,8 +66,8 @@ class Words:
     Attributes:
         label: Name on a slider, without unit.
         hint: Explanation; ``{axis}`` is replaced by the axis of a point's component.
-        said: Template of the field's part in a task text, with ``{value}``, ``{of}`` (a foot or
-            joint) and all other fields. Empty if the field is not part of the text.
+        said: Template of the field's part in a task text, with ``{value}``, ``{of}`` (a foot, joint
+            or link) and the values of other fields. Empty if the field is not part of the text.
     """
 
     label: str
@@ -157,11 +157,14 @@ class Field:
         return None if self.optional else 0.0
 
     def words(self, language: str) -> Words:
-        """Return the texts of this field (label, hint) in a language, ``"en"`` or ``"zh"``."""
+        """Return the texts of this field; in Chinese for ``"zh"``, else in English."""
         return self.zh if language == "zh" else self.en
 
     def check_value(self, value: Any) -> Any:
-        """Check a value of this field; convert points to tuples and mappings to frozen mappings.
+        """Check a value of this field, and convert it to the type of the attribute.
+
+        Points become tuples, mappings frozen mappings, contacts ``Contact`` or ``Weld``, and joint
+        positions `Position`. Values of the kind "point3" are not supported.
 
         Raises:
             ConfigurationError: If the value is invalid. The field of the error is, for example,
@@ -179,7 +182,7 @@ class Field:
         return self._check_single_value(self.name, value)
 
     def _check_single_value(self, name: str, value: Any) -> Any:
-        """Check and convert the value of a foot or joint, or the only value of the field.
+        """Check and convert the value of a foot, joint or link, or the only value of the field.
 
         Raises:
             ConfigurationError: If the value has another type, or is out of range.
@@ -276,4 +279,5 @@ FIELDS = read_field_table("pupper_analysis.stance", "fields.toml")
 """{name: field} of all requirements of a stand."""
 
 ROBOT_FIELDS = read_field_table("pupper_analysis.stance", "robot_fields.toml")
-"""{name: field} of the properties of the robot that a command can change: payload, servos."""
+"""{name: field} of the properties of a robot that a command can change: payload, servo gains,
+friction."""

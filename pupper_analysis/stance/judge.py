@@ -62,9 +62,10 @@ class Posed(Protocol):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stand(Pictured, Tabular):
-    """Solved stand. The errors are computed with Pinocchio from ``qpos``.
+    """Stand of a task, or the best failure of a search (``solved``).
 
-    A stand without feet is a posture of a robot with a fixed base (``held_stand``).
+    The errors are computed with Pinocchio from ``qpos``. A stand without feet is, for example, a
+    posture of a robot with a fixed base (``held_stand``).
 
     Attributes:
         task: Task, with height and CoM filled in.
@@ -87,7 +88,7 @@ class Stand(Pictured, Tabular):
             collision shapes with convex hulls of meshes; None without such parts or without ground.
         self_clearance: Smallest distance between links that are not neighbours; None if the task
             requires none.
-        iterations: Number of solved quadratic programs.
+        iterations: Number of solved or attempted quadratic programs.
         robot: ``fingerprint`` of the robot.
     """
 
@@ -163,7 +164,7 @@ class Stand(Pictured, Tabular):
     def centre(self, robot: Robot) -> Array:
         """Return the mean position of the contacts of the stance feet, shape (3,) [m], world frame.
 
-        Hands and feet on steep planes are left out, unless nothing remains (`Goal.centre`).
+        `Goal.centre` and `feet_centre` describe which contacts count.
         """
         return feet_centre(robot, self.task.ground, self.contact_points, self.foot_targets)
 
@@ -171,7 +172,7 @@ class Stand(Pictured, Tabular):
         """Return the height loss of the base [m] that displacements of the stance feet cause.
 
         A plane is fitted to the vertical displacements, and evaluated at the base. Feet with a
-        separate plane are ignored, unless all feet have one.
+        separate plane are ignored, unless all feet have one. 0 without displacements.
 
         Args:
             robot: Robot.
@@ -187,7 +188,10 @@ class Stand(Pictured, Tabular):
         return float(plane @ (1.0, self.qpos[0], self.qpos[1]))
 
     def corners(self, robot: Robot) -> Array:
-        """Return the corners (x, y) of this stand's support region in the world, (n, 2) [m]."""
+        """Return points (x, y) [m], shape (n, 2), whose convex hull is the support region.
+
+        Points are in the world frame. Shape (0,) if neither contacts nor sufficient grips exist.
+        """
         points = np.array([*self.contact_points.values()])
         normals = np.array([*self.normals.values()])
         friction = [
@@ -256,13 +260,16 @@ class Stand(Pictured, Tabular):
 
     @property
     def constraint_slack(self) -> float:
-        """Smallest slack of CoM margin and clearances [m]; 0 if satisfied, else negative."""
+        """Smallest slack of CoM margin and clearances [m]; 0 if all are kept, else negative."""
         slacks = (near.distance - least for near, least in self._clearances())
         return min([-self.com_shortfall, *slacks])
 
     @property
     def solved(self) -> bool:
-        """Whether this stand has its feet at the targets, and keeps all clearances and margins."""
+        """Whether this stand has its feet at the targets, and keeps all clearances and margins.
+
+        The errors of base orientation, base height and CoM are not tested.
+        """
         return self.foot_error < TASK_TOLERANCE and not self.blocked
 
     def check(self, robot: Robot) -> Robot:
@@ -342,8 +349,11 @@ class Stand(Pictured, Tabular):
         (`Servos.command`). MuJoCo clips commands to ``ctrlrange``.
 
         Raises:
-            ConfigurationError: If the stand has no robot; see `with_robot`.
-            ModelError: If a joint has no position servo, except dependent joints of loops.
+            ConfigurationError: If the stand references no robot (see `with_robot`), or the robot
+                cannot make the contacts of the task.
+            UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
+            ModelError: If a joint has no position servo, except dependent joints of loops, or if
+                the model with the contacts cannot be built.
             StaticsInfeasibleError: If no contact forces balance the stand.
         """
         from pupper_analysis.robot.servos import model_with_servos
@@ -389,10 +399,11 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
         shapes: Robot with collision shapes.
         goal: Goal.
         qpos: Configuration, shape (nq,).
-        iterations: Number of quadratic programs that were solved for the configuration.
+        iterations: Number of solved or attempted quadratic programs.
 
     Raises:
-        ConfigurationError: If the task requires a clearance that the robot does not have.
+        ConfigurationError: If the task requires a clearance, and the robot has no parts to which it
+            applies.
     """
     robot, task = shapes.robot, goal.task
     at = shapes.move_to(qpos)
@@ -429,8 +440,9 @@ def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
     """Return True if height and orientation of the base put the base link into the ground.
 
     A stand of the goal does not exist then: a collision shape of the base link, or of a link that
-    is fixed to the base, has less than the required ground clearance. False on a slope, and for
-    robots with a weld or grip, which are not tested. Steps are not tested either.
+    is fixed to the base, has less than the required clearance above the plane z = 0. False on a
+    slope, and for robots with a weld or grip, which are not tested. Steps and separate planes of
+    feet are not tested either.
     """
     if goal.task.ground.slope or shapes.robot.fixed_parts:
         return False

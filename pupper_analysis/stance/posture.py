@@ -31,10 +31,11 @@ from pupper_analysis.stance.task import StandTask
 
 _MAX_CLOSING_DISPLACEMENT = 1e-3
 """Largest displacement [rad, m] by which a joint position that the user gave may be changed to
-close a loop: rounding of typed positions. Chosen, not tuned."""
+close a loop: rounding of typed positions. Also the displacement above which the error of a joint
+beyond its range names the loops. Chosen, not tuned."""
 
 LIMIT_TOLERANCE = 1e-6
-"""Distance beyond a joint limit [rad, m] that counts as rounding and is accepted. Chosen, not
+"""Distance beyond a joint limit [rad, m] that `steady_state` accepts as rounding. Chosen, not
 tuned."""
 
 
@@ -89,7 +90,8 @@ def find_posture(
         joints: {joint, or a pattern such as ``*elbow*``: position [rad, m]}; if several patterns
             match a joint, the last counts.
         keyframe: Keyframe of the MJCF for other joints. Default: ``home``, or the first keyframe if
-            there is no ``home``; no keyframe if its positions are outside of the joint ranges.
+            there is no ``home``; no keyframe if its positions are outside of the joint ranges by
+            more than rounding.
 
     Raises:
         ConfigurationError: If the base is free, a position is out of range, or closed loops and

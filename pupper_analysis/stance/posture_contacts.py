@@ -31,7 +31,7 @@ class KeptContact(NamedTuple):
     """Contact point, weld or grip that a posture keeps in place.
 
     Attributes:
-        name: Name of the contact point or of the welded part.
+        name: Name of the contact point, or of the welded or gripping part.
         description: Text for results and messages, for example "contact FR" or "weld base".
         task: Task that keeps the position or the orientation of the link.
     """
@@ -96,15 +96,16 @@ def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int)
     """Create the `Stand` of a posture that keeps the contacts of another stand.
 
     The task of the result requires the base orientation, height and CoM of the posture, the
-    positions of joints that move no foot, and the positions of lifted feet. The ground, the
-    contacts, the positions of the other feet, margins and clearances are those of the given stand.
-    For an arm, which has hands only, the task requires the position of the base instead of the CoM.
+    positions of joints that move no foot, and the positions of lifted feet (`_place_lifted_feet`).
+    The joint positions of the posture are its ``ik_seed``. The ground, the contacts, the positions
+    of the other feet, margins and clearances are those of the given stand. For an arm, which has
+    hands only, the task requires the position of the base instead of the CoM.
 
     Args:
         robot: Robot with the contacts of the stand.
         stand: Stand whose contacts the posture keeps.
         qpos: Configuration of the posture, shape (nq,).
-        iterations: Number of solved quadratic programs.
+        iterations: Number of solved or attempted quadratic programs, for the result.
 
     Raises:
         ConfigurationError: If a lifted foot is not above the ground.
@@ -126,7 +127,7 @@ def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int)
 
 
 def _require_base(robot: Robot, stand: Stand, at: Configuration) -> StandTask:
-    """Return the task of a stand with base pose, CoM and free joints of another configuration.
+    """Return the task of a stand with base pose, CoM and footless joints of a configuration.
 
     For an arm, which has hands only, the position of the base is required instead of the CoM.
     """

@@ -1,8 +1,8 @@
 """Tasks of a whole-body posture: targets of frames, of the CoM and of joints.
 
-Each task has a residual, which is zero if the posture satisfies the task, and adds the task of the
-same name to a PlaCo solver. `WholeBody` provides the poses that a residual needs, so that residuals
-can be evaluated with the kinematics of either engine.
+Each task has a residual, which is zero if the posture satisfies the task, and adds a corresponding
+task or constraint to a PlaCo solver. `WholeBody` provides the poses that a residual needs, so that
+residuals can be evaluated with the kinematics of either engine.
 """
 
 from __future__ import annotations
@@ -82,8 +82,8 @@ class PostureTask(ABC):
 
     Attributes:
         unit: Unit of the residual.
-        required: Whether the residual must vanish. Otherwise the task selects among the postures
-            that satisfy the required tasks.
+        required: Whether the residual must vanish, up to a tolerance. Otherwise the task selects
+            among the postures that satisfy the required tasks.
     """
 
     unit: ClassVar[str]
@@ -333,8 +333,8 @@ class JointsTask(PostureTask):
 
     Attributes:
         positions: {joint: target [rad, m]}.
-        required: False for preferred positions: the posture with the smallest squared distances
-            among those that satisfy the required tasks.
+        required: False for preferred positions, which select among the postures that satisfy the
+            required tasks: a posture with small squared distances.
     """
 
     positions: Mapping[str, float]
@@ -418,7 +418,7 @@ class _MeasuredClearance:
     residual = 0.0
 
     def update(self) -> None:
-        """Do nothing: `PlacoTask.update_target` has set ``residual``, which PlaCo would compute."""
+        """Do nothing: `PlacoTask.update_target` sets ``residual``, instead of PlaCo."""
 
     def error_norm(self) -> float:
         """Return the required distance between links minus the smallest distance [m], at least 0.
@@ -446,7 +446,7 @@ def _make_vector(name: str, value: Any) -> Array:
 
 
 def _make_direction(name: str, value: Any) -> Array:
-    """Return a unit vector (3,); ConfigurationError if the vector is zero."""
+    """Return a unit vector (3,); ConfigurationError if the value is zero or no finite vector."""
     vector = _make_vector(name, value)
     if not vector.any():
         raise ConfigurationError(name, diagnose("direction-not-a-vector", given=repr(value)))

@@ -47,14 +47,15 @@ _NUM_RANDOM_POSES = 3
 configuration may be singular. Chosen, not tuned."""
 
 _MIN_COM_RATE = 1e-6
-"""Smallest horizontal CoM displacement per joint displacement [m/rad], with planted feet, above
-which the robot can move the CoM in a direction. Chosen, not tuned."""
+"""Smallest horizontal CoM displacement [m] per unit displacement of base and joints (norm; rad and
+m mixed), with planted feet, above which the robot can move the CoM in a direction. Chosen, not
+tuned."""
 
 _MIN_COM_RATE_RATIO = 1e-3
-"""CoM displacement per joint displacement in a horizontal direction, relative to the largest one in
-any direction, above which the robot can move the CoM in this direction. Feet, base height and base
-orientation are fixed. Soles that are a microradian off level cause smaller values. Chosen, not
-tuned."""
+"""CoM displacement per unit displacement (`_MIN_COM_RATE`) in a horizontal direction, relative to
+that in the direction with the largest value, above which the robot can move the CoM in this
+direction. Feet, base height and base orientation are fixed. Soles that are a microradian off level
+cause smaller values. Chosen, not tuned."""
 
 
 def has_redundant_joints(robot: Robot) -> bool:
@@ -116,9 +117,9 @@ class Support:
         contacts: Contact points, shape (n, 3) [m].
         normals: Unit normals out of the ground, shape (n, 3).
         friction: Sliding friction coefficients, shape (n,); empty if unknown.
-        stated: Prescribed contact forces and their positions (argument of `support_corners`).
-        grips: Positions and force limits of grippers that hold a bar (argument of
-            `support_corners`).
+        stated: Prescribed contact forces: groups of contact points, and the total normal force of
+            each group (argument of `support_corners`).
+        grips: Positions and force limits of grips (argument of `support_corners`).
     """
 
     def __init__(
@@ -133,7 +134,7 @@ class Support:
 
     @cached_property
     def corners(self) -> tuple[Corner, ...]:
-        """Corners (x, y) of the support region of these contacts [m], in the world frame."""
+        """Points (x, y) [m], in the world frame, whose convex hull is the support region."""
         return support_corners(*self._arguments)
 
 
@@ -151,9 +152,9 @@ class Goal:
         contact_by_foot: {stance foot: position of the contact, shape (3,) [m]}.
         normals: {stance foot: unit normal out of the ground, shape (3,)}.
         support: Support region.
-        centre: Mean of the contacts, shape (3,) [m]. Hands and steep planes are left out of the
-            mean, and planes of single feet are left out of the height of the mean, unless nothing
-            remains. `feet_centre` describes welded and lifted feet.
+        centre: Mean of the contacts, shape (3,) [m]. Hands and feet on steep planes are left out of
+            the mean, and feet with separate planes are left out of the height of the mean, unless
+            no contact remains. `feet_centre` describes welded and lifted feet.
         height: Height of the base frame [m].
         base_quaternion: Orientation of the base (w, x, y, z).
         place: Horizontal target of the CoM, or of the base if ``by_base``, shape (2,) [m].
@@ -184,7 +185,7 @@ class Goal:
 
     @property
     def corners(self) -> tuple[Corner, ...]:
-        """Corners (x, y) of the support region of this goal [m], in the world frame."""
+        """Points (x, y) [m], in the world frame, whose convex hull is the support region."""
         return self.support.corners
 
     @property
@@ -192,14 +193,14 @@ class Goal:
         """Targets of the contact points as on rigid ground, to place steps and planes below feet.
 
         {contact point: target of the sphere centre, shape (3,) [m], in the world frame}. These are
-        the ``targets``, for feet with separate planes without the penetration
+        the ``targets``; if a foot has a separate plane, without the penetration of all stance feet
         (`remove_penetration`).
         """
         return remove_penetration(self.task.ground, self.targets, self.depths, self.normals)
 
     @property
     def com_is_free(self) -> bool:
-        """Whether the task permits any CoM position inside the support region."""
+        """Whether the task permits any CoM position inside the support region, with the margin."""
         return self.task.com == "inside" and not self.by_base
 
 
@@ -289,8 +290,13 @@ def _build_goal(
         com: CoM requirement if the task specifies none: "centre" or "inside".
         depths: {contact point that carries load: penetration of the ground [m]}; 0 for other
             points.
-        like: Goal whose contacts and foot targets are reused if its task has equal feet.
+        like: Goal whose contacts and foot targets are reused if its task has equal feet, and whose
+            joint limits are reused if its task has equal limits.
         checked: True to reject tasks that no stand can satisfy.
+
+    Raises:
+        ConfigurationError: If the task is rejected, the base is fixed, or the robot has no feet.
+        UnknownNameError: If the task contains an unknown foot or joint.
     """
     if task.contacts:
         task = _add_planes(robot, task)
@@ -329,7 +335,7 @@ def _build_goal(
         place, by_base = place + task.offset, True
     elif not isinstance(task.com, str):
         place = np.array(task.com)
-    # The centre is inside the support region.
+    # The centre is not checked: on a common plane it is inside the support region.
     at_centre = by_base or (isinstance(task.com, str) and task.com_margin == 0.0)
     if checked and not at_centre and not robot.is_welded:
         _check_com_place(task, place, support.corners)
@@ -357,10 +363,11 @@ def feet_centre(
 ) -> Array:
     """Compute the mean position of the contacts of the stance feet, shape (3,) [m], world frame.
 
-    Hands and feet on steep planes are left out, unless nothing remains (`Goal.centre`). Welded and
-    gripping feet count as contacts. If all feet are lifted, the result is the horizontal mean of
-    all targets, at z = 0. For a robot with a weld or grip and without feet other than hands (an
-    arm), the result is the point at z = 0 below the base in the home pose.
+    Hands and feet on steep planes are left out, and feet with separate planes are left out of the
+    height, unless no contact remains (`Goal.centre`). Welded and gripping feet count as contacts.
+    If all feet are lifted, the result is the horizontal mean of all targets, at z = 0. For a robot
+    with a weld or grip and without feet other than hands (an arm), the result is the point at z = 0
+    below the base in the home pose.
 
     Args:
         robot: Robot.
@@ -396,8 +403,9 @@ def _compute_joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tu
     task's posture are its position.
 
     Raises:
-        ConfigurationError: If a joint of the posture carries a foot, or a position is not valid; if
-            ``checked``, also if the margin leaves no range, or a position is out of the range.
+        ConfigurationError: If a joint of the posture carries a foot, a position is not valid, or
+            the posture does not determine and close the loops of its joints; if ``checked``, also
+            if the margin leaves no range, or a position is out of the range.
         UnknownNameError: If a pattern of the posture matches no joint.
     """
     lower = robot.lower_limits + task.joint_margin
@@ -471,7 +479,7 @@ def _have_equal_limits(one: StandTask, other: StandTask) -> bool:
 
 
 def _have_equal_feet(one: StandTask, other: StandTask) -> bool:
-    """Return True if two tasks have equal ground, contacts and foot placement."""
+    """Return True if two tasks have equal ground, contacts, foot positions and swing heights."""
     return (one.ground, one.feet, one.foot_offsets, one.swing, one.contacts) == (
         other.ground,
         other.feet,
@@ -502,9 +510,9 @@ def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
     """Check robot and names of a task, and return the contact points that carry load.
 
     Raises:
-        ConfigurationError: If the base is fixed, the robot has no feet, gravity does not point
-            downward, or the robot lacks the contacts of the task; for a robot without weld or grip,
-            also if fewer than three contact points carry load.
+        ConfigurationError: If the base is fixed, the robot has no feet, welds or grips, gravity
+            does not point downward, or the robot lacks the contacts of the task; for a robot
+            without weld or grip, also if fewer than three contact points carry load.
         UnknownNameError: If the task contains an unknown foot.
     """
     robot.check_floating()
@@ -542,11 +550,12 @@ contact points depend on the normal of the plane. Chosen, not tuned."""
 
 MIN_SUPPORT_NORMAL_Z = 0.5
 """Lower bound of the vertical component of a plane's unit normal. A foot on a steeper plane (more
-than 60 deg from horizontal) is left out of the centre of the feet. Chosen, not tuned."""
+than 60 deg from horizontal) is left out of the centre of the feet, and such a plane is described as
+a wall in the error of an unreachable stand. Chosen, not tuned."""
 
 _COLLINEAR_TOLERANCE = 1e-9
-"""Extent of a sole's contact points perpendicular to the fitted line [m], up to which the points
-count as collinear. Chosen, not tuned."""
+"""Extent of a sole's contact points perpendicular to the fitted line (second singular value of the
+centred points) [m], below which the points count as collinear. Chosen, not tuned."""
 
 
 def nominal_point_positions(robot: Robot) -> dict[str, Array]:
@@ -600,9 +609,10 @@ def foot_positions_of_task(robot: Robot, task: StandTask) -> dict[str, Array]:
 def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
     """Compute the targets of the sphere centres on rigid ground: {contact point: (3,) [m]}.
 
-    Targets are in the world frame. A sole lies flat on the plane or slope, rotated from the default
-    orientation by the shortest rotation. A swing foot is translated by the swing height: along the
-    normal if the foot has a separate plane, otherwise upward.
+    Targets are in the world frame. A sole is flat on the plane or slope, rotated from the default
+    orientation by the shortest rotation. A welded hand is at the requested position. A swing foot
+    is translated by the swing height: along the normal if the foot has a separate plane, otherwise
+    upward.
     """
     nominal, ground = nominal_point_positions(robot), task.ground
     targets: dict[str, Array] = {}
@@ -631,8 +641,9 @@ def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
 def _place_on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> dict[str, Array]:
     """Compute the sphere centres of a foot or hand on a separate plane, shape (3,) each [m].
 
-    The contact is the point of the plane nearest to the requested position. A swing foot is
-    translated from there by the swing height, along the normal of the plane.
+    The contact, of a sole the mean of the contacts, is the point of the plane nearest to the
+    requested position. A swing foot is translated from there by the swing height, along the normal
+    of the plane.
     """
     points = robot.feet[foot]
     on = task.ground.planes[foot].project(_requested_position(robot, task, foot, place))
@@ -702,7 +713,8 @@ def _compute_home_points(robot: Robot) -> dict[str, Array]:
 def _lay_sole(sole: Array, radii: Array, normal: Array) -> Array:
     """Return sphere centres (n, 3) [m], rotated and translated so that the sole is on a plane.
 
-    The plane passes through the origin and has the unit normal ``normal``, shape (3,).
+    The plane passes through the origin and has the unit normal ``normal``, shape (3,). The mean
+    distance of the contact points from the plane is zero.
     """
     out = UP
     for _ in range(_NUM_FIT_ITERATIONS):
@@ -769,9 +781,9 @@ def remove_penetration(
 ) -> Mapping[str, Array]:
     """Remove the penetration from targets, to locate the steps and planes below the feet.
 
-    If a foot has a separate plane, the target of each contact point in ``depths`` is moved out of
-    the ground along the normal by the penetration. Otherwise the targets are returned unchanged:
-    the horizontal position of a level step does not depend on the penetration.
+    If any foot has a separate plane, the target of each contact point in ``normals`` is moved out
+    of the ground along the normal by the penetration. Otherwise the targets are returned unchanged:
+    the horizontal position of a step on level ground does not depend on the penetration.
 
     Args:
         ground: Ground.

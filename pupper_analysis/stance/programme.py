@@ -64,9 +64,9 @@ led to a stand exceeded the bound, and two thirds of 206 solves that led to none
 of 350, and one eighth of 633."""
 
 _INDEPENDENCE_RTOL = 1e-6
-"""Diagonal of the pivoted QR factor of the equalities' Jacobian, relative to the largest, below
-which an equality counts as dependent and is dropped. SLSQP fails with dependent equalities. Chosen,
-not tuned."""
+"""Diagonal element of the pivoted QR factor of the equalities' Jacobian, relative to the largest
+element, up to which an equality counts as dependent and is dropped. SLSQP fails with dependent
+equalities. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ class Relaxation:
         task: Task with relaxed numbers.
         qpos: Configuration, shape (nq,).
         relaxations: {demand: sum of the relaxations of the demand's numbers} [stand heights, rad].
-        violation: Largest violation of the other constraints [m, rad].
+        violation: Largest violation of the program's constraints with the relaxed values [m, rad].
     """
 
     task: StandTask
@@ -87,7 +87,7 @@ class Relaxation:
 
     @property
     def is_met(self) -> bool:
-        """Whether ``qpos`` satisfies the relaxed task, up to a violation of 1e-6 [m, rad]."""
+        """Whether ``qpos`` satisfies the constraints, up to a violation of 1e-6 [m, rad]."""
         return self.violation <= _SATISFIED_VIOLATION
 
     @property
@@ -104,7 +104,7 @@ class _Point:
         x: Variables, shape (v,).
         qpos: Configuration, shape (nq,).
         goal: Goal with the relaxed numbers.
-        residuals: Residual of each constraint, shape (n,) [m, rad].
+        residuals: Residual of each constraint, shape (n,) each [m, rad].
     """
 
     x: Array
@@ -431,7 +431,8 @@ class StanceProgram:
     def _rows(self) -> tuple[IntArray, int]:
         """Indices of the residuals that the program uses, and the number of equalities among them.
 
-        The residuals of independent equalities come first, then those of all inequalities.
+        The residuals of independent equalities come first, then those of all inequalities. The
+        independence is tested at random joint positions within the limits.
         """
         random = np.random.default_rng(0)
         x = np.zeros(len(self._cost))

@@ -40,7 +40,8 @@ from pupper_analysis.stance.task import StandTask
 _DEAD_POINT_RATIO = 1e-2
 """Ratio of a foot's mobility (singular value of the foot Jacobian) with closed loops to that
 without the loops [1], below which a dead point of the loops is reported. 1 mrad from a dead point
-the ratio is about 1e-3. Chosen, not tuned."""
+the ratio is about 1e-3. A singular value without the loops counts only if it exceeds this fraction
+of the largest. Chosen, not tuned."""
 
 _MIN_FOOT_ERROR = 1e-6
 """Foot error [m] below which a foot is not reported as out of reach, if the closed loops are at a
@@ -57,7 +58,7 @@ carries load, and without a margin a CoM with an offset may be outside the suppo
 
 _NEGLIGIBLE_VALUE = 1e-3
 """Value of a requirement in `_NONZERO_DEMANDS`, relative to the base height of the nominal stand,
-below which it counts as zero, and the relaxed task is rejected. Chosen, not tuned."""
+below which the value counts as zero, and the relaxed task is rejected. Chosen, not tuned."""
 
 _REDUCTION_SHARES = (0.03, 0.01)
 """Fractions by which `_relax_one` reduces the relaxation (change of the numbers) of a task, to test
@@ -79,7 +80,7 @@ def explain_refusal(
     Args:
         context: Search context of the robot.
         goal: Goal.
-        nearest: Best failure of the search (`search_stand`).
+        nearest: Best failure of the search (`search_stand`, `minimise_foot_errors`).
         explain: Compute the requirements to relax, and the smallest relaxation.
     """
     robot = context.robot
@@ -145,8 +146,8 @@ class _StatedRelaxation:
 
     Attributes:
         demands: Names of the relaxed requirements, from `DEMANDS`.
-        slack: Sum of the relaxations [stand heights and rad mixed].
-        stand: Stand of the relaxed task.
+        slack: Sum of the relaxations before rounding [stand heights and rad mixed].
+        stand: Stand of the relaxed task with rounded values.
     """
 
     demands: tuple[str, ...]
@@ -160,7 +161,7 @@ class _RelaxationSearch:
     Args:
         context: Search context of the robot.
         goal: Goal.
-        nearest: Best failure of the search, from which the nonlinear program starts.
+        nearest: Best failure of the search. The nonlinear program starts from it, and from home.
     """
 
     def __init__(self, context: SearchContext, goal: Goal, nearest: Stand) -> None:
@@ -229,8 +230,8 @@ class _RelaxationSearch:
     def _reduce_demands(self, relaxation: Relaxation | None) -> Relaxation | None:
         """Reduce the number of relaxed requirements, if a stand still exists.
 
-        Requirements are left out one by one, the least relaxed first; at least two remain relaxed.
-        None if ``relaxation`` is None.
+        Requirements are left out one by one, the least relaxed first. A requirement is left out
+        only if at least two other requirements are relaxed. None if ``relaxation`` is None.
         """
         if relaxation is None:
             return None
@@ -253,7 +254,8 @@ class _RelaxationSearch:
         """Round the values of a relaxed task; return the relaxation with the stand of the task.
 
         If the rounded task has no stand, the relaxation is increased (`_EXTRA_RELAXATIONS`). None
-        if no requirement is relaxed by more than `_MIN_RELAXATION`, or no rounded task has a stand.
+        if ``relaxation`` is None, if no requirement is relaxed by more than `_MIN_RELAXATION`, or
+        if no rounded task has a stand and values that `_is_degenerate` accepts.
         """
         if relaxation is None:
             return None
@@ -295,7 +297,7 @@ class _RelaxationSearch:
         return None
 
     def _solve_task(self, task: StandTask) -> Stand | None:
-        """Return the stand of a task by the search of `solve_stand`; None without stand."""
+        """Return the stand of a task by `search_stand`; None if rejected or without stand."""
         try:
             goal = self._make_goal(task, checked=True)
         except ConfigurationError:
@@ -317,7 +319,7 @@ class _RelaxationSearch:
 
 
 def _is_degenerate(robot: Robot, task: StandTask, demand: str) -> bool:
-    """Return True if ``demand`` is in `_NONZERO_DEMANDS`, and has a value close to zero."""
+    """Return True if ``demand`` is in `_NONZERO_DEMANDS`, and a value is negligible."""
     least = _NEGLIGIBLE_VALUE * robot.stand_height
     return demand in _NONZERO_DEMANDS and bool(
         (DemandVector(robot, task, [demand]).values < least).any()

@@ -42,8 +42,8 @@ _MAX_COMBINATIONS_PER_ROUND = 256
 
 _BRANCH_ROUNDS = 4
 """Upper bound of rounds of a stand search. A round determines the IK branches of the limbs near the
-best configuration, and tries their combinations. A further round starts if the smallest foot error
-has at least halved. Chosen, not tuned."""
+best configuration, and tries their combinations. A further round starts if no stand has its feet in
+place and the smallest foot error has at least halved. Chosen, not tuned."""
 
 _CLOSE_MISS = 3e-3
 """Foot error [m] of the best stand so far below which a search also tries initial guesses with a
@@ -80,15 +80,16 @@ def search_stand(
 ) -> Stand:
     """Search for the stand of a goal from all initial guesses, and return it or the best failure.
 
-    The nonlinear program is used only if the CoM is free, or if redundant joints can move parts out
-    of collision. The program starts at the best stand so far, then at other configurations.
+    The nonlinear program is used only if the CoM is free, or if the robot has redundant joints and
+    a stand with the feet in place violates another requirement. The program starts at the best
+    stand so far, then at other configurations.
 
     Args:
         context: Search context of the robot.
         goal: Goal.
         default_guesses_only: Use the IK from `default_initial_guesses` only.
         com_at_centre_only: Omit the nonlinear program, so that a free CoM is above the centre of
-            the feet.
+            the feet (except if soles on legs with fewer than six joints are flattened).
 
     Returns:
         A solved stand. Otherwise the best failure: feet in place with another violation, or the
@@ -147,9 +148,9 @@ def solve_constraints(
         qpos: Initial configuration, shape (nq,).
 
     Returns:
-        Solved stand; None if the program does not reach a stand. And the smallest foot error that
-        was found without a stand [m]: a minimum that exceeds ``NEAR_MISS`` is out of reach; 0 if
-        the foot error was not minimised.
+        Solved stand; None if the program does not reach a stand. And the minimum of the foot error
+        [m], if it was computed because the program had failed, else 0. If it exceeds ``NEAR_MISS``,
+        the feet are out of reach, as far as local minima permit.
     """
     there, programme = _StandSearch(context, goal), StanceProgram(context.shapes, goal)
     stand = there.solve_program(programme, qpos) or there.solve_from_minimum(programme, qpos)
@@ -179,11 +180,11 @@ class _StandSearch:
 
     Attributes:
         iterations: Number of QPs so far.
-        closest: Stand with the smallest foot error of the nonlinear program.
-        misses: Foot errors [m] of the nonlinear program, one per initial configuration.
-        points: Results of the IK solver.
+        closest: Stand with the smallest minimised foot error; None before a minimisation.
+        misses: Minimised foot errors [m] (`minimise_foot_errors`), one per initial configuration.
+        points: Results of the IK solver that were added by `add`.
         reached: Stands with the feet in place.
-        found: IK branches of each limb.
+        found: IK branches of each limb in the last round.
     """
 
     def __init__(self, context: SearchContext, goal: Goal) -> None:
@@ -249,8 +250,8 @@ class _StandSearch:
         CoM or base, and no joints are redundant.
 
         Returns:
-            First solved stand; if the goal puts the base into the ground, the first stand with the
-            feet at the targets; otherwise the best stand of the search, which may violate the goal.
+            First solved stand; if the goal puts the base into the ground, a stand with the feet at
+            the targets; otherwise the best stand of the search, which may violate the goal.
         """
         best = self.best_stand()
         if best.solved or (self._is_base_in_ground and self.reached):
@@ -331,7 +332,8 @@ class _StandSearch:
     def add(self, point: SolverResult) -> Stand | None:
         """Register an IK result in this search; return its stand if it is solved, else None.
 
-        A stand with the feet in place is added to ``reached``, also if it is not solved.
+        A stand with a foot error below twice `TASK_TOLERANCE`, or with soles that a leg of fewer
+        than six joints cannot flatten, is added to ``reached``, also if it is not solved.
         """
         self.points.append(point)
         self.iterations += point.iterations
@@ -391,7 +393,7 @@ def default_initial_guesses(robot: Robot, goal: Goal) -> Iterator[Array]:
     """Yield the default initial guesses of the joint positions, shape (nu,) [rad, m].
 
     In this order: ``ik_seed`` of the task, if present; the robot's home position; the middle of the
-    joint limits (zero for a joint without a lower or an upper limit).
+    goal's joint limits (zero for a joint without a lower or an upper limit).
     """
     if goal.task.ik_seed is not None:
         yield np.array(goal.task.ik_seed)
@@ -406,9 +408,10 @@ def minimise_foot_errors(
 ) -> Stand:
     """Minimise the distances of the feet from the targets of a goal; return the resulting `Stand`.
 
-    The nonlinear program starts at the configuration ``qpos``, shape (nq,). Clearances are ignored.
-    PlaCo's Gauss-Newton steps assume that errors vanish, and end before this minimum.
-    ``iterations`` is the number of quadratic programs solved before, which the stand states.
+    The sum of the squared distances is minimised. The nonlinear program starts at the configuration
+    ``qpos``, shape (nq,). Clearances are ignored. PlaCo's Gauss-Newton steps assume that errors
+    vanish, and end before this minimum. ``iterations`` is the number of quadratic programs solved
+    before, which the stand states.
     """
     feet = StanceProgram(context.shapes, goal, without=(*CLEARANCE_NAMES, "footholds"))
     return evaluate_stand(context.shapes, goal, feet.minimise_foot_distances(qpos), iterations)
@@ -554,7 +557,8 @@ IK branch. Too small an estimate would reject branches that are in reach. Chosen
 def random_postures(goal: Goal, count: int) -> Iterator[Array]:
     """Yield random joint positions, shape (nu,) [rad, m], within the limits of the goal and +-pi.
 
-    The seed of the generator is fixed, so that every search uses the same positions.
+    The seed of the generator is fixed, so that searches with equal limits use equal positions. A
+    joint whose limits do not overlap with +-pi is at a limit.
     """
     low, high = np.maximum(goal.lower, -np.pi), np.minimum(goal.upper, np.pi)
     random = np.random.default_rng(0)
@@ -618,8 +622,8 @@ def bound_com_shift(
 def support_radius(goal: Goal) -> float:
     """Return the largest horizontal distance [m] of a support region's corner from the feet centre.
 
-    If the support region has no corners (all feet are welded), the largest distance of a foot
-    target.
+    If the support region has no corners (all feet are welded), the largest horizontal distance of a
+    foot target; 0 without foot targets.
     """
     corners = goal.corners or [target[:2] for target in goal.targets.values()]
     distances = [np.linalg.norm(corner - goal.centre[:2]) for corner in np.array(corners)]

@@ -69,13 +69,13 @@ def solve_stand_on_soft_ground(
 ) -> Stand:
     """Solve a stand task on ground with MuJoCo's contact softness.
 
-    MuJoCo's ground yields by millimetres under the load of a foot. A robot that is
+    MuJoCo's ground yields under the load of a foot, by 4 mm for Pupper v3. A robot that is
     commanded the joints of `solve_stand` sinks and, with unequal loads, tilts. Here the legs are
     extended by the penetration of the feet, so that base and CoM are at the positions of the task.
     The contact forces are those with minimum tangential components. Depths and forces depend on
     each other; fixed-point iteration mostly converges in 1 to 3 rounds. If the change of the depths
-    is more than half of the change before, the steps are relaxed. Measured: with springs at the
-    ankles, the load alternates between opposite edges of the soles.
+    is more than half of the change before, this step and later steps are relaxed. Measured: with
+    springs at the ankles, the load alternates between opposite edges of the soles.
 
     Args:
         robot: Robot with a floating base and a ground.
@@ -154,7 +154,7 @@ def _update_relaxation(relaxation: float, before: Array, residual: Array) -> flo
     """Return the relaxation factor of the next step of the fixed-point iteration.
 
     Aitken's method for vectors, with residuals r: w' = -w r_before (r - r_before) / |r -
-    r_before|^2, within `_RELAXATION_RANGE`.
+    r_before|^2, within `_RELAXATION_RANGE`. The factor is unchanged if the residuals are equal.
 
     Source: Kuettler and Wall, Fixed-point fluid-structure interaction solvers with dynamic
     relaxation, Computational Mechanics 43 (2008).
@@ -211,7 +211,7 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
 def _deflect_couplings(robot: Robot, qpos: Array) -> Array:
     """Return joint positions (nu,) [rad, m] with the static deflection of MuJoCo's couplings.
 
-    Unchanged without couplings, or if the deflected couplings cannot be closed.
+    Unchanged without dependent joints, or if the deflected couplings cannot be closed.
     """
     closure = robot.closure
     if closure is None or not len(closure.dependent_joints):
@@ -236,7 +236,7 @@ def solve_loaded_stand(
         stance: Stand task, or a stand whose task is used.
         mass: Payload mass [kg].
         point: Position of the payload, shape (3,) [m] in the base frame; or in the frame of a link,
-            site or body, as ``("right_hand", 0.0, 0.0, 0.05)``; or a ``Tool``.
+            site, body or geom, as ``("right_hand", 0.0, 0.0, 0.05)``; or a ``Tool``.
 
     Returns:
         The loaded robot, and its stand from `solve_stand_as_simulated`: on soft ground if possible,
@@ -307,7 +307,7 @@ def _fit_plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) 
     """Return the penetrations of the contact points of a rigid sole, shape (n,) [m].
 
     The contact forces have the same resultant force and moments as those of the penetrations
-    ``given``. The potential of the forces is convex, so the solution is unique.
+    ``given``. The potential of the forces is convex, so that all solutions give equal forces.
 
     Args:
         table: Row per contact point: 1 and the position in the sole's plane, normalised, shape

@@ -1,7 +1,8 @@
 """Solve stand tasks: whole-body configurations with planted feet, and statics.
 
-Inputs are a robot and stand tasks; outputs are stands with errors below 1e-9 m or rad, or an error
-with the requirements that must be relaxed. `solve_stand` solves a task by inverse kinematics from
+Inputs are a robot and stand tasks; outputs are stands with errors below 1e-9 m or rad (0.05 mm for
+soles on legs with fewer than six joints), or an error with the requirements that must be relaxed.
+`solve_stand` solves a task by inverse kinematics from
 several initial guesses (`stance.search`). `solve_stands` solves a sequence of similar tasks, each
 from an extrapolation of the previous stands. `stand_statics` computes joint torques [N m] and
 contact forces [N].
@@ -57,9 +58,9 @@ def solve_stand(
     """Solve a stand task within the joint limits.
 
     PlaCo solves a sequence of QPs on the floating base. The initial guesses are ``start``, home,
-    the middle of the joint ranges, and then the IK branches of the legs (`stance.branches`). With a
-    free CoM or redundant joints, a nonlinear program of all constraints follows
-    (`stance.programme`).
+    the middle of the joint ranges, and then the IK branches of the legs (`stance.branches`). If
+    these fail, a nonlinear program of all constraints follows (`stance.programme`) if the CoM is
+    free, or if the robot has redundant joints and only clearances or margins are violated.
 
     Args:
         robot: Robot with a floating base.
@@ -102,7 +103,8 @@ def resolve_stance(robot: Robot, stance: StandTask | Stand) -> tuple[Robot, Stan
     Raises:
         ConfigurationError: If a stand belongs to another robot, or no stand can satisfy a task.
         UnknownNameError: If a task contains an unknown foot, joint or contact.
-        ModelError: If the mass or inertia of a body is invalid.
+        ModelError: If the mass or inertia of a body is invalid, or the model with the contacts
+            cannot be built.
         StanceUnreachableError: If a task is unreachable.
     """
     stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
@@ -130,7 +132,8 @@ def solve_goal(context: SearchContext, goal: Goal, *, explain: bool) -> Stand:
 
     Raises:
         StanceUnreachableError: If the goal is unreachable.
-        ConfigurationError: If the task requires a clearance that the robot does not have.
+        ConfigurationError: If the task requires a clearance, and the robot has no parts to which it
+            applies.
     """
     stand = search_stand(context, goal)
     if stand.solved:
@@ -156,8 +159,12 @@ def stand_statics(
         distribution: Selection among feasible contact forces. Default: minimum tangential forces.
 
     Raises:
-        ConfigurationError: If the stand belongs to another robot, or ``distribution`` is unknown.
-        StaticsInfeasibleError: If no contact forces balance the stand: the robot slides or tips.
+        ConfigurationError: If the stand belongs to another robot, ``distribution`` is unknown, the
+            friction of the ground is unknown, or a closed loop is open or singular.
+        UnknownNameError: If the robot lacks the foot or frame of a contact of the task.
+        ModelError: If the model with the contacts of the task cannot be built.
+        StaticsInfeasibleError: If no contact forces balance the stand: for example, the robot
+            slides or tips.
     """
     robot, distribution = stand.check(robot), to_distribution(distribution)
 
@@ -181,9 +188,9 @@ def stand_contacts(robot: Robot, stand: Stand) -> Contacts:
 
 
 _MAX_JOINT_DISTANCE = 0.5
-"""Upper bound of the norm of the joint displacement [rad] between successive stands of a sequence,
-beyond which `solve_stand` solves the task: the stand may be in another IK branch. Chosen, not
-tuned; samples of a path are much closer."""
+"""Upper bound of the norm of the joint displacement [rad and m mixed] between successive stands of
+a sequence, beyond which all initial guesses are used for the task: the stand may be in another IK
+branch. Chosen, not tuned; samples of a path are much closer."""
 
 
 _EXTRAPOLATION_WEIGHTS = {1: (1.0,), 2: (2.0, -1.0), 3: (3.0, -3.0, 1.0), 4: (4.0, -6.0, 4.0, -1.0)}
@@ -202,10 +209,11 @@ def solve_stands(
 ) -> tuple[Stand, ...]:
     """Solve a sequence of stand tasks: faster than separately if neighbours are similar.
 
-    Each search starts at an extrapolation of up to four previous stands. If this does not lead to a
-    stand near the previous one, `solve_stand` solves the task. `solve_stand` is always used for
-    tasks with an ``ik_seed``, a free CoM or ``self_clearance``, and for robots with redundant
-    joints, since the result then depends on the initial guess.
+    Each search starts at an extrapolation of up to four previous stands, then at the previous
+    stand. If neither leads to a stand near the previous stand, the task is solved as by
+    `solve_stand`, like the first task. This applies also to tasks with an ``ik_seed``, a free CoM
+    or ``self_clearance``, and to robots with redundant joints, since the result then depends on the
+    initial guess.
 
     Each stand satisfies its task as a stand of `solve_stand` does: to 1e-9 m or rad, or 0.05 mm for
     a sole on a leg with fewer than six joints. If a leg has several IK branches, a sequence keeps
@@ -250,10 +258,11 @@ def solve_stands(
 
 
 def _continue_sequence(context: SearchContext, goal: Goal, before: Sequence[Array]) -> Stand | None:
-    """Search a stand near the previous stands of a sequence; None without one.
+    """Search a stand near the previous stands of a sequence; None if no such stand is found.
 
-    None also if the stand may depend on the initial guess, as with redundant joints. The search
-    starts from the extrapolated configuration, if it is near the latest one, then from the latest.
+    None also without previous stands, and if the stand may depend on the initial guess, as with
+    redundant joints. The search starts from the extrapolated configuration, if that is near the
+    latest configuration, then from the latest configuration.
 
     Args:
         context: Search context of the robot.

@@ -39,9 +39,10 @@ def read_start(path: str | Path, robot: Robot) -> Array:
         Configuration, shape (nq,).
 
     Raises:
-        ConfigurationError: If the file cannot be read, contains no or several configurations, a
-            number that is not finite, or a configuration without joint names that has another
-            length or belongs to another robot.
+        ConfigurationError: If the file cannot be read, contains no configuration, a number that is
+            not finite, several rows of numbers in a CSV, or a configuration without joint names
+            that has another length or belongs to another robot. Of several configurations in a
+            JSON file, the first is read.
         UnknownNameError: If the robot has no joint of a name in the file.
         OutputError: If the run will write this file.
     """
@@ -140,7 +141,7 @@ def _find_positions(content: Any) -> tuple[_Positions, str]:
 
 
 def _walk_tables(content: Any) -> Iterator[Mapping[str, Any]]:
-    """Yield the mappings in the content of a JSON file, higher levels first."""
+    """Yield the mapping in a JSON file, and mappings nested in mappings, higher levels first."""
     level = [content]
     while level:
         tables = [one for one in level if isinstance(one, Mapping)]

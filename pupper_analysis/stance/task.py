@@ -39,8 +39,8 @@ class StandTask:
     then ``"inside"``.
 
     Attributes:
-        height: Height of the base frame above the mean of the contact points (m). Default: the
-            robot's ``base_height``.
+        height: Height of the base frame above the centre of the feet (m), positive without
+            ``contacts``. Default: the robot's ``base_height``.
         roll: Rotation about x, forward (rad). The orientation of the base is Rz(yaw) Ry(pitch)
             Rx(roll).
         pitch: Rotation about y, left (rad); positive tilts the front down.
@@ -130,8 +130,8 @@ class StandTask:
         """Create a stand task from a mapping with plain data, for example from JSON or TOML.
 
         Args:
-            given: {field in ``stance/fields.toml``: value in m or rad}. The fields of the ground
-                are in a mapping ``ground``, or at the same level as the other fields.
+            given: {field in ``stance/fields.toml``, or ``ik_seed``: value in m or rad}. The fields
+                of the ground are in a mapping ``ground``, or at the same level as the other fields.
 
         Raises:
             ConfigurationError: If a field is unknown, or a value is invalid.
@@ -149,7 +149,7 @@ class StandTask:
     def replace_unchecked(self, **values: Any) -> StandTask:
         """Return a copy of this task with other attributes, without checking the values.
 
-        In a sequence of stands the checks would take an eighth of the time.
+        The checks would take a noticeable part of the time of a sequence of stands.
 
         Args:
             **values: {attribute: valid value}.
@@ -159,9 +159,9 @@ class StandTask:
         return task
 
     def values(self) -> dict[str, Any]:
-        """Return all requirements of this task: {field in ``stance/fields.toml``: value [m, rad]}.
+        """Return the requirements of this task: {field in ``stance/fields.toml``: value [m, rad]}.
 
-        Fields of the ground are included.
+        Fields of the ground are included, ``ik_seed`` is not.
         """
         owners = {"task": self, "ground": self.ground}
         return {name: getattr(owners[field.part], name) for name, field in FIELDS.items()}
@@ -172,7 +172,8 @@ class StandTask:
         Args:
             values: {name of the field in ``stance/fields.toml``: value}; other fields are kept.
             checked: Check the values. Numbers and points that are known to be valid, in the types
-                of this class, need no check. The ground and contacts are always checked.
+                of this class, need no check. Values of the ground, contacts and posture are always
+                checked.
 
         Raises:
             ConfigurationError: If a value is invalid, or contradicts another value.

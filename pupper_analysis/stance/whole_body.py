@@ -103,7 +103,8 @@ _NEGLIGIBLE_STEP = 1e-10
 tuned."""
 
 _NUM_RESTARTS = 8
-"""Number of random initial guesses after a failure, within the joint limits. Chosen, not tuned."""
+"""Upper bound of the random initial guesses after a failure, within the joint limits and within
++-pi of the first guess. Chosen, not tuned."""
 
 _REGULARIZATION = 1e-9
 """Weight of the squared step of the joints, relative to a task's weight of 1. Chosen small: it
@@ -121,8 +122,8 @@ class SolvedPosture(Pictured, Tabular):
         mujoco_residuals: Residual of each task by MuJoCo's kinematics of the MJCF; different from
             ``residuals`` if the kinematics of the two files differ.
         units: Unit of the residual of each task.
-        contacts: Contact points and welded parts that kept their positions.
-        iterations: Number of solved quadratic programs.
+        contacts: Contact points, and welded and gripping parts, that kept their positions.
+        iterations: Number of solved or attempted quadratic programs.
         stand: Stand of the posture, for ``stand_statics``, ``verify_stand`` and other functions for
             stands; None if the base is free and the start was no stand. Margins and clearances that
             the posture violates are in ``stand.blocked``.
@@ -186,14 +187,17 @@ def solve_posture(
             robot with a fixed base has none.
 
     Raises:
-        PostureUnreachableError: If a residual exceeds `POSTURE_TOLERANCE`. The error states the
-            task with the largest residual, and the tasks and joint limits that oppose this task.
+        PostureUnreachableError: If the residual of a required task exceeds `POSTURE_TOLERANCE`. The
+            error states the required task with the largest residual, and the tasks and joint limits
+            that oppose this task.
         ConfigurationError: If there is no task, ``start`` is not valid, a task is not valid,
             ``contacts`` are given for a fixed base or beside a stand, the stand belongs to another
             robot, a lifted foot of the stand is not above the ground, or the robot has closed loops
             or couplings; with a ``SelfClearanceTask`` also if the robot has a continuous joint,
             which PlaCo's half-spaces do not support.
         UnknownNameError: If a link, joint or contact point is unknown.
+        ModelError: On the contacts of a stand, if the mass or inertia of a body is invalid, or the
+            model with the contacts cannot be built.
     """
     robot.check_tree("a whole-body posture")
     requested = tuple(tasks) if isinstance(tasks, Iterable) else (tasks,)
@@ -404,7 +408,7 @@ def _check_task_names(robot: Robot, tasks: Sequence[PostureTask]) -> None:
 
 
 def _list_guesses(robot: Robot, qpos: Array, limits: _Limits) -> Iterable[Array]:
-    """Yield initial guesses (nq,): ``qpos`` within the limits, then random joint positions."""
+    """Yield initial guesses (nq,): ``qpos``, then random joint positions, within the limits."""
     first = robot.nq - robot.nu
     lower, upper = limits
     start = qpos.copy()
@@ -442,7 +446,7 @@ class _PostureSolver:
         near: Weighted tasks of the first stage, beside the preferred tasks among ``tasks``.
 
     Attributes:
-        iterations: Number of solved quadratic programs.
+        iterations: Number of solved or attempted quadratic programs.
     """
 
     def __init__(
@@ -623,7 +627,10 @@ class _PinocchioBody:
         return float(self._config.qpos[index])
 
     def self_clearances(self) -> Array:
-        """Return the smallest distances [m] of shapes on links that are no neighbours, sorted."""
+        """Return the smallest distances [m] of shapes on links that are no neighbours, ascending.
+
+        There are at most `NUM_NEAREST_PAIRS` distances.
+        """
         pairs = self._collision.shapes.find_nearest_pairs(self._config.qpos, NUM_NEAREST_PAIRS)
         return np.array([pair.distance for pair in pairs])
 
@@ -669,7 +676,7 @@ class _MujocoBody(_PinocchioBody):
         return rotation @ relative, self._data.xpos[body] + rotation @ offset
 
     def self_clearances(self) -> Array:
-        """Return distances between links of the robot, ascending, shape (n,) [m].
+        """Return distances of links that are no neighbours, ascending, shape (n,) [m].
 
         MuJoCo measures the distances, for the n pairs of collision shapes that Pinocchio finds
         nearest.

@@ -1,7 +1,7 @@
 """Workspace of the base with planted feet: reachable intervals of height [m], angles [rad], x, y.
 
 `base_workspace` searches each coordinate separately from the stand of a task, outward in both
-directions. Steps are halved until a stand is unreachable (bisection). Each step starts at the last
+directions. A step is halved if its stand is unreachable (bisection). Each step starts at the last
 stand; before an end is accepted, all initial guesses of `search_stand` are tried as well.
 """
 
@@ -44,7 +44,7 @@ last stand fails, and beyond which a full search finds a stand. Chosen, not tune
 _GAP_RATIO = 8e-3
 """Distance from the last reachable value of the coordinate, relative to the first step of the
 search, at which one more stand is tried before the search ends: another IK branch may start there.
-The pitch of Pupper v3 has such a gap of 1.3 mrad."""
+Chosen larger than the gap of 1.3 mrad in the pitch of Pupper v3 (3.2 mrad are tried)."""
 
 DIRECTIONS = ("height", "roll", "pitch", "yaw", "x", "y")
 """Base coordinates whose reachable intervals `base_workspace` determines."""
@@ -77,8 +77,8 @@ class BaseWorkspace(Result):
     Attributes:
         name: Name of the robot.
         start: Stand at which the search starts.
-        intervals: {``height`` (m, absolute), ``roll``, ``pitch``, ``yaw`` (rad, absolute), ``x``,
-            ``y`` (m, of the base from the centre of the feet)}.
+        intervals: {``height`` (m, of the base above the centre of the feet), ``roll``, ``pitch``,
+            ``yaw`` (rad, absolute), ``x``, ``y`` (m, of the base from the centre of the feet)}.
         limits: {direction: (limit at the lower end, limit at the upper end)}: for example joints at
             their limits, or the reach of the legs.
     """
@@ -95,7 +95,8 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
 
     Feet stay planted. The CoM keeps the horizontal position that the task requires. If the task
     permits any position inside the support polygon, the CoM keeps its position in the task's stand,
-    or stays free if the legs cannot move it in two directions (`can_move_com`).
+    or stays free if the legs cannot move it in two directions (`can_move_com`). With an ``offset``
+    in the task, the base keeps this offset instead.
 
     Args:
         robot: Robot.
@@ -116,7 +117,8 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
     """Find the reachable intervals of the base in height [m], roll, pitch, yaw [rad], x and y [m].
 
     Each coordinate is varied alone, outward from its value in the task to the first value without
-    a stand. Gaps shorter than 0.8 % of the first search step are skipped. Feet stay planted.
+    a stand. Gaps shorter than 0.8 % of the first search step are skipped, and longer gaps may be
+    missed between two steps. Feet stay planted.
 
     The CoM keeps the horizontal position that the task requires. If the task permits any position
     inside the support polygon, the CoM keeps its position in the task's stand, or stays free if the
@@ -168,8 +170,9 @@ def _describe_base_limit(
 ) -> Diagnostic:
     """Create the text about the limit of a base coordinate, a requirement that the end just meets.
 
-    If several requirements are just met, the first is reported: full turn, joint limits of joints
-    that have moved, clearances, support polygon. If none is, the reach of the legs is reported.
+    If several requirements are just met, the first is reported: largest searched angle, joint
+    limits of joints that have moved, clearances, and for x and y the support polygon. If none is
+    just met, the reach of the legs is reported.
 
     Args:
         robot: Robot.
@@ -209,8 +212,8 @@ def find_interval(
 ) -> Interval:
     """Find the reachable interval of one base coordinate [m or rad], with the feet planted.
 
-    The search moves outward from the stand in both directions, to the first unreachable stand.
-    `base_workspace` describes which other quantities stay constant.
+    The search moves outward from the stand in both directions, to the first unreachable stand that
+    is found. `base_workspace` describes which other quantities stay constant.
 
     Args:
         robot: Robot.
@@ -309,7 +312,8 @@ def _solve_at(
     """Solve the stand at a value [m or rad] of a base coordinate.
 
     The search starts at the stand ``near`` only, or from all initial guesses if ``near`` is None.
-    The result is None if no stand is found, or if the CoM margin at an x or y is too small.
+    The result is None if the task is rejected, if no stand is found, or if the CoM margin at an x
+    or y is too small.
     """
     try:
         goal = make_goal(robot, _make_task(robot, start, direction, value), {})

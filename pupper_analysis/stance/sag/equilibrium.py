@@ -207,9 +207,9 @@ GROUND_NORMAL = (0.0, 0.0, 1.0)
 """Unit normal of the ground in the contact frame, whose z axis is the normal."""
 
 _MAX_STEP_ANGLE, _MAX_STEP_LENGTH = 0.5, 4.0
-"""Upper bounds of a Newton step: rotation of base or joints [rad] and displacement of the base
-[`EquilibriumScales.length`]. With a longer step the solve fails: it may reach another solution.
-Chosen, not tuned."""
+"""Upper bounds of a Newton step: rotation of the base or displacement of a joint [rad, m], and
+displacement of the base [`EquilibriumScales.length`]. With a longer step the solve fails: the step
+may reach another solution. Chosen, not tuned."""
 
 _SLIP_STIFFNESS_RATIO = 4e-6
 """Stiffness of the horizontal spring at contacts without friction (``feet="sliding"``), in units of
@@ -226,8 +226,9 @@ class EquilibriumScales:
 
     Attributes:
         weight: Weight [N].
-        length: Height [m] of the CoM above the lowest sphere centre of a stance foot. For a fixed
-            or welded robot: the stand height, or the extent of the model if that is zero.
+        length: Height [m] of the CoM above the lowest sphere centre of a stance foot. For a robot
+            with a fixed base, a weld or a grip: the stand height, or the extent of the model if the
+            stand height is zero.
         moves: Number of coordinates that translate the base: 3, or 0 for a fixed base.
     """
 
@@ -239,8 +240,7 @@ class EquilibriumScales:
     def from_stand(robot: Robot, stand: Stand) -> EquilibriumScales:
         """Return the weight [N] and height [m] that scale the equations of a robot in a stand.
 
-        The height is that of the CoM above the lowest sphere centre of a stance foot. For a fixed
-        or welded robot, it is the stand height, or the extent of the model if that is zero.
+        ``length`` describes the height. The weight is that on Earth if gravity is zero.
         """
         weight = robot.usual_weight
         if robot.is_base_fixed or robot.fixed_parts:
@@ -270,7 +270,7 @@ class EquilibriumScales:
         return _FRICTION_PENALTY_RATIO * self.weight / self.length
 
     def max_residual(self, residual: Array, nv: int, forces: slice | list[int]) -> float:
-        """Return the largest element of the scaled residual of the equilibrium equations [1].
+        """Return the largest absolute element of the scaled residual of the equations [1].
 
         Forces are divided by the weight, torques by weight x height, and lengths by the height.
 
@@ -311,13 +311,13 @@ divided by the weight, torques by weight x height, lengths by the height. Chosen
 rounding errors."""
 
 CONTACT_DEPTH_TOLERANCE = 1e-8
-"""Penetration, in units of `EquilibriumScales.length`, up to which a contact does not count as
-touching: a force of 1e-6 N for Pupper v3. Chosen, not tuned."""
+"""Penetration plus contact margin, in units of `EquilibriumScales.length`, up to which a contact
+does not count as touching: a force of 1e-6 N for Pupper v3. Chosen, not tuned."""
 
 _SOLE_COMPLIANCE_FACTORS = (1e3, 1e2, 1e1, 1.0)
-"""Factors of the tangential compliance at the points of soles with which the equilibrium is solved,
-in order, after Newton's method has failed. Each solution is the initial guess of the next. Chosen,
-not tuned."""
+"""Factors of the tangential compliance of contact points (`contact_compliance`) with which the
+equilibrium of a robot with soles is solved, in order, after Newton's method has failed. Each
+solution is the initial guess of the next. Chosen, not tuned."""
 
 _MAX_ITERATIONS = 16
 """Upper bound of the Newton iterations of `SagEquilibrium.solve`. All of 5,148 measured solutions
@@ -338,12 +338,12 @@ class SagEquilibrium:
 
         g(q) - S^T tau - sum J_i^T f_i = 0,  depth_i(q) = depth of f_i
 
-    for the contacts in ``anchors``. J_i is the Jacobian of the material point at the contact, tau =
-    clip(kp (target - q), limits). Slip law with ``feet="pinned"``: the slip s is zero, apart from
-    creep and compliance, if |f_t| <= mu f_n; otherwise f_t = -mu f_n s / |s|. Both cases are one
-    equation: f_t is f_t - rho s, projected onto the disc of radius mu f_n, for any rho > 0 (Alart
-    and Curnier 1991). With ``feet="sliding"``: f_t = 0, apart from a weak spring that makes the
-    position unique.
+    for the contacts in ``anchors``; closed loops add the torques of their constraints. J_i is the
+    Jacobian of the material point at the contact, tau = clip(kp (target - q), limits). Slip law
+    with ``feet="pinned"``: the slip s is zero, apart from creep and compliance, if |f_t| <= mu f_n;
+    otherwise f_t = -mu f_n s / |s|. Both cases are one equation: f_t is f_t - rho s, projected onto
+    the disc of radius mu f_n, for any rho > 0 (Alart and Curnier 1991). With ``feet="sliding"``:
+    f_t = 0, apart from a weak spring that makes the position unique.
 
     Welded bodies stay in place. Of the balance, only the part along motions that the welds permit
     is an equation (``apply_welds``); the weld wrenches follow from the rest. Dry friction of joints
@@ -485,8 +485,9 @@ class SagEquilibrium:
         """Return slips (along two ground tangents) and penetration of each touching contact.
 
         A slip is the displacement along the ground since the first contact. With ``feet="pinned"``,
-        the slip before the current step of simulated creep is subtracted, and the product of
-        compliance and tangential force is added: the sum is zero for a contact that sticks.
+        the slip before the current step of simulated creep is subtracted, the slips of soles are
+        projected (`project_soles`) if there is creep or compliance, and the product of compliance
+        and tangential force is added: the sum is zero for a contact that sticks.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -648,8 +649,8 @@ class SagEquilibrium:
             places: Slips along the two tangents and penetration, shape (n, 3) [m], from `slips`.
 
         Returns:
-            Index, friction coefficient (0 if the ground pulls), and augmented tangential force,
-            shape (2,) [N], of each such contact.
+            Index, friction coefficient (0 if the ground does not press), and augmented tangential
+            force, shape (2,) [N], of each such contact.
         """
         if self.feet == "sliding":
             return []
@@ -686,7 +687,7 @@ class SagEquilibrium:
         return found
 
     def _solve_with_softer_soles(self, guess: Solution) -> Solution | None:
-        """Solve with a larger compliance of the soles first, which is reduced in steps.
+        """Solve with a larger compliance of the contact points first, which is reduced in steps.
 
         None if one of these solves fails.
 
@@ -713,7 +714,7 @@ class SagEquilibrium:
         The previous Jacobian is reused if the predicted residual e[k]^2 / e[k-1] is at most
         ``left``; e[k] is the scaled residual after k steps. The result is None after
         `_MAX_ITERATIONS`, or if the residuals alternate, a Jacobian is singular, or a step is too
-        long.
+        long or not finite.
         """
         qpos, n = guess.qpos, self.robot.nv
         forces, derivative = self.stack_forces(guess), None
@@ -886,16 +887,18 @@ class Welds:
         return np.hstack([*self._contacts.weld_columns(config).values()]).T
 
     def wrenches(self, config: Configuration, balance: Array) -> tuple[Array, Array]:
-        """Return the wrenches of the welds, in the world frame, that balance a generalised force.
+        """Return the wrenches of w welds and grips, world axes, that balance a generalised force.
 
-        If welds are redundant, the wrenches are those with the smallest norm (N and N m mixed).
+        The moment of a grip is zero. If the balance is not possible, the squared error is minimal;
+        if welds are redundant, the wrenches are those with the smallest norm (N and N m mixed).
 
         Args:
             config: Configuration of the robot.
             balance: Generalised force, shape (nv,) [N, N m].
 
         Returns:
-            Jacobian of each weld, shape (w, 6, nv), and wrench of each weld, shape (w, 6) [N, N m].
+            Jacobian of each weld or grip, shape (w, 6, nv), whose last three rows are zero for a
+            grip; and wrenches, shape (w, 6) [N, N m].
         """
         columns = self._contacts.weld_columns(config).values()
         solution = np.linalg.lstsq(np.hstack([*columns]), balance)[0]
@@ -948,7 +951,7 @@ class Welds:
 
 
 def independent_rows(rows: Array) -> NDArray[np.intp]:
-    """Return the ascending indices of a largest set of linearly independent rows, (m, n)."""
+    """Return the ascending indices of a largest set of linearly independent rows of (m, n)."""
     triangle, order = lapack.pivoted_qr(rows.T)
     sizes = np.abs(np.diag(triangle))
     tolerance = max(rows.shape) * np.finfo(float).eps * sizes.max(initial=0.0)
@@ -957,13 +960,13 @@ def independent_rows(rows: Array) -> NDArray[np.intp]:
 
 _TANGENTIAL_COMPLIANCE_RATIO = 2.5e-6
 """Slip of compliant contact points under a tangential force of one robot weight, in units of
-`EquilibriumScales.length`: some micrometres for a biped of 10 kg. Chosen, not tuned."""
+`EquilibriumScales.length`: 1 um for a height of 0.4 m. Chosen, not tuned."""
 
 
 def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
-    """Return {contact point: a point of the ground plane that it touches, (3,) [m], world frame}.
+    """Return {contact point: a point of its ground plane, shape (3,) [m], in the world frame}.
 
-    The point is not below the contact point in general.
+    The point of the plane is not below the contact point in general.
     """
     ground, found = stand.task.ground, dict[str, Array]()
     for foot, points in robot.feet.items():
@@ -982,9 +985,10 @@ def contact_compliance(
     """Return two mappings of tangential compliance, each {contact point: compliance [m/N]}.
 
     Compliance keeps the slip equations of points with a constant distance linearly independent. In
-    the first mapping, only the points of soles (feet with several points) are compliant; all others
-    have 0. The second mapping is the same, unless `can_move_com` is False: then all points are
-    compliant, since two feet whose legs swing in planes also have a constant distance.
+    the first mapping, only the points of soles (feet with several points) are compliant; all other
+    points have 0. The second mapping is equal to the first, unless `can_move_com` is False: then
+    all points are compliant, since two feet whose legs swing in planes also have a constant
+    distance.
 
     Args:
         robot: Robot.

@@ -81,9 +81,10 @@ def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, 
 
 
 def find_slipping_points(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
-    """Find the contact points that slip in a solution, because friction reaches its limit.
+    """Find the contact points that slip in a solution, because friction exceeds its limit.
 
-    Empty with ``feet="sliding"``, where contacts have no friction.
+    The limit is zero for a point that the ground does not press. Empty with ``feet="sliding"``:
+    contacts then have no friction.
     """
     forces, names = system.stack_forces(solution), tuple(system.anchors)
     places = system.slips(solution.qpos, forces)
@@ -153,7 +154,7 @@ def compute_smallest_stiffness(
             hessian += across[row].T @ stiff @ across[row]
     sticks = [row for row, foot in enumerate(feet) if foot not in moving and not idle[row]]
     held = across[sticks].reshape(-1, n)
-    if system.feet == "sliding":  # translations and yaw of the whole robot are ignored
+    if system.feet == "sliding":  # horizontal translations and yaw of the robot are ignored
         held = np.eye(3, n)
         held[2] = np.concatenate([np.zeros(3), config.base_rotation()[2], np.zeros(n - 6)])
     if system.robot.fixed_parts:
@@ -198,9 +199,9 @@ CREEP_STEPS = 20
 that falls after 15 s is predicted to fall after 14 s."""
 
 _MIN_EULER_STEP = 1 / 4096
-"""Smallest backward Euler step that integrates the creep (slow slip) of feet, as a fraction of the
-duration of `HomotopyPath.creep_step`. Without an equilibrium at this step, the creep fails. Of 0.6
-s (12 s in 20 steps) this is 0.15 ms. Chosen, not tuned."""
+"""Lower bound of the backward Euler step that integrates the creep (slow slip) of feet, as a
+fraction of the duration of `HomotopyPath.creep_step`. The creep fails if the next shorter step
+would be below this bound. Of 0.6 s (12 s in 20 steps) this is 0.15 ms. Chosen, not tuned."""
 
 
 class HomotopyPath:
@@ -309,8 +310,8 @@ class HomotopyPath:
         twisted soles creep by a millimetre within hundredths of a second, and then rest.
 
         Raises:
-            NoEquilibriumError: If no equilibrium is found with a step of `_MIN_EULER_STEP` of the
-                duration; the path then stays at the last equilibrium.
+            NoEquilibriumError: If a step has no equilibrium, and a quarter of this step is below
+                `_MIN_EULER_STEP` times the duration; the path stays at the last equilibrium.
         """
         left = seconds
         while left > 0:
@@ -349,7 +350,7 @@ class HomotopyPath:
         self._set_command(1.0)
 
     def _feet_about_to_slide(self) -> list[str]:
-        """Return the feet whose tangential force is close to the limit of their friction.
+        """Return the contact points whose tangential force is close to their friction limit.
 
         Empty unless the equations hold the feet in place (``pinned``).
         """
@@ -389,7 +390,8 @@ class HomotopyPath:
             there: Solution at this fraction.
 
         Returns:
-            False, without a change of the state, if no equilibrium is found in between.
+            False, without a change of ``share`` and ``solution``, if no equilibrium is found in
+            between.
         """
         right = self.share
         while wanted - right > _SHARE_TOLERANCE:
@@ -407,9 +409,10 @@ class HomotopyPath:
         return True
 
     def _switch_contact(self, foot: str, found: Solution) -> None:
-        """Release a foot that is in contact in the solution ``found``, or put it in contact.
+        """Release a contact point that touches in the solution ``found``; otherwise add it.
 
-        Raises NoEquilibriumError after `_MAX_EVENTS` switches (more for many contact points).
+        Raises:
+            NoEquilibriumError: After `_MAX_EVENTS` switches (more for many contact points).
         """
         self._events += 1
         if self._events > max(_MAX_EVENTS, 4 * len(self.system.robot.contact_points)):
@@ -535,8 +538,8 @@ def steady_state(
     Newton's method starts at the stand, which full feed-forward holds, and follows the equilibrium
     while feed-forward is removed. A swing foot that reaches the ground is pinned there and carries
     load; a foot that would have to pull is released. Then backward Euler steps follow the creep.
-    The result has a failure if further creep would take the robot down within ``HOLD_DURATION``
-    (12 s), as with stiffnesses just above the smallest one.
+    The result has a failure if further creep would end the equilibrium within ``HOLD_DURATION``
+    (12 s), as with stiffnesses just above the smallest one (`simulate_creep`).
 
     Args:
         robot: Robot.
@@ -556,8 +559,8 @@ def steady_state(
         ModelError: If a joint has no motor, if it has no position servo and ``kp`` is None, or if
             the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
-        NoEquilibriumError: If the equilibrium is lost while feed-forward is removed, or ends by
-            creep within ``seconds``.
+        NoEquilibriumError: If the stand has no equilibrium on soft ground, if the equilibrium is
+            lost while feed-forward is removed, or if it ends by creep within ``seconds``.
     """
     robot = with_contacts(robot, stand.task.contacts)
     check_steady_state_request(robot, stand, feet, seconds)
@@ -586,7 +589,8 @@ def make_homotopy_path(
         exact: Argument of `SagEquilibrium.solve` for the first equilibrium.
 
     Raises:
-        ModelError: If a joint has no motor, or if the ground cannot be added (``build_on_ground``).
+        ModelError: If a joint has no motor, if it has no position servo and ``kp`` is None, or if
+            the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
         NoEquilibriumError: If the stand has no equilibrium on soft ground.
     """
@@ -642,9 +646,10 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
 
     Raises:
         ConfigurationError: If ``feet`` or ``seconds`` is invalid; the stand's configuration has
-            another length than the robot's; a free base has no contact with a ground; a stand
-            with stance feet has a fixed base; ``feet`` is ``"sliding"`` on a slope or on separate
-            planes of feet; or ``feet`` is ``"pinned"`` and a contact point has no friction.
+            another length than the robot's; a free base has neither contact with a ground nor welds
+            or grips; a stand with stance feet has a fixed base; ``feet`` is ``"sliding"`` on a
+            slope or on separate planes of feet; or ``feet`` is ``"pinned"`` and a contact point has
+            no friction.
         UnknownNameError: If the stand has feet that the robot lacks.
     """
     stands = robot.is_base_fixed or robot.fixed_parts or (robot.floating and robot.contacts)
@@ -668,8 +673,8 @@ def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0
     """Compute the equilibrium to which a stand sags when its feed-forward is removed.
 
     The path of equilibria starts at the stand, whose servo commands exceed the joint positions by
-    the feed-forward torque / kp. The feed-forward is removed in steps. Then the
-    contact points creep under their tangential forces, as in MuJoCo.
+    the feed-forward torque / kp. The feed-forward is removed in steps. Then the contact points
+    creep under their tangential forces, as in MuJoCo.
 
     Args:
         path: Path at its start, with the full feed-forward; modified.
@@ -713,7 +718,8 @@ def find_sag_failure(
 
     The robot does not stand in any of these cases:
 
-    - the path of equilibria ends while feed-forward is removed (`NoEquilibriumError`),
+    - the path of equilibria has no start, or ends while feed-forward is removed
+      (`NoEquilibriumError`),
     - a free base sinks to half of the stand's base height or less,
     - the result of `steady_state` has failures.
 

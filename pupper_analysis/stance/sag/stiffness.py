@@ -36,7 +36,7 @@ from pupper_analysis.stance.stand import Stand
 
 HIGHEST_KP = 2500.0
 """Upper bound of the kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`:
-2000 times the kp of Pupper v3. Chosen, not tuned."""
+for Pupper v3, 1,600 times the kp of its servos (5 N m/rad). Chosen, not tuned."""
 
 _FIRST_KP = 4.0
 """First kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`. Measured: v3,
@@ -67,8 +67,8 @@ _ESTIMATE_TOLERANCE = 0.02
 results with two digits."""
 
 _MIN_DURATION = HOLD_DURATION / CREEP_STEPS
-"""Lower bound of the time [s] by which `_predict_stiffness` divides: a backward Euler step of the
-creep of an equilibrium."""
+"""Lower bound of the time [s] by which `_predict_stiffness` divides: the longest backward Euler
+step in `simulate_creep`."""
 
 
 @check_arguments
@@ -130,7 +130,8 @@ def estimate_minimum_stiffness(
     """Estimate the smallest kp [N m/rad] with which a robot stands without feed-forward.
 
     Unlike in `minimum_stiffness`, creep near the result is simulated only once: a prediction
-    replaces the bisection (`_predict_stiffness`). If the predicted kp is at least twice that of the
+    replaces the bisection (`_predict_stiffness`). If the robot stands with all tested kp, the
+    result is the smallest tested kp. If the predicted kp is at least twice that of the
     upper end of the bracket, the result is that of `minimum_stiffness`. Measured: 0 to 5 % above
     `minimum_stiffness` for T1 and v3-long-leg, within 1 % for v3, original and Go2.
 
@@ -169,7 +170,7 @@ def _bracket_stiffness(
     Returns:
         Tuple (search, low, high) with high = 2 low. The robot does not stand with kp = low, and
         stands with kp = high before the feet creep. If the robot stands with all tested kp, down to
-        `_LEAST_KP`, low is 0.
+        `_LEAST_KP` or `MIN_STIFFNESS`, low is 0.
 
     Raises:
         ConfigurationError: If ``feet`` or ``ratios`` is invalid, or the robot cannot stand.
@@ -220,7 +221,7 @@ class _Grid:
         return self._low + (self._high - self._low) * index / self.count
 
     def find_index(self, value: float) -> int:
-        """Return the index of the smallest value of the grid that is not below a value."""
+        """Return the index of the smallest grid value not below a value; may be out of range."""
         return math.ceil((value - self._low) / (self._high - self._low) * self.count)
 
 
@@ -319,7 +320,8 @@ class _StiffnessSearch:
     Attributes:
         problem: Reason why the robot does not stand with the value that `follow` tested last; None
             if it stands.
-        lost: Values for which continuation has found no stable equilibrium [N m/rad].
+        lost: Values [N m/rad] for which continuation has found no stable equilibrium, since
+            `follow` last found that the robot stands.
     """
 
     def __init__(self, robot: Robot, stand: Stand, ratios: Array, feet: SlipLaw) -> None:
