@@ -293,7 +293,7 @@ def _hash_properties(
 ) -> str:
     """Return a hash (16 hex digits) of the properties of a URDF that stances depend on.
 
-    Kinematics and feet, rounded to 1 nm; inertias; joint limits; names; contact radii.
+    Kinematics and feet, rounded to 1 nm; inertias; position limits; names; contact radii.
     """
     parts = [
         repr((joint_names, sorted(contact_frames.items()), sorted(contact_radius.items()))).encode()

@@ -64,11 +64,12 @@ class EngineModels:
         return self.pin_model.createData()
 
     def mj_spec(self) -> MujocoSpec:
-        """Return a new MuJoCo spec of the robot with floor and servos; the caller may change it.
+        """Return a new MuJoCo spec of the robot, with its additions such as floor and servos.
 
-        ``mj_spec().compile()`` returns a model with the same values as ``mj_model``. Meshes keep
-        the paths of the file, or their contents if the robot was loaded from a spec in memory or
-        converted from a URDF. The spec can be attached to another spec.
+        The caller may change the spec. ``mj_spec().compile()`` returns a model with the same values
+        as ``mj_model``. Meshes keep the paths of the file, or their contents if the robot was
+        loaded from a spec in memory or converted from a URDF. The spec can be attached to another
+        spec.
         """
         spec: MujocoSpec
         spec, _, _ = make_mujoco_spec(self.description, fixed_base=not self.floating)

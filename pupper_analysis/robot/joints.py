@@ -232,7 +232,8 @@ def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
 _KEYFRAME_ROUNDING = 1e-3
 """Distance of a keyframe's joint position beyond the joint limit [rad, m] that is attributed to
 rounding to a few digits. Below this distance, the limit replaces the position. A keyframe with a
-larger distance becomes the default posture only if the caller names the keyframe."""
+larger distance becomes the default posture only if the caller names the keyframe. Chosen, not
+tuned."""
 
 
 def joint_ranges(robot: Robot) -> Array:

@@ -309,7 +309,10 @@ class Contact:
         return replace(self, plane=self.plane.with_parameter(number))
 
     def __str__(self) -> str:
-        """Return the text on the command line, without loss: ``wall:0.4m,mu=0.6``."""
+        """Return the text on the command line with all digits: ``wall:0.4m,mu=0.6``.
+
+        A contact that is read from the text is equivalent; its unit vectors may differ by rounding.
+        """
         return format(self)
 
     def __format__(self, spec: str) -> str:
@@ -373,7 +376,7 @@ class Weld:
         return replace(self, place=_check_position("place", numbers))
 
     def __str__(self) -> str:
-        """Return the text on the command line, without loss: ``weld,offset=0.0m/0.0m/0.1m``."""
+        """Return the text on the command line with all digits: ``weld,offset=0.0m/0.0m/0.1m``."""
         return format(self)
 
     def __format__(self, spec: str) -> str:

@@ -403,10 +403,10 @@ class FilesCompared(Tabular):
         differences: Differences, the most urgent first; see `Difference.rank`.
         causes: Mistakes that explain several differences each.
         deviations: {quantity: relative deviation between the models}.
-        residual: {quantity: relative deviation without all differences}.
+        residual: {quantity: relative deviation after all differences are removed}.
         explained: Fraction of the largest deviation that the differences explain.
         complete: Whether each residual is at most 1e-9.
-        mount: Diagnostic of the tilt of a fixed base in a single file; None as in
+        mount: Diagnostic of the tilt of a fixed base in one file relative to the other; None as in
             `report_base_tilt`.
         objections: Reasons against agreement besides the differences: an unexplained residual, a
             total deviation of differences within the tolerances, a missing mass of a base with

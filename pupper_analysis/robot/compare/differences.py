@@ -109,6 +109,7 @@ listed before differences of limits and efforts. Chosen, not tuned."""
 _MIN_RELATIVE_MASS = 0.01
 """Relative difference of a body's mass from which the difference is listed before differences of
 limits and efforts. Chosen, not tuned."""
+
 _MAIN_QUANTITIES = ("mass matrix", "gravity", "foot positions", "joint positions")
 """Quantities whose largest relative effect is the first number in `Difference.relative_effects`."""
 

@@ -253,7 +253,7 @@ def of_joints(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def of_bodies(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the gravity compensation (``gravcomp``) of the robot's bodies, which a URDF lacks."""
+    """Yield the gravity compensation (``gravcomp``) of moving bodies with mass; a URDF has none."""
     model = scene.model
     for body in sorted(scene.bodies):
         compensation = scene.read_nonzero_values("body", body, ("gravcomp",))

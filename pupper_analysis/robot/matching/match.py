@@ -232,8 +232,9 @@ class Match:
         mjcf_body: {base or joint: moved body of the MJCF}.
         guessed: {joint in the URDF: joint in the MJCF} of pairs that were matched by structure, or
             by names without affixes.
-        only_urdf: Joints that the MJCF lacks; fixed at zero for the comparison.
-        only_mjcf: Joints that the URDF lacks; fixed at zero for the comparison.
+        only_urdf: Joints that the MJCF lacks, also floating and planar joints; fixed at zero for
+            the comparison.
+        only_mjcf: Joints that the URDF lacks, also ball joints; fixed at zero for the comparison.
         notes: Diagnostics of assumptions and omissions.
         reference: Model of the MJCF with the whole scene. If the URDF lacks joints, the model of
             the robot without the scene, in which these joints are fixed at zero.

@@ -121,7 +121,8 @@ class Reference:
     def convention(self) -> MujocoConvention:
         """Return the indices of the robot's coordinates in ``qpos`` and ``qvel`` of this model.
 
-        The model may contain other bodies with joints, such as objects of a scene.
+        The model may contain other bodies with joints, such as objects of a scene. Actuators are
+        not indexed: each has the index -1.
         """
         model, joints = self.model, self.joints()
         num_free = len(joints) - len(self.joint_names)
