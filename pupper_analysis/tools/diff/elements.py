@@ -459,9 +459,9 @@ def find_changed_elements(
 ) -> Iterator[ElementDifference]:
     """Yield the changes of elements between two versions, for elements with equal names.
 
-    Elements with an equal change form one difference. Skipped are geoms that cannot collide in any
-    version, and added or removed joints, actuators, tendons and equalities, which other functions
-    report.
+    Elements with an equal change form one difference; each flag, and each element that was added or
+    removed, is a difference of its own. Skipped are geoms that cannot collide in either version,
+    and added or removed joints, actuators, tendons and equalities, which other functions report.
     """
     alike: dict[tuple[Any, ...], list[ElementKey]] = {}
     for key in dict.fromkeys((*old, *new)):
@@ -474,9 +474,10 @@ def find_changed_elements(
             if key[0] not in _TREE_ELEMENTS:
                 alike.setdefault((key[0], "", old_element is None, key), []).append(key)
             continue
+        own = (key,) if key[0] == "flag" else ()  # each flag has another meaning
         for word, (old_numbers, new_numbers) in _pair_numbers(old_element, new_element).items():
             if not _numbers_agree(old_numbers, new_numbers):
-                alike.setdefault((key[0], word, old_numbers, new_numbers), []).append(key)
+                alike.setdefault((key[0], word, old_numbers, new_numbers, *own), []).append(key)
         if (
             old_element.shape is not None
             and new_element.shape is not None
@@ -602,7 +603,7 @@ def _make_difference(
     old_element, new_element = old.get(keys[0]), new.get(keys[0])
     before = _format_value(old_element, word, new_element)
     after = _format_value(new_element, word, old_element)
-    whole = kind in ("option", "flag")  # a single element with many numbers
+    whole = kind in ("option", "flag")  # keys contains a single element
     message = diagnose(
         "mjcf-element-differs",
         subject=(kind, word if kind == "option" else names[0]),

@@ -278,3 +278,21 @@ def test_visual_shape_that_begins_to_collide_moves_the_robot(tmp_path: Path, wor
     (message,) = change.consequences
     assert message.code == "simulation-changes"
     assert message.values["higher"].value == pytest.approx(0.15, abs=0.01)
+
+
+def test_flags_that_change_equally_are_separate_changes(tmp_path: Path) -> None:
+    """Reference: the attributes of ``<flag>``. Of two disabled flags, only the first was listed."""
+    old, new = tmp_path / "old.xml", tmp_path / "new.xml"
+    text = """<mujoco>
+      <worldbody>
+        <body name="base"><freejoint/><geom size="0.1"/>
+          <body name="leg" pos="0 0 1"><joint name="hip"/><geom size="0.1"/></body></body>
+      </worldbody></mujoco>"""
+    old.write_text(text)
+    flags = '<mujoco><option><flag limit="disable" contact="disable"/></option>'
+    new.write_text(text.replace("<mujoco>", flags))
+    changes = pa.diff_models(old, new).changes
+    assert {(change.kind, change.element) for change in changes} == {
+        ("flag", "limit"),
+        ("flag", "contact"),
+    }
