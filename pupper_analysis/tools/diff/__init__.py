@@ -1,4 +1,4 @@
-"""Find what changed between two versions."""
+"""List the changes between two versions of a model, with the effects of each change."""
 
 HELP_HEADING = "Files"
 """Section of ``--help`` that lists this tool."""

@@ -70,11 +70,13 @@ class ModelChange(Result):
         new: New value, in the old link frames; None if the element was removed.
         unit: Unit of both values.
         diagnostic: Message with both values.
-        effects: {quantity: effect of this change alone}; empty for changes outside the tree without
-            simulated effect.
-        consequences: Effects of contacts, options and keyframes in a simulation.
-        old_place: File and line in the old version, if known.
-        new_place: File and line in the new version, if known.
+        effects: {quantity: effect of this change alone}; empty without an effect on the tree. For
+            contacts, options, flags and keyframes, the effect in a simulation if it is the only
+            change, else empty.
+        consequences: For contacts, options, flags and keyframes: displacement of a surface, and
+            effects in a simulation if it is the only change; else empty.
+        old_place: File and line in the old version; empty if unknown or absent.
+        new_place: File and line in the new version; empty if unknown or absent.
     """
 
     kind: str
@@ -111,8 +113,8 @@ class ModelDiff(Result):
         deviations: {quantity: relative deviation between both versions}.
         residual: {quantity: relative deviation that no change explains}.
         complete: Whether all residuals are within the tolerance.
-        combined: For two MJCFs: effects of all changes together in a simulation of the unmodified
-            files; empty if the effect is reported for the only change.
+        combined: For two MJCFs: effects of all changes together in a simulation of the files, with
+            a ground if both lack one; empty if the effect is reported for the only change.
         notes: Assumptions, and content that was left out.
     """
 
@@ -143,7 +145,7 @@ def diff_models(
 
     Equivalent descriptions (link frames, position of a hinge along the axis) are no changes.
     Collision shapes are compared by surface; in an MJCF also contact parameters, pairs, options,
-    flags and keyframes. Visual shapes and sensors are ignored.
+    flags, keyframes, motors, tendons and equalities. Visual shapes and sensors are ignored.
 
     Args:
         old: Old file, ``REVISION:PATH`` for a file in git, a variant, the name of a published
@@ -402,7 +404,7 @@ def _rename_targets(value: Any, names: Mapping[str, str]) -> Any:
 
 
 def _to_lists(value: Any) -> Any:
-    """Convert arrays and tuples in a value to lists, so that values compare with ``==``."""
+    """Convert an array or a tuple, or those in a table, to lists, so that ``==`` compares them."""
     if isinstance(value, Mapping):
         return {key: _to_lists(item) for key, item in value.items()}
     if hasattr(value, "tolist"):
@@ -444,7 +446,7 @@ def _format_value(value: Any, other: Any) -> str:
 
 _NUM_STATES = 10
 """Number of random states at which the old and the new version are compared: as many as for the
-comparison of a URDF with an MJCF."""
+comparison of a URDF with an MJCF (`attribution._NUM_STATES`). Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -513,7 +515,7 @@ class RandomStates:
             {quantity: values, shape (n, ...)}: mass matrix [kg, kg m, kg m^2], gravity [N, N m],
             bias forces minus passive forces such as damping [N, N m], CoM [m], and positions [m] in
             the world of the bodies that the joints move ("joint positions") and of the frames
-            ("foot positions").
+            ("foot positions"). Quantities without values are left out, for example without frames.
         """
         model, places, dofs = self._load_tree(values)
         data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
@@ -562,6 +564,8 @@ class RandomStates:
 
 def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
     """Return a tree with renamed joints, bodies included; names that are not listed stay.
+
+    The field ``base`` of the tree is not changed.
 
     Args:
         values: Tree.

@@ -52,7 +52,8 @@ def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
 def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:
     """Yield the old and new total mass [kg], or the first change if the mass is the same.
 
-    If the versions are the same, their mass is yielded.
+    The first change is yielded also if the old mass is 0. If the versions are the same, or no
+    change is listed, the mass is yielded.
     """
     old, new = diff.mass
     if diff.same:
@@ -68,7 +69,7 @@ def _describe_mass(diff: ModelDiff) -> Iterable[doc.Words]:
 
 
 def _list_blocks(diff: ModelDiff) -> Iterable[doc.Block]:
-    """Yield the changes with lines of the files, the combined effects and the table of torques."""
+    """Yield changes with lines of the files, combined effects, table of torques, and residual."""
     for change in diff.changes:
         yield doc.FileFinding(
             doc.diagnostic_text(change.diagnostic),
@@ -103,9 +104,12 @@ def _make_file_place(
 ) -> doc.FilePlace:
     """Create the place of a value in a file, with the quoted line or else the value.
 
+    Without a value, a dash replaces the line.
+
     Args:
         file: Version of the model.
-        place: Path and line as text; empty if the file does not contain the value.
+        place: Path and line as text; empty if the file does not contain the value, or if its line
+            is unknown.
         values: Value in this version and in the other version.
         unit: Unit of both.
     """
@@ -145,7 +149,7 @@ def _format_percent(old: float, new: float) -> str:
 
 
 def _tabulate_torques(diff: ModelDiff) -> Iterable[doc.Block]:
-    """Yield a table of the gravity torques [N m, N] that have changed, or a line if none has.
+    """Yield a table of the changed gravity torques [N m, N], or a line if no row is left.
 
     A row per joint has old and new torque and the change in percent. Changes of up to
     `_MIN_RELATIVE_CHANGE` are left out.

@@ -230,14 +230,14 @@ ENABLED_WORD: Final = "enabled"
 DISABLE_BITS: Final = tuple(
     bit for bit in mujoco.mjtDisableBit.__members__.values() if bit.name.startswith("mjDSBL_")
 )
-"""MuJoCo's disable flags. Each stands for a feature that is on by default; the comparison of two
-MJCFs includes all of them."""
+"""MuJoCo's disable flags. Each disables a feature that is on by default; the comparison of two
+MJCFs includes all flags."""
 
 ENABLE_BITS: Final = tuple(
     bit for bit in mujoco.mjtEnableBit.__members__.values() if bit.name.startswith("mjENBL_")
 )
-"""MuJoCo's enable flags. Each stands for a feature that is off by default; the comparison of two
-MJCFs includes all of them."""
+"""MuJoCo's enable flags. Each enables a feature that is off by default; the comparison of two MJCFs
+includes all flags."""
 
 
 def get_flag_name(bit: Any) -> str:
@@ -254,7 +254,7 @@ def has_flag(model: mujoco.MjModel, bit: Any) -> bool:
 
 MIN_FELT_MOTION = 1e-4
 """Difference of a simulated coordinate [m, rad] between two versions, within `SIMULATION_SECONDS`,
-from which the change is reported as having an effect. A stand is settled to 1e-5. Chosen, not
+above which the change is reported as having an effect. A stand is settled to 1e-5. Chosen, not
 tuned."""
 
 SIMULATION_SECONDS = 2.0
@@ -291,7 +291,8 @@ class ElementDifference(Difference):
     """Equal change in one or more elements, or an element that was added or removed.
 
     Attributes:
-        consequences: Effects in a simulation.
+        consequences: Displacement of a surface, and effects in a simulation if this is the only
+            change.
         places: Place of the first element in both files; None if missing.
     """
 
@@ -302,7 +303,8 @@ class ElementDifference(Difference):
 def measure_surface_distance(first_shape: Shape, second_shape: Shape) -> float:
     """Compute the largest distance [m] between the surfaces of two shapes (convex hulls).
 
-    The outermost points of both shapes along each of `COMPARISON_DIRECTIONS` are compared. If the
+    The extents of both shapes along each of `COMPARISON_DIRECTIONS` are compared (support
+    functions). If the
     extent of a shape is unknown (planes, missing meshes), the distance is 0 for equal kind, pose
     and size within `SURFACE_ATOL`, otherwise infinite.
     """
@@ -335,8 +337,8 @@ def match_elements(
     """Return the new elements under the names of the old elements to which they correspond.
 
     Geoms with equal names correspond. Other geoms of a body are matched if they agree in all
-    values, then in shape, then in order, so that a different order in the file is no change. Geoms
-    without a match get an unused number if the name is taken.
+    values, then in shape, then in order if both can collide or both cannot, so that a different
+    order in the file is no change. Geoms without a match get an unused number if the name is taken.
 
     Args:
         old: Elements of the old file.
@@ -509,7 +511,8 @@ _COMPILER_ATTRIBUTES: Final = {
         )
     },
 }
-"""{field of MuJoCo's spec: attribute of ``<compiler>``}."""
+"""{field of the compiler in MuJoCo's spec: attribute of ``<compiler>``} of the settings that are
+compared."""
 
 
 def find_changed_compiler_settings(old: MjcfFile, new: MjcfFile) -> Iterator[ElementDifference]:
@@ -563,8 +566,8 @@ def _format_setting(name: str, value: Any, other: Any) -> str:
 
 
 _TREE_ELEMENTS: Final = ("joint", "actuator", "tendon", "equality")
-"""Tags of MJCF elements whose addition or removal the comparison of the multibody trees reports, so
-that the comparison of elements does not."""
+"""Tags of MJCF elements whose addition or removal is reported by the comparison of the joints, or
+of the values outside the tree, and not by the comparison of elements."""
 
 
 def _make_shape_key(old_shape: Shape, new_shape: Shape) -> tuple[object, ...]:
@@ -579,7 +582,7 @@ def _make_shape_key(old_shape: Shape, new_shape: Shape) -> tuple[object, ...]:
 
 
 def _numbers_agree(first: ParameterValues, second: ParameterValues) -> bool:
-    """Return True if two lists of numbers are equal within `NUMBER_RTOL`."""
+    """Return True if two lists of numbers are equal within `NUMBER_RTOL`, or 1e-12."""
     return len(first) == len(second) and np.allclose(first, second, rtol=NUMBER_RTOL, atol=1e-12)
 
 
@@ -706,7 +709,8 @@ class _SimulatedRun:
 
     Attributes:
         seconds: Duration [s].
-        qpos: Positions of the selected joints, shape (samples, n) [m, rad]; NaN after divergence.
+        qpos: Positions of the selected joints, shape (samples, n) [m, rad, quaternion]; NaN after
+            divergence.
         slid: Whether each coordinate is a length, shape (n,).
         com: Height of the CoM of the moving bodies in the trees of the selected joints, shape
             (samples,) [m].
@@ -788,8 +792,9 @@ class SimulatedPair:
 
         Returns:
             {quantity: largest difference of a joint coordinate [m, rad]}, and messages. Both are
-            empty if the models have no common joint; if ``explained`` is False, also if the
-            compiled models are equal, the motions agree, or rounding errors can cause the effects.
+            empty if the models have no common joint, or their states have different sizes; if
+            ``explained`` is False, also if the compiled models are equal, the motions agree, or
+            rounding errors can cause the effects.
         """
         old, new = self.old, self.new
         if not self._common_joints or (
