@@ -128,8 +128,9 @@ def farthest_by_linear_programs(
 ) -> float:
     """Return the largest ``direction @ com`` [m] in equilibrium within the limits of the motors.
 
-    -inf without equilibrium. HiGHS solves linear programs. Tangent planes of the friction cones are added until no cone is
-    violated by more than 1e-9 of the weight. Points, Jacobians and loads are those of MuJoCo.
+    -inf without equilibrium. HiGHS solves linear programs. Tangent planes of the friction cones are
+    added until no cone is violated by more than 1e-9 of the weight. Points, Jacobians and loads are
+    those of MuJoCo.
     """
     robot, names = config.robot, list(normals)
     model = robot.mj_model
