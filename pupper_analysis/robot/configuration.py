@@ -413,6 +413,8 @@ class Configuration(Pictured):
 
     def com_jacobian(self) -> Array:
         """Return the Jacobian (3, nv) of the CoM; J qvel is the velocity of the CoM [m/s]."""
+        if self._structure.fixed == 1:  # the moving links have no mass
+            return np.zeros((3, self._structure.nv))
         moving = pin.jacobianCenterOfMass(self._model, self._data, self._q)
         jacobian: Array = (1 - self._structure.fixed) * self._structure.sort_columns(moving)
         return jacobian
@@ -705,6 +707,8 @@ class Configuration(Pictured):
             ConfigurationError: If the vector has a wrong length, or a value is not finite.
         """
         workspace = self._compute_accelerations(qacc)
+        if self._structure.fixed == 1:  # the moving links have no mass
+            return np.zeros(3)
         pin.centerOfMass(self._model, workspace.data, pin.ACCELERATION, False)
         moving: Array = np.array(workspace.data.acom[0])
         return (1 - self._structure.fixed) * moving

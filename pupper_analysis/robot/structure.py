@@ -160,6 +160,8 @@ class Structure:
         """
         if not self.fixed:
             return moving
+        if self.fixed == 1:  # the moving links have no mass, and Pinocchio returns NaN
+            return self.lever.copy()
         com: Array = moving + self.fixed * (self.lever - moving)
         return com
 

@@ -1,6 +1,8 @@
 """Kinematics and dynamics: finite differences, conservation laws, and MuJoCo as second engine."""
 
+import re
 from collections.abc import Callable
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -9,6 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
+from pupper_analysis.robot.structure import Kinematics
+from tests.support.arm import MJCF, URDF, load_arm
 from tests.support.engines import (
     addresses,
     differentiate_along,
@@ -397,3 +401,20 @@ def test_forces_and_accelerations_of_a_wrong_size_or_not_finite_are_refused() ->
         config.forward_dynamics(np.zeros(12))
     with pytest.raises(pa.ConfigurationError, match=r"qacc.*element 3"):
         config.imu(np.where(np.arange(18) == 3, np.nan, 0.0))
+
+
+def test_com_of_a_fixed_base_with_massless_links_is_that_of_the_base(tmp_path: Path) -> None:
+    """Closed form: the base has the only mass, 3 kg at (0.1, 0, 0) m, and does not move."""
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    base = f'<inertial><origin xyz="0.1 0 0"/><mass value="3"/>{inertia}</inertial>'
+    urdf = re.sub(r"<inertial>.*?</inertial>", "", URDF)
+    urdf = urdf.replace('<link name="base"/>', f'<link name="base">{base}</link>')
+    mjcf = MJCF.replace('damping="2"', 'damping="2" armature="0.1"')
+    robot = load_arm(tmp_path, urdf=urdf, mjcf=mjcf)
+    config = pa.Configuration(robot, robot.home, np.ones(robot.nv))
+    np.testing.assert_allclose(config.center_of_mass(), (0.1, 0.0, 0.0), atol=1e-15)
+    assert not config.com_jacobian().any()
+    assert not config.com_acceleration(np.ones(robot.nv)).any()
+    kinematics = Kinematics(robot.structure)
+    kinematics.update(robot.home)
+    np.testing.assert_allclose(kinematics.com, (0.1, 0.0, 0.0), atol=1e-15)
