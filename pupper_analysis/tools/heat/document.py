@@ -90,8 +90,8 @@ def _format_minutes(seconds: float) -> str:
 def _describe_first_motor(motor: MotorHeat) -> doc.Words:
     """State the result of the motor that the report names first.
 
-    If the motor is too weak, this is the largest torque of the motor. If the final temperature is
-    unknown, this is the comparison with the continuous torque. Otherwise this is the time to the
+    If the motor is too weak, this is the largest torque of the motor. If the final temperature or
+    the limit is unknown, this is the comparison with the continuous torque. Otherwise this is the time to the
     temperature limit, or the final temperature, or a temperature that rises without bound.
     """
     time, final = motor.time_to_limit, motor.steady_temperature
@@ -111,7 +111,8 @@ def _describe_first_motor(motor: MotorHeat) -> doc.Words:
             )
         )
     permanent = motor.continuous_torque
-    if final is None and permanent is not None:  # a number of the data sheet
+    is_limit_unknown = motor.limit_temperature is None and final is not None and final < math.inf
+    if (final is None or is_limit_unknown) and permanent is not None:  # from the data sheet
         key = "heat-above-rating" if motor.overheats else "heat-within-rating"
         return text(key, motor=doc.Name(motor.motor), rating=f"{permanent:.3g}", **values)
     limit = "" if motor.limit_temperature is None else f"{motor.limit_temperature:.3g}"

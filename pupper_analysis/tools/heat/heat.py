@@ -104,16 +104,18 @@ class MotorHeat(Result):
     def overheats(self) -> bool:
         """Whether the winding reaches the temperature limit, or grows hotter without bound.
 
-        Without known temperatures, whether the torque exceeds the continuous torque of the data
-        sheet. False for a motor that cannot exert the torque.
+        If the final temperature or the limit is unknown, also whether the torque exceeds the
+        continuous torque of the data sheet. False for a motor that cannot exert the torque.
         """
         if self.too_weak:
             return False
-        if self.steady_temperature is None:
+        if self.time_to_limit is None:
             permanent = self.continuous_torque
-            return permanent is not None and abs(self.torque) > permanent
+            if permanent is not None and abs(self.torque) > permanent:
+                return True
         reached = self.time_to_limit is not None and math.isfinite(self.time_to_limit)
-        return reached or math.isinf(self.steady_temperature)
+        final = self.steady_temperature
+        return reached or (final is not None and math.isinf(final))
 
 
 @dataclass(frozen=True, eq=False)

@@ -164,6 +164,30 @@ def test_data_sheet_decides_if_thermal_numbers_are_unknown() -> None:
     assert not make_study(motor, ambient=40.0).known  # the data sheet has another temperature
 
 
+@pytest.mark.slow
+def test_data_sheet_decides_if_only_the_limit_temperature_is_unknown() -> None:
+    """Reference: the continuous torque of the data sheet, compared with the statics (0.47 N m)."""
+    motor = Motor(
+        *("rated", "bench"),
+        output_torque_constant=0.4,
+        resistance=2.0,
+        resistance_temperature=25.0,
+        resistance_rise=0.00393,
+        winding_resistance=3.0,
+        winding_capacity=20.0,
+        ambient_temperature=25.0,
+        supply_voltage=24.0,
+        continuous_torque=0.4,
+    )
+    study = make_study(motor)
+    assert study.first.steady_temperature is not None
+    assert study.first.limit_temperature is None
+    assert study.first.overheats
+    assert not study.passed
+    assert "permanently; the data sheet" in heat_document(study).failures[0].en
+    assert make_study(replace(motor, continuous_torque=1.0)).passed
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
