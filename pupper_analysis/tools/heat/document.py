@@ -91,8 +91,9 @@ def _describe_first_motor(motor: MotorHeat) -> doc.Words:
     """State the result of the motor that the report names first.
 
     If the motor is too weak, this is the largest torque of the motor. If the final temperature or
-    the limit is unknown, this is the comparison with the continuous torque. Otherwise this is the time to the
-    temperature limit, or the final temperature, or a temperature that rises without bound.
+    the limit is unknown, this is the comparison with the continuous torque, if known. Otherwise
+    this is the time to the temperature limit, or the final temperature, or a temperature that rises
+    without bound.
     """
     time, final = motor.time_to_limit, motor.steady_temperature
     values = {

@@ -154,21 +154,22 @@ class HeatStudy(Result):
     def first(self) -> MotorHeat:
         """Motor that reaches its limit first; if none does, the motor closest to its limit.
 
-        A motor that cannot exert its torque precedes all others. A motor that grows hotter without
-        bound, with an unknown limit, precedes motors that stay below theirs. Motors with an unknown
-        temperature or limit follow, ordered by copper loss.
+        A motor that cannot exert its torque precedes all others. A motor that overheats at an
+        unknown time, without a known limit or by the data sheet, precedes motors that do not
+        overheat. Motors with an unknown temperature or limit follow, ordered by copper loss.
         """
 
         def rank(motor: MotorHeat) -> tuple[float, float, float, float]:
             """Return a key that is smallest for the motor that is stated first."""
             if motor.too_weak:
                 return -abs(motor.torque) / (motor.largest_torque or 1.0), 0.0, 0.0, 0.0
+            group = 0.0 if motor.overheats else 1.0
             time = math.inf if motor.time_to_limit is None else motor.time_to_limit
             final, limit = motor.steady_temperature, motor.limit_temperature
             margin = math.inf if final is None or limit is None else limit - final
             if final is not None and math.isinf(final):  # also if the limit is unknown
                 margin = -math.inf
-            return 0.0, time, margin, -(motor.cold_loss or 0.0)
+            return group, time, margin, -(motor.cold_loss or 0.0)
 
         return min(self.motors, key=rank)
 

@@ -248,7 +248,7 @@ def test_bad_words_end_with_exit_status_2(tmp_path: Path) -> None:
     assert "resistance: 2 rpm: rpm is not a unit" in bad.stderr
 
 
-def test_motor_without_limit_that_runs_away_precedes_others() -> None:
+def test_motor_that_overheats_at_an_unknown_time_precedes_cool_motors() -> None:
     """Reference: equations of the thermal node; 1/R_th < i^2 R alpha gives no final temperature."""
     bare = {"continuous_torque": None, "unknown": (), "current": 1.0, "steady_loss": 1.0}
     bare |= {"largest_torque": None, "limiting_number": ""}
@@ -269,6 +269,8 @@ def test_motor_without_limit_that_runs_away_precedes_others() -> None:
         times=np.zeros(1), temperatures=np.zeros((1, 3)),
     )  # fmt: skip
     assert study.first is hot
+    rated = replace(unknown, joint="rated", torque=2.0, continuous_torque=1.5)
+    assert replace(study, motors=(cool, unknown, rated)).first is rated
 
 
 @pytest.mark.slow
