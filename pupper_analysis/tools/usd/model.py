@@ -619,7 +619,7 @@ class _JointForest:
         self.order: list[str] = []
         self._parents: dict[str, tuple[str, Edge]] = {}
         self._sizes: dict[str, int] = {}
-        self._used: set[str] = {edge.name for edge in self._world_edges.values()}
+        self._used: set[str] = set()
         for root in sorted(bodies, key=self._rank_root):
             if root not in self.order:
                 self._grow_tree(root)
@@ -643,6 +643,8 @@ class _JointForest:
     def _grow_tree(self, root: str) -> None:
         """Add the tree of all bodies that are reachable from a root, breadth first."""
         tree = [root]
+        if root in self._world_edges:
+            self._used.add(self._world_edges[root].name)
         for body in tree:
             for edge in self._adjacent_edges[body]:
                 neighbour = edge.bodies[1] if edge.bodies[0] == body else edge.bodies[0]

@@ -167,6 +167,25 @@ def test_fixed_joint_to_the_world_fixes_the_base(tmp_path: Path) -> None:
     assert not mine.loops
 
 
+def test_second_joint_to_the_world_closes_a_loop(tmp_path: Path) -> None:
+    """The base is fixed to the world; the shank is a descendant of the base."""
+    joints = """def PhysicsFixedJoint "root"
+        {
+            rel physics:body1 = </leg/base>
+        }
+
+        def PhysicsSphericalJoint "tether"
+        {
+            rel physics:body1 = </leg/base/thigh/shank>
+        }
+
+        def PhysicsFixedJoint "ankle\""""
+    mine = model(usd.write(tmp_path, ('def PhysicsFixedJoint "ankle"', joints)))
+    assert mine.base == "base"
+    assert not mine.floating
+    assert [edge.name for edge in mine.loops] == ["tether"]
+
+
 def test_hinge_at_the_world_is_the_first_joint_of_its_tree(tmp_path: Path) -> None:
     mine = model(
         usd.write(
