@@ -7,6 +7,7 @@ quantities that the new format cannot express.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +23,13 @@ from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.base.units import DOWNWARD_GRAVITY, select_joint_units
 from pupper_analysis.models.additions import Addition, Ball, Floor, StartKeyframe, apply_additions
-from pupper_analysis.models.attributes import FLOOR_NAME, HOME_KEYFRAME, IMU_SENSORS, AttributeValue
+from pupper_analysis.models.attributes import (
+    FLOOR_NAME,
+    HOME_KEYFRAME,
+    IMU_SENSORS,
+    AttributeValue,
+    known_limit,
+)
 from pupper_analysis.models.mjcf import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.stated.mjcf import (
@@ -274,19 +281,22 @@ def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
 def _list_losses_in_mjcf(urdf: UrdfFile) -> list[Diagnostic]:
     """Return messages on the parts of a URDF that the new MJCF does not contain, with numbers.
 
-    These are velocity limits, textures, children of ``<robot>`` with other tags than
+    These are stated velocity limits, textures, children of ``<robot>`` with other tags than
     `_CONVERTED_TAGS`, and children of ``<joint>`` with the tags `_LOST_JOINT_TAGS`.
     """
     losses = []
-    speeds = [
-        float(limit.get("velocity"))
-        for joint in urdf.tree.joints.values()
-        for limit in joint.element.findall("limit")
-        if not joint.is_fixed and float(limit.get("velocity")) != 0
-    ]
-    if speeds:
-        limits = describe_span(speeds, "rad/s")
-        losses.append(diagnose("velocity-limits-left", count=len(speeds), limits=limits))
+    for are_slides in (False, True):
+        speeds = [
+            float(limit.get("velocity"))
+            for joint in urdf.tree.joints.values()
+            if not joint.is_fixed and (joint.kind == "prismatic") == are_slides
+            for limit in joint.element.findall("limit")
+            if float(limit.get("velocity")) != 0
+            and math.isfinite(known_limit(float(limit.get("velocity"))))
+        ]
+        if speeds:
+            limits = describe_span(speeds, select_joint_units(slides=are_slides).velocity)
+            losses.append(diagnose("velocity-limits-left", count=len(speeds), limits=limits))
     textured = len(list(urdf.root.iter("texture")))
     if textured:
         losses.append(diagnose("textures-left", count=textured))

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -740,6 +741,21 @@ def test_two_robots_in_one_mjcf_are_both_named(tmp_path: Path) -> None:
     path.write_text(f"<mujoco><worldbody>{arms}</worldbody></mujoco>")
     with pytest.raises(pa.ModelError, match=r"'left/base' with 1 .*'right/base' with 1 "):
         pa.convert_model(path, tmp_path / "two.urdf")
+
+
+def test_only_stated_velocity_limits_are_lost(tmp_path: Path) -> None:
+    """Reference: the text of the URDF, with and without ``velocity``."""
+    text = urdf_text(arm(), ())
+    assert text.count('velocity="') == 3
+    bare = re.sub(r' velocity="[^"]*"', "", text)
+    stated = bare.replace('upper="0.3"', 'upper="0.3" velocity="0.2"')
+    assert stated != bare
+    for name, source, expected in (("bare", bare, []), ("stated", stated, ["0.2 m/s"])):
+        path = tmp_path / f"{name}.urdf"
+        path.write_text(source)
+        lost = map(str, convert_file(path, f"{name}.xml")[1].not_converted)
+        limits = [line for line in lost if line.startswith("velocity limits")]
+        assert [line.partition("(")[2].partition(")")[0] for line in limits] == expected
 
 
 def test_joint_properties_of_a_urdf_are_kept(tmp_path: Path) -> None:
