@@ -198,6 +198,7 @@ class SpecTree:
         body = self.spec.body(link)
         if not body.explicitinertial and list(body.geoms):
             raise ValueError(f"the inertia of {link} follows from its geoms")
+        self._clear_cache()
         body.inertia = factor * np.array(body.inertia)
         body.fullinertia = factor * np.array(body.fullinertia)
 
@@ -207,6 +208,7 @@ class SpecTree:
         The inertia about the CoM is unchanged. An inertia from geoms becomes explicit.
         """
         body = self.spec.body(link)
+        self._clear_cache()
         if not body.explicitinertial:
             self.spec.adopt_inertial(body)
         body.ipos = np.array(body.ipos) + offset
