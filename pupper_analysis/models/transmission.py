@@ -323,9 +323,13 @@ first of these types is that of the joint."""
 
 
 def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:
-    """Return the type of an actuator at a hinge, slide or tendon, from its force law."""
+    """Return the type of an actuator at a hinge, slide or tendon, from its force law.
+
+    A ``dcmotor`` at a tendon is of type ``OTHER``.
+    """
     if model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_DCMOTOR.value:
-        return Drive.OTHER if _depends_on_position(model, motor) else Drive.FORCE
+        at_joint = is_at_one_joint(model, motor)
+        return Drive.FORCE if at_joint and not _depends_on_position(model, motor) else Drive.OTHER
     if model.actuator_gaintype[motor] != mujoco.mjtGain.mjGAIN_FIXED.value:
         return Drive.OTHER
     if model.actuator_biastype[motor] not in (
