@@ -14,6 +14,7 @@ import numpy as np
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.motors.motor import Motor
+from pupper_analysis.models.transmission import actuator_gear
 
 
 def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> Motor:
@@ -44,7 +45,7 @@ def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> 
         source=source,
         torque_constant=float(gain[1]),
         resistance=float(gain[0]),
-        gear_ratio=float(abs(model.actuator_gear[actuator, 0])),
+        gear_ratio=float(abs(actuator_gear(model, actuator)[0])),
         gear_efficiency=1.0,
         resistance_rise=float(gain[2]) if heats else None,
         resistance_temperature=float(gain[3]) if heats else None,

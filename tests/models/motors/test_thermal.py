@@ -204,6 +204,18 @@ def test_energy_of_a_simulated_motor_is_balanced() -> None:
     assert copper > 0.1 * electrical
 
 
+def test_gear_of_a_motor_after_an_actuator_with_several_outputs_is_its_own() -> None:
+    """The array of gears has a row per output. Reference: the stated gear."""
+    model = mujoco.MjModel.from_xml_string("""
+    <mujoco><worldbody><body><joint name="j"/><geom size="0.1"/>
+    <body><joint name="ball" type="ball"/><geom size="0.1"/></body></body></worldbody>
+    <actuator>
+    <general joint="ball" gaintype="so3" biastype="so3" gainprm="1" biasprm="0 -1 0"/>
+    <dcmotor joint="j" motorconst="0.1" resistance="1" gear="7"/>
+    </actuator></mujoco>""")
+    assert list_dcmotors(model, "bench")["j"].gear_ratio == 7.0
+
+
 def test_motors_with_several_controls_or_none_are_all_read() -> None:
     """Indices of actuators are no indices of controls. Reference: the stated motor constants."""
     inputs = {"pos vel": None, "none": None, "voltage": 12.0, "pos": None}
