@@ -64,11 +64,18 @@ _SITE_FIELDS: Final = ("type", "size", "pos", "quat", "group", "rgba")
 """Fields of a site that are copied from the arrays ``site_`` of the model."""
 
 _ACTUATOR_FIELDS: Final = (
-    *("gaintype", "biastype", "dyntype", "gainprm", "biasprm", "dynprm", "trntype", "gear"),
-    *("ctrlrange", "forcerange", "actrange", "ctrllimited", "forcelimited", "actlimited"),
-    *("actearly", "cranklength", "group", "armature", "ctrlspec", "delay", "lengthrange"),
+    *("gaintype", "biastype", "dyntype", "gainprm", "biasprm", "dynprm", "trntype"),
+    *("forcerange", "actrange", "forcelimited", "actlimited"),
+    *("actearly", "cranklength", "group", "armature", "ctrlspec", "delay"),
 )
-"""Fields of an actuator that are copied from the arrays ``actuator_`` of the model."""
+"""Fields of an actuator that are copied from the arrays ``actuator_`` of the model with a row per
+actuator."""
+
+_CONTROL_FIELDS: Final = ("ctrlrange", "ctrllimited")
+"""Fields of an actuator that are copied from the arrays ``actuator_`` with a row per control."""
+
+_OUTPUT_FIELDS: Final = ("gear", "lengthrange")
+"""Fields of an actuator that are copied from the arrays ``actuator_`` with a row per output."""
 
 _TENDON_FIELDS: Final = {
     **{name: name for name in ("range", "limited", "actfrcrange", "actfrclimited", "margin")},
@@ -318,9 +325,11 @@ class _SpecWriter:
         }
         for index in range(model.nactuator):
             actuator = self.spec.add_actuator(name=self._names["actuator", index])
-            _copy_fields(
-                actuator, model, "actuator", index, {name: name for name in _ACTUATOR_FIELDS}
-            )
+            rows = [(index, _ACTUATOR_FIELDS), (int(model.actuator_outadr[index]), _OUTPUT_FIELDS)]
+            if model.actuator_ctrlnum[index]:  # the first control and the first output
+                rows.append((int(model.actuator_ctrladr[index]), _CONTROL_FIELDS))
+            for row, names in rows:
+                _copy_fields(actuator, model, "actuator", row, {name: name for name in names})
             actuator.damping = _with_polynomial(
                 model.actuator_damping, model.actuator_dampingpoly, index
             )

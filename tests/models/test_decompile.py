@@ -143,6 +143,21 @@ def test_bodies_without_name_get_names_and_geoms_do_not() -> None:
     assert [geom.name for geom in spec.geoms] == ["floor", "round", "", "tip", "", ""]
 
 
+@pytest.mark.parametrize("kind", ["none", "pos vel", "voltage"])
+def test_actuators_with_several_controls_or_none_are_reproduced(kind: str) -> None:
+    """Indices of actuators are no indices of controls."""
+    model = mujoco.MjModel.from_xml_string(f"""
+    <mujoco><worldbody><body name="a"><joint name="j"/><geom size="0.1"/>
+    <body name="b"><joint name="k"/><geom size="0.1"/></body></body></worldbody>
+    <actuator>
+    <dcmotor name="m" joint="j" motorconst="0.1" resistance="1" input="{kind}"/>
+    <position name="p" joint="k" kp="5" gear="3" ctrlrange="-1 1"/>
+    </actuator></mujoco>""")
+    made = make_spec_of_model(model, "model").compile()
+    np.testing.assert_array_equal(made.actuator_ctrlrange, model.actuator_ctrlrange)
+    np.testing.assert_array_equal(made.actuator_gear, model.actuator_gear)
+
+
 def test_model_without_names_is_refused() -> None:
     text = "<mujoco><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>"
     with pytest.raises(pa.ModelError, match="name"):
