@@ -27,8 +27,9 @@ def test_inertia_is_read_again_after_an_edit() -> None:
     before = edited.read_inertia("base")
     edited.scale_inertia("base", 2.0)
     np.testing.assert_allclose(edited.read_inertia("base").inertia, 2 * before.inertia, rtol=1e-9)
-    edited.move_com("base", np.array([0.01, 0.0, 0.0]))
-    np.testing.assert_allclose(edited.read_inertia("base").lever, before.lever + (0.01, 0.0, 0.0))
+    offset = np.array([0.01, 0.0, 0.0])
+    edited.move_com("base", offset)
+    np.testing.assert_allclose(edited.read_inertia("base").lever, before.lever + offset)
 
 
 def test_scaling_an_inertia_from_geoms_raises() -> None:
