@@ -102,8 +102,8 @@ state: BADQPOS, BADQVEL and BADQACC."""
 def nudge_velocity(model: mujoco.MjModel) -> Array:
     """Return a nudge: pseudo-random velocities of base and joints, shape (nv,) [m/s, rad/s].
 
-    The absolute values are at most ``NUDGE_SPEED``. A random vector excites all modes; its seed is
-    constant, so that results are repeatable.
+    The absolute values are at most ``NUDGE_SPEED``. The vector is random, so that no mode is left
+    out by symmetry. Its seed is constant, so that results are repeatable.
     """
     nudge = np.random.default_rng(0).uniform(-1.0, 1.0, model.nv)
     return np.asarray(NUDGE_SPEED * nudge / np.abs(nudge).max(initial=0.5))

@@ -257,8 +257,8 @@ class Robot(EngineModels):
         base: Name of the base link (URDF).
         mj_base: Name of the base body (MJCF).
         joint_names: Joints in actuator order.
-        contact_points: Contact points of feet and hands; the keys of all dictionaries of contact
-            forces. A spherical foot has a single contact point with the name of the foot.
+        contact_points: Contact points of feet and hands; keys of dictionaries of contact forces. A
+            spherical foot has a single contact point with the name of the foot.
         feet: {foot or hand: contact points}, hands last; a flat foot has several on the same body.
         contact_frames: {contact point: frame in the URDF}.
         contact_places: {contact point: (body id in ``mj_model``, centre (3,) [m] of the sphere in
@@ -880,7 +880,7 @@ largest moment of the body; a body with a larger magnitude is refused. Chosen, n
 def _check_bodies(robot: Robot) -> None:
     """Raise a ModelError if a moving body of the URDF has a negative mass or moment of inertia.
 
-    `Robot.check_bodies` calls this function once per robot.
+    `Robot.check_bodies` does not call this function again for a robot that has passed.
     """
     model = robot.pin_model
     for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):

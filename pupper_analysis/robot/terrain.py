@@ -54,7 +54,8 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
             for rigid ground; determines the positions of the steps.
 
     Raises:
-        ModelError: If the MJCF has not enough unused bits of ``contype``.
+        ModelError: If the MJCF has not enough unused bits of ``contype``, or the model cannot be
+            built.
     """
     if ground.is_level and not robot.fixed_parts:
         return robot
