@@ -346,12 +346,14 @@ def resolve_servo_gains(
 def command_ranges(robot: Robot) -> Array:
     """Return the ranges of servo commands, shape (nu, 2) [rad, m].
 
-    MuJoCo clips the command of a servo to the ``ctrlrange``, unless the flag ``clampctrl`` is
-    disabled; the flag is ignored here. The range is infinite for a servo without ``ctrlrange``, a
-    torque motor that is driven as a servo, and a joint without motor.
+    MuJoCo clips the command of a servo to the ``ctrlrange``, unless the MJCF disables the flag
+    ``clampctrl``. The range is infinite for a servo that MuJoCo does not clip, a torque motor that
+    is driven as a servo, and a joint without motor.
     """
     model, actuators = robot.mj_model, robot.mj_convention.actuator_index
     ranges = np.tile((-math.inf, math.inf), (robot.nu, 1))
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL.value:
+        return ranges
     driven = np.flatnonzero(actuators >= 0)
     _, _, gear, servo = _read_actuator_gains(model, actuators[driven])
     controls = model.actuator_ctrladr[actuators[driven]]

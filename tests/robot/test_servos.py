@@ -19,11 +19,13 @@ from pupper_analysis import cli
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.servos import (
+    command_ranges,
     model_with_servos,
     with_options,
     write_position_servos,
 )
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
+from tests.support.arm import MJCF, STIFFNESS, load_arm
 from tests.support.engines import change_model, evaluate_mujoco
 from tests.support.legged import Pair, quadruped, rewrite_file
 from tests.support.variants import load, stand_of
@@ -382,3 +384,19 @@ def test_rewritten_servo_with_a_filter_follows_its_control() -> None:
         angles.append(float(data.qpos[0]))
     assert angles[0] == pytest.approx(angles[1], abs=1e-12)
     assert angles[0] == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize("clamped", [True, False])
+def test_command_range_is_that_to_which_mujoco_clips(tmp_path: Path, *, clamped: bool) -> None:
+    """Reference: MuJoCo's actuator force for a command of 2 rad beyond the ``ctrlrange``."""
+    mjcf = MJCF.replace('<position joint="shoulder"', '<position joint="shoulder" ctrlrange="-1 1"')
+    flag = "" if clamped else '<flag clampctrl="disable"/>'
+    mjcf = mjcf.replace('integrator="implicitfast"/>', f'integrator="implicitfast">{flag}</option>')
+    robot = load_arm(tmp_path, mjcf=mjcf)
+    joint = robot.joint_names.index("shoulder")
+    high = command_ranges(robot)[joint, 1]
+    data = mujoco.MjData(robot.mj_model)
+    actuator = robot.mj_convention.actuator_index[joint]
+    data.ctrl[robot.mj_model.actuator_ctrladr[actuator]] = 3.0
+    mujoco.mj_forward(robot.mj_model, data)
+    assert data.actuator_force[actuator] == pytest.approx(STIFFNESS["shoulder"] * min(3.0, high))
