@@ -1,9 +1,10 @@
 """Access control of the page server.
 
 Any web page can connect to a server on the same machine, also under a host name of its own that it
-directs there (DNS rebinding). Therefore a request must name a server that only this machine can
-reach by a known name. If other machines can reach the server, any name is accepted, but a request
-must contain a token. In both cases an origin, if stated, must be the server's own page.
+directs there (DNS rebinding). Therefore, if only this machine can reach the server, a request must
+contain a known host name. If other machines can reach the server, any host name is accepted, but a
+request must contain a token, except for assets of the page. In both cases an origin, if stated,
+must be the server's own page.
 """
 
 from __future__ import annotations
@@ -102,7 +103,7 @@ def _parse_host_name(host: str) -> str:
 
 
 def strip_folders(text: str) -> str:
-    """Return a text in which absolute paths are replaced by their file names.
+    """Return a text in which absolute paths without spaces are replaced by their file names.
 
     Errors contain paths on the server, which the user of a page should not see.
     """

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 PYTHON_THRESHOLDS = 700, 10, 10
 """Arguments of `gc.set_threshold` while the page runs: new objects before a collection of
-generation 0, and collections of generations 0 and 1 before a collection of the next generation.
-Python's defaults, which replace `cli.GC_THRESHOLDS` because the page runs for hours."""
+generation 0, and collections of generations 0 and 1 before a collection of the next generation. The
+defaults of Python up to 3.12, which replace `cli.GC_THRESHOLDS` because the page runs for hours."""
 
 _ROBOT_OPTIONS = frozenset(("words", *(one.name for one in fields(RobotOptions))))
 """Names of the command's parameters that all modes accept: files and options of the robot."""
@@ -122,7 +122,7 @@ def command(
     headless: bool,
     fixed_base: bool,
 ) -> None:
-    """Open a page with sliders for a stance; it shows torques, contact forces and sag.
+    """Open a page with sliders for a stance, which shows torques, contact forces and sag.
 
     ROBOT is a variant (v3 by default), a URDF, an MJCF, or a URDF and an MJCF. Each browser that
     opens the page has a separate session.
@@ -141,7 +141,8 @@ def command(
       pupper-analysis live long-leg --mujoco --fixed-base
       pupper-analysis live go2.urdf --drop --headless
 
-    Exit status: 0 the robot stands, 1 the robot does not stand, 130 ended by Ctrl-C, 2 bad input.
+    Exit status: 0 done, with --drop the robot stands, 1 with --drop the robot does not stand, or
+    its files contradict the result or lack masses, 130 ended by Ctrl-C, 2 bad input.
     """  # noqa: D301 - click reads the \b
     modes = {"--mujoco": viewer, "--drop": dropped, "--policy": policy is not None}
     mode = next((name for name, chosen in modes.items() if chosen), "the page")
@@ -247,7 +248,7 @@ def _open_walk(
 
 
 def _serve(page: ServedPage, host: str, *, browser: bool) -> None:
-    """Print the address of a page, and serve the page until Ctrl-C."""
+    """Print the address of a page, warn if other machines can reach it, and serve until Ctrl-C."""
     from pupper_analysis.tools.live.access import is_loopback
     from pupper_analysis.tools.live.server import serve
 
@@ -263,7 +264,7 @@ def _serve(page: ServedPage, host: str, *, browser: bool) -> None:
 
 
 def restore_garbage_collection() -> None:
-    """Restore Python's default thresholds of garbage collection, and exempt all present objects.
+    """Set the thresholds `PYTHON_THRESHOLDS` of garbage collection, and exempt all present objects.
 
     Commands postpone collections because commands end soon (``cli.GC_THRESHOLDS``). A page runs for
     hours, and the PlaCo robots are in reference cycles: 60 KB per action were not released.

@@ -52,7 +52,7 @@ class Controls:
         gui: viser's interface of the page.
         robot: Robot of the initial page.
         translator: Translator into the language of the page.
-        changed: Function that is called when the state has changed.
+        changed: Function that is called after the user has changed a control, and by `set_state`.
     """
 
     def __init__(
@@ -165,7 +165,11 @@ class Controls:
         return moved
 
     def _apply_slider(self, control: Control, state: State) -> State:
-        """Return ``state`` with the value that the slider of a control has on the page."""
+        """Return ``state`` with the value that the slider of a control has on the page.
+
+        The slider `LIFT_SLIDER` also lifts the selected foot; a slider of the offset also selects
+        the mode ``offset``. The slider of a contact changes nothing if the selected foot has none.
+        """
         field = control.field
         value = check_finite(control.name, float(self.sliders[control.name].value))
         # A typed value may exceed the range of the slider and would be clipped later.
@@ -225,7 +229,7 @@ class Controls:
 
     @property
     def _selected_foot(self) -> str:
-        """Name of the foot whose sliders are shown."""
+        """Name of the foot, or of another part with a plane, whose sliders are shown."""
         return self._feet[self.foot.value]
 
     def _on_foot_selected(self, _event: Any) -> None:
@@ -341,7 +345,7 @@ _UNLIMITED_BOUND = {"rad": math.pi, "m": 1.0}
 has no limit, or a larger limit. Chosen, not tuned."""
 
 _JOINT_STEP = 0.5
-"""Step of a joint slider [deg or mm]: half of the smallest visible change. Chosen, not tuned."""
+"""Step of a joint slider [deg or mm]. Chosen, not tuned."""
 
 _SLIDER_DIGITS = 2
 """Number of decimals to which the program rounds a slider value [deg or mm]. Chosen, not tuned."""
@@ -382,7 +386,8 @@ class JointSliders:
             index = robot.joint_names.index(name)
             (scale, unit), unlimited_bound = READ_IN[units[index]], _UNLIMITED_BOUND[units[index]]
             limits = np.clip(ranges[index], -unlimited_bound, unlimited_bound) * scale
-            # Rounded inwards, so that a slider does not exceed the limits of its joint.
+            # Rounded inwards, so that a slider does not exceed the limits of its joint, unless the
+            # range is shorter than the step.
             low, high = (
                 math.ceil(limits[0] / _JOINT_STEP) * _JOINT_STEP,
                 math.floor(limits[1] / _JOINT_STEP) * _JOINT_STEP,
@@ -478,7 +483,8 @@ CONTROL_BY_NAME = {
         or [Control(field.address, field)]
     )
 }
-"""{name of a slider, as in the address of the page: slider}, without the sliders of joints."""
+"""{name of a slider: slider}, without the sliders of joints. The name is `Field.address`, followed
+by the axis for an element of a point."""
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from pupper_analysis.tools.push.document import trial_document
 from pupper_analysis.tools.stand.stance import Stance
 
 NO_TITLE = doc.Name("")
-"""Empty title of a document without robot."""
+"""Empty title, for example of a document without robot."""
 
 
 def live_stance_document(
@@ -42,7 +42,8 @@ def live_stance_document(
     Args:
         answer: State of the page, with the stand if there is a stand.
         sag: Predicted equilibrium, or the reason why there is none; None until computed.
-        judged: Verdict; None if the stance is out of reach or not in balance.
+        judged: Verdict; None if the state is not valid, or the stance is out of reach or not in
+            balance.
     """
     robot, stand, statics = answer.robot, answer.stand, answer.statics
     blocks: list[doc.Block] = []

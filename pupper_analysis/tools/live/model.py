@@ -29,7 +29,8 @@ from pupper_analysis.tools.push.bench import PushTrial, simulate_push
 from pupper_analysis.tools.stand.stance import Stance, study_stance
 
 PUSH_SECONDS = 4.0
-"""Duration of the simulation of a push [s]. A robot that recovers is at rest by then."""
+"""Duration of the simulation of a push [s], in which a recovering robot comes to rest. Chosen, not
+tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +41,9 @@ class Answer:
         state: Requested state.
         robot: Robot with the payload; None if the payload is not valid.
         task: Stand task; None if the state is not valid.
-        stand: Stand, on MuJoCo's soft ground if reachable there; None if out of reach.
-        statics: Static torques and forces; None if the stand cannot be held.
+        stand: Stand, on MuJoCo's soft ground if reachable there; None if the state is not valid, or
+            the stance is out of reach.
+        statics: Static torques and forces; None without a stand in balance.
         refusal: Error, if a result is None. A ``StanceUnreachableError`` is not yet explained.
     """
 
@@ -132,7 +134,7 @@ def predict_sag(answer: Answer) -> SteadyState | Diagnostic:
 
 
 def predict_stance_verdict(answer: Answer, *, closely: bool) -> Verdict | None:
-    """Predict the verdict of a stance without simulation; None if out of reach or not in balance.
+    """Predict the verdict of a stance without simulation; None without a stand in balance.
 
     Args:
         answer: Solved state.

@@ -125,7 +125,8 @@ def make_address(server: Any, host: str, access: Access) -> str:
 def _guard_requests(access: Access) -> Iterator[None]:
     """Make the servers that viser starts within this context refuse requests without access.
 
-    Requests are checked with `Access.find_refusal`; sizes of messages are limited, too.
+    Requests are checked with `Access.find_refusal`; sizes of messages, and the time to close a
+    connection, are limited, too.
     """
     websockets: Any = import_module("websockets.asyncio.server")
     serve = websockets.serve
@@ -164,7 +165,7 @@ def stop_server(server: Any) -> None:
 
 
 class NumberPanel:
-    """Panel of numbers left of the controls; on a phone, a folded section above the controls."""
+    """Panel of numbers at the left of the page; on a phone, a folded section above the controls."""
 
     def __init__(self, gui: Any, translator: Translator, waiting: str, width: int = 380) -> None:
         left, self._title = gui.add_panel(), translator("what-it-takes")
@@ -270,7 +271,10 @@ def render_panel(document: Document, translator: Translator) -> str:
 
 
 def render_verdict(document: Document, translator: Translator) -> str:
-    """Render the verdict of a document with the reasons as an HTML box; empty without verdict."""
+    """Render verdict, reasons and details of a document as an HTML box; empty if nothing is judged.
+
+    Nothing is judged if `Document.passed` is None.
+    """
     if document.passed is None:
         return ""
     verdict = () if document.verdict is None else (document.verdict,)
@@ -352,7 +356,7 @@ def _render_table(block: Table, translator: Translator) -> str:
 
 
 def _format_unit(column: Column) -> str:
-    """Return the unit of a column in parentheses; empty without unit."""
+    """Return the unit of a column in parentheses; empty without unit, or with the unit 1."""
     unit = column.unit.replace(" ", "\N{NO-BREAK SPACE}")
     return f" ({unit})" if unit not in ("", "1") else ""
 

@@ -50,7 +50,7 @@ OVERLOAD_COLOUR: Colour = (138, 0, 110)
 """Colour of a utilisation above 1."""
 
 NO_LIMIT_COLOUR: Colour = (150, 150, 150)
-"""Colour of a motor without torque limit."""
+"""Colour of a motor without torque limit, or with a limit of 0."""
 
 
 def choose_utilisation_colour(utilisation: float | None) -> Colour:
@@ -451,7 +451,8 @@ class Scene:
     def _draw_torques(self, joints: Sequence[JointAxis]) -> None:
         """Draw a disc at each joint with a known torque, coloured by the motor utilisation.
 
-        A label states the torque of the joint with the largest utilisation.
+        A label states the torque of the joint with the largest utilisation; without a known
+        utilisation, of the joint with the largest torque.
         """
         assert self._robot is not None
         held_joints = [joint for joint in joints if joint.torque is not None]

@@ -133,8 +133,9 @@ class Page(ServedPage):
         **server_options: See `ServedPage`.
 
     Raises:
-        ConfigurationError: If the server cannot use this address, the robot or the state is not
-            suitable, or the language is unknown.
+        ConfigurationError: If the server cannot use this address, the base is fixed, the robot has
+            no feet, or the language is unknown.
+        PupperAnalysisError: If the state is not valid for the robot (`check_state`).
         MissingPackageError: If viser is not installed.
     """
 
@@ -157,7 +158,8 @@ def check_state(model: PageSolver, state: State) -> None:
     """Check that the state of a page is valid for its robot.
 
     Raises:
-        PupperAnalysisError: If the robot lacks a foot, a joint, or the link of a payload.
+        PupperAnalysisError: If the robot lacks a foot, a joint, the part of a contact, or the link
+            of a payload, or if a value is out of bounds.
     """
     robot = with_contacts(model.load_robot(state), state.task().contacts)
     for field, value in state.requested_values():

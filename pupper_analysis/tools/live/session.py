@@ -1,8 +1,8 @@
 """Session of a browser: panels, scene, and two threads.
 
-One thread solves each new state at once and skips outdated states. The other thread computes sag,
-explanations and simulations after a pause without changes. Its results are shown only if the state
-has not changed.
+One thread solves each new state at once and skips outdated states. The other thread computes sag
+and explanations after a pause without changes, and runs requested simulations. The results of this
+thread are shown only if the state has not changed.
 """
 
 from __future__ import annotations
@@ -126,10 +126,7 @@ class Panels:
         self._result.content = render.render_hint(text(key), self.translator)
 
     def clear_results(self) -> None:
-        """Clear the simulation result, and hide the button of the nearest reachable stance.
-
-        Called when the stance of the page has changed.
-        """
+        """Clear the simulation result, and hide the button of the nearest reachable stance."""
         self.show_nearest_button(False)
         self.show_hint("not-simulated-yet")
 
@@ -335,8 +332,8 @@ class Session:
     def _analyse_closely(self, answer: Answer) -> None:
         """Analyse the shown stance in detail, and show the result.
 
-        For an unreachable stance this is the explanation with the nearest reachable stance,
-        otherwise the predicted sag and the verdict.
+        For an unreachable stance this is the explanation with the nearest reachable stance, for a
+        stance in balance the predicted sag and the verdict.
         """
         if answer.unreachable:
             error = answers.explain_unreachable(answer)
@@ -402,6 +399,8 @@ class Session:
 
     def _play_motion(self, answer: Answer, time: Any, motion: Any) -> None:
         """Play a motion in real time on the page, until the motion ends or other work is pending.
+
+        The motion also ends if another answer is shown, or the session is closed.
 
         ``time`` are times, shape (n,) [s]; ``motion`` are configurations, shape (n, nq).
         """

@@ -71,6 +71,10 @@ class State:
     Attributes:
         place: Mode of the base position: ``centre``, ``inside`` or ``offset``.
         values: {field name: value}, for values that differ from the default.
+
+    Raises:
+        ConfigurationError: If the mode is unknown, or a number is not finite.
+        TypeError: If a field does not exist.
     """
 
     place: str
@@ -141,6 +145,9 @@ class State:
 
     def with_task(self, task: StandTask) -> State:
         """Return a copy of this state with the numbers of another task, in the page's units.
+
+        A field whose value in this state is None, such as a height that was not requested, stays
+        None.
 
         Args:
             task: Task with the same feet, and with the base position determined as in this state:

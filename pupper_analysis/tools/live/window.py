@@ -55,8 +55,8 @@ DROP_SECONDS = 6.0
 """Duration of a simulated drop [s]. v3 lands after 0.18 s and is steady to 0.005 mm after 2.3 s."""
 
 DROP_HEIGHT = 0.15
-"""Height of the lowest foot above the ground [m] at the start of a drop, if the keyframe has the
-feet on the ground. The value of v3's keyframe."""
+"""Height of the lowest foot above the ground [m] at the start of a drop, if the lowest foot of the
+keyframe is below half of this height. The value of v3's keyframe."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +219,7 @@ def drop_and_report(robot: Robot, *, headless: bool) -> bool:
 
     Returns:
         True if the robot stands stably, the files state the masses of all links, and
-        `list_contradictions` is empty. Otherwise the command ends with status 1.
+        `list_contradictions` is empty.
 
     Raises:
         ConfigurationError: If the base is fixed.
@@ -270,8 +270,9 @@ def list_contradictions(robot: Robot) -> tuple[str, ...]:
 def _describe_loaded_zero_motors(robot: Robot) -> Diagnostic | None:
     """Create the message about motors without torque that must hold a load in the nominal stand.
 
-    None if the nominal stand does not load such motors, or if springs hold their joints. Damping
-    and friction may hold such joints for longer than a drop is simulated.
+    None if there are no such motors, if the nominal stand does not load these motors, or if springs
+    hold their joints. Without a nominal stand, the message is returned. Damping and friction may
+    hold such joints for longer than a drop is simulated.
     """
     message = describe_zero_torque_limits(robot)
     if message is None:
