@@ -390,6 +390,11 @@ class Evaluator:
         exception leaves a ``try`` without handlers after ``finally``.
         """
         handlers = getattr(statement, "handlers", ())
+        for item in getattr(statement, "items", ()):
+            lost = self._make_node(UnknownValue(ast.unparse(item)[:80]), statement, scope)
+            for node in ast.walk(item.optional_vars) if item.optional_vars else ():
+                if isinstance(node, ast.Name):
+                    scope[node.id] = lost
         try:
             self.run_statements([*statement.body, *getattr(statement, "orelse", ())], scope)
         except _RaiseSignal:
@@ -658,7 +663,9 @@ class Evaluator:
     def _evaluate_attribute(self, expression: ast.Attribute, scope: Scope) -> Any:
         """Return an attribute of an object, table or module; a method is bound to its object."""
         if isinstance(expression.value, ast.Call) and ast.unparse(expression.value.func) == "super":
-            owner, node = scope["__class__"], scope["self"]
+            owner, node = scope.get("__class__"), scope.get("self")
+            if owner is None or node is None:  # for example in a class method
+                raise NotConstantError
             names: Any = ChainMap(*(base.fields for base in owner.value.bases))
         else:
             node = self.evaluate(expression.value, scope)
@@ -823,6 +830,8 @@ class Evaluator:
             content, name = self.evaluate(expression.func.value, scope), expression.func.attr
             if name in _ALLOWED_METHODS.get(type(content.value), ()):
                 return self._call_method(content.value, name, arguments, keywords)
+            if isinstance(content.value, str):  # ``text.replace`` is no copy of its argument
+                raise NotConstantError
             if isinstance(content.value, list | InstanceValue) and name.islower():
                 arguments.insert(0, content)
         return self._call_library(ast.unparse(expression.func), arguments, keywords)

@@ -88,6 +88,13 @@ LOST = {
     "too few": ("x, y, z = 1, 1, 1\nx, y, z = [2, 3]\n", "<x, y, z = [2, 3]>"),
     "the rest": ("x = 1\ny, *x = unknown\n", "<y, *x = unknown>"),
     "that raises": ("def f():\n    raise ValueError\nx = f()\n", "<f()>"),
+    "a method of a text": (
+        "x = ['FL_hip']\nx = [n.replace('FL', 'FR') for n in x]\n", ["<n.replace('FL', 'FR')>"]),
+    "super in a class method": (
+        "class A:\n    pass\nclass B(A):\n    def f(cls):\n        return super().f()\n"
+        "x = B.f()\n", "<super().f()>"),
+    "super outside a class": ("x = super().y\n", "<super().y>"),
+    "as in with": ("x = 1\nwith open('f') as x:\n    pass\n", "<open('f') as x>"),
     "a text's pattern": ("x = '%1000000000d' % 1\n", "<'%1000000000d' % 1>"),
 }  # fmt: skip
 
