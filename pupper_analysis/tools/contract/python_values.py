@@ -376,12 +376,15 @@ class Evaluator:
         )
 
     def _run_for(self, statement: ast.For, scope: Scope) -> None:
-        """Run a loop over the items of a list or the keys of a table."""
-        with suppress(_LeaveSignal):
+        """Run a loop over the items of a list or the keys of a table, and ``else`` at its end."""
+        try:
             for item in self._list_items(self.evaluate(statement.iter, scope)):
                 self._assign_target(statement.target, item, scope)
                 with suppress(_NextSignal):
                     self.run_statements(statement.body, scope)
+        except _LeaveSignal:
+            return
+        self.run_statements(statement.orelse, scope)
 
     def _run_try(self, statement: ast.Try | ast.With, scope: Scope) -> None:
         """Evaluate the body of ``try`` or ``with``, then of ``else`` and ``finally``.

@@ -33,6 +33,12 @@ KNOWN = {
     "continue": ("x = {}\nfor n in 'a', 'b':\n    if n == 'a':\n        continue\n    x[n] = 1\n",
                  {"b": 1}),
     "break": ("x = []\nfor n in range(5):\n    if n:\n        break\n    x.append(n)\n", [0]),
+    "else of a loop": ("x = 1\nfor n in 1, 2:\n    pass\nelse:\n    x = 2\n", 2),
+    "else of a loop with break": (
+        "x = 1\nfor n in 1, 2:\n    break\nelse:\n    x = 2\n", 1),
+    "break in the else of a loop": (
+        "x = []\nfor n in 1, 2:\n    x.append(n)\n    for m in 3, 4:\n        pass\n"
+        "    else:\n        break\n", [1]),
     "raise leaves all loops of a try": (
         "x = []\ntry:\n    for n in 1, 2:\n        for m in 3, 4:\n            x.append(n * m)\n"
         "            raise ValueError\n    x.append(0)\nexcept ValueError:\n    pass\n", [3]),
