@@ -112,7 +112,7 @@ def _make_disagreement_block(finding: Disagreement, *, detail: bool) -> doc.File
     numbers = {place: number for number, place in enumerate(finding.places)}
     columns = tuple(
         doc.FilePlace(
-            doc.Name(Path(place).name),
+            doc.Name(_shorten_place(place)),
             doc.Name(quote_line(place) or _format_value(finding, number)),
             place,
         )
@@ -251,20 +251,39 @@ def _tabulate_facts(
 
 
 def _list_places(facts: Sequence[Fact], source: str) -> str:
-    """Return the file and lines in which a source states numbers: ``deploy.yaml:3-5, 9``."""
-    places = dict.fromkeys(fact.place for fact in facts if fact.source == source)
-    parts = [Path(place).name.rpartition(":") for place in places]
-    lines = sorted({int(line) for _, _, line in parts if line.isdecimal()})
-    if not lines:
-        return ", ".join(Path(place).name for place in places)
+    """Return the files and lines in which a source states numbers: ``env.py:3-5, 9; robot.py:2``.
+
+    Places without a line number are listed as they are.
+    """
+    lines_by_file: dict[str, set[int]] = {}
+    for place in dict.fromkeys(fact.place for fact in facts if fact.source == source):
+        shown = _shorten_place(place)
+        file, _, line = shown.rpartition(":")
+        if line.isdecimal():
+            lines_by_file.setdefault(file, set()).add(int(line))
+        else:
+            lines_by_file.setdefault(shown, set())
+    return "; ".join(
+        f"{file}:{_format_ranges(lines)}" if lines else file
+        for file, lines in lines_by_file.items()
+    )
+
+
+def _shorten_place(place: str) -> str:
+    """Return a place without folders: ``env.py:3``, or ``robot.usda:</Robot/hip>`` for a prim."""
+    file, colon, element = place.partition(":<")
+    return f"{Path(file).name}{colon}{element}"
+
+
+def _format_ranges(lines: Iterable[int]) -> str:
+    """Format line numbers as ranges: ``3-5, 9``."""
     ranges = list[list[int]]()
-    for line in lines:
+    for line in sorted(lines):
         if ranges and line == ranges[-1][1] + 1:
             ranges[-1][1] = line
         else:
             ranges.append([line, line])
-    shown = ", ".join(f"{low}" if low == high else f"{low}-{high}" for low, high in ranges)
-    return f"{parts[0][0]}:{shown}"
+    return ", ".join(f"{low}" if low == high else f"{low}-{high}" for low, high in ranges)
 
 
 _ORIGIN_MARKS = {"default": "d", "derived": "c", "assumed": "a"}

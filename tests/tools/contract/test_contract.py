@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -554,6 +555,21 @@ def test_table_of_a_quantity_contains_the_numbers_of_this_quantity_only(
         }
         assert stated
         assert shown == stated
+
+
+def test_places_of_a_table_have_the_file_of_each_line(sources: dict[str, Path]) -> None:
+    """A source with numbers in two files and at a prim: a line belongs to its own file."""
+    found = contract(sources["deploy.yaml"])
+    numbers = [fact for fact in found.facts if fact.quantity == "kp" and fact.joint][:4]
+    places = ("/a/env.py:3", "/a/env.py:4", "/b/robot.py:9", "/b/robot.usda:</Robot/hip>")
+    facts = tuple(replace(fact, place=place) for fact, place in zip(numbers, places, strict=True))
+    (table,) = (
+        block
+        for block in contract_document(replace(found, facts=facts, findings=())).blocks
+        if isinstance(block, Table) and block.title == word("kp")
+    )
+    shown = " ".join(str(note) for note in table.notes)
+    assert "env.py:3-4; robot.py:9; robot.usda:</Robot/hip>" in shown
 
 
 def test_files_with_the_same_name_are_distinguished_by_their_folders(
