@@ -27,8 +27,9 @@ from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.matching.match import limbs_on_the_world
 
 _GROUND_ATOL = 1e-6
-"""Distance [m] by which a base frame may be above the robot's lowest point and still count as at
-ground level. The tolerance covers rounding of a wheel's height and radius. Chosen, not tuned."""
+"""Distance [m] by which a base frame may be above the lowest point of the limb ends and still count
+as at ground level. The tolerance covers rounding of a wheel's height and radius. Chosen, not tuned.
+"""
 
 _MIN_LEVEL_COSINE = 0.7
 """Lower bound of the cosine of the base tilt in the keyframe `home` (else the first keyframe, else
@@ -50,7 +51,8 @@ def free_base(
         source: File of the MJCF.
 
     Returns:
-        The spec, and notes about the change; no notes without a change.
+        The spec, and a note about the change; no note without a change. A base that has joints of
+        its own is otherwise unchanged.
 
     Raises:
         ModelError: If two or more limbs are fixed to the world without a base body: MuJoCo fuses
@@ -109,6 +111,7 @@ def place_base_frame(
     The frame is at ground level if no geom of a limb's last body is below the frame. Roll, pitch
     and height of a stand refer to the base frame with z up. The frame is not raised if it is
     tilted, if the base is in a ``<frame>`` of the MJCF, or if the limbs do not hang below the CoM.
+    Nothing changes without a free joint.
     The CoM is that of the base and the bodies fixed to it. If the frame is tilted by more than 45
     deg in the keyframe `home` (or the first keyframe, or without keyframes in the initial state), a
     note is returned.
@@ -118,7 +121,8 @@ def place_base_frame(
         file: Compiled model of the published file, before the base was freed.
         source: File name for errors.
         insert_visuals: Function that adds the visual meshes, which are not loaded yet, to a spec;
-            None if all meshes are loaded. Called if no collision geom reaches below the frame.
+            None if all meshes are loaded. Called if no collision geom of the limb ends reaches
+            below the frame.
 
     Returns:
         Notes about the change, or about the tilt; mostly empty.

@@ -47,9 +47,9 @@ difference: MuJoCo's default. Chosen, not tuned."""
 
 _MIN_ITERATIONS, _MAX_TOLERANCE = 100, 1e-10
 """Lower bound of the iterations and upper bound of the tolerance of an accurate constraint solver.
-If a file has less accurate settings, the settings are tested as the cause of a difference, by a
-simulation with the values of this constant. Newton's method converges in about ten iterations.
-Chosen, not tuned."""
+If a file has less accurate settings, or another solver than Newton, the settings are tested as the
+cause of a difference, by a simulation with Newton and these bounds. Newton's method converges in
+about ten iterations. Chosen, not tuned."""
 
 _LOCKING_DAMPING = 1e6
 """Damping that locks a joint in a test simulation [N m s/rad, N s/m]. Under 1 N a locked slide
@@ -68,7 +68,7 @@ class CauseCandidate:
 
     Attributes:
         code: Kind of the cause.
-        elements: Name of the element, or names of all elements of this kind.
+        elements: Name of the element, names of all elements of this kind, or values of an option.
         switch_off: Function that removes the effect from a copy of the model, in place.
     """
 
@@ -123,8 +123,8 @@ def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
 def list_difference_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
     """Return the elements of an MJCF whose effect the prediction of a stand does not contain.
 
-    Such an element may be the reason why the published model deviates from the prediction: solver
-    settings, contact exclusions, equalities, limits, servo laws and shapes.
+    Such an element may be the reason why the published model deviates from the prediction: for
+    example solver settings, contact exclusions, equalities, limits, servo laws and shapes.
     """
     model = published.model
     return [
@@ -144,7 +144,7 @@ def list_shared_causes(published: PublishedModel, robot: Robot) -> list[CauseCan
     """Return elements of an MJCF that also act in the prepared robot, and may make both fail.
 
     The elements are actuators with a negative gear, springs, joint limits, fluid forces, gravity
-    that is not vertical, and slippery or soft contacts.
+    with a horizontal component, and slippery or soft contacts.
     """
     return [
         *_list_sign_causes(published, robot),
@@ -166,7 +166,7 @@ def _list_element_names(
 
 
 def _name_actuators(model: mujoco.MjModel, actuators: Iterable[int]) -> tuple[str, ...]:
-    """Return the names of actuators; of an actuator without a name, the name of the joint."""
+    """Return the names of actuators at joints; without a name, the name of the joint."""
     return tuple(
         mujoco.mj_id2name(model, _OBJECT_TYPE.mjOBJ_ACTUATOR, int(actuator))
         or _get_element_name(
@@ -224,11 +224,11 @@ def _yield_if_any(
 def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
     """Yield the integration and an inaccurate constraint solver as candidate causes of a deviation.
 
-    The integration is left out if an actuator has a delay, which is stored as a number of steps.
+    The integration is left out if an actuator has a delay, whose buffer has a number of samples.
     """
     option, newton = model.opt, mujoco.mjtSolver.mjSOL_NEWTON.value
     integrator = mujoco.mjtIntegrator(int(option.integrator)).name.removeprefix("mjINT_")
-    if not model.actuator_delay.any():  # a delay is stored as a number of samples
+    if not model.actuator_delay.any():
         finer = _make_switch(
             ("timestep", None, min(option.timestep / 2, _MAX_FINE_TIMESTEP)),
             ("integrator", None, mujoco.mjtIntegrator.mjINT_IMPLICITFAST.value),
@@ -354,9 +354,9 @@ def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseC
 
 
 _MIN_FRICTION = 0.3
-"""Sliding friction coefficient below which a contact is tested as a cause of the difference
-between a simulation of the file and the prediction, since the value may be a mistake of the file.
-Chosen lower than that of usual materials."""
+"""Sliding friction coefficient below which a contact is tested as the cause of a fall, or of a
+deviation from the prediction, since the value may be a mistake of the file. Chosen lower than that
+of usual materials."""
 
 _SOUND_FRICTION = 0.8
 """Sliding friction coefficient that replaces the coefficient of slippery contacts in a test
@@ -364,8 +364,8 @@ simulation. Chosen as that of rubber on a floor."""
 
 _MAX_CONTACT_TIME_CONSTANT = 0.05
 """Time constant of a contact (``solref``) [s] above which the contact is tested as the cause of a
-difference, because the contact may be too soft by a mistake. MuJoCo's default is 0.02. Chosen, not
-tuned."""
+fall or a deviation, because the contact may be too soft by a mistake. MuJoCo's default is 0.02.
+Chosen, not tuned."""
 
 _DEFAULT_SOLREF = (0.02, 1.0)
 """MuJoCo's default ``solref`` (time constant [s], damping ratio), which replaces that of soft
@@ -427,7 +427,7 @@ def _name_pairs(model: mujoco.MjModel, pairs: NDArray[np.intp]) -> tuple[str, ..
 
 
 def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield contact exclusions between the robot and static bodies as candidate causes.
+    """Yield contact exclusions with static bodies, each as a candidate cause.
 
     A candidate cause may explain why the model of the file deviates from the prediction.
     """
@@ -463,7 +463,7 @@ def _list_option_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 def _list_equality_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
     """Yield constraints of the published model that may cause a deviation from the prepared robot.
 
-    These are the initially active welds and connects with the world or a mocap body.
+    These are the initially active welds and connects with a static or mocap body.
     """
     kinds = {mujoco.mjtEq.mjEQ_WELD.value: "weld", mujoco.mjtEq.mjEQ_CONNECT.value: "connect"}
     for number in np.flatnonzero(np.isin(model.eq_type, list(kinds)) & model.eq_active0).tolist():
@@ -480,8 +480,8 @@ def _list_equality_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield the active limits of commands and forces as candidate causes of a deviation.
 
-    There is one candidate per kind: ``ctrlrange`` and ``forcerange`` of the actuators, and
-    ``actuatorfrcrange`` of the joints.
+    There is one candidate per kind: ``ctrlrange`` and ``forcerange`` of the actuators at the
+    robot's joints, and ``actuatorfrcrange`` of these joints.
     """
     model, joints, motors = (
         published.model,

@@ -201,11 +201,12 @@ _MAX_SOLE_TILT = math.radians(25.0)
 touches the ground with an edge. Chosen, not tuned."""
 
 _MIN_SOLE_LENGTH = 0.015
-"""Largest extent of a flat part along a coordinate axis [m], above which the part counts as a sole.
-Chosen, not tuned: facets on the mesh of a round foot have a few millimetres."""
+"""Lower bound of the largest extent of a flat part along a coordinate axis [m], with which the part
+counts as a sole. Chosen, not tuned: facets on the mesh of a round foot have a few millimetres."""
 
 _TEST_PENETRATION = 1e-4
-"""Penetration [m] at which MuJoCo's contacts of a sole are evaluated. Chosen, not tuned."""
+"""Penetration [m] at which MuJoCo's contacts of a sole are evaluated. Points within twice this
+distance of the lowest point may be corners of a sole. Chosen, not tuned."""
 
 _NUM_SOLE_JOINTS = 5
 """Number of joints between foot and base with which a leg can lay the sole flat at any position:
@@ -238,16 +239,17 @@ a volume. Chosen, not tuned."""
 
 _FOOT_SPHERE_RISE = 5e-3
 """Upper bound of the height [m] of a sphere's lowest point above the lowest point of all geoms of a
-foot, with which `_find_end_spheres` returns the sphere as a contact of the foot. A tilt of the foot
-raises the bound. Chosen, not tuned."""
+foot, with which `_find_end_spheres` returns the sphere as a contact of the foot. A tilt that the
+foot may have raises the bound. Chosen, not tuned."""
 
 _MAX_AXIS_COSINE = 0.1
 """Upper bound of |cos| of the angle between a cylinder's axis and the vertical, with which the
 cylinder counts as lying on its side (a wheel). Chosen, not tuned."""
 
 _SOLE_ATOL = 1e-3
-"""Largest distance [m] of a mesh vertex, or of the surface of a sphere, from the plane of a sole,
-with which it belongs to the sole. Chosen, not tuned."""
+"""Largest distance [m] of a mesh vertex, or of the surface of a sphere, from the plane of a sole
+or from the lowest point of a mesh, with which it belongs to the sole. Also the largest distance of
+contact points that count as one point. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,7 +276,8 @@ def find_contact_points(
 
     The sole is the largest nearly level flat part at the lower end of the hull of the geoms, in
     the pose in ``data``. The sole is laid flat, and MuJoCo's contacts are the contact points.
-    Without a flat part, the foot keeps its orientation in the pose.
+    Without a flat part, the foot keeps its orientation in the pose. If spheres are at the lower end
+    of the foot (`_find_end_spheres`), only these geoms count.
 
     The foot has a single contact point, at the lower end, if the leg has fewer than
     `_MIN_SOLE_JOINTS` joints. The same applies to fewer than `_NUM_SOLE_JOINTS` joints if there is
@@ -389,7 +392,7 @@ def _find_end_spheres(
     bottom = compute_lowest_height(model, data, [lowest])
 
     def rise(geom: int) -> float:
-        """Return how far [m] a sphere's lowest point may be above that of the lowest geom."""
+        """Return the permitted height [m] of a sphere's lowest point above the lowest geom's."""
         away = (data.geom_xpos[geom] - data.geom_xpos[lowest])[:2]
         return _FOOT_SPHERE_RISE + math.tan(lean) * float(np.linalg.norm(away))
 

@@ -59,7 +59,7 @@ from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import Stand, stand_statics
 
 _SAG_CANDIDATES = (0.02, 0.05, 0.1)
-"""Deflections [rad] of the most loaded joint in the nominal stand, from which stiffness is
+"""Deflections [rad, m] of the most loaded joint in the nominal stand, from which stiffness is
 derived, in the order of the trials. Stiffer servos hold the posture better, but oscillate on
 soft contacts; with softer servos a biped's ankles tip over."""
 
@@ -73,8 +73,8 @@ _LIGHT_SAG_CANDIDATES = (0.02, 0.035, 0.05)
 order, after the deflections of `_SAG_CANDIDATES`. Chosen, not tuned."""
 
 _BRIEF_DURATION = 2.0
-"""Duration of the first simulation with candidate gains [s]. If the result agrees with the
-prediction, no longer simulation follows. Chosen, not tuned."""
+"""Duration of the first comparison of candidate gains with the prediction [s]. If the results
+agree, no longer simulation follows. Chosen, not tuned."""
 
 
 def list_dependent_joints(robot: Robot) -> list[int]:
@@ -140,9 +140,10 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
     Candidates of gains and time step are tried in order. A candidate is chosen if the robot comes
     to rest in the stand with and without feed-forward, if the motion after nudges of the base
     decays, if the rest position agrees with the prediction (unless both files describe different
-    robots), and if the published MJCF with these servos comes to rest, too. The MJCF is not tested
-    with a reduced time step, which is used only if no candidate with the time step of the file
-    calms down after nudges of the base and agrees with the prediction.
+    robots), and if the published MJCF with these servos comes to rest, too. The last test is
+    omitted for a robot that has a URDF alone, and with a reduced time step, which is used only if
+    no candidate with the time step of the file calms down after nudges of the base and agrees with
+    the prediction.
 
     Contacts that chatter after a nudge of the base need a smaller time step: of a robot that has a
     URDF alone, further candidates with the same time step are then omitted.
@@ -186,8 +187,8 @@ def _list_candidates(robot: Robot, stand: Stand, *, of_urdf: bool) -> list[_Serv
     """Return the gains and time steps that are tried, in this order.
 
     First are the deflections of `_SAG_CANDIDATES` with the time step of the file; then, unless the
-    robot is described by a URDF alone (``of_urdf``), those with reduced damping; then smaller time
-    steps. Joints with servos keep their gains.
+    robot is described by a URDF alone (``of_urdf``), those of `_LIGHT_SAG_CANDIDATES` with reduced
+    damping; then `_SAG_CANDIDATES` with smaller time steps. Joints with servos keep their gains.
     """
     own_gains = list_position_servos(robot)
     torques = stand_statics(robot, stand).joint_torques
@@ -255,7 +256,7 @@ class _ServoTrials:
     def _comes_to_rest(self, number: int, *, fed: bool) -> bool:
         """Return True if the robot comes to rest with the candidate of an index.
 
-        The static motor torques are added to the commands if ``fed``. Each case is simulated once.
+        Feed-forward of the static motor torques is used if ``fed``. Each case is simulated once.
         """
         divisor, kp, kd = self.candidates[number]
         self._robot.mj_model.opt.timestep = self._timestep / divisor
@@ -300,10 +301,11 @@ class _ServoTrials:
 def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Add position servos with suggested gains at joints without one, and return notes.
 
-    Passive joints, and dependent joints of loops, get none. The robot comes to rest in the nominal
-    stand with these gains, if possible; otherwise a note reports it. The time step may be reduced.
-    Without a nominal stand the gains are for a fixed base. Torque limits of zero, except those of
-    passive joints, are ignored in the choice, and apply again to the returned robot.
+    Dependent joints of loops get none; servos at passive joints exert no torque. The robot comes to
+    rest in the nominal stand with these gains, if possible; otherwise a note reports the failure.
+    The time step may be reduced. Without a nominal stand the gains are for a fixed base. Torque
+    limits of zero or below, except those of passive joints, are ignored in the choice, and apply
+    again to the returned robot.
 
     Returns:
         Robot with servos, and notes.
@@ -399,8 +401,8 @@ def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
 def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Add position servos to a robot with a fixed base, at joints without one.
 
-    The gains are those of `list_fixed_base_gains`. Joints that the MJCF leaves passive on purpose
-    get no servo.
+    The gains are those of `list_fixed_base_gains`. Servos at joints that the MJCF leaves passive on
+    purpose exert no torque.
 
     Returns:
         The robot with the servos; notes on added servos and passive joints.
@@ -429,8 +431,8 @@ def _report_added_servos(
         robot: Robot without the servos.
         built: Robot with the servos.
         mjcf: MJCF of the robot.
-        kp: Stiffness of all servos, shape (nu,) [N m/rad].
-        kd: Damping of all servos, shape (nu,) [N m s/rad].
+        kp: Stiffness of all servos, shape (nu,) [N m/rad, N/m].
+        kd: Damping of all servos, shape (nu,) [N m s/rad, N s/m].
     """
     recorded = _record_added_servos(built, kp, kd, mjcf)
     added = recorded.description.made_servos
@@ -512,7 +514,8 @@ def make_missing_servos(
     """Create the additions to an MJCF that give a position servo to each joint without one.
 
     Dependent joints get none. The force range is the motor's limit, if that is finite and not
-    empty. The integrator becomes ``implicitfast``: explicit damping makes light joints oscillate.
+    empty. The time step becomes ``timestep``, and the integrator ``implicitfast``: explicit damping
+    makes light joints oscillate.
 
     Args:
         robot: Robot.

@@ -230,8 +230,8 @@ def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Ar
         joints: Joint positions of the start pose, shape (nu,) [rad, m].
 
     Raises:
-        UnknownNameError: If neither file has the frame.
-        ModelError: If no geom there can touch the ground.
+        UnknownNameError: If the MJCF has no such geom, site or body, and the URDF no such link.
+        ModelError: If no geom there touches the ground.
     """
     model, data = robot.mj_model, robot.compute_kinematics(robot.make_qpos(joints))
     _, frame = frames
@@ -289,7 +289,10 @@ def _select_sphere(
 def _locate_link(
     robot: Robot, name: str, frames: tuple[str, str], joints: Array
 ) -> tuple[int, Array]:
-    """Return the id of the moving body of a link of the URDF, and the link's position (3,) [m].
+    """Return the id of the body that moves a link of the URDF, and the link's position (3,) [m].
+
+    The body is the base if no joint of the robot moves the link. The position is in the world
+    frame.
 
     Args:
         robot: Robot.
@@ -358,9 +361,8 @@ def add_contact_frames(
         for number, point in enumerate(foot.points, start=1):
             name = foot.name if len(foot.points) == 1 else f"{foot.name}/{number}"
             frame = make_unique_name(f"{name} (contact)", site_names)
-            geom_body = int(
-                model.geom_bodyid[point.geom]
-            )  # MuJoCo's contact depends on this body's weight
+            # MuJoCo's contact depends on the weight of this body.
+            geom_body = int(model.geom_bodyid[point.geom])
             bodies[model.body(geom_body).name].add_site(name=frame, pos=point.center)
             world = data.xpos[geom_body] + data.xmat[geom_body].reshape(3, 3) @ point.center
             world = _map_to_urdf(robot, config, data, foot.body, world)
@@ -426,7 +428,7 @@ def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> 
 def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
     """Return True if a contact point is a ball that replaces a mesh or another shape.
 
-    Spheres, capsules and lying cylinders (wheels) keep the collision shape.
+    Spheres, capsules, lying cylinders (wheels) and points without radius keep the collision shape.
     """
     kind = int(model.geom_type[point.geom])
     if (
@@ -444,7 +446,8 @@ def _map_to_urdf(
     """Convert a world position (3,) [m] in the MJCF to the URDF, both at joint positions of zero.
 
     The joint axes of both files may differ. The position is shifted by the perpendicular distance
-    of the axes of the last hinge; the position of a joint frame along its axis has no meaning. If
+    of the axes of the last joint that is no slide; the position of a joint frame along its axis has
+    no meaning. If
     the URDF has a link at the unshifted position, or at the position relative to the joint frame,
     that position is returned.
     """

@@ -25,8 +25,8 @@ from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.robot import Robot
 
 _LIMIT_ATOL = 1e-3
-"""Difference [rad, m] above which the joint limits of both files count as different. Files are
-rounded. Chosen, not tuned."""
+"""Difference [rad, m] above which a narrower limit of the MJCF replaces that of the URDF, since
+files are rounded. Chosen, not tuned."""
 
 _CONTINUOUS_LIMIT = 2 * math.pi
 """Limit of a continuous joint of a robot with closed loops, in both directions [rad], if the MJCF
@@ -34,7 +34,7 @@ has none. Chosen as one revolution: larger angles are not needed."""
 
 
 def limit_continuous_joints(robot: Robot) -> Description | None:
-    """Add limits to the continuous joints of a robot with closed loops; None without a change.
+    """Add limits to the continuous joints of a robot with loops or couplings; None without any.
 
     PlaCo's joint constraints in closed loops require limits. The limit is that of the MJCF, or one
     revolution in both directions [rad].
@@ -60,7 +60,8 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
     """Narrow the joint limits of the URDF [rad, m] to the overlap with the limits of the MJCF.
 
     Otherwise, MuJoCo would push joints back that are beyond the limits of the MJCF in a stand.
-    Limits are kept if both ranges do not overlap.
+    Limits are kept if both ranges do not overlap, or if no limit of the MJCF is narrower by more
+    than ``_LIMIT_ATOL``.
 
     Returns:
         Robot description with the new limits, None if no limit changes; and notes on the change.
@@ -103,7 +104,7 @@ def couple_mimics(matched: Match, description: Description) -> tuple[Description
         description: Description.
 
     Returns:
-        Description with the couplings; notes.
+        Description with the couplings, unchanged without couplings; notes.
     """
     spec = description.mjcf.copy()
     driven = {actuator.target for actuator in spec.actuators}

@@ -86,7 +86,7 @@ def judge_simulation(
         question: Question that the verdict answers.
         trial: Result of nudges in all directions. If None, if ``fed`` passes and ``statics`` is
             given, a stand on a free base is nudged here: in all directions if it is near a limit
-            in ``statics`` or fails without feed-forward.
+            in ``statics`` or fails without feed-forward, otherwise by ``simulate_large_nudges``.
         kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
         kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 
@@ -158,7 +158,7 @@ def _apply_zero_torque_limits(
     """Add the failures that follow from motors with a torque limit of zero to both simulations.
 
     Both simulations fail if such a motor is loaded in ``statics``, or if ``statics`` is None. If no
-    such motor is loaded, the message is only added to the failures of a simulation that has
+    such motor is loaded, the message is only added to the failures of ``fed``, if ``fed`` has
     failed: first if more than half of the joints have such a motor, otherwise last.
 
     Args:
@@ -228,7 +228,7 @@ def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic 
     """Create a message if no contact point of a stand has friction: each push moves the robot.
 
     None if a contact point has friction, if there are no contact points, or if the robot has a
-    weld or a fixed base.
+    weld, a grip or a fixed base.
     """
     if not feet or robot.fixed_parts or robot.is_base_fixed:
         return None
@@ -255,8 +255,8 @@ def _list_overloaded_joints(
 
 
 _MASS_RTOL = 1e-9
-"""Relative difference between two masses [1] above which the robot counts as changed since loading.
-Chosen as a bound of rounding errors."""
+"""Relative increase of the robot's mass since loading [1] above which the robot counts as loaded
+more. Chosen as a bound of rounding errors."""
 
 
 def _report_buried_foot(
@@ -409,8 +409,8 @@ def describe_impossible_masses(model: mujoco.MjModel) -> Diagnostic | None:
     """Create the message about bodies that are denser than tungsten, however they are shaped.
 
     The volume is that of the ball around the CoM that contains the bounding spheres of all geoms,
-    the frame of the body and the frames of its children. Bodies without geoms are omitted, since
-    their size is unknown. None without such bodies.
+    the frame of the body and the frames of its children; the radius is at least `_MIN_RADIUS`.
+    Bodies without geoms are omitted, since their size is unknown. None without such bodies.
     """
     radii = np.linalg.norm(model.body_ipos, axis=1)
     for body in range(1, model.nbody):
