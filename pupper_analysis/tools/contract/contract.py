@@ -53,7 +53,8 @@ class SourceRead(Result):
         name: Name of the file, if needed with parent folders and the name of the configuration.
         path: Path of the file.
         role: trainer, policy, deployment, driver or model.
-        order: Joints in the order of the policy's arrays.
+        order: Joints in the order of the policy's arrays, "" for a name without match; of a model,
+            the joints in its own order. Empty if the order is not known.
         order_source: How the order is known: named, motors, policy or assumed; empty if it is not
             known.
         unknown: Names in the source that match no joint of the model.
@@ -74,9 +75,9 @@ class Contract(Result):
     """Joint numbers of all sources, and the disagreements between them.
 
     Attributes:
-        model: Path of the model file that defines the joint order; name of a scaled variant.
-        joints: Joints of this model.
-        sources: Sources that were read.
+        model: Path of the model file that defines the joint order, or the name of its variant.
+        joints: Moving joints of this model, in its order.
+        sources: Sources that were compared.
         facts: All numbers, with file and line.
         findings: Disagreements, the most severe first.
         poses: Stand of the robot in the default pose of each source, with the gains of the source.
@@ -128,7 +129,11 @@ def read_contract(
 
     Raises:
         ConfigurationError: If no model is passed, or an argument is invalid.
-        VariantError: If a source is probably a misspelled variant name.
+        VariantError: If a source is probably a misspelled variant name, or the scales of a variant
+            give no valid model.
+        UnknownNameError: If MuJoCo Menagerie has no robot with the name in a source.
+        MissingPackageError: If the package that reads the format of a model is not installed.
+        OutputError: If this run also writes a source.
         ModelError: If a file does not exist, if no model can be read, or if no source but the
             models can be used: a file cannot be read, contains no joint of the robot, or contains
             several configurations of a trainer and no name is passed. The message states the place

@@ -1,7 +1,8 @@
 """Numbers with which a policy runs on a robot, merged from the files of its deployment.
 
 `read_deployment` reads the same files as `contract`. If several files state a number, a deployment
-precedes a driver, a policy file and a trainer. Disagreements between the files are a note.
+precedes a driver, a policy file and a trainer. Disagreements of severity ERROR between the files
+are summarised in a note.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ class Deployment:
     """Numbers with which a policy runs on a robot.
 
     Attributes:
-        joints: Joints of the robot in the order of the policy; empty if no file states an order.
+        joints: Joints of the robot in the order of the policy; empty if no file states an order,
+            and none is assumed.
         order_place: File and line of the joint order; empty without.
         is_order_assumed: Whether the joint order of lists is assumed.
         facts: {(quantity, joint): number}; the joint is "" for a setting.
@@ -51,7 +53,10 @@ class Deployment:
     notes: tuple[Diagnostic, ...]
 
     def get_numbers(self, quantity: str, joints: Sequence[str]) -> list[Fact] | None:
-        """Return the facts of a quantity for joints; None unless all are stated as numbers."""
+        """Return the facts of a quantity for joints, in the order of ``joints``.
+
+        None unless all are stated as numbers, and without joints.
+        """
         facts = [self.facts.get((quantity, joint)) for joint in joints]
         known = [fact for fact in facts if fact is not None and fact.value is not None]
         return known if joints and len(known) == len(joints) else None
@@ -72,8 +77,8 @@ def read_deployment(
         names: {joint name in a source: joint of the robot} of joints that are not matched.
 
     Raises:
-        ModelError: If a file cannot be read, or states nothing about joints of the robot, or if a
-            file contains several policies and no name is passed.
+        ModelError: If a file cannot be read, or states nothing about joints of the robot, if a file
+            contains several policies and no name is passed, or if a source is a folder.
     """
     requests, folders = split_arguments(sources)
     if folders:
@@ -128,7 +133,8 @@ def _find_order_source(placed: Sequence[PlacedSource]) -> PlacedSource | None:
     """Return the source whose joint order is that of the policy's arrays; None without an order.
 
     The names in a policy file define the order of its arrays. Otherwise the first source with joint
-    names in order counts, then with motor numbers, then with an assumed order.
+    names in order counts, then with motor numbers or the order of a policy, then with an assumed
+    order.
     """
     ranks = {"named": 0, "motors": 1, "policy": 1, "assumed": 2}
     known = [one for one in placed if one.order]
@@ -143,11 +149,11 @@ def _find_order_source(placed: Sequence[PlacedSource]) -> PlacedSource | None:
 
 
 def _assume_order(placed: Sequence[PlacedSource], joints: RobotJoints) -> PlacedSource | None:
-    """Return the first trainer, with the joint order of its framework as an assumption.
+    """Return the first trainer that states a stiffness or action scale of a joint, with an order.
 
-    None if no trainer states a stiffness or action scale of a joint. The order of Isaac Lab is by
-    depth in the tree, that of mjlab and Isaac Gym is limb by limb. Joints with a stiffness are
-    ordered or, if none has a stiffness, joints with an action scale.
+    The order of the framework is an assumption. None without such a trainer. The order of Isaac Lab
+    is by depth in the tree, that of mjlab and Isaac Gym is limb by limb. Joints with a stiffness
+    are ordered or, if none has a stiffness, joints with an action scale.
     """
     for source in placed:
         if source.source.role is not Role.TRAINER:

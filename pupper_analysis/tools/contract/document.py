@@ -65,8 +65,9 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
 def _select_next_step(contract: Contract) -> doc.NextStep:
     """Return the command to run next.
 
-    If the sources differ and contain a URDF and an MJCF, this is `crosscheck` of both; otherwise
-    `stand` of the model, or `hold` for a fixed base.
+    If the sources differ, and the model is a variant or the sources contain a URDF besides the
+    model, this is `crosscheck` of both files; otherwise `stand` of the model, or `hold` for a fixed
+    base.
     """
     models = [source.path for source in contract.sources if source.role == Role.MODEL]
     urdfs = [path for path in models if path.lower().endswith(".urdf")]

@@ -26,8 +26,8 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import Place, make_file_error, one_line
 
 ENTRY_POINT_GROUP: Final = "pupper_analysis.contract"
-"""Group of Python entry points with which other packages register modules that read the sources of
-a contract (observation and action of a policy), as ``name = "its.module"``."""
+"""Group of Python entry points with which other packages register reader modules (`SourceReader`),
+as ``name = "its.module"``."""
 
 MAX_VALUES: Final = 200_000
 """Largest number of values that are read from a source, to bound time and memory. The largest
@@ -122,8 +122,8 @@ class Statement:
         quantity: Key of `QUANTITIES`, or ``observation NAME`` for the scale of an observation.
         value: Value in SI units; None if the expression is not constant.
         place: File and line.
-        joint: Joint name, or a regular expression that must match the complete name; "" for a
-            setting, or if ``index`` is stated.
+        joint: Joint name, or a regular expression that must match the complete name, or a part of
+            names (``is_part``); "" for a setting, or if ``index`` is stated.
         index: Index from 0 into the ``order`` of the source, if no name is stated; otherwise None.
         count: Length of the list that ``index`` refers to.
         decimals: Decimals of the number as written; None for a computed number.
@@ -281,7 +281,7 @@ class JointSource:
         """Content of the source without file locations, for comparisons between sources.
 
         The content consists of the stated values, the orders of joints and motors, and the
-        observations of the policy. Sources with equal content count once.
+        observations of the policy. Of the sources of a file with equal content, one is kept.
         """
         statements = sorted(str((s.quantity, s.joint, s.index, s.value)) for s in self.statements)
         observations = [(term.name, term.scales, term.history) for term in self.observations]

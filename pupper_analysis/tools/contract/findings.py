@@ -67,11 +67,14 @@ class Disagreement(Result):
     """Difference between two sources, or a contradiction within a source.
 
     Attributes:
-        kind: Quantity, ``order`` or ``observations``.
+        kind: Quantity, ``order`` or ``observations``; ``unread`` for a source or quantity that was
+            not compared.
         probable_mistake: Probable mistake: ``sign``, ``unit``, ``order``, ``mirror``, or "".
         joints: Joints concerned.
-        sources: Names of both sources; the first is the reference.
-        values: Values of the first joint in both sources; None if there is no number.
+        sources: Names of both sources, equal for ``mirror``; the first is the reference. The file
+            alone for ``unread``.
+        values: Values of the first joint in both sources, for ``mirror`` of both joints; None if
+            there is no number. Empty for ``unread``.
         unit: Unit of the values.
         severity: Severity.
         diagnostic: Message without the effects.
@@ -106,8 +109,8 @@ class DefaultPoseStand(Result):
         source: Name of the source.
         height: Height of the base above the mean of the feet's lowest points in this pose.
         sag: Loss of base height with the gains of the source; None if not computed.
-        utilisation: Largest ratio of motor torque to limit; None if not computed, or without
-            limits.
+        utilisation: Largest ratio of motor torque to limit, of the source if it states all limits,
+            otherwise of another source or the model; None if not computed, or without limits.
         stays: Whether the robot keeps standing in simulation with the gains of the source and no
             feed-forward; None if this was not simulated.
         problem: Reason for a missing value; None if there is no error.
@@ -126,8 +129,10 @@ def find_disagreements(
 ) -> tuple[Disagreement, ...]:
     """List all disagreements between sources (for example a model and a driver), the worst first.
 
+    A difference of action offsets is left out if the default angles of the same joints differ.
+
     Args:
-        placed: Sources, sorted by role.
+        placed: Sources, sorted by precedence: the first that states a number is the reference.
         model: Joints of the robot.
     """
     disagreements = [*_compare_orders(placed), *_compare_observations(placed)]
@@ -159,7 +164,7 @@ def _find_servo_damping(placed: Sequence[PlacedSource]) -> list[tuple[PlacedSour
     """List (model, joint) for each joint damping that represents the kd of a servo.
 
     Another source states this number as kd, and the model states no kd for the joint. Such a
-    damping is no passive damping, and is not compared with the damping of other models.
+    damping is no passive damping; the damping of these joints is not compared between sources.
     """
     return [
         (source, joint)
@@ -439,7 +444,8 @@ def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:
     Returns:
         {joint: other joint, whose number in the first source is that of the joint in the second}.
         Empty for less than two joints, if the numbers are not a permutation, if they only differ in
-        their signs, or if more than half of the joints have the same number.
+        their signs, if more than half of the joints have the same number, or if a joint finds no
+        other joint.
     """
     a, b = (
         Counter(round(mutual[side].number, 6) for mutual in differing.values()) for side in (0, 1)
@@ -585,7 +591,8 @@ def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
     """Yield differences between the joint orders of sources that feed a policy.
 
     The joint order is that of the arrays of the policy. Not compared are models, assumed orders,
-    and two sources that both map joints to motors, since such sources may use any order.
+    sources with different joints, sources with neither numbers nor motors, and two sources that
+    both map joints to motors, since such sources may use any order.
     """
     feeding = [
         placed_source
@@ -669,7 +676,8 @@ def add_height_effects(
 
     Args:
         findings: Disagreements between sources.
-        poses: Default poses of the sources. A source without a pose adds no effect.
+        poses: Default poses of the sources. A source without a pose adds no effect, nor do equal
+            heights.
     """
     heights = {pose.source: pose.height for pose in poses}
     done = []

@@ -74,7 +74,8 @@ class KeyRule:
     def list_statements(self, node: LocatedValue) -> Iterator[Statement]:
         """Yield the statements of a value: a number, a list, or a table {joint: number}.
 
-        A list that only contains another list, such as [[1, 2]], is read as the inner list.
+        A list that only contains another list, such as [[1, 2]], is read as the inner list. The
+        value is None if the reciprocal of a number <= 0 is required (``inverse``).
         """
         inner = node.items[0] if len(node.items) == 1 else node
         node = inner if isinstance(inner.value, list) else node

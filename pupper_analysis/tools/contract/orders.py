@@ -206,8 +206,9 @@ class _JointNames:
         """Return the joints to which a statement applies; [""] for a setting of the whole robot.
 
         A statement with a part of joint names (``is_part``) applies to all joints whose name
-        contains the part. Empty if no joint has the name, part, pattern or index, and for an entry
-        of a list whose length is not that of ``order``.
+        contains the part, unless the part is the name of a joint and the quantity is in
+        `_QUANTITIES_BY_NAME`. Empty if no joint has the name, part, pattern or index, and for an
+        entry of a list whose length is not that of ``order``.
         """
         if statement.index is not None:
             if statement.count != len(self.order):
@@ -295,7 +296,9 @@ def assign_joints(
 def _describe_unread_lists(
     source: JointSource, counts: Mapping[str, int], num_joints: int
 ) -> dict[str, Diagnostic]:
-    """Return {quantity: message about a list whose length is not the number of joints}.
+    """Return {quantity: message about a list that is not assigned to joints}.
+
+    Either the length is not the number of joints, or the order is not known.
 
     Args:
         source: Source of the lists.
@@ -359,7 +362,10 @@ def _list_joint_names(source: JointSource) -> list[str]:
 
 
 def _make_scale_facts(source: JointSource) -> dict[tuple[str, str], Fact]:
-    """Return {("observation " + term, ""): scale} of the observation terms with a stated scale."""
+    """Return {("observation " + term, ""): scale of the first element} of the observation terms.
+
+    Terms without a known scale are left out.
+    """
     scales = {
         f"observation {term.common_name}": (term.scale, term.place)
         for term in source.observations
@@ -516,8 +522,8 @@ def _find_name_lists(
 
 MAX_UNLIKE_FRACTION = 1 / 3
 """Largest fraction of the left-right pairs of values (such as gains) that may contradict the mirror
-symmetry of an assumed joint order. Above, the joint order that no source states remains unknown.
-Chosen, not tuned."""
+symmetry of an assumed joint order. Above, the joint order that no source states remains unknown,
+and a list of motor limits may be in the order of the motors. Chosen, not tuned."""
 
 
 def _compute_unlike_fraction(
@@ -598,7 +604,7 @@ _REPEAT_PATTERN = re.compile(r"[+*{?]")
 
 _MAX_REPEATS = 5
 """Largest number of quantifiers (``+``, ``*``, ``?``, ``{``) in a regular expression that is
-matched. With 5, a name of n letters needs about n^5 / 120 attempts."""
+matched. With 5, a name of n letters needs up to about n^5 / 120 attempts. Chosen, not tuned."""
 _NESTED_REPEAT_PATTERN = re.compile(r"[+*}?)][+*{]")
-"""Quantifier that follows a quantifier or a group. A regular expression with such a pair
-is not evaluated, because its matching time may grow exponentially."""
+"""Quantifier (other than ``?``) that follows a quantifier or a group. A regular expression with
+such a pair is not evaluated, because its matching time may grow exponentially."""

@@ -1,9 +1,10 @@
 """Evaluation of a Python file from its syntax tree: no code is imported or executed.
 
 Supported are constants, names, lists, tables, dataclasses, configuration classes with bases,
-arithmetic, comparisons, loops over known values, and calls of functions in files below the allowed
-folders. Every other expression becomes an ``UnknownValue`` with the text. If a statement cannot be
-evaluated, all variables assigned by the statement become unknown.
+arithmetic, comparisons, loops over known values, and calls of some library functions and of
+functions in files below the allowed folders. Every other expression becomes an ``UnknownValue``
+with the text. If a statement cannot be evaluated, the variables, attributes and items that the
+statement assigns become unknown; changes by methods are not detected.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ as unknown. Larger integers would grow without bound in a loop. Chosen, not tune
 
 MAX_CALL_DEPTH: Final = 40
 """Largest depth of nested calls in the evaluation of a source; a deeper call counts as unknown.
-Python's own recursion limit corresponds to about 200. Chosen, not tuned."""
+Chosen, not tuned, so that Python's own recursion limit is not reached."""
 
 
 @dataclass(eq=False)
@@ -211,7 +212,8 @@ _NUMERIC_MODULES: Final = ("math", "np", "numpy", "torch", "jp", "jnp")
 """Names under which configurations import modules that contain `_NAMED_CONSTANTS`."""
 
 _LIST_CONSTRUCTORS: Final = ("array", "asarray", "tensor", "list", "tuple", "tolist")
-"""Calls that return the argument as a list."""
+"""Calls that return a list, or the keys of a table, as a new list, and another argument as it is.
+"""
 _TABLE_CONSTRUCTORS: Final = ("dict", "freeze", "config_dict.create", "ConfigDict")
 """Calls that merge tables and keyword arguments into one table."""
 _COPY_FUNCTIONS: Final = ("copy", "deepcopy", "replace")
@@ -232,7 +234,7 @@ _PROJECT_MARKERS: Final = ("setup.py", "pyproject.toml", ".git")
 
 
 _MAIN_TEST = ast.unparse(ast.parse('__name__ == "__main__"'))
-"""Condition ``__name__ == "__main__"`` as text: its block is not evaluated, as in an import."""
+"""Condition ``__name__ == "__main__"`` as text: its block is evaluated by `run_main_block` only."""
 
 
 class Evaluator:
@@ -389,8 +391,9 @@ class Evaluator:
     def _run_try(self, statement: ast.Try | ast.With, scope: Scope) -> None:
         """Evaluate the body of ``try`` or ``with``, then of ``else`` and ``finally``.
 
-        Exception handlers are not evaluated: their targets become unknown if the body raises. An
-        exception leaves a ``try`` without handlers after ``finally``.
+        Exception handlers are not evaluated: their targets become unknown if the body or ``else``
+        raises. An exception leaves a ``try`` without handlers after ``finally``. The variables
+        after ``as`` in a ``with`` statement are unknown.
         """
         handlers = getattr(statement, "handlers", ())
         for item in getattr(statement, "items", ()):
@@ -492,7 +495,11 @@ class Evaluator:
         return None
 
     def _invalidate_targets(self, statement: ast.stmt | ast.ExceptHandler, scope: Scope) -> None:
-        """Set all variables that a statement may assign to unknown values."""
+        """Set all variables, attributes and items that a statement may assign to unknown values.
+
+        Definitions of functions and classes, imports, and changes by methods such as ``append`` are
+        not considered.
+        """
         within = (node for node in ast.walk(statement) if isinstance(node, ast.stmt))
         for said, node in ((inner, node) for inner in within for node in ast.walk(inner)):
             stored = isinstance(node, ast.Name | ast.Attribute | ast.Subscript)
@@ -505,7 +512,8 @@ class Evaluator:
     def _assign_target(self, to: ast.expr, value: LocatedValue, scope: Scope) -> None:
         """Assign a value to a name, to several names, to an attribute or to an item.
 
-        ``to`` is the target of the assignment.
+        ``to`` is the target of the assignment. Nothing is assigned to an item of a value that is
+        neither a list nor a table.
 
         Raises:
             NotConstantError: If the target is of another kind, or the value does not fit it.
@@ -601,7 +609,11 @@ class Evaluator:
         return result
 
     def _is_true(self, node: LocatedValue) -> bool:
-        """Return the truth of a value; raise NotConstantError for an unknown value."""
+        """Return the truth of a value.
+
+        Raises:
+            NotConstantError: If the value is unknown, or a function, class or module.
+        """
         if isinstance(node.value, NamedValue | ModuleNames):
             raise NotConstantError
         return bool(node.value)
@@ -615,7 +627,9 @@ class Evaluator:
         return node.value
 
     def _to_plain(self, node: LocatedValue) -> Any:
-        """Return the value of a node as plain data, without the places in the source.
+        """Return the value of a node without the places in the source, also of items of lists.
+
+        Tables and objects are returned unchanged.
 
         Raises:
             NotConstantError: If a value is unknown, or more than `MAX_VALUES` steps were needed.
@@ -816,7 +830,7 @@ class Evaluator:
 
         Functions and classes of evaluated files are evaluated (`call`), allowed methods of lists
         and tables are called (`_ALLOWED_METHODS`); other calls are those of a library
-        (`_call_library`).
+        (`_call_library`). Methods of texts are not supported.
         """
         arguments = self._evaluate_starred(expression.args, scope)
         keywords: dict[str, LocatedValue] = {}
@@ -971,7 +985,10 @@ class Evaluator:
     def _make_instance(
         self, of: ClassValue, arguments: list[LocatedValue], keywords: dict[str, LocatedValue]
     ) -> LocatedValue:
-        """Make an instance of a class with fresh copies of the default values."""
+        """Make an instance of a class with fresh copies of the default values, as of a dataclass.
+
+        Arguments become fields, then ``__post_init__`` is evaluated; ``__init__`` is not.
+        """
         result: InstanceValue = self._copy_value(InstanceValue(of.name, of.fields, of), {})
         result.fields.update(zip(dict.fromkeys(of.ordered), arguments, strict=False), **keywords)
         own = LocatedValue(result, Place(Path()))

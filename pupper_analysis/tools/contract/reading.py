@@ -110,7 +110,7 @@ def read_file(request: Request) -> list[JointSource]:
 def select_configurations(request: Request, sources: Sequence[JointSource]) -> list[JointSource]:
     """Select the configurations (named sets of values) of a file that are compared.
 
-    Of configurations with the same content, one is kept. In a file of a training program, a
+    Of configurations with the same content, the first is kept. In a file of a training program, a
     configuration is also dropped if another one contains all of its values.
 
     Raises:
@@ -195,7 +195,8 @@ def check_source(placed_source: PlacedSource, model: JointSource) -> list[Diagno
 
     Raises:
         ModelError: If the source states neither a number for a joint of the robot nor a joint
-            order, and is not a network that states the number of joints without names.
+            order. A source with settings, but without names and notes, is accepted: for example a
+            network that states the number of joints.
     """
     stated_facts = [
         fact for fact in placed_source.facts.values() if fact.joint and not fact.implied

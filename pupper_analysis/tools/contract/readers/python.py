@@ -2,7 +2,7 @@
 
 Input is a Python file, evaluated from its syntax tree (`python_values`). Output is a `JointSource`
 for each configuration: default angles, gains, limits, action scales and offsets, and observations.
-Configurations that are part of another configuration are no sources.
+Configurations that are part of another configuration are no sources, unless the request names one.
 """
 
 from __future__ import annotations
@@ -108,7 +108,8 @@ def _select_whole_configurations(
 ) -> list[JointSource]:
     """Return the sources of configurations that are not part of another configuration.
 
-    All sources are returned if the request names a configuration.
+    All sources are returned if the request names a configuration. An object of a class that was not
+    read is never left out.
 
     Args:
         request: File, and the name of a configuration or "".
@@ -151,8 +152,8 @@ def _read_constants(
 def _make_constant_table(evaluator: py.Evaluator, node: LocatedValue) -> LocatedValue:
     """Return a class as a table {name in lower case: constant or table}; other nodes unchanged.
 
-    The table contains the attributes of the class, and the values that its methods assign to
-    attributes such as ``self.kp``.
+    The table contains the attributes of the class, and the constants that its methods assign to
+    attributes such as ``self.kp``: of several, the first.
     """
     if not isinstance(node.value, py.ClassValue):
         return node
@@ -289,8 +290,8 @@ def _list_actuators(node: LocatedValue) -> list[LocatedValue]:
 def _list_robot_statements(robot: LocatedValue) -> Iterator[Statement]:
     """Yield default angles, gains, limits and friction of a robot's configuration, in SI units.
 
-    Joints are regular expressions of names. Joints without a stated default angle have the angle 0,
-    the default of the framework.
+    Joints are regular expressions of names. If the configuration has a table of default angles,
+    joints that are not in it have the angle 0, the default of the framework.
     """
     angles = robot.get("init_state", "joint_pos")
     first_wins = robot.value.kind == "EntityCfg"
@@ -319,7 +320,8 @@ def _list_robot_statements(robot: LocatedValue) -> Iterator[Statement]:
 def _list_action_statements(action: LocatedValue, angles: list[Statement]) -> Iterator[Statement]:
     """Yield the scales and offsets of a policy's action.
 
-    Offsets are the default joint angles ``angles``, unless ``use_default_offset`` is false.
+    Offsets are the default joint angles ``angles``, unless ``use_default_offset`` has another value
+    than True: then they are the stated ``offset``.
     """
     patterns = action.find_first("patterns").texts
     scale = action.get("scale")

@@ -100,7 +100,10 @@ class _View:
         }
 
     def conflicts_with(self, other: _View) -> bool:
-        """Return True if both state different values or lists of joint names for the same thing."""
+        """Return True if both state the same quantity, or joint names, at different places.
+
+        The values may be equal.
+        """
         first, second = self._find_joint_values(), other._find_joint_values()
         first["names"], second["names"] = self.find_first("joints"), other.find_first("joints")
         return any(
@@ -230,7 +233,7 @@ def read_table(
     Args:
         request: Request with the path of the file.
         name: Name of the source.
-        table: Table; keys are compared in lower case.
+        table: Table; its keys are converted to lower case, but not those of nested tables.
         role: Role of the source; ``TRAINER`` instead if the table configures a trainer.
         sizes: Statements from elsewhere, such as the sizes of a network.
     """
@@ -310,7 +313,7 @@ def _read_view(
 
 
 def _collect_name_lists(view: _View) -> dict[str, tuple[str, ...]]:
-    """Return {key: texts} of the lists of at least two distinct texts in the tables of a view."""
+    """Return {key: texts} of the lists of two or more texts, all distinct, in a view's tables."""
     return {
         str(key): node.texts
         for table in view.tables
@@ -322,7 +325,8 @@ def _collect_name_lists(view: _View) -> dict[str, tuple[str, ...]]:
 def list_numeric_keys(path: Path) -> tuple[str, ...]:
     """Return the keys of numbers and lists of numbers in a YAML or JSON file, nested with dots.
 
-    Keys of lists, which more often contain a number per joint, are the first.
+    Keys of lists, which more often contain a number per joint, are the first. Tables nested deeper
+    than `_MAX_TABLE_DEPTH` are left out.
     """
     lists, numbers = list[str](), list[str]()
 
@@ -358,7 +362,9 @@ def _read_motor_numbers(motors: LocatedValue) -> list[int]:
 def _list_table_statements(
     view: _View, order: Sequence[str], motors: list[int], is_standing_table: bool
 ) -> Iterator[Statement]:
-    """Yield a statement for each value in tables, such as a joint's gain or default angle.
+    """Yield a statement for each number in tables, such as a joint's gain or default angle.
+
+    If the tables list joint names, numbers of other names are left out.
 
     Args:
         view: Tables with keys in lower case.
@@ -464,7 +470,8 @@ def is_trainer_config(root: LocatedValue) -> bool:
 def read_settings(root: LocatedValue) -> Iterator[Statement]:
     """Yield the joint values, global settings and observation scales in a legged_gym configuration.
 
-    ``root`` is the top of the configuration. An armature of 0 is left out.
+    ``root`` is the top of the configuration. An armature of 0 is left out. Each default angle is
+    also an action offset.
 
     Raises:
         ModelError: If an entry of the user's ``pupper-analysis.toml`` is not valid.
