@@ -24,7 +24,7 @@ from lxml import etree
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.runs import current_run
-from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, known_limit
 from pupper_analysis.models.places import (
     Place,
     innermost_element,
@@ -546,17 +546,18 @@ def states_no_limits(joint: UrdfJoint) -> bool:
     """Return True if the ``<limit>`` of a revolute joint contains no information about the range.
 
     This is the case without ``lower`` and ``upper``, or if lower, upper and effort are all zero or
-    missing: exporters omit these attributes, or write zeros, if the limits are unknown. A range
-    from 0 to 0 with an effort is a valid range.
+    missing: exporters omit these attributes, or write zeros, if the limits are unknown. An effort
+    of at least ``UNSTATED`` counts as missing. A range from 0 to 0 with an effort is a valid range.
     """
     limit = joint.element.find("limit")
     if joint.kind != "revolute" or limit is None:
         return False
-    words = [limit.get(name) for name in ("lower", "upper", "effort")]
-    if words[:2] == [None, None]:
+    ends = [limit.get(name) for name in ("lower", "upper")]
+    if ends == [None, None]:
         return True
     try:
-        return not any(float(word or 0.0) for word in words)
+        effort = known_limit(float(limit.get("effort") or 0.0))
+        return not any(float(end or 0.0) for end in ends) and effort in (0.0, math.inf)
     except ValueError:
         return False  # invalid number, reported by the validation
 
@@ -565,7 +566,7 @@ def unlimited_joints(root: etree._Element) -> list[UrdfJoint]:
     """Return the revolute joints of a URDF whose ``<limit>`` specifies no range.
 
     `states_no_limits` defines this: ``lower`` and ``upper`` are missing in the element, or are zero
-    together with the effort. A joint without the element is not included.
+    or missing together with the effort. A joint without the element is not included.
     """
     return [joint for joint in UrdfTree(root).joints.values() if states_no_limits(joint)]
 

@@ -223,6 +223,7 @@ KNEE = 'lower="-2.6" upper="-0.4" effort="80"'
         ('effort="80"', True),
         ('lower="0" upper="0" effort="0"', True),
         ('lower="0.0" upper="-0" effort="0e0"', True),
+        ('lower="0" upper="0"', True),  # the reader completes the effort
         ('lower="0" upper="0" effort="80"', False),  # who gives it an effort may have locked it
         ('upper="0" effort="80"', False),
         ('lower="-1" effort="0"', False),
