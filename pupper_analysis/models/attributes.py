@@ -85,9 +85,9 @@ class JointAttribute:
 
 
 UNSTATED = 1e9
-"""Effort [N m, N] or velocity [rad/s, m/s] in a URDF from which the limit counts as unspecified. A
-URDF cannot omit these limits, and the readers of both engines require finite numbers. Chosen, not
-tuned: the strongest motors have 1e4 N m."""
+"""Effort [N m, N] or velocity [rad/s, m/s] in a URDF from which the limit counts as unspecified.
+The ``<limit>`` of a URDF must state both as finite numbers. Chosen, not tuned: the strongest motors
+have 1e4 N m."""
 
 
 def known_limit(stated: float) -> float:
@@ -233,9 +233,9 @@ class ElementAttribute:
 
 
 _CONTACT_WORDS: Final = ("solref", "solimp", "margin", "gap")
-"""Contact parameters that geoms and contact pairs of an MJCF have in common."""
+"""Four contact parameters that are compared both of geoms and of contact pairs of an MJCF."""
 
-_UNITS_BY_WORD: Final = {"margin": "m", "gap": "m", "timestep": "s", "gravity": "m/s^2"}
+_UNITS_BY_WORD: Final = {"margin": "m", "gap": "m", "timestep": "s"}
 """{compared attribute of a geom, contact pair or option in an MJCF: unit}. The values of other
 attributes are reported without unit."""
 
@@ -281,7 +281,8 @@ _CONSTRAINT_WORDS: Final = {
                      "actearly", "delay", "history", "cranklength")
     ),
 }  # fmt: skip
-"""{tag: pairs of an attribute that is compared and its array in MuJoCo's model}."""
+"""{tag: pairs of an attribute that is compared and its array in MuJoCo's model}. The iterators are
+read once, for `ELEMENT_ATTRIBUTES`."""
 
 ELEMENT_ATTRIBUTES: Final = (
     *(
@@ -310,10 +311,11 @@ forces), shapes and flags (`robot.compare.mjcf_only`).
 # Names and values of additions to an MJCF, in memory or in a new file.
 
 AttributeValue = float | str
-"""Number, or the text of a value in another file, such as ``elliptic``."""
+"""Number, or text of a value as in an MJCF, such as ``elliptic``."""
 
 FLOOR_NAME: Final = "floor"
-"""Name of an added floor, and of the floor material."""
+"""Name of an added floor, and of its material and texture in a new file. A number is appended if a
+geom has this name."""
 
 HOME_KEYFRAME: Final = "home"
 """Name of the keyframe of the initial pose."""

@@ -46,8 +46,8 @@ _FREE_JOINT_NAME = "__free__"
 class MujocoTree:
     """MuJoCo model of a multibody tree.
 
-    The model is compiled once per structure (parents and kinds of joints); all other parameters are
-    written into the model. Joints and base have the names of the tree; each frame is a site.
+    The model is compiled for a structure (names, parents and kinds of joints); all other parameters
+    are written into the model. Joints and base have the names of the tree; each frame is a site.
     Gravity, damping and applied forces act; joint limits, friction and contacts do not.
 
     Attributes:
@@ -71,6 +71,8 @@ class MujocoTree:
     def has_structure_of(self, parameters: MultibodyTree) -> bool:
         """Return True if a tree has base, bodies, parents, joint types and frames of this model.
 
+        The base must be free in both, or fixed in both.
+
         The parameters can then be set without compiling a new model.
         """
         return self._structure == _structure_key(parameters)
@@ -78,7 +80,8 @@ class MujocoTree:
     def copy_parameters(self, parameters: MultibodyTree) -> None:
         """Copy all parameters of a tree into the model, in place: for example masses and axes.
 
-        The tree must have the same structure (``has_structure_of``).
+        The tree must have the same structure (``has_structure_of``). A body or joint that is the
+        same object as in the last call is not copied again, and must not have been modified.
         """
         model, previous = self.model, self._last_parameters
         bodies = _select_changed(parameters.bodies, previous.bodies)
@@ -112,7 +115,8 @@ def _structure_key(parameters: MultibodyTree) -> tuple[object, ...]:
 def _compile_structure(parameters: MultibodyTree, base: str) -> mujoco.MjModel:
     """Compile a MuJoCo model with the structure of a tree and arbitrary parameters.
 
-    Masses, inertias, axes and positions are nonzero placeholders, which the caller overwrites.
+    Masses, inertial frames, joint axes and positions of frames are nonzero placeholders, which the
+    caller overwrites.
 
     Args:
         parameters: Tree with the joints, their types, and the frames (sites of the model).
@@ -140,7 +144,7 @@ def _compile_structure(parameters: MultibodyTree, base: str) -> mujoco.MjModel:
 
 
 def _set_bodies(model: mujoco.MjModel, ids: Sequence[int], bodies: Sequence[TreeBody]) -> None:
-    """Write masses and inertias to a model. The inertia may be unphysical, as in a file."""
+    """Write masses, CoMs and inertias to a model. The inertia may be unphysical, as in a file."""
     moments, axes = np.linalg.eigh(np.array([body.inertia for body in bodies]))
     axes[..., 0] *= np.sign(np.linalg.det(axes))[:, None]
     model.body_mass[ids] = [body.mass for body in bodies]
@@ -154,7 +158,10 @@ def _set_bodies(model: mujoco.MjModel, ids: Sequence[int], bodies: Sequence[Tree
 
 
 def _set_joints(model: mujoco.MjModel, ids: Sequence[int], joints: Sequence[TreeJoint]) -> None:
-    """Write poses, axes, limits and passive parameters of joints to a model."""
+    """Write poses, axes, limits and passive parameters of joints to a model.
+
+    Position limits are enabled only if both are finite.
+    """
     bodies, dofs = model.jnt_bodyid[ids], model.jnt_dofadr[ids]
     model.body_pos[bodies] = [joint.position for joint in joints]
     model.body_quat[bodies] = [quaternion_from_rotation(joint.rotation) for joint in joints]
@@ -200,8 +207,8 @@ def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model
 def _correct_inertias(model: pin.Model, tree: UrdfTree) -> None:
     """Recompute the inertias of a Pinocchio model in place if a link has a negative mass.
 
-    Pinocchio's sum of two inertias divides by the larger of their total mass and 5e-32 kg. For a
-    total mass of -1 kg, the CoM is then 1e30 m away.
+    Pinocchio's sum of two inertias divides by the larger of their total mass and 2e-16 kg (measured
+    with pin 3.8). For a total mass of -1 kg, the CoM is then of the order of 1e15 m away.
     """
     inertias = {name: link.inertia for name, link in tree.links.items()}
     if all(inertia is None or inertia.mass >= 0 for inertia in inertias.values()):
@@ -228,10 +235,10 @@ mass, mass times CoM (3), inertia about the origin (6)."""
 def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
     """Build the Pinocchio model of a compiled MuJoCo model.
 
-    Bodies and sites become frames of type BODY. Gravity, joint limits, force limits of the
-    actuators, friction loss, and the effective armature and damping are copied (see
-    `acting_gravity`, `joint_armature`, `joint_damping`). Other forces (springs, tendons ...) are
-    not.
+    Bodies and sites with a name become frames of type BODY; of equal names, the first. Gravity,
+    joint limits, force limits of the actuators, friction loss, and the effective armature and
+    damping are copied (see `acting_gravity`, `joint_armature`, `joint_damping`). Other forces
+    (springs, tendons ...) are not.
 
     Args:
         model: Model with free, hinge and slide joints.
@@ -399,7 +406,10 @@ class UrdfImport:
     assets: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
     def spec(self) -> mujoco.MjSpec:
-        """Import the URDF into a spec. The compiled model has a body for each link.
+        """Import the URDF into a spec.
+
+        The compiled model has a body for each link, except for a root link ``world``, which becomes
+        the world without its mass.
 
         Raises:
             ModelError: If MuJoCo rejects the URDF.

@@ -1,9 +1,9 @@
 """MuJoCo spec of a compiled model, for users who hold only an ``MjModel``.
 
 `make_spec_of_model` writes bodies, joints, geoms, sites, meshes, actuators, tendons, equalities,
-contact pairs, keyframes and options of the model to a new spec. The spec is compiled and compared
-with the model; if an array with an effect on the dynamics differs, an error is raised
-(`_COMPARED_PREFIXES`, `_IGNORED_ARRAYS`).
+contact pairs and exclusions, height fields, keyframes and options of the model to a new spec. The
+spec is compiled and compared with the model; if an array with an effect on the dynamics differs, an
+error is raised (`_COMPARED_PREFIXES`, `_IGNORED_ARRAYS`).
 Cameras, lights, materials, textures and sensors other than those of an IMU are left out: they have
 no effect on the dynamics.
 """
@@ -116,8 +116,9 @@ _COMPARED_PREFIXES: Final = (
     *("tendon_", "wrap_", "eq_", "pair_", "exclude_", "key_qpos", "key_ctrl", "key_qvel"),
     *("qpos0", "qpos_spring"),
 )
-"""Prefixes of the arrays of a model that the new spec, when compiled, must reproduce. The frames of
-mesh geoms are compared by the positions of their vertices."""
+"""Prefixes of the arrays of a model that the new spec, when compiled, must reproduce. The frames
+and sizes of geoms are compared by points (`_outline`), since the compiler moves the frame of a
+mesh."""
 
 _IGNORED_ARRAYS: Final = frozenset(
     {
@@ -127,8 +128,9 @@ _IGNORED_ARRAYS: Final = frozenset(
         "tendon_invweight0",
     }
 )
-"""Arrays with a compared prefix that need not be reproduced: groups, colours, user data, addresses
-of history buffers, and results of MuJoCo's compiler such as the inverse weights of tendons."""
+"""Arrays with a compared prefix that need not be reproduced: groups, materials, colours, widths,
+user data, plug-in ids, history buffers, and results of MuJoCo's compiler such as the inverse
+weights of tendons."""
 
 _ARRAY_TOLERANCE: Final = 1e-9
 """Absolute tolerance, in the unit of the array, and relative tolerance of arrays that must be
@@ -175,7 +177,7 @@ def make_spec_of_model(model: mujoco.MjModel, source: str) -> mujoco.MjSpec:
 
 
 class _SpecWriter:
-    """Copy of a compiled model in a new spec."""
+    """Writer of the elements of a compiled model to a new spec."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.model, self.spec = model, mujoco.MjSpec()
@@ -408,7 +410,7 @@ def _with_polynomial(linear: Array, polynomial: Array, index: int) -> Array:
 
 
 def _list_differences(model: mujoco.MjModel, made: mujoco.MjModel) -> Iterator[str]:
-    """Yield the names of the arrays and options in which two compiled models differ.
+    """Yield the compared arrays, geoms and options in which two compiled models differ.
 
     ``model`` is the original, ``made`` is compiled from the spec that was reconstructed from it.
     """

@@ -1,9 +1,9 @@
 """Torque limits of motors at the joints, from all statements of a URDF and an MJCF.
 
-A torque limit has four sources: the URDF's ``effort``, and in an MJCF the joint's
-``actuatorfrcrange``, an actuator's ``forcerange`` times the gear, and the ``ctrlrange`` of a plain
-motor times gain and gear. MuJoCo clamps a torque by all these limits in sequence, so the
-smallest limit counts.
+A torque limit has four sources: the URDF's ``effort``, and in an MJCF the ``actuatorfrcrange`` of
+the joint or tendon, an actuator's ``forcerange`` times the gear, and the ``ctrlrange`` of a plain
+motor times gain and gear. MuJoCo clamps a torque by all limits of the MJCF in sequence, so the
+smallest limit counts. The limits of several actuators at a joint are added.
 
 A limit of zero is a motor without torque, and a negative limit is an error; ``EffortCode`` names
 both. A joint for which no file states a limit has an unknown limit, which is no unlimited motor.
@@ -39,7 +39,8 @@ _BOUNDED_DYNAMICS = (
     mujoco.mjtDyn.mjDYN_FILTER.value,
     mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
 )
-"""Actuator dynamics with which a force never exceeds the force of the largest command."""
+"""Actuator dynamics with which a force does not exceed the force of the largest command, if the
+activation starts within the range of the commands."""
 
 
 MIN_EFFORT = 1e-9
@@ -69,8 +70,9 @@ class EffortStatement(Result):
         stated: Lower and upper end of the range in the file, for an effort with both signs; for
             several actuators the sum at the joint.
         factor: Torque at the joint per unit of ``stated``: the gear of an actuator, for a
-            ``ctrlrange`` times the gain; 1 for a joint, for the sum of several actuators, and for
-            an empty range.
+            ``ctrlrange`` times the gain; for an actuator at a tendon also times the coefficient of
+            the joint in the tendon; 1 for a joint, for the sum of several actuators, and for an
+            empty range.
         lower: Lower end at the joint (N m or N).
         upper: Upper end at the joint (N m or N).
     """
@@ -96,8 +98,8 @@ class EffortStatement(Result):
         """Create a statement, and compute the torque range at the joint: ``factor`` x ``stated``.
 
         Args:
-            file: ``URDF`` or ``MJCF``.
-            element: ``joint`` or ``actuator``.
+            file: ``URDF`` or ``MJCF``; ``""`` for a requested limit.
+            element: ``joint``, ``actuator`` or ``tendon``.
             name: Name of the element.
             attribute: Attribute with the range.
             stated: Lower and upper end in the file.
@@ -205,7 +207,7 @@ class EffortLimit(Result):
 
     @property
     def positive_statement(self) -> EffortStatement | None:
-        """Statement of the smallest positive torque limit in the files; None if there is none."""
+        """Statement of the smallest limit that permits torque in both directions; None without."""
         positive = [statement for statement in self.stated if statement.symmetric_torque > 0]
         return min(positive, key=lambda statement: statement.symmetric_torque, default=None)
 
@@ -289,7 +291,7 @@ def _list_statements(
 def _read_tendon_efforts(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
     """Return the torque limits at a joint of a fixed tendon, from the actuator of the tendon.
 
-    Empty unless exactly one actuator at a fixed tendon acts on the joint.
+    Empty unless exactly one actuator at a fixed tendon acts on the joint, and has a limit.
     """
     levers = fixed_tendon_levers(model)
     actuators = [actuator for actuator, by_joint in levers.items() if joint in by_joint]
@@ -302,7 +304,7 @@ def _read_tendon_efforts(model: mujoco.MjModel, joint: int) -> list[EffortStatem
 def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
     """Return the force limits of an actuator at a tendon: of the actuator, and of the tendon.
 
-    The ranges are those of the force of the actuator [N], without its gear. A tendon's
+    The ranges are those of the force of the actuator [N or N m], without its gear. A tendon's
     ``actuatorfrcrange`` limits the sum of the forces of its actuators, and is left out if there are
     several.
     """
@@ -387,7 +389,10 @@ def _is_empty(
 
 
 def read_joint_effort(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
-    """Return the torque limit that ``actuatorfrcrange`` of a joint states; empty without limit."""
+    """Return the torque limit that ``actuatorfrcrange`` of a joint states.
+
+    The list is empty without limit, or if the upper end is at least ``UNSTATED``.
+    """
     unknown = (
         model.jnt_actfrcrange[joint, 1] >= UNSTATED
     )  # from MuJoCo's import of a URDF without effort
@@ -412,9 +417,9 @@ def find_max_effort(model: mujoco.MjModel, joint: int) -> float:
 
 
 def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
-    """Return the torque limits that attributes of an actuator state.
+    """Return the torque limits that attributes of an actuator state, at its output [N m, N].
 
-    They follow from ``forcerange``, and for a torque motor also from ``ctrlrange``.
+    The limits follow from ``forcerange``, and for a torque motor also from ``ctrlrange``.
     """
     gear = float(actuator_gear(model, actuator)[0])
     return [limit.scaled(gear) for limit in _read_actuator_forces(model, actuator)]
@@ -423,8 +428,8 @@ def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
     """Return the limits of an actuator's force before its gear [N or N m].
 
-    The limits are ``forcerange`` and, for an actuator with constant gain and no bias, the gain
-    times ``ctrlrange``. The list is empty if the actuator has neither range.
+    The limits are ``forcerange`` and, for an actuator with constant gain, no bias and one of
+    `_BOUNDED_DYNAMICS`, the gain times ``ctrlrange``. The list is empty without such a range.
     """
     found, name = [], str(model.actuator(actuator).name)
     if model.actuator_forcelimited[actuator]:
@@ -494,7 +499,7 @@ def placeholder_efforts(
 
     Yields:
         (names of joints, diagnostic about their efforts). In the last case the joints are sorted by
-        decreasing torque per link mass.
+        decreasing torque per link mass; a link mass counts as at least 0.001 of the robot's mass.
     """
     stated = [one for one in motors if 0 < one.effort < math.inf]
     found: dict[tuple[str, float], list[JointEffort]] = {}

@@ -51,7 +51,10 @@ class GitEntry:
 
 
 def pointed_file(blob: bytes) -> str | None:
-    """Return the SHA-256 of the file that a Git LFS pointer represents; None for other contents."""
+    """Return the SHA-256 of the file that a Git LFS pointer represents.
+
+    None for other contents, and for a pointer without SHA-256.
+    """
     if not blob.startswith(LFS_POINTER) or len(blob) >= _MAX_POINTER_BYTES:
         return None
     for line in blob.decode(errors="replace").splitlines():
@@ -93,11 +96,12 @@ def run_git(command: list[str], folder: Path | None = None) -> subprocess.Comple
 def refuse_uncommitted(path: Path) -> None:
     """Refuse a file of a git repository with uncommitted changes.
 
-    Untracked files are accepted, and files that differ in line ends only. Without git, every file
-    is accepted.
+    Untracked files are accepted, and files that differ in line ends only. Every file is accepted
+    without git, and if git cannot list the files, for example of another owner.
 
     Raises:
-        OutputError: If the file has uncommitted changes.
+        OutputError: If the file has uncommitted changes, was never committed but added, or will be
+            written by the run.
         InputError: If a file in the repository cannot be read.
     """
     path = path.resolve()

@@ -1,4 +1,4 @@
-"""Reading of any URDF or MJCF; malformed files raise an error with file and line.
+"""Reading of URDFs and MJCFs; malformed files raise an error with file and, if known, line.
 
 Other formats have readers in separate packages, found by `base.tools.formats`.
 """
@@ -133,11 +133,11 @@ def read_model(
             (see `read_objects`).
         packages: Folders of ROS packages, for ``package://`` in a URDF and ``$(find)`` in a xacro
             file.
-        xacro_args: {argument of a xacro file: value}.
+        xacro_args: {argument of a xacro file: value}; ignored for a robot in memory.
 
     Raises:
-        ConfigurationError: If ``path`` is neither a path nor a text, or ``xacro_args`` are given
-            with another file than a xacro file.
+        ConfigurationError: If ``path`` is neither a path, a text nor a robot in memory, or is a
+            ``pin.GeometryModel``, or ``xacro_args`` are given with another file than a xacro file.
         ModelError: If the file cannot be loaded. The message is a single line with location and
             reason.
         UnknownNameError: If MuJoCo Menagerie has no such robot, or a xacro file declares no such
@@ -228,8 +228,8 @@ def kind_of(path: Path) -> str | None:
     """Return ``"urdf"`` or ``"mjcf"`` for a file that describes a robot; None for other files.
 
     A file with the suffix ``.urdf`` is not opened. Another URDF must have a link, and must not use
-    xacro. An MJCF must have a body of its own: a scene, which only includes the robot, does not
-    count.
+    xacro except for declarations. An MJCF must have a body of its own: a scene, which only includes
+    the robot, does not count.
     """
     if path.suffix.lower() == ".urdf":
         return "urdf"

@@ -31,7 +31,8 @@ def is_menagerie_name(word: str) -> bool:
 
     Valid forms are ``mujoco_menagerie/ROBOT`` and ``mujoco_menagerie/ROBOT/FILE.xml`` with any
     robot, and ``ROBOT`` and ``ROBOT/FILE.xml`` with a robot that the installed package lists or a
-    clone contains. In the latter forms the robot must contain an underscore.
+    clone contains. In the latter forms the robot must contain an underscore. The suffix is not
+    checked.
     """
     parts = Path(word).parts
     if not 1 <= len(parts) <= 3 or len(word) > _MAX_NAME_LENGTH or _exists(word):
@@ -56,8 +57,9 @@ def find_menagerie_file(word: str) -> Path:
 
     `is_menagerie_name` states the valid forms of ``word``.
 
-    Without a file name, the file is the default model of the package, without the scene; in a clone
-    without the package, the file whose name is the longest end of the robot's name.
+    Without a file name, the file is the default model of the package, without the scene; for a
+    robot that no installed package lists, the file whose stem is the longest end of the robot's
+    name.
 
     Raises:
         ModelError: If the package is not installed and there is no clone, if the robot is not
@@ -98,7 +100,7 @@ def _find_default_file(folder: Path, name: str, robot: Any) -> Path | None:
 
 
 def _import_package() -> Any:
-    """Return the package ``mujoco_menagerie``; None if it is not installed."""
+    """Return the package ``mujoco_menagerie``; None if it is not installed, or is a clone only."""
     try:
         package = importlib.import_module("mujoco_menagerie")
     except ImportError:
@@ -122,7 +124,7 @@ def _find_clone() -> Path | None:
 
 
 def list_menagerie_robots() -> tuple[str, ...]:
-    """Return the names of the robots that the package lists, or that the clone contains."""
+    """Return the names of the robots that the package lists and that the clone contains, sorted."""
     package, clone = _import_package(), _find_clone()
     names = set(package.names()) if package is not None else set()
     if clone is not None and clone.is_dir():

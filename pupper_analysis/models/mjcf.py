@@ -61,8 +61,8 @@ GEOM_CONTACT_WORDS: Final = (
     *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
     *("margin", "gap", "group"),
 )
-"""Attributes that are copied from one geom to another: all that determine contacts, and ``group``,
-which controls the visibility."""
+"""Attributes that are copied from one geom to another: contact parameters, and ``group``, which
+controls the visibility. ``surfacevel`` and ``adhesion`` are not copied."""
 
 
 def add_plane(body: mujoco.MjsBody, name: str, bits: int = 1) -> mujoco.MjsGeom:
@@ -93,9 +93,9 @@ def make_start_data(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 TIMESTEP_RANGE = 1e-5, 0.1
-"""Lower and upper bound of the time step of a simulation [s]. With the lower bound, 12 s take 1.2
-million steps. Contacts oscillate within 10 ms, and in one step of the upper bound a base falls 5
-cm."""
+"""Lower and upper bound of the time step of a simulation [s]; other time steps are refused. Chosen:
+with the lower bound, 12 s take 1.2 million steps. Contacts oscillate within 10 ms, and in one step
+of the upper bound a base falls 5 cm."""
 
 
 def parse_spec(path: Path) -> mujoco.MjSpec:
@@ -352,7 +352,7 @@ def spec_from_data(state: dict[str, Any]) -> mujoco.MjSpec:
 
 
 def _read_assets(spec: mujoco.MjSpec) -> dict[str, bytes]:
-    """Return {name: content} of the files of meshes, height fields, skins and textures."""
+    """Return {name: content} of the existing files of meshes, height fields, skins and textures."""
     files_and_folders = [
         (element.file, element.compiler.meshdir)
         for element in (*spec.meshes, *spec.hfields, *spec.skins)

@@ -425,11 +425,12 @@ class IncludeTree:
     def _find_included(self, element: etree._Element, path: Path) -> Path:
         """Count an include, and return the included file.
 
-        The name is relative to the main file or, if that does not exist, to the including file.
+        The name is relative to the main file or, if there is no such file, to the including file.
 
         Raises:
             ModelError: If there are more than ``MAX_INCLUDES`` includes, the element has no
                 ``file``, or the file does not exist.
+            OutputError: If the run will write the file.
         """
         if next(self._include_counter) > MAX_INCLUDES:
             raise make_element_error(
@@ -550,8 +551,9 @@ def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
 def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -> XmlNode | None:
     """Return the element that sets an attribute: the element itself, or one in a default class.
 
-    The default class is the class of the element, or the ``childclass`` of a body above it. A class
-    inherits from the enclosing classes.
+    The default class is the class of the element, or the ``childclass`` of a body above it, or else
+    the first top-level class. A class inherits from the enclosing classes. In a class, only
+    elements with the tag of the element are searched.
 
     Args:
         root: Root element.
@@ -594,19 +596,20 @@ class MjcfFile:
     Attributes:
         path: The file.
         spec: Parsed spec, not compiled, without elements whose files are missing.
-        files: The file, and all files that this file includes or attaches.
+        files: The file, and all files that this file includes or attaches; empty for a generated
+            text.
         notes: Diagnostics of removed or replaced elements.
         refusal: Message and location if MuJoCo does not compile the file, or if a number of the
             compiled model is not valid; None otherwise.
-            ``MjSpec.copy()`` drops dangling elements, so a copy of the spec may compile although
-            the file does not.
+            A copy of ``spec`` may compile although the file does not, since ``MjSpec.copy()`` drops
+            dangling elements.
         as_it_is: Message and location of the error in the unmodified file that was repaired (flat
             meshes); None otherwise.
         unknown: {kind of a joint parameter: joints with an unknown value}. Set if the MJCF was
             converted from a format in which a missing parameter is unknown, and not zero.
         stands_for: Word for the original file of a converted robot; "" for an MJCF.
         gains: {joint: (stiffness, damping) of the servo} (N m/rad, N m s/rad; N/m, N s/m) in a file
-            of another format; None if the format has no servos.
+            of another format; None for an MJCF, and for a format without servos.
         of_urdf: Whether the MJCF was converted from a URDF, which does not specify ground and
             contacts.
         deferred_visuals: Function that converts the visual meshes of a URDF, puts them into a spec
@@ -674,7 +677,7 @@ class MjcfFile:
             tag: Tag of the element.
             number: Number of the element among the direct children of the body.
             attributes: If given, the location at which one of these attributes is set, in the
-                element or in a default class.
+                element or in a default class; that of the element if no attribute is set.
 
         Returns:
             The location; that of the body if there are not enough elements, for example within a
@@ -819,6 +822,7 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
         ModelError: If the root element is not ``<mujoco>``, an include or an attribute is not
             valid, a limit of size, number or depth is exceeded, MuJoCo cannot parse the file, or a
             mass depends on a missing mesh.
+        OutputError: If the run will write an included file or a mesh.
     """
     if root.tag != "mujoco":
         is_urdf, is_include = root.tag == "robot", root.tag == "mujocoinclude"
@@ -870,7 +874,7 @@ def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] 
 
 
 def _disable_unset_ranges(spec: mujoco.MjSpec, index: Mapping[tuple[str, str], XmlNode]) -> None:
-    """Switch off, in place, the unset torque ranges of a spec that MuJoCo writes as "0 0".
+    """Switch off, in place, the unset force and control ranges that MuJoCo writes as "0 0".
 
     In a spec, an unset range has two zero ends and the switch "auto", with which MuJoCo applies no
     range. If the default class has another range, MuJoCo writes the unset range as "0 0", which in

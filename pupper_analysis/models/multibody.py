@@ -1,8 +1,8 @@
 """``MultibodyTree``: joints, bodies and frames of a robot, for comparison of two files.
 
-Fixed children are merged into the body that carries them. Link frames are a convention: two files
-can describe the same robot with different link frames. `matching.alignment` transforms the frames
-of one tree to the frames of another tree.
+Fixed children are merged into the body to which they are fixed. Link frames are a convention: two
+files can describe the same robot with different link frames. `robot.matching.alignment` transforms
+the frames of one tree to the frames of another tree.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class TreeJoint:
         slides: Whether the joint is prismatic.
         lower: Lower limit [rad, m].
         upper: Upper limit [rad, m].
-        effort: Effort limit [N m, N].
+        effort: Effort limit [N m, N]; infinite if not stated.
         velocity: Velocity limit [rad/s, m/s]; infinite if the format cannot specify a limit.
         armature: Armature [kg m^2, kg].
         damping: Damping [N m s/rad, N s/m].
@@ -209,7 +209,7 @@ def from_pinocchio(
     Args:
         model: Model with joints of one degree of freedom; with a free flyer if the base is free.
         base: Name of the base.
-        joint_names: Names of the joints.
+        joint_names: Names of the joints with one degree of freedom.
         frames: {name: BODY frame of the model}.
 
     Raises:

@@ -1,6 +1,7 @@
 """Robots in memory: objects of MuJoCo, Pinocchio and yourdfpy, and XML texts, as model files.
 
-The objects are not modified. Names of files and line numbers are unknown; a note states this.
+The objects are not modified. Names of files and line numbers of other objects than ``UrdfFile`` and
+``MjcfFile`` are unknown; a note states this.
 """
 
 from __future__ import annotations
@@ -83,8 +84,8 @@ class ObjectFiles:
 
     Attributes:
         files: Model files.
-        source: Pinocchio model among the objects, whose armature and gravity no URDF states; None
-            if there is none.
+        source: First Pinocchio model among the objects, whose armature and gravity no URDF states;
+            None if there is none.
         folder: Temporary folder with the meshes of the Pinocchio model.
     """
 

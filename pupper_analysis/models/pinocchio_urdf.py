@@ -65,7 +65,7 @@ def _check_joints(model: pin.Model, source: str) -> bool:
 
     Raises:
         ModelError: If another joint is a free flyer or has no URDF type (neither hinge nor slide),
-            or a link besides the free base is connected to the world.
+            or a joint besides that of the free base is connected to the world.
     """
     flyers = [
         index for index in range(1, model.njoints) if model.joints[index].shortname() == _FREE_FLYER
@@ -119,7 +119,9 @@ class _UrdfWriter:
     def add_links(self) -> None:
         """Add the links and joints of the Pinocchio model to the URDF.
 
-        Each joint has a link, as have the root and each body frame that is not at its joint.
+        Each joint and the root have a link. A body frame at its joint names this link; each other
+        body frame, and each further one at the same joint, has a link of its own. Body frames that
+        are fixed to the world beside a free base are left out.
         """
         model = self._model
         frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
@@ -155,7 +157,10 @@ class _UrdfWriter:
             set_origin(joint, frame.placement)
 
     def _add_joint(self, index: int) -> None:
-        """Add the joint with an index; raise ModelError for a slide without limits."""
+        """Add the joint with an index; raise ModelError for a slide without limits.
+
+        A hinge without two finite limits becomes continuous.
+        """
         model = self._model
         is_flyer = self._floating and index == 1
         name, parent = str(model.names[index]), int(model.parents[index])

@@ -84,7 +84,8 @@ def quote_short(value: str) -> str:
 
 
 NO_LINE: Final = 65535
-"""Largest line number of lxml. Elements with this number have an unknown line."""
+"""Line number from which `line_of` returns None: the largest number in the 16 bits in which libxml2
+stores lines."""
 
 
 def forget_lines(root: etree._Element) -> None:

@@ -163,7 +163,8 @@ def _is_description(word: str) -> bool:
 def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> Path:
     """Return the file of a model: a path, a published name, or ``package://NAME/FILE``.
 
-    A path is returned unchanged, also if no such file exists.
+    A path is returned unchanged, also if no such file exists. Of a description with several files,
+    the MJCF is returned, or else the URDF, or else the xacro file.
 
     Args:
         model: Path or name.
@@ -287,7 +288,7 @@ def expand_xacro(
     Raises:
         ModelError: If xacro is not installed, the file does not exist, a package is not found, or
             the expansion fails.
-        UnknownNameError: If the file declares no such argument.
+        UnknownNameError: If neither the file nor an included file declares an argument.
         OutputError: If the run will write an included file.
     """
     try:

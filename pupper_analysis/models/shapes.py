@@ -1,8 +1,8 @@
 """Geometry of shapes, used for display, contact and inertia.
 
-Each shape is the Minkowski sum of a point, line segments (bars), an ellipse or ellipsoid, a ball
-and a convex hull. Support function, lowest point and outline are computed from these terms,
-independent of the kind of shape.
+The convex hull of each supported shape is the Minkowski sum of a point, line segments (bars), an
+ellipse or ellipsoid, a ball and a convex hull (`Terms`). Support function, lowest point and outline
+are computed from these terms, independent of the kind of shape.
 """
 
 from __future__ import annotations
@@ -150,8 +150,9 @@ class Shape:
         name: Name; "" if there is none.
         kind: ``sphere``, ``box``, ``cylinder``, ``capsule``, ``ellipsoid``, ``mesh`` or another.
         pose: Pose in the frame of the body.
-        size: Radius; radius and half length; or three half sizes [m].
-        collides: Whether the shape can collide.
+        size: Radius; radius and half length; or three half sizes [m]. Empty for a mesh and for
+            other kinds.
+        collides: Whether the shape can collide; without explicit contact pairs of an MJCF.
         read: Function that returns the mesh, or the hull for collisions, in the frame of the shape;
             None if unknown.
         read_volume: Function that returns the volume [m^3] of a mesh; None if unknown, or if the
@@ -196,9 +197,9 @@ class Shape:
     def compute_solid_inertia(self) -> pin.Inertia | None:
         """Compute the spatial inertia of the solid shape with a density of 1 kg/m^3.
 
-        The solid of a mesh whose surface is not closed is its convex hull. The result is in the
-        frame of the body; None for planes, ellipsoids, and meshes that were not read or have no
-        volume.
+        The solid of a mesh whose surface is not closed, or whose ``read_solid`` is unknown, is its
+        convex hull. The result is in the frame of the body; None for ellipsoids, for other kinds
+        such as planes, and for meshes that were not read or have no volume.
         """
         size = self.size
         match self.kind:
@@ -304,8 +305,9 @@ class Shape:
     def height(self, link: tuple[Array, Array], normal: Direction) -> float:
         """Return the height [m] of the shape's lowest point above a plane through the world origin.
 
-        The lowest point is below the origin of the body by the value of ``support`` at -normal.
-        Scalar arithmetic is used because this function is called often.
+        The lowest point is below the origin of the body by the value of ``support`` at -normal. The
+        extent of the shape must be known. Scalar arithmetic is used because this function is called
+        often.
 
         Args:
             link: Rotation (3, 3) and position (3,) [m] of the body in the world.
@@ -387,7 +389,7 @@ class Shape:
         """Points (n, 3) [m] in the frame of the body, whose hull approximates the shape.
 
         A ball or an ellipsoid is replaced by 26 points on its surface, an ellipse by a polygon with
-        16 corners. None if the extent is unknown.
+        16 corners: their hull is smaller than the shape. None if the extent is unknown.
         """
         centres = self.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
         if centres is None or self.minkowski_terms is None or not self.minkowski_terms.ball:
@@ -436,7 +438,7 @@ COMPARISON_DIRECTIONS = _SAMPLE_VECTORS / np.linalg.norm(_SAMPLE_VECTORS, axis=1
 directions, so that rotations of a box or a cylinder are detected."""
 
 NUM_SIZES: Final = {"sphere": 1, "box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2, "mesh": 0}
-"""{kind: number of sizes} of MuJoCo's shapes with a finite extent."""
+"""{kind: number of sizes} of MuJoCo's shapes whose extent `Shape.minkowski_terms` computes."""
 
 
 def read_shape(model: mujoco.MjModel, geom: int, data: mujoco.MjData | None = None) -> Shape:

@@ -1,8 +1,8 @@
 """Left-right symmetry of joints and links, derived from names.
 
 Input are names of joints or links, such as ``FL_knee``. `find_mirror_pairs` pairs the names that
-differ only in a word for left or right. `find_unlike_pairs` selects the pairs whose motor
-parameters differ unexpectedly, which indicates an error in a file.
+differ only in a word for left or right, which one name may lack. `find_unlike_pairs` selects the
+pairs whose motor parameters differ unexpectedly, which indicates an error in a file.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ _SIDE_PATTERN = re.compile(
 capitalised word."""
 
 ASYMMETRIC_PART_NAME = re.compile("gripper|finger|camera|imu|sensor", re.IGNORECASE)
-"""Names of parts that are not mounted as mirror images of each other."""
+"""Pattern in the names of parts that are often not mounted as mirror images of each other;
+`find_mirror_pairs` excludes such names."""
 
 
 LEG_JOINT_NAME = re.compile("hip|thigh|knee|calf|shank|ankle|foot|wheel", re.IGNORECASE)
@@ -41,8 +42,8 @@ LEG_JOINT_NAME = re.compile("hip|thigh|knee|calf|shank|ankle|foot|wheel", re.IGN
 of arms and hands, whose base is bolted down, rarely have such names."""
 
 _MOTOR_PARAMETER_RTOL = 0.02
-"""Relative tolerance for equal motor parameters. In published models, motors of the same type have
-identical values."""
+"""Relative tolerance for equal motor parameters. Chosen, not tuned: in published models, motors of
+the same type have identical values."""
 
 _MIN_EQUAL_PAIRS_PER_UNEQUAL = 3
 """Smallest number of equal pairs of left and right motors, per unequal pair, with which each
@@ -105,7 +106,7 @@ def find_unlike_pairs(
     more.
 
     Args:
-        pairs: Pairs (left, right) of joints.
+        pairs: Pairs of a left and a right joint, in any order.
         numbers: {joint: value} of one parameter, for example armature, in a common unit. Pairs
             without both values are skipped.
     """
@@ -122,9 +123,9 @@ def find_unlike_pairs(
     ]
 
 
-def _are_equal(left: float, right: float) -> bool:
-    """Return True if the difference is at most ``_MOTOR_PARAMETER_RTOL`` of the right value."""
-    return left == right or abs(left - right) <= _MOTOR_PARAMETER_RTOL * abs(right)
+def _are_equal(first: float, second: float) -> bool:
+    """Return True if the difference is at most ``_MOTOR_PARAMETER_RTOL`` of the second value."""
+    return first == second or abs(first - second) <= _MOTOR_PARAMETER_RTOL * abs(second)
 
 
 _LIMB_SHORT_NAMES: Final = ("fl", "fr", "rl", "rr", "hl", "hr", "bl", "br", "lf", "rf", "lh", "rh")
@@ -132,8 +133,8 @@ _LIMB_SHORT_NAMES: Final = ("fl", "fr", "rl", "rr", "hl", "hr", "bl", "br", "lf"
 _SIDE_TOKENS: Final = frozenset(
     {*_LIMB_SHORT_NAMES, "l", "r", "lr", "left", "right", "front", "rear", "hind", "back", "middle"}
 )
-"""Words in names that distinguish limbs. `strip_sides` removes these words from names to find the
-equal links or joints of several limbs."""
+"""Words in names that distinguish limbs, in lower case. `strip_sides` removes these words from
+names to find the corresponding links or joints of several limbs."""
 
 
 def strip_sides(name: str) -> str:

@@ -42,8 +42,8 @@ _OPTION_VALUES: Final[dict[tuple[str, AttributeValue], Any]] = {
 
 MIN_RANGE = 1e-9
 """Smallest effort [N m, N] of a written force range (-effort, effort), and width [rad, m] of a
-written joint range whose limits are equal. MuJoCo rejects a force range from 0 to 0, which
-converters write for a URDF without a limit."""
+written joint range whose limits are equal. MuJoCo rejects an enabled range with equal ends. Chosen,
+not tuned."""
 
 
 def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
@@ -70,7 +70,7 @@ def write_joint_parameter(joint: mujoco.MjsJoint, attribute: JointAttribute, val
 
     Args:
         joint: Joint; modified.
-        attribute: Parameter.
+        attribute: Parameter that an MJCF can specify, except a position limit.
         value: Value in SI units.
     """
     if attribute.kind == "effort":
@@ -216,8 +216,14 @@ class SpecTree:
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:
         """Multiply a joint parameter by a factor.
 
-        An effort is scaled in the joint, in the force ranges of the joint's actuators, and in the
-        control ranges of torque motors.
+        An effort is scaled in the joint, in the force ranges of the actuators whose target has the
+        name of the joint, and in the control ranges of those without bias (torque motors). A limit
+        scales both ends of the range.
+
+        Args:
+            joint: Joint.
+            attribute: Parameter that an MJCF can specify.
+            factor: Factor.
         """
         element = self.spec.joint(joint)
         if attribute == BY_KIND["effort"]:
@@ -295,8 +301,8 @@ class SpecTree:
             offset: Position of the follower with the leader at zero [rad, m].
 
         Returns:
-            The new equality constraint, which is stiffer than by MuJoCo's defaults
-            (`COUPLING_TIME_CONSTANT`).
+            The new equality constraint, with a time constant of `COUPLING_TIME_CONSTANT`, but at
+            least two time steps.
         """
         # MuJoCo's polynomial uses coordinates relative to ``ref``.
         follower_ref, leader_ref = (
@@ -383,7 +389,7 @@ class SpecTree:
         """Replace the force limits of a joint and its actuators by a symmetric limit of the total.
 
         Control ranges of torque motors are disabled; ranges of servos stay. Only actuators with
-        transmission ``joint`` are changed.
+        transmission ``joint`` are changed; a joint without such an actuator gets no limit.
 
         Args:
             joint: Joint.
@@ -532,7 +538,8 @@ def _find_free_base(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsB
     """Return the body of the world with the most joints in its subtree, if it is a free base.
 
     Its own joints must be three slides, and three hinges or a ball, with axes in all directions and
-    without actuator, spring or name in ``stated``; further joints must follow. None otherwise.
+    without actuator, ``stiffness`` or name in ``stated``; further joints must follow. None
+    otherwise.
     """
     joint_type = mujoco.mjtObj.mjOBJ_JOINT
     bodies = list(spec.worldbody.bodies)

@@ -1,8 +1,8 @@
 """Actuators of hinge and slide joints in an MJCF: transmission, force law and type.
 
 Input is a compiled MuJoCo model. The force law of an actuator is F = gain ctrl - stiffness l -
-damping dl/dt with the length l = gear q; from the laws of its actuators, each joint is classified
-as driven by a servo, a motor, a velocity servo or another actuator (`classify_joint_drive`).
+damping dl/dt with the length l = gear q; from the laws of its actuators, each joint is classified,
+for example as driven by a servo, a motor, a velocity servo or no actuator (`classify_joint_drive`).
 """
 
 from __future__ import annotations
@@ -212,7 +212,8 @@ class ActuatorLaw:
     constant bias is left out.
 
     Attributes:
-        gain: kp of a position servo (N m/rad or N/m), or torque per unit of ctrl of a motor (N m).
+        gain: kp of a position servo (N m/rad or N/m), or torque or force per unit of ctrl of a
+            motor (N m or N), before the gear.
         stiffness: Stiffness (N m/rad or N/m); 0 for a motor.
         damping: Damping (N m s/rad or N s/m).
         gear: Gear ratio.
@@ -243,7 +244,7 @@ def read_actuator_law(model: mujoco.MjModel, actuator: int) -> ActuatorLaw:
 
 _GAIN_RTOL = 1e-5
 """Relative tolerance for equality of gain and stiffness of a position servo, and of gain and
-damping of a velocity servo: the default of ``numpy.isclose``, also used by ``robot.servos``."""
+damping of a velocity servo: the default of ``numpy.isclose``."""
 
 
 class Drive(StrEnum):

@@ -45,8 +45,9 @@ class UrdfFile:
 
     Attributes:
         path: The file.
-        text: XML for the engines; differs from the file if the reader changed an element or
-            attribute, or if the file starts with white space.
+        text: XML for the engines. It differs from the file if the reader changed an element or
+            attribute (except white space in an attribute with several numbers), if a joint without
+            a range was made continuous, or if the file starts with white space.
         root: Root element without comments; ``sourceline`` is the line of an element.
         packages: Folders of ROS packages, for ``package://``.
         notes: Diagnostics of assumptions.
@@ -54,7 +55,7 @@ class UrdfFile:
             converted from a format in which a missing parameter is unknown, and not zero.
         stands_for: Word for the original file of a converted robot; "" for a URDF.
         gains: {joint: (stiffness, damping) of the servo} (N m/rad, N m s/rad; N/m, N s/m) in a file
-            of another format; None if the format has no servos.
+            of another format; None for a URDF, and for a format without servos.
     """
 
     path: Path
@@ -111,7 +112,8 @@ class UrdfFile:
     def resolve_mesh(self, filename: str) -> Path | None:
         """Return the file of a mesh's ``filename``.
 
-        None if there is no such file, or the scheme is none of ``package``, ``model`` and ``file``.
+        None if there is no such file, if the file is a Git LFS pointer, or if the scheme is none of
+        ``package``, ``model`` and ``file``.
 
         ``package://NAME/...`` and ``model://NAME/...`` are searched in ``packages``, in the folders
         of ``ROS_PACKAGE_PATH``, and in the folders above the URDF, with and without resolving
@@ -180,6 +182,7 @@ def urdf_from(
 
     Raises:
         ModelError: If the URDF is not valid. The message is a single line with location and reason.
+        OutputError: If the run will write a mesh or an included file.
     """
     if root.tag != "robot":
         mjcf = root.tag == "mujoco"
@@ -486,8 +489,8 @@ def check_tree(
 # Joints without limits: normalisation for the readers of the engines.
 
 MAX_SLIDE_POSITION = 1e3
-"""Limit of a slide without limits [m]. URDF requires two limits, whose defaults are 0. No robot
-moves as far, and with 12 digits the resolution is a nanometre."""
+"""Limit of a slide without limits [m]. URDF requires two limits, whose defaults are 0. Chosen: no
+robot moves as far, and with 12 digits the resolution is a nanometre."""
 
 
 def complete_limits(root: etree._Element) -> Diagnostic | None:
@@ -496,7 +499,7 @@ def complete_limits(root: etree._Element) -> Diagnostic | None:
     The format requires both, some exporters omit them, and Pinocchio's reader rejects the joint.
 
     Returns:
-        Diagnostic with the names of the joints; None if nothing was missing.
+        Diagnostic with the names of the joints; None if no ``<limit>`` was incomplete.
     """
     names = []
     for name, joint in UrdfTree(root).joints.items():
@@ -508,7 +511,7 @@ def complete_limits(root: etree._Element) -> Diagnostic | None:
 
 
 def remove_repeated_origins(root: etree._Element) -> list[Diagnostic]:
-    """Remove each ``<origin>`` after the first of a joint, shape or inertial, in place.
+    """Remove each ``<origin>`` after the first of a link, a joint or a child of these, in place.
 
     urdfdom, the reader of ROS and Pinocchio, evaluates the first ``<origin>``; MuJoCo refuses the
     file.

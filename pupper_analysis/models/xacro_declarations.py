@@ -1,7 +1,7 @@
 """Xacro elements that declare something, and that a URDF does not use.
 
-Converters and hand-written URDFs keep such elements, and every reader of URDF ignores them: 88 of
-674 public URDFs contain xacro elements of this kind only. A file that uses xacro otherwise must be
+Converters and hand-written URDFs keep such elements, and readers of URDF ignore them: 88 of 674
+public URDFs contain xacro elements of this kind only. A file that uses xacro otherwise must be
 expanded first.
 """
 
@@ -25,10 +25,10 @@ expression that uses their names has an effect."""
 
 _HARMLESS_TAGS: Final = ("material", "transmission", "gazebo", "ros2_control")
 """Children of an included file's root that change neither links nor joints. An included file with
-only these and declarations has no effect."""
+only these and declarations is accepted, and ignored."""
 
 _HARMLESS_NAMES: Final = re.compile(r"materials?|colou?rs?|transmissions?|gazebo|ros2_control")
-"""Pattern of the names of included files that are assumed to contain no links or joints, if the
+"""Pattern in the names of included files that are assumed to contain no links or joints, if the
 file does not exist here."""
 
 _EXPRESSION: Final = re.compile(r"\$[{(]")
@@ -38,10 +38,12 @@ _FIND: Final = re.compile(r"^\$\(find\s+([\w.-]+)\)/")
 """Pattern of ``$(find NAME)/`` at the start of a path."""
 
 _MAX_INCLUDE_DEPTH: Final = 10
-"""Largest depth of a chain of included xacro files that is followed. Chosen, to bound the time."""
+"""Largest depth of a chain of included xacro files; a file with a longer chain is refused. Chosen,
+to bound the time."""
 
 ResolveMesh = Callable[[str], Path | None]
-"""Returns the file of a name relative to the URDF, or of ``package://NAME/...``."""
+"""Function that returns the file of a name relative to the URDF, or of ``package://NAME/...``; None
+if there is no such file."""
 
 
 def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) -> list[Diagnostic]:
@@ -92,8 +94,9 @@ def _remove(element: etree._Element) -> None:
 def _is_harmless(element: etree._Element, resolve: ResolveMesh, depth: int) -> bool:
     """Return True if a xacro element is known to change neither links nor joints.
 
-    An ``<include>`` is harmless if the children of the included file are. ``resolve`` finds this
-    file, and ``depth`` is the number of files that include each other up to here.
+    An ``<include>`` is harmless if the children of the included file are, or if there is no such
+    file and its name matches `_HARMLESS_NAMES`. ``resolve`` finds this file, and ``depth`` is the
+    number of files that include each other up to here.
     """
     tag = etree.QName(element).localname
     if tag in _DECLARATIONS:

@@ -46,9 +46,9 @@ _FAULTY_DECLARATION: Final = re.compile(
     rb"(?:\A|(?<=\A\xef\xbb\xbf))"
     rb"(?:\s+<\?xml\s[^>]*\?>|<\?xml\s(?!\s*version\s*=\s*[\"']1\.\d+[\"'])[^>]*\?>)"
 )
-"""XML declaration that parsers reject: behind white space, such as a blank first line, or with
-another version than 1.0 or 1.1, such as ``<?xml version="0.0"?>``. Eight of 902 public URDFs have
-such a version; MuJoCo and Pinocchio read them."""
+"""XML declaration that parsers reject: behind white space, such as a blank first line, or with a
+version that does not begin with ``1.``, such as ``<?xml version="0.0"?>``. Eight of 902 public
+URDFs have such a version; MuJoCo and Pinocchio read them."""
 
 _DOCTYPE_START: Final = re.compile(r"(?:\s|<!--.*?-->|<\?.*?\?>)*+<!(?!--)", re.DOTALL)
 """Start of a text with a DOCTYPE, which precedes the root element."""
@@ -65,8 +65,9 @@ def parse_xml(path: Path) -> tuple[str, etree._Element]:
         Text as read; root element.
 
     Raises:
-        ModelError: If the file cannot be read, has a DOCTYPE, is not well-formed, exceeds a limit,
-            or uses xacro in another file than a URDF.
+        ModelError: If the file cannot be read, is empty, is a Git LFS pointer or of another format,
+            has a DOCTYPE, is not well-formed, exceeds a limit, or uses xacro in another file than a
+            URDF.
         OutputError: If the run will write this file.
     """
     text = _read_model_text(path)
@@ -139,7 +140,7 @@ def parse_numbers(text: str | None, default: str) -> NDArray[np.float64]:
 
 
 def parse_text(text: str) -> etree._Element:
-    """Parse XML text that is known to be valid, without comments."""
+    """Parse XML text that is known to be valid; comments are removed."""
     return etree.fromstring(text.encode(), _make_parser())
 
 
@@ -152,7 +153,9 @@ def _read_model_text(path: Path) -> str:
     """Return the text of an XML model file.
 
     Raises:
-        ModelError: If the file cannot be read, is empty, or has another format.
+        ModelError: If the file cannot be read, is empty, is a Git LFS pointer, or has another
+            format.
+        OutputError: If the run will write this file.
     """
     try:
         data = read_content(path, MAX_BYTES)
@@ -172,7 +175,7 @@ def _read_model_text(path: Path) -> str:
 
 
 def _make_parser() -> etree.XMLParser:
-    """Return a parser that removes comments and resolves no entities."""
+    """Return a parser that drops comments and processing instructions, and resolves no entities."""
     return etree.XMLParser(
         encoding="utf-8",
         resolve_entities=False,

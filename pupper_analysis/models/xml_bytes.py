@@ -29,17 +29,18 @@ _START_TAG_PATTERN: Final = re.compile(rb"""<[^\s/>]+(?:"[^"]*"|'[^']*'|[^>"'])*
 class XmlElement:
     """Element with the position of the start tag in the file.
 
-    Children and attributes are read as with lxml's elements, so that `UrdfTree` reads either.
+    ``get``, ``set``, ``find`` and ``findall`` are named as in lxml, so that `UrdfTree` reads links
+    and joints of either. Unlike in lxml, a path of several tags finds nothing.
 
     Attributes:
         tag: Tag.
-        attributes: Attributes in the file.
+        attributes: Attributes in the file, without ``changes``.
         file: File.
         start: Byte position of the start tag; -1 for a new element.
         line: Line of the start tag, from 1.
         parent: Parent element, across includes.
         children: Child elements, with includes replaced by the included content.
-        changes: {attribute: new value}.
+        changes: {attribute: new value}, by the new name of a renamed attribute.
         renamed: {attribute: new name}.
     """
 
@@ -105,7 +106,7 @@ class XmlDocument:
         path: File.
         data: Bytes of the file.
         root: Root element.
-        elements: All elements.
+        elements: All elements of the file, in its order, without new elements.
     """
 
     path: Path
@@ -133,7 +134,12 @@ class XmlDocument:
 
 
 def read_xml_bytes(path: Path) -> XmlDocument:
-    """Read an XML file that is known to be well-formed UTF-8."""
+    """Read an XML file that is known to be well-formed UTF-8.
+
+    Raises:
+        InputError: If the file cannot be read, or is too large.
+        OutputError: If the run will write this file.
+    """
     data = read_input(path, MAX_TEXT_BYTES)
     parser = expat.ParserCreate("utf-8")
     stack: list[XmlElement] = []
@@ -211,7 +217,7 @@ def _splice_children(
 ) -> Iterator[tuple[int, int, bytes]]:
     """Yield the splices that insert new elements as first children of an element.
 
-    The new elements get the indentation of the existing children.
+    The new elements get the indentation of the first child, if it is on a line of its own.
 
     Yields:
         (first byte, byte after the last, new bytes) of the replaced part of ``data``.

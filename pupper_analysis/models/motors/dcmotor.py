@@ -30,7 +30,7 @@ def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> 
         source: Name of the file, for messages.
 
     Raises:
-        ModelError: If the actuator is no ``dcmotor``.
+        ModelError: If the actuator is no ``dcmotor``, or its numbers contradict each other.
     """
     name = model.actuator(actuator).name
     if model.actuator_dyntype[actuator] != mujoco.mjtDyn.mjDYN_DCMOTOR.value:

@@ -25,13 +25,14 @@ a gear only reduce the torque; 10 % permit rounded numbers. Chosen, not tuned.""
 MIN_STALL_RATIO = 0.3
 """Smallest ratio between a stated stall torque and Kt V N / R of the same motor; a motor with a
 smaller ratio is refused. Friction and gear would lose more than 70 % of the torque, which suggests
-other units. The worst published servo in the data has 0.8. Chosen, not tuned."""
+other units. The smallest ratio in the data files is 0.57 (feetech-sts3215-7v4). Chosen, not
+tuned."""
 
 MAX_CONVENTION_RATIO = 2.0
 """Largest ratio between two stated numbers that define the same constant of a motor: the output
 torque constant and Kt N, or the speed without load and V / (Kt N). A motor with a larger ratio, or
-a ratio below `MIN_STALL_RATIO`, is refused. Line and phase currents, and rms and peak values,
-differ by up to sqrt(3)."""
+a ratio below `MIN_STALL_RATIO`, is refused. Chosen, not tuned: line and phase currents, and rms and
+peak values, differ by up to sqrt(3)."""
 
 
 def _number(kind: str) -> float | None:
@@ -293,11 +294,11 @@ class Motor:
     def compute_available_torques(self, speeds: Array) -> Array:
         """Return the largest torques at the output at speeds [N m], at least 0.
 
-        The supply voltage less the back-EMF drives the current through the cold winding; current
-        limit, stall torque and peak torque cut it off. tau = min(I_max, (V - Ke w) / R) Kt N eta,
-        with speed w, current limit I_max, supply voltage V, resistance R, torque constant Kt, gear
-        ratio N and gear efficiency eta. The constant Ke of the back-EMF is the larger of Kt N and
-        V / speed without load, as far as these are known.
+        The supply voltage less the back-EMF drives the current through the cold winding; the
+        current limit bounds the current, and stall torque and peak torque bound the torque. tau =
+        min(I_max, (V - Ke w) / R) Kt N eta, with speed w, current limit I_max, supply voltage V,
+        resistance R, torque constant Kt, gear ratio N and gear efficiency eta. The constant Ke of
+        the back-EMF is the larger of Kt N and V / speed without load, as far as these are known.
 
         Args:
             speeds: Speeds of the output, in the direction of the torques [rad/s].

@@ -30,8 +30,8 @@ BAM_MODELS = {
     "m6": ("load_friction_motor",),
 }
 """{friction model of BAM (Better Actuator Models): parameter of a driving motor's friction that
-is proportional to its load; () without such a parameter}. Stribeck and quadratic terms of m4 to m6
-are not read."""
+is proportional to its load; () without such a parameter}. Other terms of the models, such as
+Stribeck and quadratic terms, are not read."""
 
 
 def list_motors() -> tuple[str, ...]:
@@ -52,7 +52,8 @@ def find_motor(name: str) -> Motor:
         name: Name of `list_motors`, or path.
 
     Raises:
-        UnknownNameError: If the text is neither a known name nor a file.
+        UnknownNameError: If the text is neither a known name nor a file and has no suffix, or if a
+            key of a TOML file is unknown.
         ModelError: If the file cannot be read, or is not valid.
     """
     if name in list_motors():

@@ -1,7 +1,8 @@
 """Torque-speed region of a motor: utilisation of a motion.
 
 At a speed w in the direction of the torque, the motor exerts at most
-tau = min(I_max, (V - Ke w) / R) Kt N eta (`Motor.compute_available_torques`).
+tau = min(I_max, (V - Ke w) / R) Kt N eta, and at most its peak and stall torque
+(`Motor.compute_available_torques`).
 """
 
 from __future__ import annotations

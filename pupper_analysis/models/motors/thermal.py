@@ -142,7 +142,8 @@ class ThermalNetwork:
     def find_time(self, limit: float) -> float:
         """Return the time until the winding reaches a temperature [degC], in s; infinite if never.
 
-        The temperature grows monotonically from the ambient temperature.
+        The temperature grows monotonically from the ambient temperature. The time is 0 for a
+        temperature up to the ambient temperature.
 
         Args:
             limit: Temperature [degC].
@@ -198,7 +199,8 @@ def compute_continuous_torque(
 
     Raises:
         ModelError: If a thermal number is unknown, and the data sheet states no continuous torque
-            or a temperature is given.
+            or a temperature is given; or if all thermal numbers are known, but not the electrical
+            resistance or the torque per current.
     """
     unknown = list_unknown_thermal_numbers(motor, ambient)
     if limit is None:

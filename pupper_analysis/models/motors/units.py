@@ -31,10 +31,11 @@ class UnitKind:
     """Kind of quantity.
 
     Attributes:
-        unit: SI unit.
-        factors: {accepted unit: factor to the SI unit}.
+        unit: Unit of the result: SI unit, degC for temperatures, USD for prices.
+        factors: {accepted unit: factor to ``unit``}; "" for a number without unit.
         offset: {unit: value that is added after the multiplication}, for temperatures.
-        signed: Whether zero and negative values are accepted; otherwise values are positive.
+        signed: Whether zero and negative values down to -273.15 are accepted (temperatures in
+            degC); otherwise values are positive, or zero if ``zero`` is set.
         zero: Whether zero is accepted.
         most: Largest accepted value [SI].
     """

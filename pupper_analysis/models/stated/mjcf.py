@@ -2,8 +2,8 @@
 
 `read_mjcf_model` returns the links and joints of an MJCF, expressed in the base frame at zero joint
 positions. Poses come from the compiled model, and specified values from the spec, since the
-compiler replaces missing values by defaults. The other functions return parameters of geoms,
-contact pairs, options and keyframes, with their locations in the file.
+compiler replaces missing values by defaults. The other functions return names of elements,
+parameters of geoms, contact pairs, options and keyframes, and locations in the file.
 """
 
 from __future__ import annotations
@@ -52,7 +52,11 @@ JOINT_KIND_NAMES: dict[int, str] = {
 
 
 def read_mjcf_model(file: MjcfFile) -> MjcfModel:
-    """Return the model of an MJCF; a model without links if MuJoCo does not compile the file."""
+    """Return the model of an MJCF; a model without links if MuJoCo does not compile the file.
+
+    The base is the root of the heaviest tree; trees with a free joint and further joints have
+    priority.
+    """
     if file.refusal is not None:
         return MjcfModel("mjcf", "body", "", {}, file.notes, file, None, file.refusal, ())
     spec = file.spec.copy()
@@ -262,7 +266,8 @@ def _make_inertial(
 ) -> Inertial | None:
     """Return the inertia of a body, from the spec if explicit there, else from the geoms.
 
-    None if the inertia is not explicit and the mass of the geoms is zero.
+    None if the inertia is not explicit and the mass of the geoms is zero. ``spec_body`` is the body
+    of the spec if its inertia is explicit, else None.
     """
     axes = rotation_from_quaternion(model.body_iquat[body])
     if spec_body is not None:

@@ -91,7 +91,7 @@ class Joint:
     Attributes:
         name: Name of the joint.
         kind: ``HINGE_JOINT``, ``SLIDE_JOINT``, ``BALL_JOINT``, ``FREE_JOINT`` or ``FIXED_JOINT``.
-        parent: Body that carries the joint.
+        parent: Parent body of the joint.
         child: Body that the joint moves.
         position: Position (3,) [m] at zero angles, in the base frame.
         axis: Unit vector (3,) at zero angles, in the base frame; (0, 0, 0) for an axis of zero, and
@@ -101,7 +101,7 @@ class Joint:
             of the joint; an effort acts at the joint. Missing parameters are unknown, not zero.
         lower: Lower limit [rad, m]; -inf if unlimited.
         upper: Upper limit [rad, m]; inf if unlimited.
-        effort: Effort limit [N m, N]; inf if unlimited.
+        effort: Effort limit [N m, N]; inf if the file states none.
     """
 
     name: str
@@ -185,7 +185,8 @@ class RobotModel:
     Attributes:
         format: ``"urdf"``, ``"mjcf"``, or the name of another format.
         link_tag: Tag of a body in the format.
-        base: Name of the base; "" if there is no body.
+        base: Name of the base; "" if MuJoCo does not compile an MJCF, ``world`` for an MJCF without
+            bodies.
         links: {name: link}, parents first.
         notes: Diagnostics of elements that were left out.
     """
@@ -250,7 +251,7 @@ class RobotModel:
         Returns:
             Name for messages, and child element of the joint that contains the parameter: ("limit
             effort", "limit") in a URDF. The element is None if the parameter is an attribute of the
-            joint, as in an MJCF.
+            joint, as in an MJCF, or is unknown to URDF.
         """
         if self.format == "urdf" and attribute.urdf is not None:
             return " ".join(attribute.urdf), attribute.urdf[0]
@@ -314,7 +315,8 @@ class MjcfModel(RobotModel):
     Attributes:
         file: The file.
         mj_model: Compiled model; None if MuJoCo does not compile the file.
-        refusal: Message of MuJoCo and the location, if the unmodified file does not compile.
+        refusal: Message of MuJoCo and the location, if the unmodified file does not compile; None
+            otherwise.
         body_names: Name in ``links`` of each body of MuJoCo, by id.
     """
 

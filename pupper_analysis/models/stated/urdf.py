@@ -1,8 +1,8 @@
 """Reading of the `stated` robot model of a URDF from XML, including meshes.
 
 `read_urdf_model` returns the links and joints of a URDF, expressed in the frame of its root link at
-zero joint positions. Convex hulls and volumes of STL and OBJ meshes are computed on demand, and
-cached until the file changes.
+zero joint positions. Convex hulls and integrals of STL and OBJ meshes are computed on demand; the
+results of the last 256 files are cached until the file changes.
 """
 
 from __future__ import annotations
@@ -207,8 +207,8 @@ def _read_solid(file: UrdfFile, tag: etree._Element) -> pin.Inertia | None:
 
 
 MESH_SUFFIXES = (".stl", ".obj")
-"""Endings of the mesh files that are read. Other formats, such as COLLADA, contain units and poses
-and are not supported."""
+"""Suffixes of the mesh files that are read, in lower case. Other formats, such as COLLADA, contain
+units and poses and are not supported."""
 
 
 def mesh_hull(path: Path) -> Mesh | None:
@@ -224,14 +224,16 @@ def mesh_hull(path: Path) -> Mesh | None:
 
 
 MAX_READ_MESH_BYTES = 200_000_000
-"""Maximum size of a mesh file [bytes]; the largest published meshes have a quarter of this size."""
+"""Size [bytes] above which the audit does not read a mesh file. Chosen, not tuned: the largest
+published meshes have a quarter of this size."""
 
 
 @lru_cache(maxsize=256)
 def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
     """Return the convex hull of a mesh file, or a diagnostic if the file is invalid.
 
-    The vertices are in the file's unit of length, which a URDF takes as metres.
+    A mesh without a hull, for example a flat mesh, is returned itself. The vertices are in the
+    file's unit of length, which a URDF takes as metres.
 
     Args:
         path: The file.
