@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
@@ -58,6 +58,10 @@ Chosen, not tuned."""
 _MAX_DAMPING = 1e2
 """Largest damping of a step, relative to the diagonal of the posterior information matrix. If that
 matrix is diagonal, the step is a hundredth of the undamped step. Chosen, not tuned."""
+
+_MAX_BOUND_CHANGES = 10
+"""Upper bound of the iterations of a bounded step, per parameter: each iteration fixes a parameter
+at its lower bound or releases it. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,10 +224,10 @@ def estimate_parameters(
 ) -> Posterior:
     """Compute the most probable parameters by damped Gauss-Newton steps (Levenberg-Marquardt).
 
-    A step minimises the linearised cost; entries that would violate a lower bound end at the bound.
-    The step is accepted if the cost decreases by at least 10 % of the predicted decrease, minus
-    `_MIN_PREDICTED_DECREASE`. Otherwise an undamped step gets up to two second-order corrections,
-    and the step is then repeated with more damping.
+    A step minimises the linearised cost within the lower bounds. The step is accepted if the cost
+    decreases by at least 10 % of the predicted decrease, minus `_MIN_PREDICTED_DECREASE`. Otherwise
+    an undamped step gets up to two second-order corrections, and the step is then repeated with
+    more damping.
 
     The iteration has converged if the predicted decrease of the undamped step is below
     ``min_decrease``. It has stalled if no step is accepted up to `_MAX_DAMPING`, if an accepted
@@ -324,23 +328,24 @@ class _QuadraticCost:
     def compute_step(self, damping: float) -> Array:
         """Return the damped Gauss-Newton step, shape (n,), in units of the prior widths.
 
-        Entries that would violate a lower bound end at the bound; the other entries are then solved
-        again.
+        The step minimises the damped quadratic cost within the lower bounds.
 
         Args:
             damping: Factor of the damping: ``damping`` times the diagonal of the posterior
                 information is added to the information.
         """
         lower_bounds = (self.lower_bounds - self.x) / self.table.width
-        step, free = np.zeros(len(self.x)), np.ones(len(self.x), dtype=bool)
         damped = self.posterior_information + damping * np.diag(np.diag(self.posterior_information))
-        while free.any():
-            right_side = self.descent[free] - damped[np.ix_(free, ~free)] @ step[~free]
-            step[free] = cho_solve(cho_factor(damped[np.ix_(free, free)]), right_side)
-            violated = free & (step < lower_bounds)
-            if not violated.any():
-                break
-            step[violated], free = lower_bounds[violated], free & ~violated
+        factor = cholesky(damped)  # the cost is |factor step - right_side|^2 plus a constant
+        right_side = solve_triangular(factor, self.descent, trans="T")
+        step: Array = solve_triangular(factor, right_side)
+        if (step < lower_bounds).any():
+            from scipy.optimize import lsq_linear  # slow to import
+
+            bounds = lower_bounds, np.full(len(step), np.inf)
+            step = lsq_linear(
+                factor, right_side, bounds, method="bvls", max_iter=_MAX_BOUND_CHANGES * len(step)
+            ).x
         return step
 
     def predict_decrease(self, step: Array) -> float:
