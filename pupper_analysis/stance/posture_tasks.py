@@ -26,7 +26,7 @@ _ROTATION_TOLERANCE = 1e-6
 Chosen: more than the rounding of matrices with seven digits."""
 
 
-_CLEARANCE_WEIGHT = 1e2
+CLEARANCE_WEIGHT = 1e2
 """Weight of the squared violation of the self clearance, relative to other tasks: in a conflict,
 other tasks miss their targets. Measured on Pupper v3: with 1e4, PlaCo's programs are so badly
 conditioned that 18 iterations become 180."""
@@ -397,7 +397,7 @@ class SelfClearanceTask(PostureTask):
         The distances are linearised in the joint positions before each iteration.
         """
         constraint = solver.add_joint_space_half_spaces_constraint(np.zeros((0, 1)), np.zeros(0))
-        constraint.configure("self clearance", "soft", _CLEARANCE_WEIGHT * weight)
+        constraint.configure("self clearance", "soft", CLEARANCE_WEIGHT * weight)
         measured = _MeasuredClearance()
 
         def update(body: WholeBody) -> None:

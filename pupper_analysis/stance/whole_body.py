@@ -43,6 +43,7 @@ from pupper_analysis.stance.posture_contacts import (
     make_posture_stand,
 )
 from pupper_analysis.stance.posture_tasks import (
+    CLEARANCE_WEIGHT,
     JointsTask,
     OrientationTask,
     PlacoTask,
@@ -366,6 +367,7 @@ class _Problem:
         """
         robot, tasks, names = self._robot, self._tasks, self._names
         weights = np.array([float(task.required) for task in tasks])
+        weights[[isinstance(task, SelfClearanceTask) for task in tasks]] *= CLEARANCE_WEIGHT
         weights[len(tasks) - len(self._kept) :] *= _CONTACT_WEIGHT
         worst = int(np.where(weights > 0, residuals, -1.0).argmax())
         conflict = find_conflict(

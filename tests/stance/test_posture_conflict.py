@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.stance import JointsTask, PositionTask
+from pupper_analysis.stance import JointsTask, PositionTask, SelfClearanceTask
 from pupper_analysis.stance.posture_tasks import PostureTask
 from tests.support import arm as by_hand
 from tests.support.variants import load
@@ -78,3 +78,16 @@ def test_raised_base_conflicts_with_the_feet_that_it_must_keep() -> None:
     copied = pickle.loads(pickle.dumps(error))
     assert (copied.conflicting, copied.blocking) == (error.conflicting, error.blocking)
     np.testing.assert_array_equal(copied.qpos, error.qpos)
+
+
+def test_self_clearance_conflicts_with_a_foot_target_at_another_foot() -> None:
+    """The base and the hind leg are fixed: the clearance alone balances the position task."""
+    robot = load("v3", fixed_base=True)
+    front, back = (robot.contact_frames[foot] for foot in ("FR", "RR"))
+    goal = pa.Configuration(robot, robot.home).frame_position(back) + np.array([0.03, 0.0, 0.0])
+    hind = {
+        name: at for name, at in zip(robot.joint_names, robot.home, strict=True) if "back" in name
+    }
+    error = fail(robot, PositionTask(front, goal), JointsTask(hind), SelfClearanceTask())
+    assert error.task == f"PositionTask {front}"
+    assert "SelfClearanceTask" in error.conflicting
