@@ -79,18 +79,20 @@ def find_conflict(
             target.
         failed: Index of the task that misses its target.
     """
-    at = residuals(qpos)
-    rates = np.empty((len(at), robot.nv))
+    gradients = np.empty((len(weights), robot.nv))
     for column, step in enumerate(_DIFFERENCE_STEP * np.eye(robot.nv)):
-        change = residuals(integrate_step(qpos, step)) - residuals(integrate_step(qpos, -step))
-        rates[:, column] = change / (2 * _DIFFERENCE_STEP)
-    gradients = (np.asarray(weights) * at)[:, None] * rates
-    own, rate = gradients[failed], float(np.linalg.norm(rates[failed]))
+        # Squares, because a residual has a kink at zero, and may be smaller than the step.
+        more = residuals(integrate_step(qpos, step)) ** 2
+        less = residuals(integrate_step(qpos, -step)) ** 2
+        gradients[:, column] = np.asarray(weights) * (more - less) / (4 * _DIFFERENCE_STEP)
+    own = gradients[failed]
+    rates = own / (weights[failed] * residuals(qpos)[failed])
+    rate = float(np.linalg.norm(rates))
     out_of_reach = rate < _MIN_RATE
     opposing = -gradients @ own > _MIN_SHARE * float(own @ own)
     tasks = () if out_of_reach else tuple(np.flatnonzero(opposing).tolist())
     at_limit, blocking = dict[str, float](), dict[str, float]()
-    descent = -rates[failed, robot.nv - robot.nu :]
+    descent = -rates[robot.nv - robot.nu :]
     positions = qpos[robot.nq - robot.nu :]
     for joint, (value, low, high) in enumerate(zip(positions, *limits, strict=True)):
         if min(value - low, high - value) < _AT_LIMIT:

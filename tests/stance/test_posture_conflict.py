@@ -9,6 +9,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.stance import JointsTask, PositionTask, SelfClearanceTask
+from pupper_analysis.stance.posture_conflict import find_conflict
 from pupper_analysis.stance.posture_tasks import PostureTask
 from tests.support import arm as by_hand
 from tests.support.variants import load
@@ -91,3 +92,17 @@ def test_self_clearance_conflicts_with_a_foot_target_at_another_foot() -> None:
     error = fail(robot, PositionTask(front, goal), JointsTask(hind), SelfClearanceTask())
     assert error.task == f"PositionTask {front}"
     assert "SelfClearanceTask" in error.conflicting
+
+
+def test_gradients_of_residuals_that_are_smaller_than_the_step() -> None:
+    """Two tasks with equal weighted gradients: the residual of the second is 1e-8 m."""
+    robot, weights = load("v3", fixed_base=True), [1.0, 1e4]
+
+    def residuals(qpos: np.ndarray) -> np.ndarray:
+        return np.abs(np.array([qpos[0] - 1e-4, qpos[0] + 1e-8]))
+
+    limits = robot.lower_limits, robot.upper_limits
+    conflict = find_conflict(robot, np.zeros(robot.nq), limits, residuals, weights, 0)
+    assert conflict.tasks == (1,)
+    heavier = find_conflict(robot, np.zeros(robot.nq), limits, residuals, [1.0, 0.5e2], 0)
+    assert heavier.tasks == ()  # a share of 0.5 %
