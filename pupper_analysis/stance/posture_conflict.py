@@ -1,10 +1,11 @@
 """Find the tasks and joint limits that keep a task of a posture from its target.
 
-Input is the configuration in which the task has the smallest residual that was found; output is a
-`PostureConflict`. In this configuration, each step that reduces the residual increases the weighted
-residuals of other tasks, or moves joints beyond their limits. The gradients of the weighted squared
-residuals, by central finite differences, show which (Karush-Kuhn-Tucker conditions of the
-least-squares problem of `stance.whole_body`).
+Input is the configuration with the smallest residuals that was found; output is a
+`PostureConflict`. If this configuration is a minimum of the weighted squared residuals, each step
+that reduces the residual of the task increases residuals of other tasks, moves joints beyond their
+limits, or has no first-order effect. The gradients of the weighted squared residuals, by central
+finite differences, show which tasks and limits (Karush-Kuhn-Tucker conditions of the least-squares
+problem of `stance.whole_body`).
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.sag.equilibrium import integrate_step
 
 _DIFFERENCE_STEP = 1e-5
-"""Step of the finite differences [rad, m]. Chosen, not tuned: residuals of an unreachable posture
-exceed 1e-6, and vary over lengths of links, about 0.1 m."""
+"""Step of the finite differences [rad, m]. Chosen, not tuned: much smaller than the lengths of
+links, about 0.1 m, over which squared residuals vary."""
 
 _AT_LIMIT = 1e-6
-"""Distance from a joint limit [rad, m] up to which a joint counts as being at the limit. Chosen,
+"""Distance from a joint limit [rad, m] below which a joint counts as being at the limit. Chosen,
 not tuned."""
 
 _MIN_SHARE = 0.01
-"""Smallest share of the gradient of the failed task that an opposing task or limit must balance to
-be reported. Chosen, not tuned: below are rounding, and tasks that are nearly satisfied."""
+"""Share of the gradient of the failed task above which an opposing task or limit is reported.
+Chosen, not tuned: smaller shares are those of rounding, and of tasks that are nearly satisfied."""
 
 _MIN_RATE = 1e-3
 """Upper bound of the derivative of the residual by a step of norm 1 (m and rad mixed) in a posture
@@ -41,12 +42,12 @@ class PostureConflict(NamedTuple):
 
     Attributes:
         tasks: Indices of the tasks whose residuals increase if the residual of the failed task
-            decreases.
+            decreases; empty if ``out_of_reach``.
         at_limit: {joint: limit [rad, m]} of all joints at a limit.
         blocking: {joint: limit [rad, m]} of the joints at a limit that would have to move beyond
-            this limit.
-        out_of_reach: Whether no motion of joints or base reduces the residual, even without the
-            other tasks and the limits: for example a stretched limb.
+            this limit; empty if ``out_of_reach``.
+        out_of_reach: Whether no motion of joints or base reduces the residual to first order, even
+            without the other tasks and the limits: for example a stretched limb.
     """
 
     tasks: tuple[int, ...]
@@ -65,19 +66,19 @@ def find_conflict(
 ) -> PostureConflict:
     """Find the tasks and limits that keep a task from its target in a configuration.
 
-    The gradient of task i is w_i r_i dr_i/dv, with weight w_i, residual r_i and displacement v. A
-    task opposes the failed task f if the inner product of both gradients is negative, and a limit
-    if the descent direction -dr_f/dv points beyond it. Of both, at least `_MIN_SHARE` is needed.
+    The gradient of task i is g_i = w_i r_i dr_i/dv, with weight w_i, residual r_i and displacement
+    v. A task opposes the failed task f if -g_i g_f > `_MIN_SHARE` |g_f|^2, and a limit of a joint
+    at the limit if the element of -dr_f/dv beyond the limit exceeds `_MIN_SHARE` |dr_f/dv|.
 
     Args:
         robot: Robot.
-        qpos: Configuration with the smallest residual that was found, shape (nq,).
+        qpos: Configuration with the smallest residuals that was found, shape (nq,).
         limits: Lower and upper joint limits, shape (nu,) each [rad, m].
         residuals: Function that returns the residual of each task at a configuration, shape (n,)
             [m, rad].
         weights: Weights of the squared residuals of the n tasks; 0 for a task that may miss its
             target.
-        failed: Index of the task that misses its target.
+        failed: Index of the task that misses its target; weight and residual must be positive.
     """
     gradients = np.empty((len(weights), robot.nv))
     for column, step in enumerate(_DIFFERENCE_STEP * np.eye(robot.nv)):

@@ -356,9 +356,9 @@ class _Problem:
     ) -> PostureUnreachableError:
         """Return the error of an unreachable posture.
 
-        It names the required task with the largest residual, and the tasks and joint limits that
-        oppose this task (`find_conflict`). The unit of a `JointsTask` is that of the joint with the
-        largest deviation.
+        The error names the required task with the largest residual, and the tasks and joint limits
+        that oppose this task (`find_conflict`). The unit of a `JointsTask` is that of the joint
+        with the largest deviation.
 
         Args:
             residuals: Residual of each task [m or rad].
