@@ -1,4 +1,4 @@
-"""Find what makes a URDF and an MJCF disagree."""
+"""Find the differences between a URDF and an MJCF, and their causes."""
 
 HELP_HEADING = "Files"
 """Section of ``--help`` that lists this tool."""

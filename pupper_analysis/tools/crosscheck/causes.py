@@ -173,7 +173,8 @@ class PatternCase:
         tolerances: Tolerances of the comparison.
         urdf: Links of the URDF's bodies, in the frames of ``first``; empty without inertial
             differences.
-        mjcf: Links of the MJCF's bodies, in the frames of ``second``; empty likewise.
+        mjcf: Links of the MJCF's bodies, in the frames of ``second``; empty without inertial
+            differences.
         from_geoms: Bodies of the MJCF whose mass is computed from geoms.
         explained: Differences that a previous cause explains.
     """
@@ -427,7 +428,8 @@ _INERTIA_UNITS = {
 def find_scaled_quantities(case: PatternCase) -> PatternFindings:
     """Find joint limits, masses, lengths or inertias that all differ by a common factor.
 
-    The message names the wrong unit, such as degrees, g or mm, if one explains the factor.
+    The message names the wrong unit, such as degrees, g or mm, or a wrong decimal point, if this
+    explains the factor. Lengths are tested at the joint positions only.
     """
     first, raw = case.first, case.raw
     bodies = [(body, raw.bodies[name]) for name, body in first.bodies.items() if body.mass]
@@ -607,7 +609,7 @@ def find_products_dropped_by_either(case: PatternCase) -> PatternFindings:
 
 @dataclass(frozen=True, eq=False)
 class _TensorPair:
-    """Different inertia tensors of a body that consists of a single link in either file.
+    """Different inertia tensors of a body that consists of a single link in both files.
 
     All tensors are about the CoM and in the axes of the body.
 
@@ -615,8 +617,8 @@ class _TensorPair:
         moving_joint: Joint that moves the body, or the base.
         urdf: Link of the URDF.
         mjcf: Body of the MJCF.
-        urdf_offset: CoM relative to the origin of the link in the URDF, shape (3,) [m].
-        mjcf_offset: CoM relative to the origin of the body in the MJCF, shape (3,) [m].
+        urdf_offset: CoM relative to the origin of the moving body in the URDF, shape (3,) [m].
+        mjcf_offset: CoM relative to the origin of the moving body in the MJCF, shape (3,) [m].
         turn: Rotation of ``<inertial><origin>`` in the URDF, in the axes of the body, shape (3, 3).
     """
 
@@ -738,10 +740,10 @@ def _describe_tensor_mistake(
     """Describe a mistake that explains different inertia tensors of some bodies.
 
     Args:
-        kind: Mistake: ``inertia axes``, ``inertia origin``, or another word for a lost rotation.
-        file: File with the mistake: ``URDF`` or ``MJCF``.
+        kind: Mistake: ``inertia axes``, ``inertia origin`` or ``inertia turn`` (a lost rotation).
+        file: File with the mistake: ``URDF`` or ``MJCF``; empty for ``inertia axes``.
         pairs: Tensors of the bodies with this mistake.
-        total: Number of bodies whose tensors differ, for any reason.
+        total: Number of bodies whose different tensors were tested (`_list_tensor_pairs`).
     """
     links, count = [pair.urdf.name for pair in pairs], len(pairs)
     other = "URDF" if file == "MJCF" else "MJCF"
@@ -840,10 +842,10 @@ class _LinkMistake:
     Attributes:
         moving_joint: Joint that moves the body, or the base.
         links: Links concerned.
-        lacks: File without these links, ``URDF`` or ``MJCF``; empty if the masses have another
+        lacks: File without these links, ``URDF`` or ``MJCF``; empty if the mass differs by a
             factor.
-        factor: Mass in the MJCF divided by mass in the URDF.
-        inertia: Whether the inertia has the same factor.
+        factor: Mass in the MJCF divided by mass in the URDF; 0 if a file lacks the links.
+        inertia: Whether the inertia has the same factor; False if a file lacks the links.
     """
 
     moving_joint: str
@@ -882,7 +884,9 @@ def _find_link_mistake(case: PatternCase, name: str) -> _LinkMistake | None:
     """Return the mistake in a body's links that explains the inertial difference of this body.
 
     Tested mistakes: one file lacks links, or the mass of one link differs by a factor. None if no
-    mistake explains the difference. ``name`` is the joint that moves the body, or the base.
+    mistake explains the difference, if a mass is 0, if the masses are equal, or if only the mass of
+    a single link differs, unless by a power of ten. ``name`` is the joint that moves the body, or
+    the base.
     """
     first, second = case.first.bodies[name], case.second.bodies[name]
     difference = compute_moments(first) - compute_moments(second)
@@ -1050,7 +1054,7 @@ def _is_scaling_by_ten(factor: float) -> bool:
 
 
 def group_by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
-    """Group names by a common prefix or suffix that ends or begins with a separator.
+    """Group names by a common prefix that ends with a separator, or a suffix that begins with one.
 
     The largest group is first. Names without a common part form a group each.
 
@@ -1121,8 +1125,8 @@ def find_moved_axes(case: PatternCase) -> PatternFindings:
     """Find joints whose axis differs between the files, although no body is elsewhere.
 
     At zero angles all bodies are at the same places. Nevertheless the values of CoM, children and
-    frames, expressed in the frame of the joint, differ as well. Nothing is searched if more than
-    `_MAX_MOVED_JOINTS` joints have different positions.
+    frames, expressed in the frame of the joint, differ as well. Only joints with different
+    positions are tested, and nothing is searched if these are more than `_MAX_MOVED_JOINTS`.
     """
     names = [element for kind, element in case.keys if kind == "position"]
     for name in names if len(names) <= _MAX_MOVED_JOINTS else ():

@@ -63,8 +63,9 @@ def command(
 
     Both models are compared in both engines, and body by body. Each difference is shown with its
     line in both files and its effect on the dynamics, the most important first, and the list is
-    proven complete. The placement of link frames does not count. Joints are matched by --map, by
-    name, by name without prefixes and suffixes, and finally by structure (which is then printed).
+    checked for completeness. The placement of link frames does not count. Joints are matched by
+    --map, by name, by name without prefixes and suffixes, and finally by structure (which is then
+    printed).
 
     SAME ROBOT, DIFFERENT CONVENTIONS means that only the zero angles of joints, or the frame of a
     free base, differ, so that the same joint angles are another pose. The exit status is then 1.

@@ -13,7 +13,7 @@ the models or to an engine.
 Terms that a URDF cannot express (springs, tendons, fluid ...; see `mjcf_only`) are removed from the
 MJCF for the square, so that both engines use the same model. The last edge shows the effect of
 the removed terms. yourdfpy evaluates the foot positions of the URDF as well, unless the robot is
-large.
+large or both files have no common frames. Large robots are evaluated in MuJoCo only.
 """
 
 from __future__ import annotations
@@ -185,8 +185,9 @@ def list_mass_shares(
 ) -> tuple[Diagnostic, ...]:
     """Return a message per file with the mass [kg] of a body whose inertials differ.
 
-    The message lists the mass of each link that is fixed to the body, heaviest first. There is no
-    message for other kinds of differences, or if neither file has several links with mass.
+    If several links with mass are fixed to the body, the message lists the mass of each, heaviest
+    first. There is no message for other kinds of differences, or if neither file has several links
+    with mass.
 
     Args:
         difference: Difference.
@@ -654,7 +655,8 @@ class QuantityCheck(Result):
         relative: Largest relative deviation.
         evaluations: Evaluations with the largest relative deviation.
         edge: Edge with the largest relative deviation, for example ``models (MuJoCo)``.
-        location: Body, joint or foot with the largest deviation, and number of the configuration.
+        location: Row with the largest relative deviation (for example a body, joint or foot), and
+            number of the configuration if the quantity depends on the configuration.
         edge_deviations: {edge: largest relative deviation}.
         passed: Whether ``relative`` is within the tolerance.
     """
@@ -970,7 +972,7 @@ def _find_min_scale(name: str, evaluation: Evaluation) -> float:
     The bound is in the unit of the quantity (`COMPARED_QUANTITIES`); smaller values are rounding
     errors.
     """
-    if name in ("gravity", "bias forces"):  # a millionth of the weight
+    if name in ("gravity", "bias forces"):  # of a free base, about a millionth of the weight
         return 1e-6 * EARTH_GRAVITY * float(np.abs(evaluation["mass matrix"]).max())
     return {"body masses": 1e-12, "body inertias": 1e-15, "mass matrix": 1e-15}.get(name, 1e-6)
 

@@ -68,7 +68,7 @@ omitted. Chosen, not tuned."""
 
 
 def describe_effects(difference: Difference) -> Diagnostic:
-    """Create the message with the effects of a difference on the dynamics, the largest first.
+    """Create the message with the effects of a difference on the dynamics, the largest share first.
 
     An effect is the deviation of a quantity that the difference causes alone, relative to the scale
     of the quantity and to the deviation that all differences cause together.
@@ -94,7 +94,7 @@ def make_comparison_annotations(comparison: Comparison) -> list[Annotation]:
     """Create annotations for CI services from the comparison of a URDF with an MJCF.
 
     There is an annotation for each part of the robot that only one file has, cause, difference,
-    unmatched joint and other reason against agreement, and a warning for guessed joints.
+    unmatched joint and other reason against agreement, and a warning if joints are guessed.
     """
     urdf, mjcf = comparison.urdf, comparison.mjcf
     annotations = [_make_annotation("part", "part", part, urdf) for part in comparison.parts]
@@ -245,7 +245,7 @@ def _format_file_name(path: str) -> doc.Name:
 
 
 def _list_blocks(comparison: Comparison) -> Iterable[doc.Block]:
-    """Yield the blocks of the document, the difference to repair first at the top.
+    """Yield the blocks of the document, with causes and differences in the order of urgency.
 
     The blocks are files, parts in one file only, causes and groups of differences with quoted
     lines, the table of all differences, other objections, and the table of quantities.
