@@ -13,6 +13,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+MIN_AMBIENT_LIGHT, MIN_DIFFUSE_LIGHT = 0.4, 0.6
+"""Smallest ambient and diffuse intensity of the light at the camera, 0 to 1. Chosen so that a black
+robot, such as Go1, is visible in front of a file's dark floor."""
+
 
 def draw_frames(folder: Path) -> None:
     """Draw the configurations of ``views.npz`` in a folder, and write the images to the folder.
@@ -30,6 +34,9 @@ def draw_frames(folder: Path) -> None:
     # The model is this program's own copy.
     model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
     model.vis.global_.offheight = max(height, model.vis.global_.offheight)
+    headlight = model.vis.headlight
+    headlight.ambient[:] = np.maximum(headlight.ambient, MIN_AMBIENT_LIGHT)
+    headlight.diffuse[:] = np.maximum(headlight.diffuse, MIN_DIFFUSE_LIGHT)
     data, camera = mujoco.MjData(model), mujoco.MjvCamera()
     frames = np.empty((len(qpos), height, width, 3), np.uint8)
     with mujoco.Renderer(model, height, width) as renderer:
