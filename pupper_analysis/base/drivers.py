@@ -58,8 +58,8 @@ def guard_mujoco_import() -> None:
     """Let a later ``import mujoco`` succeed although the backend in MUJOCO_GL fails.
 
     MuJoCo is not imported here, so that ``--help`` stays fast. Without MUJOCO_GL, nothing is done,
-    because MuJoCo then selects an available backend. If MuJoCo is not installed, the first module
-    that needs MuJoCo reports the error.
+    because MuJoCo then selects an available backend. Nothing is done, too, if MuJoCo is already
+    imported. If MuJoCo is not installed, the first module that needs MuJoCo reports the error.
     """
     guarded = any(isinstance(finder, _MuJoCoFinder) for finder in sys.meta_path)
     if os.environ.get("MUJOCO_GL") and "mujoco" not in sys.modules and not guarded:

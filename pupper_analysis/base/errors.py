@@ -147,7 +147,7 @@ if there are more than `MAX_LISTED_NAMES`. Chosen, not tuned."""
 
 
 class UnknownNameError(ModelError):
-    """Name that the model does not contain.
+    """Name that a model, or another list of valid names, does not contain.
 
     Attributes:
         kind: Kind of element: ``"joint"``, ``"frame"``, ``"foot"``, ``"body"`` ...
@@ -196,7 +196,7 @@ stance omits the foot. Smaller errors are residuals of the search. Chosen, not t
 
 
 class StanceUnreachableError(PupperAnalysisError):
-    """Stand task without a solution within the joint limits and without collisions.
+    """Stand task for which no solution within the joint limits and without collisions was found.
 
     Attributes:
         shortfall: {foot or contact point: remaining distance [m] to the target} of the missed
@@ -272,10 +272,10 @@ class PostureUnreachableError(PupperAnalysisError):
     """Tasks of a posture that no configuration within the joint limits was found to satisfy.
 
     Attributes:
-        task: Task with the largest residual in the best configuration found.
+        task: Required task with the largest residual in the best configuration found.
         residual: The residual of this task, in ``unit``.
         unit: Unit of the residual: m or rad.
-        residuals: {task: residual [m, rad]} in the best configuration found.
+        residuals: {task: residual [m, rad]} of all tasks in the best configuration found.
         conflicting: Tasks and kept contacts whose residuals increase if that of ``task`` decreases.
         at_limit: {joint: limit [rad, m]} of the joints at a limit in this configuration.
         blocking: {joint: limit [rad, m]} of the joints at a limit that a motion of ``task`` towards

@@ -55,9 +55,8 @@ _MAX_KEY_LENGTH: Final = 500
 """Maximum number of characters of a TOML key. Error messages contain the key. Chosen, not tuned."""
 
 _MAX_VALUE_LENGTH: Final = 4096
-"""Maximum number of characters of a text in a TOML file, the longest path of Linux. Error messages
-contain the text.
-"""
+"""Maximum number of characters of a text in a TOML file. Error messages contain the text. Chosen:
+the longest path of Linux."""
 
 
 def check_input(path: Path, most: int, *, rewritten: bool = False) -> None:

@@ -35,8 +35,8 @@ NUMBER_FORMAT = ".4g"
 
 ROUNDING_RTOL = 1e-12
 """Absolute value up to which a cell shows a number of a short array as 0, relative to the largest
-absolute number or, if that is below 1, to 1. Such numbers are rounding errors of double
-precision."""
+absolute number or, if that is below 1, to 1. Such numbers are rounding errors of double precision.
+Chosen, not tuned."""
 
 _NOTHING = "&ndash;"
 """HTML of an absent value."""

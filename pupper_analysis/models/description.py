@@ -48,8 +48,8 @@ class Description:
             get the same additions.
         made_servos: Servos in ``mjcf`` that the file does not contain, without those of
             ``passive_joints``.
-        passive_joints: Joints that no motor drives: the effort in the URDF is zero, and the MJCF
-            has actuators at other joints only. Their servos in ``mjcf`` exert no torque.
+        passive_joints: Joints that no motor drives: the torque limit is zero, and the MJCF has
+            actuators at other joints only. Their servos in ``mjcf`` exert no torque.
         efforts: {joint: effort limit} in place of the limits in ``mjcf``: requested limits, and
             limits of motors that were replaced by servos.
         null_efforts: {joint: empty force range of the MJCF}; a compiled model lacks them.

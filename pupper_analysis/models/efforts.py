@@ -451,9 +451,9 @@ def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 
 MAX_TORQUE_PER_LINK_MASS = 250.0
 """Torque per mass of the two connected links [N m/kg] above which a round effort counts as a
-placeholder. The best geared motors have 150 per mass of motor; of 1500 joints of robots in use with
-the motor in one of the two links, none is above 117. The motor of a tendon may be in another link.
-"""
+placeholder. Chosen above the values in use: the best geared motors have 150 per mass of motor; of
+1500 joints of robots in use with the motor in one of the two links, none is above 117. The motor of
+a tendon may be in another link."""
 
 MAX_TORQUE_PER_ROBOT_MASS = 90.0
 """Sum of torques per mass of the robot [N m/kg] above which all these efforts count as
@@ -462,7 +462,7 @@ placeholders: 150 per kg of motor, with motors of at most six tenths of the mass
 
 MAX_ROTOR_ACCELERATION = 1e5
 """Acceleration of a rotor without load, effort / armature [rad/s^2], above which an effort counts
-as a placeholder: 100 rad/s within 1 ms. Robots in use have 350 to 25,000."""
+as a placeholder: 100 rad/s within 1 ms. Chosen above the values of robots in use, 350 to 25,000."""
 
 
 @dataclass(frozen=True)

@@ -47,13 +47,13 @@ the same type have identical values."""
 
 _MIN_EQUAL_PAIRS_PER_UNEQUAL = 3
 """Smallest number of equal pairs of left and right motors, per unequal pair, with which each
-unequal pair is reported: such a model has a single set of values per motor type. If each motor was
-identified individually, no pair is equal."""
+unequal pair is reported. Chosen, not tuned: such a model has a single set of values per motor type.
+If each motor was identified individually, no pair is equal."""
 
 _MIN_REPORTED_RATIO = 20.0
 """Ratio between the values of left and right motor from which a pair is reported although motors
-were identified individually. In five published robots, individually identified armatures differ by
-a factor of at most 13."""
+were identified individually. Chosen: in five published robots, individually identified armatures
+differ by a factor of at most 13."""
 
 
 def mirror_name(name: str) -> str:

@@ -55,7 +55,7 @@ _DOCTYPE_START: Final = re.compile(r"(?:\s|<!--.*?-->|<\?.*?\?>)*+<!(?!--)", re.
 
 MAX_NUMBER: Final = 1e50
 """Maximum absolute value of a mass, length or moment of inertia in a model file [SI units]; larger
-numbers are refused. Products of six such numbers do not overflow."""
+numbers are refused. Chosen: products of six such numbers do not overflow."""
 
 
 def parse_xml(path: Path) -> tuple[str, etree._Element]:
@@ -192,11 +192,12 @@ def _make_parser() -> etree.XMLParser:
 
 _ROUNDING_RTOL = 1e-13
 """Absolute value, relative to the largest number, up to which `join_numbers` writes a number as 0:
-the rounding errors of products of rotation matrices."""
+the rounding errors of products of rotation matrices. Chosen, not tuned."""
 
 NUM_DIGITS: Final = 12
-"""Number of significant digits in new files: 1000 times finer than the resolution of `crosscheck
---strict`, and coarse enough to hide rounding errors of rotations."""
+"""Number of significant digits in new files. The relative rounding error is at most 5e-12, 200
+times below the tolerance of `crosscheck --strict`. Chosen, coarse enough to hide rounding errors of
+rotations."""
 
 
 NUM_ANGLE_DIGITS = 15

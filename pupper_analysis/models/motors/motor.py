@@ -77,8 +77,8 @@ class Motor:
         housing_capacity: Heat capacity of the housing [J/K].
         ambient_temperature: Temperature of the ambient air for the thermal resistances [degC].
         limit_temperature: Largest temperature of the winding [degC].
-        kp: Stiffness of the position servo [N m/rad].
-        kd: Damping of the position servo [N m s/rad].
+        kp: Stiffness of the position servo at the output [N m/rad].
+        kd: Damping of the position servo at the output [N m s/rad].
         mass: Mass with gear [kg].
         price: Price [USD].
     """
