@@ -9,7 +9,9 @@ the gains of the position servo that loading added to the prepared robot (`HoldC
 
 from __future__ import annotations
 
+import contextlib
 import copy
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -644,14 +646,13 @@ def simulate_published(
     # Gravity compensation of actuators is no effect of their commands.
     has_gravcomp = model.jnt_actgravcomp[model.dof_jntid] != 0
     compensates = bool(has_gravcomp.any())
-    damping = model.dof_damping[dofs].copy()
-    model.dof_damping[dofs] += kd  # integrated implicitly, like the damping of MuJoCo's servos
     data.ctrl[:], data.act[:] = hold.ctrl, hold.act
     reset_counts = count_resets(data)
     # Views of the data, which mj_step changes in place.
     ctrl, qpos, applied_forces = data.ctrl, data.qpos, data.qfrc_applied
     actuator_forces, gravcomp_forces = data.qfrc_actuator, data.qfrc_gravcomp
-    with silence_mujoco():
+    # The damping is integrated implicitly, like that of MuJoCo's servos.
+    with _added_damping(model, dofs, kd), silence_mujoco():
         num_unrecorded = 0 if len(dofs) else num_steps - num_recorded  # no control between steps
         for begin in range(0, num_unrecorded, _STEPS_PER_CHECK):
             if not was_reset_by_mujoco(data):
@@ -673,8 +674,18 @@ def simulate_published(
                 np.maximum(high, applied, out=high)
             if was_reset:  # a further step may take as long as a second of simulation
                 break
-    model.dof_damping[dofs] = damping
     return low, high
+
+
+@contextlib.contextmanager
+def _added_damping(model: mujoco.MjModel, dofs: NDArray[np.intp], kd: Array) -> Iterator[None]:
+    """Add damping ``kd`` to degrees of freedom of a model until the context ends or raises."""
+    damping = model.dof_damping[dofs].copy()
+    model.dof_damping[dofs] += kd
+    try:
+        yield
+    finally:
+        model.dof_damping[dofs] = damping
 
 
 def _measure_command_law(

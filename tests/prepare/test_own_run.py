@@ -340,6 +340,25 @@ def test_an_external_servo_compensates_the_constant_torque_of_an_actuator() -> N
     assert high[0] == pytest.approx(0.0, abs=1e-5)
 
 
+def test_external_servo_leaves_no_damping_in_the_model_after_a_fatal_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Reference: the damping before the simulation. A stub raises the error of MuJoCo."""
+    model = compile_geared_hinge("")
+    external = (np.array([0]), *np.array([[20.0], [2.0], [0.3], [0.0]]))
+    hold = HoldCommands(np.zeros(1), np.zeros(0), external, {})
+
+    def fail(*_: object, **__: object) -> None:
+        raise mujoco.FatalError("stub")
+
+    monkeypatch.setattr(published_model.mujoco, "mj_step", fail)
+    with pytest.raises(mujoco.FatalError):
+        published_model.simulate_published(
+            SimpleNamespace(model=model), mujoco.MjData(model), hold, 5.0
+        )
+    assert model.dof_damping.tolist() == [0.0]
+
+
 @pytest.mark.parametrize("ctrlrange", ["-1 0", "0 1", "0.5 1", "-1 1"])
 def test_lever_of_a_motor_is_independent_of_its_ctrlrange(ctrlrange: str) -> None:
     """Closed form: gear times gain = 6 N m per unit, also if the range excludes 0 or 1e-6."""
