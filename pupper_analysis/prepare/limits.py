@@ -1,8 +1,8 @@
-"""Torque limits in verdicts: motors with a limit of zero, and motors whose limit no file contains.
+"""Torque limits in verdicts: motors with a limit of zero, overloaded motors, and unknown limits.
 
-Inputs are a robot and the static torques of a stance [N m]; outputs are messages with a proposed
-limit from the other file or a similar limb, or with the torque that the motors must hold. A motor
-that holds less than `MIN_TORQUE_PER_MASS` times the robot's mass counts as unloaded.
+Inputs are a robot and the static torques of a stance [N m, N]; outputs are joints, and messages
+with a proposed limit from the other file or a similar limb, or with the torque that the motors must
+hold. A motor that holds up to `MIN_TORQUE_PER_MASS` times the robot's mass counts as unloaded.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from pupper_analysis.statics.equilibrium import (
 
 
 def list_driven_limits(robot: Robot) -> list[EffortLimit]:
-    """Return the torque limits of the joints that have a motor of their own.
+    """Return the torque limits of the joints that need a motor.
 
     Dependent joints of loops, and passive joints (`Description.passive_joints`), need no motor.
     """
@@ -140,7 +140,8 @@ def _find_tendon_drives(
 def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:
     """Create the message about motors whose torque limit is zero, or negative, in a file.
 
-    The message proposes the limit that the other file, or the same joint of a similar limb, has.
+    The message proposes the limit that the other file, or the same joint of a similar limb, has, if
+    any.
 
     Returns:
         The message; None if no limit is zero or negative, or if it is unknown which attribute of a
@@ -199,7 +200,7 @@ def _sibling_limit(robot: Robot, null: list[EffortLimit]) -> tuple[str, EffortSt
 
 
 def loads_motor_without_torque(robot: Robot, statics: GravityCompensation) -> bool:
-    """Return True if a motor with a torque limit of zero must hold a torque in a stance.
+    """Return True if a motor with a torque limit of zero or below must hold a torque in a stance.
 
     Torques [N m] up to ``MIN_TORQUE_PER_MASS`` times the mass of the robot count as zero.
     """
@@ -209,9 +210,9 @@ def loads_motor_without_torque(robot: Robot, statics: GravityCompensation) -> bo
 def springs_replace_motors(robot: Robot, statics: GravityCompensation) -> bool:
     """Return True if the MJCF has a spring at each joint that needs torque but cannot exert any.
 
-    These are the joints whose motor has a torque limit of zero, and that must hold a torque in the
-    stance. A simulation then shows whether the springs hold the stance. Also True without such
-    joints.
+    These are the joints whose motor has a torque limit of zero or below, and that must hold a
+    torque in the stance. A simulation then shows whether the springs hold the stance. Only linear
+    stiffness counts as a spring. Also True without such joints.
     """
     model = robot.mj_model
     joints = [model.joint(name).id for name in _list_loaded_zero_motors(robot, statics)]
@@ -219,7 +220,7 @@ def springs_replace_motors(robot: Robot, statics: GravityCompensation) -> bool:
 
 
 def _list_loaded_zero_motors(robot: Robot, statics: GravityCompensation) -> list[str]:
-    """Return the joints whose motor has a torque limit of zero, and must hold a torque."""
+    """Return the joints whose motor has a torque limit of zero or below, and must hold a torque."""
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass
     return [
@@ -234,7 +235,8 @@ def describe_unknown_limits(robot: Robot, statics: GravityCompensation) -> Diagn
 
     Returns:
         The message; None if each motor that must hold a torque in the stance has a limit. Torques
-        [N m] up to ``MIN_TORQUE_PER_MASS`` times the mass of the robot are rounding.
+        [N m] up to ``MIN_TORQUE_PER_MASS`` times the mass of the robot are rounding. The message
+        does not name unloaded joints that move no foot.
     """
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass

@@ -1,7 +1,8 @@
 """Notes on the preparation: matched joints, feet, couplings, added servos.
 
-Inputs are the results of preparation passes; outputs are diagnostics, which ``robot.notes``
-contains and ``--explain`` prints. The functions only describe changes; the passes make them.
+Inputs are the results of preparation passes; outputs are diagnostics, which ``robot.notes`` (or a
+verdict, for `report_tendon_joints`) contains. The functions only describe changes; the passes make
+the changes.
 """
 
 from __future__ import annotations
@@ -70,7 +71,8 @@ def report_tendon_joints(robot: Robot) -> Iterator[Diagnostic]:
     """Report the joints that the MJCF drives through tendons, and that got an added servo.
 
     Results such as static deflection and payload are computed with the added servo. The simulations
-    of the unmodified file use the actuators at the tendons.
+    of the unmodified file use the actuators at the tendons. Nothing is reported without such
+    joints, or without an MJCF.
     """
     file = None if robot.published is None else robot.published.file
     driven = [

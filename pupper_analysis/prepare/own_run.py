@@ -3,8 +3,9 @@
 A verdict is computed for the prepared robot: loading may have added servos, a floor or a start
 pose, and may have disabled contacts. The run of the published file from its keyframe (the "own
 run") shows whether the file alone stands in MuJoCo: 5 s, or less with short time steps; with a
-nudge at the start, with the opposite nudge, and without a nudge. Results are computed when a
-verdict is first requested.
+nudge at the start, with the opposite nudge, and without a nudge. A URDF is simulated as MuJoCo's
+import, with an added free base, floor and servos. Results are computed when a verdict is first
+requested.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ def get_loaded_robot(robot: Robot) -> Robot:
 def own_run(robot: Robot) -> OwnRun | None:
     """Return the simulation of the published file from its keyframe, cached per loaded robot.
 
-    Without a keyframe, the simulation starts at the nominal stand (default `StandTask`).
+    Without a keyframe, the simulation starts at the robot's start pose (``Robot.home``).
 
     Returns:
         Simulation result. None if the robot has no feet or a fixed base, if ``get_published_model``
@@ -176,7 +177,10 @@ class _NudgedStates:
 
 
 def _find_nudged_run(robot: Robot) -> _NudgedStates | None:
-    """Return the simulation in which the imported URDF of a robot settles; None for an MJCF."""
+    """Return the simulation in which the imported URDF of a robot settles.
+
+    None for a robot with an MJCF or without a file, and without such a simulation.
+    """
     published = robot.published
     if published is None or published.is_unchanged or published.file is not None:
         return None
@@ -212,8 +216,8 @@ def _import_urdf(
     The time step of a robot on feet is reduced if the robot does not settle otherwise.
 
     Returns:
-        Model; the error message if MuJoCo refuses the URDF; None if the robot has an MJCF. And the
-        simulation in which the robot settles; None without such a simulation.
+        Model; the error message if MuJoCo refuses the URDF; None if the robot has an MJCF or no
+        file. And the simulation in which the robot settles; None without such a simulation.
     """
     if robot.published is None or robot.published.imported is None:
         return None, None
@@ -236,6 +240,8 @@ def _import_urdf(
 def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
     """Return True if a nudged model still stands, and is at rest, after ``_SETTLING_TIME``.
 
+    False if the base cannot be placed at the configuration.
+
     Args:
         model: Published model.
         robot: Prepared robot, with the gains of the added servos.
@@ -255,8 +261,9 @@ def _simulate_settling(
         qpos: Configuration of the stand, shape (nq,). The joint positions are commanded.
 
     Returns:
-        Whether the robot still stands, and is at rest; and the simulation, with the state halfway
-        through the run from the keyframe, which starts alike. None if the base cannot be placed.
+        Whether the robot still stands, and is at rest; and the simulation, with the final state. If
+        half the duration of a run from a keyframe is shorter, the state at this time is included:
+        the run starts alike. (False, None) if the base cannot be placed.
     """
     published = with_unstated_options(PublishedModel.from_model(model, robot), robot)
     start = place_published(published, robot, qpos)
@@ -304,7 +311,7 @@ def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
 def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> OwnRun | None:
     """Simulate a published model from its initial keyframe.
 
-    Without a keyframe, the simulation starts at the robot's nominal stand (default `StandTask`).
+    Without a keyframe, the simulation starts at the robot's start pose (``Robot.home``).
 
     Args:
         published: Model of the unmodified file, or a copy with modifications.
@@ -312,8 +319,8 @@ def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> Own
 
     Returns:
         Simulation result. None if the robot has no file, or the base has fewer than six degrees of
-        freedom in the model. Without a keyframe, also None if the model has no level ground, the
-        base cannot be placed, or an actuator has a built-in controller.
+        freedom in the model. Without a keyframe (or the requested one), also None if the model has
+        no level ground, the base cannot be placed, or an actuator has a built-in controller.
     """
     if robot.published is None or not published.floating:
         return None
@@ -405,9 +412,9 @@ def _xml_has_ctrl(robot: Robot, key: int) -> bool:
 
 @silence_mujoco()
 def _simulate_nominal_stand(published: PublishedModel, robot: Robot) -> OwnRun | None:
-    """Simulate a published model (compiled from a file) from the nominal stand.
+    """Simulate a published model (compiled from a file) from the robot's start pose.
 
-    The joint positions of the stand, the solution of the default `StandTask`, are commanded.
+    The joint positions of the start pose (``Robot.home``) are commanded.
 
     Returns:
         Simulation result. None if the model has no level ground, if the base cannot be placed, or
@@ -500,8 +507,8 @@ def _simulate_commands(
 ) -> OwnRun:
     """Simulate a published model with constant commands, and measure the joint displacements.
 
-    The caller sets the fields ``keyframe``, ``commands``, ``limp`` (most joints have no servo and
-    no command) and ``held`` (second run) of the result.
+    The caller may set the fields ``keyframe``, ``commands``, ``limp`` (most joints have no servo
+    and no command) and ``held`` (second run) of the result.
 
     Args:
         published: Published model: compiled from the file of the robot.
@@ -558,7 +565,7 @@ def _joint_deviations(
     """Return the displacement [rad, m] of each joint between two states, in actuator order.
 
     ``ctrl`` are the controls of the model. Each result also contains the offset between commanded
-    and initial position.
+    and initial position, if known (`_command_offset`).
     """
     addresses = joint_qpos_addresses(published, robot)
     displacement = end.qpos[addresses] - start.qpos[addresses]

@@ -86,7 +86,8 @@ class LoadRequest:
         fixed_base: True to fix the base in the world.
         name: Name of the robot; None: name in the MJCF.
         joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
-        keyframe: Keyframe of the MJCF to start from; None: the first in which the robot stands.
+        keyframe: Keyframe of the MJCF to start from; None: the first (``home`` before others) that
+            `find_start_pose` accepts.
         as_is: True to add no servos, motors and contact exclusions, and to keep the solver and the
             contacts of all shapes. Soles are not replaced by balls.
         visuals: False to keep the tetrahedra that represent visual meshes before their conversion.
@@ -315,7 +316,8 @@ def _must_fix_base(draft: Draft) -> bool:
 
     The base may be fixed if the file has no free base (`Draft.may_fix_base`). The robot
     cannot stand if an earlier pass has failed, or if it has no nominal stand. On feet that the user
-    named, the base stays free: commands then report why the robot does not stand.
+    named, the base stays free unless an earlier pass has failed: commands then report why the robot
+    does not stand.
     """
     if not draft.may_fix_base or draft.refused:
         return draft.may_fix_base
@@ -326,7 +328,7 @@ def _must_fix_base(draft: Draft) -> bool:
 
 @_register_pass(Term("names bodies and joints that have none"), _applies_always)
 def _name_elements(draft: Draft) -> PassOutput:
-    """Name all elements, choose the keyframes; without named feet, drop visual geoms."""
+    """Name bodies and joints, choose the keyframes; without named feet, drop visual geoms."""
     spec = draft.spec.copy()
     name_elements(spec, set())
     if draft.request.feet is None:  # a named foot may be a visual geom
@@ -431,7 +433,7 @@ def _limit_continuous_joints(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("takes the narrower of both files' joint limits"), _has_free_base)
 def _narrow_limits(draft: Draft) -> PassOutput:
-    """Give each joint of the robot the narrower of the limits in URDF and MJCF, and add notes."""
+    """Narrow the joint limits of the URDF to the overlap with those of the MJCF, and add notes."""
     description, messages = narrow_limits(draft.robot)
     return _rebuild_robot(draft, description), messages
 
@@ -448,10 +450,11 @@ def _find_feet(draft: Draft) -> PassOutput:
     """Find the feet and their contact points, and build the robot with these contact points.
 
     The spheres of ellipsoids are fitted again at the joint positions of the nominal stand, until
-    the contact points remain in place.
+    the contact points remain in place (at most `_MAX_ELLIPSOID_FITS` times). The draft is unchanged
+    for a robot without limb ends, or with an empty list of feet.
 
     Raises:
-        ModelError: If no feet are found, or a named foot touches nothing.
+        ModelError: If no limb ends below the base in a pose, or a named foot touches nothing.
         UnknownNameError: If a named foot does not exist.
     """
     footless, names = draft.robot, draft.request.feet
@@ -513,7 +516,7 @@ def _add_loop_motors(draft: Draft) -> PassOutput:
 def _make_rest_depth(draft: Draft) -> Callable[[str], float | None]:
     """Return a function of a keyframe's name that returns the feet's penetration at rest [m].
 
-    The function returns None if the unmodified file falls from this keyframe.
+    The function returns None if the unmodified file falls from this keyframe, or lacks it.
     """
     return partial(start.rest_depth_from_keyframe, draft.mjcf.model)
 
@@ -652,7 +655,7 @@ def _add_servos(draft: Draft) -> PassOutput:
 def _store_rest_pose(draft: Draft) -> PassOutput:
     """Replace a searched start pose by the stand on soft ground.
 
-    Without a stand on soft ground, the start pose is kept.
+    The start pose is kept without such a stand, or if the keyframe cannot be made.
     """
     messages = (note for run in draft.runs for note in run.done)
     reason = next((note for note in messages if note.code == "start-pose-found"), None)

@@ -195,11 +195,11 @@ def with_requested_gains(
 def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
     """Compile an MJCF as published, with at most the changes that a simulation needs.
 
-    Bodies and joints without a name are named if the file lacks a name of the robot. A floor is
-    added if the robot has a free base, and the world has neither a level plane nor a collidable
-    geom. The base is fixed, without ground contacts, if it is fixed in the robot and free in the
-    file. Visual geoms are kept, so that the geoms of a body have the same order as in the robot's
-    model.
+    A floor is added if the robot has a free base, and the world has neither a level plane nor a
+    collidable geom. The base is fixed, without ground contacts, if it is fixed in the robot and
+    free in the file. Bodies and joints without a name are named with these changes, or if the file
+    lacks a name of the robot. Visual geoms are kept, so that the geoms of a body have the same
+    order as in the robot's model.
 
     Args:
         mjcf: MJCF as read.
@@ -434,8 +434,8 @@ class HoldCommands:
 
     Attributes:
         ctrl: Controls of all actuators, shape (model.nu,): commands of position servos at joints of
-            the robot, and at fixed tendons of joints without actuator; without force for other
-            position servos on tendons and sites; zero for other actuators.
+            the robot, and at tendons of joints without actuator; without force for other position
+            servos on tendons and sites; zero for other actuators.
         act: States of the actuator filters, shape (model.na,).
         external: External servos, which the simulation computes for n joints without position
             servo: dof addresses, kp [N m/rad], kd [N m s/rad], target positions [rad, m],
@@ -615,7 +615,8 @@ def simulate_published(
     The simulation ends when the time is over, or when MuJoCo resets the state.
 
     Args:
-        published: Published model.
+        published: Published model. Its damping includes that of the external servos during the
+            call.
         data: Initial state; changed to the final state.
         hold: Commands of the actuators, and external servos (computed by this function).
         seconds: Duration [s].
@@ -721,7 +722,8 @@ def _measure_command_law(
 def find_self_controlled_joints(published: PublishedModel, robot: Robot) -> tuple[str, ...]:
     """Return the names of joints whose actuator has an internal controller, such as ``pid``.
 
-    Such an actuator has several controls or a state; no command is computed for it.
+    Such an actuator follows another law than a servo or motor (`Drive.has_other_law`), and has
+    several controls or a state. No command is computed for such an actuator.
     """
     model, names = published.model, []
     for name, drive in zip(robot.joint_names, published.drives, strict=True):

@@ -125,10 +125,10 @@ def compare_as_published(
 ) -> Published | None:
     """Compare a simulation of the unmodified model file with the prediction for a stand.
 
-    If the robot was changed after loading, has welds, or stands on ground that is not level, the
-    nominal stand of the robot as loaded is compared instead of ``stand``. A posture (fixed base, no
-    stance feet) is always compared with the robot as loaded. If the caller passed gains, the model
-    of the file gets the same gains.
+    If the robot was changed after loading, has welds or grips, or stands on ground that is not
+    level, the nominal stand of the robot as loaded is compared instead of ``stand``. A posture
+    (fixed base, no stance feet) is always compared with the robot as loaded. If the caller passed
+    gains, the model of the file gets the same gains.
 
     Args:
         robot: Prepared robot.
@@ -316,7 +316,9 @@ def _find_loading_causes(
     preparation (`list_loading_changes`) are the cause. If this simulation deviates as much as the
     published MJCF (as it is, or with its candidate causes switched off), URDF and MJCF differ,
     since the prediction is computed from the URDF. The cause is then the first difference that
-    ``compare_files`` finds and that affects weight.
+    ``compare_files`` finds and that affects mass matrix, gravity, or the positions of joints and
+    feet; or else the first of its differing parts. Empty without such a difference, and for a robot
+    whose URDF or MJCF was converted.
 
     Args:
         published: Published model.
@@ -672,7 +674,10 @@ def list_ball_joints(robot: Robot) -> tuple[Cause, ...]:
 
 
 def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
-    """Return the file's servos as the cause of a failure, if the file stands with stiffer ones."""
+    """Return the file's servos as the cause of a failure if the file stands with stiffer servos.
+
+    Empty otherwise, and without a published model or a free base.
+    """
     loaded = get_loaded_robot(robot)
     model = loaded.compute_once(get_published_model)
     if model is None or not loaded.floating:
@@ -722,7 +727,11 @@ def _find_run_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tu
         )
 
     def test_model(changed: mujoco.MjModel) -> float | None:
-        """Simulate a changed model from the keyframe; return 0.0 if it stands, None if it fails."""
+        """Simulate a changed model from the keyframe; return 0.0 if it stands, None if it fails.
+
+        A model with a shorter time step than the file must also stand with a half and a quarter of
+        this time step.
+        """
         # A single other time step may let an unstable robot stand by chance.
         finer = changed.opt.timestep < model.opt.timestep
         for parts in (1, 2, 4) if finer else (1,):
@@ -791,9 +800,10 @@ def _test_causes(
     """Find the causes of a deviation by switching off candidates in copies of the model.
 
     A model is sound if ``test_model`` returns a number. A group passes the test if the model is
-    sound with the whole group switched off, and with its causes switched off. A cause is a
-    candidate that makes the model unsound when it alone is switched on again. Groups are tested in
-    this order: integration and solver, the other candidates, both, both and ``physical``.
+    sound with the whole group switched off, and with its causes alone switched off. A cause is a
+    candidate that makes the model unsound when it alone is switched on again, in the group and in
+    the largest sound set of candidates. Groups are tested in this order: integration and solver,
+    the other candidates, both, both and ``physical``.
 
     Args:
         published: Published model.

@@ -11,8 +11,8 @@ The requirement depends on the base:
   stiff as a hinge with the lever of a leg, and damping is proportional to stiffness: then the
   damping ratio of a mode is proportional to its frequency.
 * Robot with a fixed base, such as an arm (`ServoRequirement.of_fixed_base`): any posture may be
-  commanded, and each joint moves alone. Each joint is stiff enough for the worst posture, and
-  critically damped.
+  commanded, and each joint moves alone. Each joint is stiff enough for the worst of random
+  postures, as far as the time step permits, and critically damped.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 
 GainArrays = tuple[Array, Array]
-"""Servo stiffness kp [N m/rad] and damping kd [N m s/rad], shape (nu,) each."""
+"""Servo stiffness kp [N m/rad, N/m] and damping kd [N m s/rad, N s/m], with a value per joint."""
 
 DEFAULT_SAG = 0.02
 """Default deflection of a joint of an arm under gravity [rad; m for a slide], from which the
@@ -90,7 +90,8 @@ class ServoRequirement:
             robot, the torque of a hinge divided by the square of a lever [N/m].
         own_torques: Torque that the joint holds itself [N m, N]; met even above ``soft_limit``, but
             not above ``max_stiffness``.
-        inertia: Inertia at the joint with all other joints free [kg m^2, kg].
+        inertia: Inertia at the joint with all other joints free, in closed loops as far as the
+            loops permit [kg m^2, kg].
         min_stiffness: Minimum stiffness [N m/rad, N/m].
         soft_limit: Stiffness [N m/rad, N/m] that only ``own_torques`` and ``min_stiffness``
             exceed.
@@ -206,13 +207,13 @@ def suggest_standing_gains(
     Args:
         robot: Robot.
         stand: Stand.
-        torques: Static torques, shape (nu,) [N m].
+        torques: Static torques, shape (nu,) [N m, N].
         sag: Deflection of the most loaded joint [rad, m].
         parts: Divisor of the model's time step; the gains are those for this shorter step.
         damping: Factor of the default damping, kd = 0.05 s * kp.
 
     Returns:
-        kp, shape (nu,) [N m/rad]; kd, shape (nu,) [N m s/rad].
+        kp, shape (nu,) [N m/rad, N/m]; kd, shape (nu,) [N m s/rad, N s/m].
     """
     required = ServoRequirement.of_stand(robot, stand.qpos, torques, parts=parts)
     kp = np.array([_round_to_two_digits(value) for value in required.stiffness(sag)])
@@ -230,8 +231,8 @@ def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) ->
         sag: Deflection of a joint under gravity [rad, m].
 
     Returns:
-        kp [N m/rad] and kd [N m s/rad], each with a value per joint that is not free, in the order
-        of the model.
+        kp [N m/rad, N/m] and kd [N m s/rad, N s/m], each with a value per joint that is not free,
+        in the order of the model.
     """
     required = ServoRequirement.of_fixed_base(model)
     kp = required.stiffness(sag)

@@ -1,8 +1,8 @@
 """Reject values with which a simulation has no meaning; choose an accurate constraint solver.
 
-Inputs are the compiled models of a robot. Time step, rotor inertias, lengths, gears and masses that
+Inputs are the compiled models of a robot. Options, rotor inertias, lengths, gears and masses that
 make a simulation meaningless are errors with file and line. If the residual of MuJoCo's constraint
-solver for a pushed base is too large, dense matrices are used.
+solver for a pushed base is too large, dense matrices are used, if they reduce the residual enough.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ this distance the square of a micrometre is lost in a double."""
 
 
 def check_simulable(mjcf: MjcfFile) -> None:
-    """Raise an error if an option, rotor inertia, length or gear of an MJCF is out of range.
+    """Raise an error if an option, inertia of a rotor, length or gear of an MJCF is out of range.
 
     Raises:
         ModelError: If a value is out of range; the error has file, line and value.
@@ -150,10 +150,10 @@ def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> M
 
 
 def check_masses(robot: Robot, urdf: UrdfFile) -> None:
-    """Raise an error if a joint moves no mass in the URDF.
+    """Raise an error if a joint moves no mass in the URDF, and has no rotor inertia.
 
     Raises:
-        ModelError: If a joint moves no mass: the acceleration is undefined.
+        ModelError: If the inertia at a joint is zero or below: the acceleration is undefined.
     """
     inertias = np.diag(Configuration(robot, robot.home).mass_matrix())[robot.nv - robot.nu :]
     for name, inertia in zip(robot.joint_names, inertias.tolist(), strict=True):

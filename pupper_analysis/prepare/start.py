@@ -195,8 +195,8 @@ the same minimum (`_solve_first_guess`). Chosen between measured values, of 238 
 random bipeds: equal ones differ by up to 3e-5, others by 8e-3 or more."""
 
 _MAX_RESET_PASSES = 3
-"""Number of successive solves of a stand. Before each solve, the joints outside the legs (arms,
-waist) are reset to the requested pose. Chosen, not tuned."""
+"""Number of successive solves of a stand. Before each solve after the first, the joints outside the
+legs (arms, waist) are reset to the requested pose. Chosen, not tuned."""
 
 _JOINT_MARGINS = (0.2, 0.05, 0.0)
 """Required distances of the joints from their limits [rad, m], tried in this order until a start
@@ -211,7 +211,8 @@ _TARGET_SIDE_DISTANCE, _TARGET_FOOT_DEPTH = 0.4, 0.5
 to the distance between foot and hip. Chosen, not tuned."""
 
 _NUM_KEYFRAME_DIGITS = 6
-"""Decimals of a written keyframe's angles [rad] and height [m]: 1 um. Chosen, not tuned."""
+"""Decimals of a written keyframe's joint positions [rad, m], height [m] and ctrl: 1 um. Chosen, not
+tuned."""
 
 _POSE_WEIGHT = 1e-3
 """Weight of a joint's distance from the pose [rad, m] in a least-squares problem, relative to the
@@ -225,7 +226,7 @@ error of a contact point, and CoM offset, both divided by the base height. Chose
 stand is solved exactly afterwards."""
 
 _LIMIT_CLEARANCE = 1e-9
-"""Distance of an initial guess from the bounds of the least-squares problem [rad]. Chosen small:
+"""Distance of an initial guess from the bounds of the least-squares problem [rad, m]. Chosen small:
 SciPy requires a guess strictly inside of the bounds."""
 
 _MIN_CONTACT_RATE = 1e-9
@@ -273,7 +274,7 @@ def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
 def solve_nominal_stand(robot: Robot) -> Stand | None:
     """Solve the nominal stand of a robot: the stand of the default `StandTask`.
 
-    None if the stand is out of reach or not in equilibrium.
+    None if the stand is out of reach or not in equilibrium, or for another error of this package.
     """
     try:
         stand = solve_stand(robot, explain=False)
@@ -368,7 +369,8 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
         margin: Distance of the joints from their limits [rad, m]; at most 40 % of a joint's range.
 
     Returns:
-        Joint positions, shape (nu,) [rad or m]; None if an error exceeds ``_MAX_SOLE_ERROR``.
+        Joint positions, shape (nu,) [rad or m]; None if an error divided by ``height`` is
+        ``_MAX_SOLE_ERROR`` or more.
     """
     from scipy import optimize  # slow to import
 
@@ -680,8 +682,8 @@ def compute_leg_length(robot: Robot, qpos: Array) -> float:
 def with_foot_contacts_only(robot: Robot) -> Robot:
     """Return a robot in whose MuJoCo model foot geoms are the only colliding geoms of foot bodies.
 
-    Only the compiled model is changed, not the description (URDF and MJCF) of the robot: a robot
-    that is built from the description has all collisions again.
+    Contacts of a ``<pair>`` remain. Only the compiled model is changed, not the description (URDF
+    and MJCF) of the robot: a robot that is built from the description has all collisions again.
     """
     model, foot_bodies = copy.copy(robot.mj_model), list_foot_bodies(robot)
     for geom in range(model.ngeom):
@@ -756,7 +758,8 @@ def find_start_pose(
     exists. If no keyframe has level feet within the limits, a keyframe from which the unmodified
     file stands (``rest_depth``) is taken, with its joints clipped to the limits, if the nominal
     stand exists. Otherwise a start pose is searched; if no pose is found, a note reports the
-    failure. Contacts of shapes other than the feet are ignored here (see ``touching``).
+    failure, and the start pose is the last accepted keyframe, or unchanged without such a keyframe.
+    Contacts of shapes other than the feet are ignored here (see ``touching``).
 
     Args:
         robot: Robot with feet.
@@ -766,7 +769,8 @@ def find_start_pose(
             from a keyframe, or None if the file falls. Called only if needed.
 
     Returns:
-        Robot with the start pose, and notes: the chosen pose, and why keyframes were rejected.
+        Robot with the start pose, and notes: the chosen pose, and the objections to keyframes from
+        which the unmodified file stands (`_list_objections`).
     """
     whole, robot = robot, with_foot_contacts_only(robot)
     standing = {name: pose for name, pose in known.items() if is_standing_pose(robot, pose)}

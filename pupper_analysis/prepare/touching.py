@@ -75,7 +75,8 @@ def find_carrying_hulls(
 
     A soft foot may penetrate the ground so far that another shape of its body, such as the convex
     hull of the shank, touches too and is stiffer. The foot's fraction of the load is estimated as
-    its force at the penetration at which the other shape alone would carry the load.
+    its force at the penetration at which the other shape alone would carry the load. Only feet with
+    a single contact point are considered.
 
     Args:
         footless: Robot before feet were added.
@@ -83,9 +84,9 @@ def find_carrying_hulls(
         feet: Feet, each with contact points.
 
     Returns:
-        All feet, and a note. Feet whose other shape touches have this shape as contact point.
-        None if the stand on soft ground is not solved, if no other shape touches, or if the own
-        shapes of these feet carry more than half of their load on average.
+        All feet, and a note. Feet whose other shape touches, in a single point, have this shape as
+        contact point. None if the stand on soft ground is not solved, if no other shape touches so,
+        or if the own shapes of these feet carry more than half of their load on average.
     """
     try:
         stand = solve_stand_on_soft_ground(start.with_foot_contacts_only(robot), explain=False)

@@ -38,7 +38,7 @@ class RobotFiles:
     def from_arguments(*models: str, **options: Any) -> RobotFiles:
         """Create the specification of a robot from arguments of ``load_robot``.
 
-        File paths become absolute; they are not checked.
+        File names become absolute paths; the files are not read.
 
         Raises:
             ModelError: If an installed description is not found.

@@ -1,7 +1,8 @@
 """Convert a URDF to an MJCF: bodies, joints, inertias and shapes.
 
-Input is a validated URDF; output is the XML of an MJCF with a fixed base, as `ConvertedMjcf`. Free
-base, ground, servos and feet are added by the passes of the preparation.
+Input is a validated URDF; output is the XML of an MJCF with a fixed or free base, as
+`ConvertedMjcf`. Ground, servos and feet (and the free base of a robot that is loaded) are added by
+the passes of the preparation.
 """
 
 from __future__ import annotations
@@ -249,7 +250,7 @@ class UrdfBodies:
 
         The effort limit is recorded in ``efforts``; a joint with a coupling, recorded in
         ``mimics``, gets the limit as ``actuatorfrcrange``. Empty ranges and negative efforts are
-        left out, with a note.
+        left out, with a note; efforts of zero, or of `UNSTATED` or more, without a note.
 
         Raises:
             ModelError: If the joint is floating or planar, or the axis has length zero.
@@ -462,7 +463,8 @@ class MjcfOptions:
 
     Attributes:
         feet: Links of the feet, or {foot: link}; None: feet are detected.
-        fixed_base: True for a fixed base; None: a base with two limbs or more is free.
+        fixed_base: True for a fixed base; None: a base that floats in the URDF, or has two limbs or
+            more, is free.
         armature: {joint: rotor inertia [kg m^2]}.
         repair_inertia: True to repair invalid inertials, and to give mass to moving links without
             mass.
@@ -559,9 +561,9 @@ class ConvertedMjcf:
     def make_import(self) -> UrdfImport:
         """Return the URDF as MuJoCo's own importer can read it, without visual shapes.
 
-        As in the converted MJCF, some elements of a link are moved to the link to which it is
-        fixed: an invalid inertial (MuJoCo would refuse it), and the shapes of a link without
-        inertial. Shapes whose mesh file is missing are left out.
+        As in the converted MJCF, some elements of a link are moved to a link to which it is fixed:
+        an invalid inertial (MuJoCo would refuse it), and the collision shapes of a link without
+        inertial. Shapes whose mesh is missing or cannot be used are left out.
         """
         tree, assets = self.bodies.tree.copy(), dict[str, bytes]()
         for link in tree.links.values():
@@ -616,7 +618,7 @@ def convert_urdf_in_memory(
 
 
 def _remove_massless_root(tree: UrdfTree) -> bool:
-    """Remove a root link without mass above a floating joint, in place; return True if removed."""
+    """Remove a root link without inertial above a floating joint; return True if removed."""
     base = tree.base
     below = tree.child_joints.get(base.name, [])
     is_floating = base.inertial is None and [joint.kind for joint in below] == ["floating"]

@@ -408,7 +408,7 @@ def _extract_message(error: ValueError) -> str:
 
 
 MUJOCO_MESH_SUFFIXES: Final = (".stl", ".obj")
-"""Suffixes of the mesh formats that MuJoCo reads."""
+"""Suffixes of the common mesh formats that MuJoCo reads (MuJoCo's own ``.msh`` is not accepted)."""
 
 _CONVERTIBLE_SUFFIXES: Final = (".dae", ".glb", ".off", ".ply")
 """Suffixes of the mesh formats that are converted; no archives, whose content is unbounded."""

@@ -42,8 +42,8 @@ which MuJoCo would refuse: common for helper links of exporters. Chosen, not tun
 
 _GYRATION_RADIUS: Final = 0.01
 """Radius of gyration [m] that is assumed for a link with mass and without inertia. Chosen as that
-of a ball of 16 mm: with a smaller radius, a small torque moves the link faster than a time step of
-2 ms can follow."""
+of a ball with a radius of 16 mm: with a smaller value, a small torque moves the link faster than a
+time step of 2 ms can follow."""
 
 _TRIANGLE_MARGIN: Final = 1e-6
 """Relative margin with which repaired principal moments satisfy the triangle inequality A + B >= C.
@@ -147,8 +147,8 @@ def repair_inertials(
 
     An inertial of zeros is removed. An invalid inertial is added to the inertial of a link that
     fixed joints connect to its link, directly or through other links; this changes no motion. If no
-    such sum is valid, an inertial with mass is repaired. An invalid inertial without mass remains
-    if its body does not move, or is fixed to a body with mass.
+    such sum is valid, an inertial with positive mass is repaired. An invalid inertial without
+    positive mass remains if its body does not move, or is fixed to a body with mass.
 
     Args:
         urdf: URDF as read.
@@ -217,7 +217,8 @@ def find_nearest_moments(moments: Array, mass: float) -> Array:
 
     The condition is A + B >= C for the largest moment C. The violation is distributed in equal
     parts on all three moments (projection on a half-space). MuJoCo's ``balanceinertia``
-    uses the mean of the moments instead, which is a larger change. If no moment exceeds
+    uses the mean of the moments instead, which is a larger change. Before, negative moments become
+    zero; afterwards, each moment is at least 10 `_MIN_INERTIA`. If no moment exceeds
     `_MIN_INERTIA`, the moments are those of the radius of gyration `_GYRATION_RADIUS`.
 
     Args:
@@ -235,6 +236,8 @@ def find_nearest_moments(moments: Array, mass: float) -> Array:
 
 def _move_inertia(bodies: LinkBodies, body: str, inertia: pin.Inertia) -> Diagnostic | None:
     """Move the invalid inertia of a body to a body that is fixed to it, if the sum there is valid.
+
+    The other body must have an inertial.
 
     Returns:
         Note on the move; None if there is no such body, and nothing is changed.

@@ -476,12 +476,12 @@ def _find_mesh_path(file: MjcfFile, mesh: mujoco.MjsMesh) -> Path | None:
 
 
 def find_root_body(file: MjcfFile, model: mujoco.MjModel) -> int:
-    """Find the robot in a model: return the id of the base body, or of the fixed root body.
+    """Find the robot in a model: return the id of the base body, of the fixed root body, or 0.
 
     A root whose only joint is a free joint is an object, and is ignored if there are other roots
     with joints. If exactly one of these roots has a free base, this root is chosen; the rest may be
     doors or drawers. Roots in the world that <connect> or <weld> couples are one robot, whose base
-    is the world: a linkage with two fixed pivots.
+    is the world (0): a linkage with two fixed pivots.
 
     Raises:
         ModelError: If there are several robots, or none.
