@@ -191,6 +191,8 @@ def named_positions(
     positions: dict[str, Position] = {}
     for pattern, value in joints.items():
         chosen = [joint for joint in robot.joint_names if fnmatchcase(joint, pattern)]
+        if pattern in robot.joint_names:
+            chosen = [pattern]  # a name may contain brackets
         if not chosen:
             raise UnknownNameError(robot.name, "joint", pattern, robot.joint_names).with_location(
                 argument
