@@ -307,7 +307,7 @@ def _match_by_position(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[
         (position, axis), (other_position, other_axis) = urdf_places[name], mjcf_places[other]
         distance = float(np.linalg.norm(position - other_position))
         parallel = abs(float(axis @ other_axis)) > _MIN_AXIS_COSINE
-        return distance if parallel and distance < _MAX_RELATIVE_DISTANCE * size else np.inf
+        return distance if parallel and distance <= _MAX_RELATIVE_DISTANCE * size else np.inf
 
     for parent in (urdf.base, *urdf.joints):  # parents first
         partner_parent = partner.get(parent)

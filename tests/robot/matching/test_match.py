@@ -765,3 +765,10 @@ def test_bodies_merged_by_mujoco_are_no_common_frames(tmp_path: Path) -> None:
         assert set(robot.description.frames) == frames
         one, two = kinematic_trees(robot)
         assert one.joints.keys() == two.joints.keys() == {"turn", "bend", "push"}
+
+
+def test_single_joint_at_the_origin_of_the_base_is_matched_by_its_axis(tmp_path: Path) -> None:
+    """All joints have distance 0 from the base, and from each other."""
+    urdf = pendulum(position=(0.0, 0.0, 0.0))
+    mjcf = change_part(urdf, "bob", joint="revolution")
+    assert match_files(write_parts(tmp_path, urdf, mjcf)).guessed == {"swing": "revolution"}
