@@ -200,7 +200,10 @@ def _find_plugins(group: str, file_name: str) -> Mapping[str, ToolPackage]:
 
     packages = {}
     for entry_point in sorted(entry_points(group=group), key=lambda entry_point: entry_point.name):
-        spec = find_spec(entry_point.module)
+        try:
+            spec = find_spec(entry_point.module)
+        except ModuleNotFoundError:  # the parent of a nested package is missing
+            continue
         locations = spec.submodule_search_locations if spec else None
         if locations and entry_point.name not in _find_own_packages(file_name):
             packages[entry_point.name] = ToolPackage(
