@@ -155,9 +155,12 @@ def _is_description(word: str) -> bool:
     Such a word has the prefix ``DESCRIPTION_PREFIX``, or has the form of ``go2_mj_description`` and
     is not an existing path.
     """
-    return word.startswith(DESCRIPTION_PREFIX) or (
-        _BARE_DESCRIPTION.fullmatch(word) is not None and not Path(word).exists()
-    )
+    if word.startswith(DESCRIPTION_PREFIX) or _BARE_DESCRIPTION.fullmatch(word) is None:
+        return word.startswith(DESCRIPTION_PREFIX)
+    try:
+        return not Path(word).exists()
+    except OSError:  # a name that is too long
+        return True
 
 
 def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> Path:

@@ -19,7 +19,11 @@ from pupper_analysis.base.errors import (
 from pupper_analysis.base.runs import ensure_run
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.published import find_file, list_similar_published_names
+from pupper_analysis.models.published import (
+    find_file,
+    is_published_name,
+    list_similar_published_names,
+)
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.pupper.variant_files import parse_robot_word
 
@@ -161,6 +165,11 @@ def test_missing_ros_package_names_the_option(tmp_path: Path) -> None:
 def test_unknown_descriptions_are_refused(name: str, message: str) -> None:
     with pytest.raises(ModelError, match=message):
         find_file(f"robot_descriptions:{name}")
+
+
+def test_word_longer_than_a_file_name_is_no_path() -> None:
+    """The operating system refuses to look for a file with such a name."""
+    assert is_published_name("a" * 300 + "_description")
 
 
 def test_error_names_the_package_if_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
