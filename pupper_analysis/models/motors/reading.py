@@ -123,7 +123,9 @@ def read_bam_parameters(path: Path) -> Motor:
     for key in BAM_MODELS[model]:
         if key not in stated:
             raise ModelError(path, diagnose("motor-numbers-unknown", numbers=[key]))
-        numbers |= {"gear_efficiency": 1 - stated[key], "load_friction": stated[key]}
+        numbers["load_friction"] = stated[key]
+        if isinstance(stated[key], int | float):  # other types are rejected below
+            numbers["gear_efficiency"] = 1 - stated[key]
     for key, name, unit in (
         ("R", "resistance", "ohm"),
         ("armature", "rotor_inertia", "kg m^2"),

@@ -207,6 +207,7 @@ def test_servo_models_are_read(tmp_path: Path, model: str) -> None:
         ({"model": "m5"}, "load_friction_motor"),
         ({"model": "m1", "R": -2.0}, "R|resistance: "),
         ({"model": "m1", "kt": None}, "torque_constant"),
+        ({"model": "m3", "load_friction_base": "high"}, "load_friction"),
     ],
 )
 def test_invalid_servo_models_are_refused(tmp_path: Path, change: dict, words: str) -> None:
