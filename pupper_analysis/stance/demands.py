@@ -53,8 +53,8 @@ _MIN_HEIGHT_RATIO = 1e-3
 relative to the requested value. Chosen, not tuned."""
 
 _ROUNDING_ATOL = 1e-12
-"""Difference from the requested value [m, rad] below which a relaxed value is set to the requested
-value. Chosen as the size of rounding errors."""
+"""Difference from the requested or nominal value [m, rad] below which a relaxed value is set to
+that value. Chosen as the size of rounding errors."""
 
 _ROUNDING_SHARE = 0.005
 """Largest change of a reported value by rounding, relative to its difference from the nominal
@@ -330,16 +330,16 @@ def round_outward(
 def _round_number(number: float, usual: float, requested: float, *, angle: bool) -> float:
     """Round a relaxed ``number`` [m, or rad if ``angle``] away from the ``requested`` value.
 
-    A number within `_ROUNDING_ATOL` of ``requested`` becomes ``requested``. The number is unchanged
-    if it equals ``usual`` (the value in the stand of the default `StandTask`), or if the rounded
-    number would equal or pass ``usual``.
+    A number within `_ROUNDING_ATOL` of ``requested``, or of ``usual`` (the value in the stand of the
+    default `StandTask`), becomes that value. The number is unchanged if the rounded number would
+    equal or pass ``usual``.
     """
     unit = math.radians(1.0) if angle else 1e-3  # degrees, millimetres
     value, nominal = number / unit, usual / unit
     if abs(number - requested) < _ROUNDING_ATOL:
         return requested
-    if number == usual:
-        return number
+    if abs(number - usual) < _ROUNDING_ATOL:
+        return usual
     digits = max(1, math.ceil(-math.log10(_ROUNDING_SHARE * abs(value - nominal))))
     step, up = 10.0 ** -min(_MAX_DIGITS, digits), number > requested
     away = math.ceil if up else math.floor

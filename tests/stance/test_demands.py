@@ -281,3 +281,13 @@ def test_bounds_of_a_negative_height_contain_the_height() -> None:
     assert (numbers.low[0], numbers.high[0]) == pytest.approx((-0.1 - far, -0.1 + far))
     positive = DemandVector(robot, replace(task, height=0.1), ["height"])
     assert positive.low[0] == pytest.approx(1e-4)
+
+
+def test_round_outward_removes_rounding_errors_at_the_nominal_value() -> None:
+    """A table that is lowered to the ground is reported at 0, and not at -1e-12 mm."""
+    requested, relaxed = (
+        pa.StandTask(contacts={"FR": pa.Contact(pa.Plane((0, 0, height), (0, 0, 1)))})
+        for height in (0.3, -1e-15)
+    )
+    rounded = round_outward(load("v3"), relaxed, requested, ["contacts"])
+    assert rounded.contacts["FR"].parameters == (0.0,)
