@@ -46,8 +46,8 @@ class OutputKind:
         name: Name, a term of the catalogue.
         owns: Test of whether an existing file is of this kind and may be replaced. None if an
             existing file is replaced only with ``force`` or by the same content.
-        keeps: Test of whether a file contains data that no run can compute again. Such a file is
-            never replaced.
+        keeps: Test of whether a file contains data that no run can compute again. An output of this
+            kind never replaces such a file.
         edits: Whether the run edits an input file in place.
         suffixes: Suffixes of its file names, the usual one first. The command line rejects the
             suffixes of other formats; for a figure or page, all other suffixes. Empty: no check.

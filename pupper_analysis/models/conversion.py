@@ -408,8 +408,7 @@ class UrdfImport:
     def spec(self) -> mujoco.MjSpec:
         """Import the URDF into a spec.
 
-        The compiled model has a body for each link, except for a root link ``world``, which becomes
-        the world without its mass.
+        The compiled model has a body for each link; a root link ``world`` is the world body.
 
         Raises:
             ModelError: If MuJoCo rejects the URDF.

@@ -100,7 +100,7 @@ def refuse_uncommitted(path: Path) -> None:
     without git, and if git cannot list the files, for example of another owner.
 
     Raises:
-        OutputError: If the file has uncommitted changes, was never committed but added, or will be
+        OutputError: If the file has uncommitted changes, was added but never committed, or will be
             written by the run.
         InputError: If a file in the repository cannot be read.
     """

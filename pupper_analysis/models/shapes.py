@@ -389,7 +389,7 @@ class Shape:
         """Points (n, 3) [m] in the frame of the body, whose hull approximates the shape.
 
         A ball or an ellipsoid is replaced by 26 points on its surface, an ellipse by a polygon with
-        16 corners: their hull is smaller than the shape. None if the extent is unknown.
+        16 corners; the hull of the points lies inside the shape. None if the extent is unknown.
         """
         centres = self.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
         if centres is None or self.minkowski_terms is None or not self.minkowski_terms.ball:
