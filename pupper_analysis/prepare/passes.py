@@ -635,12 +635,17 @@ def _fix_base(draft: Draft) -> PassOutput:
     return fixed, (diagnose("base-kept-in-the-world", why=why),)
 
 
+def _lacks_servos(robot: Robot) -> bool:
+    """Return True if a joint has no position servo; dependent joints need none."""
+    dependent = {robot.joint_names[joint] for joint in drives.list_dependent_joints(robot)}
+    return not set(robot.joint_names) <= list_position_servos(robot).keys() | dependent
+
+
 @_register_pass(Term("adds position servos that bring it to rest"), _may_get_servos, deferred=True)
 def _add_servos(draft: Draft) -> PassOutput:
     """Add position servos to joints without one, except dependent joints."""
     robot = draft.robot
-    dependent = {robot.joint_names[joint] for joint in drives.list_dependent_joints(robot)}
-    if not set(robot.joint_names) <= list_position_servos(robot).keys() | dependent:
+    if _lacks_servos(robot):
         add = drives.add_suggested_servos if robot.floating else drives.add_fixed_base_servos
         robot, servo_notes = add(robot, draft.mjcf)
         return replace(draft, built=robot), servo_notes
@@ -827,15 +832,11 @@ def _keeps_joint_order(draft: Draft) -> bool:
     then a robot with servos is built, and the orders are compared.
     """
     robot = draft.robot
-    if not _may_get_servos(draft):
+    if not _may_get_servos(draft) or not _lacks_servos(robot):
         return True
     driven = robot.mj_convention.actuator_index >= 0
-    num_servos = len(list_position_servos(robot))
-    if (
-        robot.closure is None
-        and (bool(driven.all()) or not bool(driven.any()))
-        and num_servos in (0, robot.nu)
-    ):
+    is_uniform = bool(driven.all()) or not bool(driven.any())
+    if robot.closure is None and is_uniform and not list_position_servos(robot):
         return True
     with_servos, _ = drives.add_fixed_base_servos(robot, draft.mjcf)
     return with_servos.joint_names == robot.joint_names

@@ -105,6 +105,25 @@ def test_joint_order_with_a_coupled_joint_is_final_after_loading(tmp_path: Path)
     )
 
 
+def test_robot_with_servos_at_all_independent_joints_gets_no_more(tmp_path: Path) -> None:
+    """A coupled finger needs no servo: loading such a file raised a ValueError."""
+    path = tmp_path / "gripper.xml"
+    bodies = "".join(
+        f'<body name="{name}"><joint name="{name}" type="slide" axis="0 {sign} 0" range="0 0.02"/>'
+        '<geom size="0.01" mass="0.1"/></body>'
+        for name, sign in (("left", 1), ("right", -1))
+    )
+    path.write_text(
+        f'<mujoco><worldbody><body name="hand" pos="0 0 1"><geom size="0.05" mass="1"/>{bodies}'
+        '</body></worldbody><equality><joint joint1="right" joint2="left" polycoef="0 1 0 0 0"/>'
+        '</equality><actuator><position joint="left" kp="100"/></actuator></mujoco>'
+    )
+    robot = pa.load_robot(path)
+    assert robot.joint_names == ("left", "right")
+    assert robot.mj_model.nu == 1
+    assert not robot.description.made_servos
+
+
 @pytest.mark.slow
 def test_servos_of_a_robot_with_coupled_joints_are_not_made_on_loading(
     tmp_path: Path, runs: list[str]
