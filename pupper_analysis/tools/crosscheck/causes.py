@@ -429,7 +429,8 @@ def find_scaled_quantities(case: PatternCase) -> PatternFindings:
     """Find joint limits, masses, lengths or inertias that all differ by a common factor.
 
     The message names the wrong unit, such as degrees, g or mm, or a wrong decimal point, if this
-    explains the factor. Lengths are tested at the joint positions only.
+    explains the factor. Limits are those of hinges. The factor of lengths is that of the joint
+    positions; CoMs and frames are explained only if they differ by the same factor.
     """
     first, raw = case.first, case.raw
     bodies = [(body, raw.bodies[name]) for name, body in first.bodies.items() if body.mass]
@@ -450,13 +451,45 @@ def find_scaled_quantities(case: PatternCase) -> PatternFindings:
     ):
         if factor is None:
             continue
+        explained = {key for key in case.keys if key[0] in kinds}
+        if what == "limits":
+            explained = {key for key in explained if not first.joints[key[1]].slides}
+        elif what == "lengths":
+            explained -= _find_remaining_after_scaling(case, factor)
         yield PatternFinding(
             "units",
             diagnose(
                 "all-scaled", what=Term(what), factor=factor, guess=_guess_unit(factor, units)
             ),
-            {key for key in case.keys if key[0] in kinds},
+            explained,
         )
+
+
+def _find_remaining_after_scaling(case: PatternCase, factor: float) -> set[PropertyKey]:
+    """Return the differences that remain if the lengths of both trees get the same unit.
+
+    ``factor`` is length in the MJCF / length in the URDF. The larger numbers are divided, so that
+    the tolerances apply to the smaller numbers.
+    """
+    if factor > 1:
+        return case.find_remaining(_scale_lengths(case.raw, 1 / factor))
+    return replace(case, first=_scale_lengths(case.first, factor)).find_remaining(case.raw)
+
+
+def _scale_lengths(tree: MultibodyTree, factor: float) -> MultibodyTree:
+    """Return a tree whose joint positions, CoMs and frame positions are multiplied by a factor."""
+    return replace(
+        tree,
+        joints={
+            name: replace(joint, position=factor * joint.position)
+            for name, joint in tree.joints.items()
+        },
+        bodies={name: replace(body, com=factor * body.com) for name, body in tree.bodies.items()},
+        frames={
+            name: (owner, factor * np.asarray(place))
+            for name, (owner, place) in tree.frames.items()
+        },
+    )
 
 
 def _find_common_factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:

@@ -127,6 +127,21 @@ def test_a_ratio_of_a_unit_is_named(tmp_path: Path, factors: dict[str, float], w
     assert words in get_headline(pair(tmp_path, scale_parts(quadruped(), **factors)))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("in_urdf", [False, True])
+def test_another_com_is_not_explained_by_a_unit_of_lengths(tmp_path: Path, in_urdf: bool) -> None:
+    """Reference: the only CoM that does not differ by the factor of the unit, mm for m."""
+    moved = change_part(quadruped(), "shank2", com=(0.03, 0.02, -0.09))
+    parts = [quadruped(), scale_parts(moved, length=1e3)]
+    if in_urdf:
+        parts = [scale_parts(quadruped(), length=1e3), moved]
+    comparison = compare_files(write(tmp_path, urdf_text(parts[0]), mjcf_text(parts[1])))
+    (cause,) = [cause for cause in comparison.causes if cause.kind == "units"]
+    explained = [comparison.differences[number] for number in cause.differences]
+    assert {difference.kind for difference in explained} >= {"position", "com"}
+    assert ("com", "knee2") not in {(one.kind, one.element) for one in explained}
+
+
 def test_limits_in_degrees_are_one_cause(tmp_path: Path) -> None:
     urdf = {
         name: replace(part, lower=math.degrees(part.lower), upper=math.degrees(part.upper))
@@ -134,6 +149,21 @@ def test_limits_in_degrees_are_one_cause(tmp_path: Path) -> None:
     }
     line = get_headline(write(tmp_path, urdf_text(urdf), mjcf_text(quadruped())))
     assert line.endswith("0.0174533 times those of the URDF: degrees for radians in the URDF?")
+
+
+def test_limit_of_a_slide_is_not_explained_by_degrees(tmp_path: Path) -> None:
+    """Reference: the limits of all hinges differ by a factor, and one limit of a slide by 5 mm."""
+    slide = change_part(quadruped(), "shank2", kind="prismatic", lower=-0.1, upper=0.1)
+    urdf = {
+        name: part
+        if part.kind == "prismatic"
+        else replace(part, lower=math.degrees(part.lower), upper=math.degrees(part.upper))
+        for name, part in change_part(slide, "shank2", upper=0.105).items()
+    }
+    comparison = compare_files(write(tmp_path, urdf_text(urdf), mjcf_text(slide)))
+    (cause,) = [cause for cause in comparison.causes if cause.kind == "units"]
+    elements = {comparison.differences[number].element for number in cause.differences}
+    assert elements == {part.joint for part in slide.values() if part.joint} - {"knee2"}
 
 
 def test_tenfold_mass_is_named_as_a_decimal_point_error(tmp_path: Path) -> None:
