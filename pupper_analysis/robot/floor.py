@@ -26,9 +26,26 @@ tuned."""
 
 
 def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
-    """Return the first plane of the world body; None if there is none."""
+    """Return the floor: a plane of the world body; None if there is none.
+
+    The first plane that can touch something is preferred to planes whose contacts are disabled.
+    """
     plane = mujoco.mjtGeom.mjGEOM_PLANE
-    return next((geom for geom in spec.worldbody.geoms if geom.type == plane), None)
+    planes = [geom for geom in spec.worldbody.geoms if geom.type == plane]
+    touching = (geom for geom in planes if geom.contype or geom.conaffinity)
+    return next(touching, next(iter(planes), None))
+
+
+def merge_planes(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> None:
+    """Replace other planes of the world body as ground by the floor, in place.
+
+    The floor gets the contact bits of these planes, and their contacts are disabled.
+    """
+    for geom in spec.worldbody.geoms:
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE and geom != floor:
+            floor.contype |= geom.contype
+            floor.conaffinity |= geom.conaffinity
+            geom.contype = geom.conaffinity = 0
 
 
 def disable_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:

@@ -24,7 +24,7 @@ from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, compile_spec
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.contact import ContactParameters, ground_geom, list_contact_bodies
-from pupper_analysis.robot.floor import find_floor, is_fixed, rotate_floor
+from pupper_analysis.robot.floor import find_floor, is_fixed, merge_planes, rotate_floor
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.plane import PLANE_NORMALS, describe_surface
 from pupper_analysis.robot.robot import Robot, Touching
@@ -35,7 +35,8 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
 
     The floor is tilted, and a box is added for each step (a cylinder for a bar), with the contact
     parameters of the floor; the parameters of a plane with own friction come from `Robot.contacts`.
-    The following collisions are disabled:
+    Other planes of the world are replaced by the floor (`merge_planes`). The following collisions
+    are disabled:
 
     - between a foot on a step and the floor, which is above a step down and may be reached through
       a low step;
@@ -249,6 +250,8 @@ def _add_ground(
 ) -> None:
     """Tilt the floor, and add the box or cylinder under each foot (`Ground.steps`), in place.
 
+    Further planes of the world, such as a second level plane, do not collide (`merge_planes`).
+
     Args:
         robot: Robot.
         spec: MJCF of the robot, which is changed.
@@ -260,6 +263,7 @@ def _add_ground(
         ModelError: If the MJCF has not enough unused bits of ``contype``.
     """
     floor = find_floor(spec) or SpecTree(spec).add_floor()
+    merge_planes(spec, floor)
     rotate_floor(floor, quaternion_from_rotation(ground.rotation()))
     steps = ground.steps(places)
     soles = [foot for foot in steps if len(robot.feet[foot]) > 1]
