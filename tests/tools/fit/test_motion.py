@@ -105,6 +105,8 @@ def test_replay_is_recognised_by_its_commands() -> None:
     assert measure_replay([recorded, run(one[37:637] + noise, out=True)]) > 0.99
     assert measure_replay([recorded, run(other[:600], out=True)]) < 0.9
     assert measure_replay([recorded]) == 0.0
+    # Resting commands repeat nothing: their deviation from the mean is rounding.
+    assert measure_replay([recorded, run(np.full((180, 3), 0.6), out=True)]) == 0.0
     # A repetition that begins 37.4 samples later is 3 mrad from itself, and another motion none.
     late = np.column_stack([np.interp(np.arange(600) + 37.4, np.arange(800), c) for c in one.T])
     again = replace(run(late, out=False), position=late + 3e-3 * rng.normal(size=late.shape))

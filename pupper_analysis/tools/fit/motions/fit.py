@@ -315,7 +315,8 @@ def _align_commands(pattern: Array, series: Array) -> tuple[float, float]:
     at an end. (0, 0) if the series is shorter than the pattern, or the pattern is constant.
     """
     centred_pattern = pattern - pattern.mean(axis=0)
-    if len(series) < len(pattern) or not centred_pattern.any():
+    is_constant = np.abs(centred_pattern).max(initial=0.0) <= _MIN_NOISE_STD
+    if len(series) < len(pattern) or is_constant:
         return 0.0, 0.0
     centred_series, ones = series - series.mean(axis=0), np.ones((len(pattern), 1))
     correlations = fftconvolve(centred_series, centred_pattern[::-1], "valid", axes=0).sum(axis=1)
