@@ -237,7 +237,8 @@ class MotionFit(Fit):
             no two runs have the same commands.
         by_joint: RMS position error of each joint, in samples that were not fitted if there are
             any, otherwise in samples that were fitted; NaN without samples.
-        encoder_noise: Standard deviation of each joint's encoder noise; NaN without samples.
+        encoder_noise: Standard deviation of each joint's encoder noise; 0 for constant readings,
+            NaN without samples.
         slides: Names of the joints that are slides. Errors over all joints count 1 m as 1 rad.
     """
 

@@ -15,6 +15,7 @@ import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, UnknownNameError
 from pupper_analysis.prepare.convert.load import load_robot
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.motions.fit import fit_motion, measure_repeatability, measure_replay
 from pupper_analysis.tools.fit.motions.rollouts import LogSegment
 from pupper_analysis.tools.fit.result import Determined, MotionFit, classify_determination
@@ -86,6 +87,46 @@ def test_unexplained_motion_is_reported() -> None:
     found = fit_motion(bar(), [replace(log(), position=odd)], priors=PRIORS)
     assert "motion-not-explained" in {one.code for one in found.failures}
     assert not found.explained
+
+
+def load_two_bars() -> Robot:
+    """Load the bar, and a second bar with the joint ``still`` on the same base."""
+    link = URDF[URDF.index('<link name="bar">') : URDF.index("</robot>")]
+    body = MJCF[MJCF.index('<body name="bar">') : MJCF.index("</body></body>")] + "</body>"
+    servo = '<position name="turn" joint="turn" kp="5"/>'
+    second = [
+        text.replace('"bar"', '"second"').replace('"turn"', '"still"')
+        for text in (link, body, servo)
+    ]
+    urdf = URDF.replace("</robot>", second[0] + "</robot>")
+    mjcf = MJCF.replace("</body></body>", f"</body>{second[1]}</body>").replace(
+        "</actuator>", second[2] + "</actuator>"
+    )
+    with TemporaryDirectory() as folder:
+        files = Path(folder) / "bars.urdf", Path(folder) / "bars.xml"
+        for file, text in zip(files, (urdf, mjcf), strict=True):
+            file.write_text(text, encoding="utf-8")
+        return load_robot(*files)
+
+
+@pytest.mark.slow
+def test_joint_that_rests_does_not_fail_the_fit() -> None:
+    """The readings of the joint ``still`` are constant: 0.35 rad, near the equilibrium of
+    5 (0.4 - q) = 0.736 sin q. Reference: the fit of the moving joint alone.
+    """
+    moving = log().select_rows(slice(0, 600))
+    rows = np.ones((len(moving.time), 1))
+    both = replace(
+        moving,
+        joints=("turn", "still"),
+        position=np.hstack([moving.position, QUANTUM * round(0.3495 / QUANTUM) * rows]),
+        command=np.hstack([moving.command, 0.4 * rows]),
+    )
+    found = fit_motion(load_two_bars(), [both], priors=PRIORS, hold_out=0.0)
+    alone = fit_motion(bar(), [moving], priors=PRIORS, hold_out=0.0)
+    assert found.encoder_noise["still"] == 0
+    assert found.failures == alone.failures == ()
+    assert found.by_joint["turn"] == pytest.approx(alone.by_joint["turn"], rel=0.1)
 
 
 def test_replay_is_recognised_by_its_commands() -> None:

@@ -42,8 +42,9 @@ HOLD_OUT_FRACTION = 0.2
 
 
 _MAX_NOISE_RATIO = 2.0
-"""Upper bound of the ratio of RMS position error to encoder noise, as the median over the joints.
-Above, the fit fails: the model does not explain the motion. Chosen, not tuned."""
+"""Upper bound of the ratio of RMS position error to encoder noise, as the median over the joints
+whose readings vary. Above, the fit fails: the model does not explain the motion. Chosen, not
+tuned."""
 
 _MAX_JOINT_NOISE_RATIO = 10.0
 """Upper bound of the ratio of RMS position error to encoder noise of a single joint. Above, the fit
@@ -188,7 +189,7 @@ def _report_motions(
 
     The RMS position errors [rad, m] compare each run with a finely simulated run, with the
     parameters of the files and with the estimates, for fitted and held-out samples. The covariance
-    of the result is inflated if the median over the joints of error / encoder noise exceeds 1.
+    of the result is inflated if the median ratio of error to encoder noise exceeds 1.
     """
     robot = motion.simulator.robot
     errors: dict[tuple[str, str], list[Array]] = {}
@@ -208,7 +209,8 @@ def _report_motions(
     noise = np.array(
         [_estimate_encoder_noise([run.position[:, j] for run in motion.runs]) for j in joints]
     )
-    posterior = _inflate_covariance(posterior, max(1.0, float(np.nanmedian(by_joint / noise))))
+    ratio, _ = _compute_noise_ratios(by_joint, noise)
+    posterior = _inflate_covariance(posterior, max(1.0, ratio))
     return MotionFit(
         name=robot.name,
         slides=tuple(joint for joint in robot.joint_names if is_slide(robot, joint)),
@@ -251,6 +253,18 @@ def _inflate_covariance(posterior: Posterior, noise_ratio: float) -> Posterior:
     return replace(posterior, covariance=sizes * np.linalg.inv(information))
 
 
+def _compute_noise_ratios(by_joint: Array, noise: Array) -> tuple[float, Array]:
+    """Compute the ratio of position error to encoder noise: median, and value of each joint (nu,).
+
+    A joint with constant readings has a noise of 0: its ratio is to the median noise of the other
+    joints (at least `_MIN_NOISE_STD`), and is left out of the median. NaN without measurements.
+    """
+    has_noise = noise > 0
+    typical_noise = float(np.median(noise[has_noise])) if has_noise.any() else _MIN_NOISE_STD
+    ratios = by_joint / np.where(has_noise, noise, typical_noise)
+    return float(np.nanmedian(ratios[has_noise] if has_noise.any() else ratios)), ratios
+
+
 def _report_misfit(
     robot: Robot, by_joint: Array, noise: Array, rms_error: float
 ) -> Iterator[Diagnostic]:
@@ -260,12 +274,13 @@ def _report_misfit(
         robot: Robot.
         by_joint: RMS position error of each joint, shape (nu,) [rad, m]; NaN if not
             measured.
-        noise: Standard deviation of each joint's encoder noise, shape (nu,) [rad, m].
+        noise: Standard deviation of each joint's encoder noise, shape (nu,) [rad, m]; 0 for
+            constant readings, NaN if not measured.
         rms_error: RMS position error over all joints [rad and m mixed].
     """
-    noise_ratios = by_joint / noise
+    median_ratio, noise_ratios = _compute_noise_ratios(by_joint, noise)
     if (
-        np.nanmedian(noise_ratios) > _MAX_NOISE_RATIO
+        median_ratio > _MAX_NOISE_RATIO
         or np.nanmax(noise_ratios, initial=0.0) > _MAX_JOINT_NOISE_RATIO
     ):
         worst = int(np.nanargmax(by_joint))
@@ -571,8 +586,8 @@ _MAX_LAGS = 20
 represented by their effect within that time. Chosen, not tuned."""
 
 _MIN_NOISE_STD = 1e-6
-"""Lower bound of a noise standard deviation [rad, m], so that weights are finite. Chosen, not
-tuned."""
+"""Lower bound of a noise standard deviation [rad, m], so that weights are finite; and largest
+deviation from the mean with which commands count as constant. Chosen, not tuned."""
 
 _SAMPLES_PER_LAG = 20
 """Smallest number of samples per coefficient of the autoregressive noise model; with fewer the
