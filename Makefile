@@ -83,7 +83,7 @@ coverage: $(VENV)/.ready-dev ## run the tests, and say which lines they leave ou
 
 benchmark: $(VENV)/.ready-benchmark ## measure against the bare engines and peers
 	$(BIN)/python benchmarks/run.py --json build/benchmarks.json --tables docs/data \
-	  --figure docs/images/growth.png $(BENCHMARK)
+	  --figure build/growth.png $(BENCHMARK)
 
 benchmark-quick: $(VENV)/.ready-benchmark ## only check that benchmarks and peers agree
 	$(BIN)/python benchmarks/run.py --quick

@@ -193,7 +193,7 @@ def find_largest_robots() -> None:
     drawing.title_panel(axes, "")
     axes.legend(fontsize=drawing.FONT_SIZE, frameon=False)
     docs = Path(__file__).parents[1] / "docs" / "images"
-    drawing.save_figure(figure, docs / "study_front.png")
+    drawing.save_figure(figure, docs / "study_front.png", force=True)
 
 
 VICTIM = """
