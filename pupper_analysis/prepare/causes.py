@@ -24,6 +24,7 @@ from pupper_analysis.models.transmission import (
     Drive,
     actuator_gear,
     classify_joint_drive,
+    is_at_one_joint,
     list_joint_actuators,
     list_tendon_servos,
 )
@@ -166,14 +167,17 @@ def _list_element_names(
 
 
 def _name_actuators(model: mujoco.MjModel, actuators: Iterable[int]) -> tuple[str, ...]:
-    """Return the names of actuators at joints; without a name, the name of the joint."""
-    return tuple(
-        mujoco.mj_id2name(model, _OBJECT_TYPE.mjOBJ_ACTUATOR, int(actuator))
-        or _get_element_name(
-            model, _OBJECT_TYPE.mjOBJ_JOINT, int(model.actuator_trnid[actuator, 0])
-        )
-        for actuator in actuators
-    )
+    """Return the names of actuators; without a name, the name of the joint, else "#3" etc."""
+
+    def find_name(actuator: int) -> str:
+        """Return the name of an actuator; see `_name_actuators`."""
+        named = mujoco.mj_id2name(model, _OBJECT_TYPE.mjOBJ_ACTUATOR, actuator)
+        if named or not is_at_one_joint(model, actuator):
+            return named or f"#{actuator}"
+        joint = int(model.actuator_trnid[actuator, 0])
+        return _get_element_name(model, _OBJECT_TYPE.mjOBJ_JOINT, joint)
+
+    return tuple(find_name(int(actuator)) for actuator in actuators)
 
 
 NUMERICS_CODES = ("timestep", "iterations")
