@@ -125,8 +125,9 @@ class Creep(Result):
 
     Attributes:
         duration: Time over which the motion is measured (s).
-        speed: Largest speed of the base frame and of the contact points of the stance feet (m/s).
-        rate: Largest rate of the joints and of the base's orientation (rad/s; m/s for a slide).
+        speed: Largest speed of the base frame, of the contact points of the stance feet, and of
+            slides (m/s).
+        rate: Largest rate of the hinges and of the base's orientation (rad/s).
     """
 
     duration: float = field(metadata={"unit": "s"})

@@ -24,7 +24,7 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Pictured, Tabular
 from pupper_analysis.base.units import EFFORT_UNIT, POSITION_UNIT
 from pupper_analysis.robot.contact import contact_offset
-from pupper_analysis.robot.joints import force_unit, joint_unit
+from pupper_analysis.robot.joints import force_unit, is_slide, joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, command_ranges, compute_command_lead
 from pupper_analysis.robot.stability import HOLD_DURATION, Stability
@@ -429,7 +429,7 @@ Chosen, not tuned."""
 
 
 def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Array) -> Creep:
-    """Measure the creep of a stand: mean speeds of base, feet and joints in the last 10 s.
+    """Measure the creep of a stand: speeds of base, feet and slides, and rates of base and hinges.
 
     The speeds are displacements between the first and last state, divided by the time. The duration
     is ``CREEP_TIME``; shorter rollouts are measured from the first state.
@@ -452,13 +452,15 @@ def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Arr
         np.linalg.norm(centres[1][foot] - centres[0][foot]) for foot in stand.stance_feet
     ]
     joints = np.abs(last - first)[1 + robot.mj_convention.qpos_index[-robot.nu :]]
+    slides = np.array([is_slide(robot, joint) for joint in robot.joint_names], dtype=bool)
+    displacements += joints[slides].tolist()
     base_rotation = 0.0
     if robot.floating:
         pose_columns = 1 + robot.mj_convention.qpos_index[:7]
         displacements.append(np.linalg.norm(last[pose_columns[:3]] - first[pose_columns[:3]]))
         rotation = rotation_from_quaternion(first[pose_columns[3:]])
         base_rotation = monitor.rotation_angle(robot, rotation, last)
-    rate = max(float(joints.max(initial=0.0)), base_rotation) / duration
+    rate = max(float(joints[~slides].max(initial=0.0)), base_rotation) / duration
     return Creep(duration, float(max(displacements, default=0.0)) / duration, rate)
 
 

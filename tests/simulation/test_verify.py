@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -15,7 +16,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import INTEGRATOR_TYPES, model_with_servos
 from pupper_analysis.simulation import growth, verify
-from pupper_analysis.simulation.rollout import place_on_ground
+from pupper_analysis.simulation.rollout import full_state, place_on_ground
 from pupper_analysis.simulation.verify import describe_deviations
 from tests.support.engines import change_model
 from tests.support.legged import edited_by
@@ -585,3 +586,26 @@ def test_growing_modes_are_not_simulated_until_failure_if_the_nudge_decides(
     brief = pa.verify_stand(robot, stand, kp=1.2, until_failure=True)
     assert len(simulated) == 2
     assert (brief.passed, brief.stays) == (complete.passed, complete.stays) == (False, False)
+
+
+def test_creep_of_a_slide_is_a_speed_and_that_of_a_hinge_a_rate() -> None:
+    """Closed form: in 2 s, a slide moves by 4 mm and a hinge by 1 mrad. A stub has both joints."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="lift" type="slide"/><joint name="turn"/>'
+        '<geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    state = full_state(model, mujoco.MjData(model))
+    states = np.array([state, state])
+    states[1, :3] += 2.0, 4e-3, 1e-3
+    robot: Any = SimpleNamespace(
+        nu=2,
+        floating=False,
+        joint_names=("lift", "turn"),
+        contact_places={},
+        mj_convention=SimpleNamespace(qpos_index=np.arange(2)),
+        before_servos=SimpleNamespace(mj_model=model),
+    )
+    stand: Any = SimpleNamespace(stance_feet=())
+    creep = verify.measure_creep(robot, stand, model, states)
+    assert creep.speed == pytest.approx(2e-3)
+    assert creep.rate == pytest.approx(5e-4)
