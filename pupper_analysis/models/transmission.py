@@ -50,6 +50,18 @@ def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:
     return gear[:1] if is_at_one_joint(model, actuator) else gear
 
 
+def read_gears(model: mujoco.MjModel, actuators: Array | Sequence[int]) -> Array:
+    """Return the gear of the first output of each actuator, shape (n,).
+
+    ``actuator_gear`` of MuJoCo has a row per output; an actuator may have several outputs.
+
+    Args:
+        model: MuJoCo model.
+        actuators: Actuator ids, shape (n,), each at a single joint.
+    """
+    return np.array(model.actuator_gear[model.actuator_outadr[actuators], 0])
+
+
 def list_joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
     """Return the ids of the actuators at a hinge or slide.
 

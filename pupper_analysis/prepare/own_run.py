@@ -27,6 +27,7 @@ from pupper_analysis.models.transmission import (
     list_joint_actuators,
     list_tendon_servos,
     read_actuator_law,
+    read_gears,
 )
 from pupper_analysis.prepare.published_model import (
     NO_EXTERNAL_SERVOS,
@@ -649,7 +650,7 @@ def _is_ctrl_angles(model: mujoco.MjModel, key: int) -> bool:
     if not ctrl.any():
         return False
     joints = model.actuator_trnid[at_joint, 0]
-    gear = model.actuator_gear[model.actuator_outadr[at_joint], 0]
+    gear = read_gears(model, at_joint)
     angles = model.key_qpos[key, model.jnt_qposadr[joints]] * gear
     is_hinge = model.jnt_type[joints] == JointKind.HINGE
     degrees = np.where(is_hinge, np.degrees(angles), angles)

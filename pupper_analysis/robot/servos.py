@@ -23,7 +23,7 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.models.mjcf import TIMESTEP_RANGE
-from pupper_analysis.models.transmission import measure_actuator_levers
+from pupper_analysis.models.transmission import measure_actuator_levers, read_gears
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.robot.joints import get_common_units
 from pupper_analysis.robot.robot import Robot
@@ -224,7 +224,7 @@ def write_position_servos(
         kp: Stiffness at the joints, scalar or shape (n,) [N m/rad; N/m for a slide].
         kd: Damping at the joints, scalar or shape (n,) [N m s/rad; N s/m for a slide].
     """
-    squared = model.actuator_gear[actuators, 0] ** 2
+    squared = read_gears(model, actuators) ** 2
     model.actuator_gaintype[actuators] = mujoco.mjtGain.mjGAIN_FIXED.value
     model.actuator_biastype[actuators] = mujoco.mjtBias.mjBIAS_AFFINE.value
     model.actuator_dyntype[actuators] = mujoco.mjtDyn.mjDYN_NONE.value
@@ -427,7 +427,7 @@ def _read_actuator_gains(
     servo: the ctrl is not a joint position. Neither is an actuator whose gain is not positive, or
     differs from the stiffness of its bias.
     """
-    gear = model.actuator_gear[actuators, 0].copy()
+    gear = read_gears(model, actuators)
     gain = model.actuator_gainprm[actuators, 0] * gear**2
     bias = -model.actuator_biasprm[actuators, 1:3] * gear[:, None] ** 2
     affine = model.actuator_biastype[actuators] == mujoco.mjtBias.mjBIAS_AFFINE.value

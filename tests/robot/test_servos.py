@@ -18,6 +18,7 @@ import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.pupper.variant_files import load_variant
+from pupper_analysis.robot import servos
 from pupper_analysis.robot.servos import (
     command_ranges,
     model_with_servos,
@@ -49,6 +50,26 @@ def with_motors(pair: Pair, element: str, joints: str = "") -> Pair:
     pair.mjcf.write_text(MOTOR.sub(other, pair.mjcf.read_text()))
     pair.urdf.write_text(pair.urdf.read_text().replace('effort="80"', 'effort="30"'))
     return pair
+
+
+def test_servo_after_an_actuator_with_several_outputs_keeps_its_gear() -> None:
+    """MuJoCo's array of gears has a row per output. References: the stated gains, and the force of
+    the rewritten servo, kp times the error of the joint.
+    """
+    model = mujoco.MjModel.from_xml_string("""
+    <mujoco><worldbody><body><joint name="ball" type="ball"/><geom size="0.1"/>
+    <body pos="0 0 1"><joint name="hinge"/><geom size="0.1"/></body></body></worldbody>
+    <actuator>
+    <general joint="ball" gaintype="so3" biastype="so3" gainprm="1" biasprm="0 -1 0"/>
+    <position joint="hinge" kp="10" gear="7"/>
+    </actuator></mujoco>""")
+    gain, _, gear, is_servo = servos._read_actuator_gains(model, np.array([1]))
+    assert (gain[0], gear[0], is_servo[0]) == (490.0, 7.0, True)
+    write_position_servos(model, np.array([1]), 20.0, 1.0)
+    data = mujoco.MjData(model)
+    data.qpos[model.joint("hinge").qposadr[0]] = 0.1
+    mujoco.mj_forward(model, data)
+    assert data.qfrc_actuator[model.joint("hinge").dofadr[0]] == pytest.approx(-2.0)
 
 
 @pytest.mark.slow

@@ -25,6 +25,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.base.units import EFFORT_UNIT, VELOCITY_UNIT
 from pupper_analysis.models.motors.motor import Motor
 from pupper_analysis.models.motors.region import compute_motor_utilisation
+from pupper_analysis.models.transmission import read_gears
 from pupper_analysis.prepare.judge import describe_missing_masses, list_file_remarks
 from pupper_analysis.robot.contact import bodies_on_ground, find_acting_contacts
 from pupper_analysis.robot.fall import FALLEN_TILT
@@ -394,7 +395,7 @@ def joint_torques(stage: Stage, run: PolicyRun) -> Array:
     if lagging.any():
         ends = (model.actuator_actadr + model.actuator_actnum - 1)[motors[lagging]]
         ctrl[:, lagging] = before[:, 1 + model.nq + model.nv + ends]
-    gear, bias = model.actuator_gear[motors, 0], model.actuator_biasprm[motors]
+    gear, bias = read_gears(model, motors), model.actuator_biasprm[motors]
     force = model.actuator_gainprm[motors, 0] * ctrl + bias[:, 0]
     force += gear * (bias[:, 1] * qpos + bias[:, 2] * qvel)
     limited = model.actuator_forcelimited[motors].astype(bool)
