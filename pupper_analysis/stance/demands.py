@@ -330,9 +330,9 @@ def round_outward(
 def _round_number(number: float, usual: float, requested: float, *, angle: bool) -> float:
     """Round a relaxed ``number`` [m, or rad if ``angle``] away from the ``requested`` value.
 
-    A number within `_ROUNDING_ATOL` of ``requested``, or of ``usual`` (the value in the stand of the
-    default `StandTask`), becomes that value. The number is unchanged if the rounded number would
-    equal or pass ``usual``.
+    A number within `_ROUNDING_ATOL` of ``requested`` or ``usual`` becomes that value; ``usual`` is
+    the value in the stand of the default `StandTask`. The number is unchanged if the rounded number
+    would equal or pass ``usual``.
     """
     unit = math.radians(1.0) if angle else 1e-3  # degrees, millimetres
     value, nominal = number / unit, usual / unit
