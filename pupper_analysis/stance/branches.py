@@ -256,7 +256,8 @@ def _distinct_branches(positions: Array, missed: Array, turns: BoolArray) -> tup
     kept: list[Branch] = []
     for index in np.argsort(missed, kind="stable"):
         away = [positions[index] - branch.positions for branch in kept]
-        if all(np.abs(np.where(turns, _wrap_angle(a), a)).max() > _BRANCH_DISTANCE for a in away):
+        gaps = [np.abs(np.where(turns, _wrap_angle(a), a)).max(initial=0.0) for a in away]
+        if all(gap > _BRANCH_DISTANCE for gap in gaps):  # a foot on the base has one branch
             kept.append(Branch(positions[index], float(missed[index])))
         if len(kept) == _MAX_BRANCHES:
             break

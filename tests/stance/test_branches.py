@@ -205,3 +205,31 @@ def test_straight_legs_bend_all_in_one_direction(name: str, up: float) -> None:
     knees = next(iter(combine_branches(found, straight)))[2::3]
     assert abs(knees[0]) > 0.5
     assert knees == pytest.approx(np.full(4, knees[0]), abs=1e-6)
+
+
+def test_foot_on_the_base_has_a_single_branch() -> None:
+    """No joint moves the foot; the empty joint positions of two guesses raised a ValueError."""
+    description = load("v3").description
+    mjcf = description.mjcf.copy()
+    mjcf.body("base_link").add_geom(name="belly", size=[0.01, 0, 0], pos=[0, 0, -0.05])
+    joint = (
+        '<link name="belly"/><joint name="belly_joint" type="fixed"><parent link="base_link"/>'
+        '<child link="belly"/><origin xyz="0 0 -0.05"/></joint></robot>'
+    )
+    points = {**description.contact_points, "belly": ("belly", "belly")}
+    robot = build_robot(
+        replace(
+            description,
+            mjcf=mjcf,
+            urdf=description.urdf.replace("</robot>", joint),
+            contact_points=points,
+            foot_geoms={"belly": ("belly", 0.01)},
+        )
+    )
+    qpos = robot.make_qpos(robot.nominal)
+    targets = pa.Configuration(robot, qpos).foot_positions()
+    found = find_branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
+    (branch,) = next(found[limb] for limb in found if limb.feet == ("belly",))
+    assert branch.positions.size == 0
+    assert branch.foot_error < 1e-12
+    assert all(found[limb][0].foot_error < 1e-5 for limb in found)
