@@ -70,7 +70,7 @@ def build_robot(
     Args:
         description: Contents of the URDF and the MJCF, contact points and other data.
         fixed_base: Whether to fix a free base to the world at the pose in the MJCF; contacts with
-            the ground are then disabled.
+            planes and height fields are then disabled.
         foot_depth: Distance [m] of the feet below the hips in the nominal stand, the stand of the
             default `StandTask`. By default, the lowest foot touches the ground in the configuration
             ``Robot.home``.

@@ -49,13 +49,15 @@ def merge_planes(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> None:
 
 
 def disable_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
-    """Disable the contacts of planes and height fields of the world, in place.
+    """Disable the contacts of planes and height fields of the world and of fixed bodies, in place.
 
     Returns:
         Diagnostic of the change; empty if there is no ground.
     """
     ground_types = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD
-    ground_geoms = [geom for geom in spec.worldbody.geoms if geom.type in ground_types]
+    ground_geoms = [
+        geom for geom in spec.geoms if geom.type in ground_types and is_fixed(geom.parent)
+    ]
     for geom in ground_geoms:
         geom.contype = geom.conaffinity = 0
         for pair in [pair for pair in spec.pairs if geom.name in (pair.geomname1, pair.geomname2)]:

@@ -199,3 +199,11 @@ def test_dropped_friction_softness_of_a_pair_gives_a_note(tmp_path: Path) -> Non
     pairs = '<pair geom1="ground" geom2="foot0" solreffriction="0.05 1"/>'
     notes = load_pair(write_scene(tmp_path, PLANE + "/>", pairs)).notes
     assert any(note.code == "friction-softness-dropped" for note in notes)
+
+
+def test_fixed_base_does_not_collide_with_a_plane_of_another_body(tmp_path: Path) -> None:
+    """A robot with a fixed base may intersect the ground of the file with a free base."""
+    pair = write_scene(tmp_path, f'<body name="hall">{PLANE}/></body>')
+    model = pa.load_robot(*pair, fixed_base=True).mj_model
+    ground = model.geom("ground").id
+    assert model.geom_contype[ground] == model.geom_conaffinity[ground] == 0
