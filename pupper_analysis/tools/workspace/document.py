@@ -18,38 +18,48 @@ _ANGLE_DIRECTIONS = ("roll", "pitch", "yaw")
 ranges of other directions are lengths [m], printed in mm."""
 
 
-def _join_limits(workspace: BaseWorkspace) -> doc.Text:
-    """Return the limits as one text: a part for each kind of limit, with the limited directions.
+_MERGED_NAMES = {
+    "workspace-ends-at-joint-limits": "joints",
+    "workspace-ends-at-ground": "links",
+}
+"""{code of a limit: value of the limit with names, which `_join_limits` lists in a single part}."""
 
-    The part of the joint limits lists the joints of all directions; another part contains the
-    names of its first direction only. The limit of most directions is the first.
+
+def _join_limits(workspace: BaseWorkspace) -> doc.Text:
+    """Return the limits as one text: a part for each limit, with the limited directions.
+
+    Joint limits and the ground clearance have a part each, with the joints and links of all
+    directions. Each pair of links without clearance has its own part. The limit of most directions
+    is the first.
     """
-    limits: dict[str, Diagnostic] = {}
-    directions: dict[str, list[str]] = {}
-    joints: dict[str, None] = {}
+    limits: dict[tuple[str, object], Diagnostic] = {}
+    directions: dict[tuple[str, object], list[str]] = {}
     for direction, ends in workspace.limits.items():
         for limit in ends:
-            limits.setdefault(limit.code, limit)
-            limited = directions.setdefault(limit.code, [])
+            merged = _MERGED_NAMES.get(limit.code)
+            key = limit.code, None if merged else limit.values.get("links")
+            if merged and key in limits:
+                names = dict.fromkeys((*_list_names(limits[key]), *_list_names(limit)))
+                limits[key] = diagnose(limit.code, **{merged: [*names]})
+            limits.setdefault(key, limit)
+            limited = directions.setdefault(key, [])
             if direction not in limited:
                 limited.append(direction)
-            names = limit.values.get("joints")
-            joints |= dict.fromkeys(map(str, names) if isinstance(names, tuple) else ())
-    if joints:
-        limits[_JOINT_LIMITS] = diagnose(_JOINT_LIMITS, joints=[*joints])
     parts = [
         text(
             "limit-of-directions",
-            limit=doc.diagnostic_text(limits[code]),
-            directions=join_words(map(text, directions[code])),
+            limit=doc.diagnostic_text(limits[key]),
+            directions=join_words(map(text, directions[key])),
         )
-        for code in sorted(limits, key=lambda code: -len(directions[code]))
+        for key in sorted(limits, key=lambda key: -len(directions[key]))
     ]
     return join_words(parts, "semicolon")
 
 
-_JOINT_LIMITS = "workspace-ends-at-joint-limits"
-"""Code of the limit of a direction at which joints are at their limits."""
+def _list_names(limit: Diagnostic) -> tuple[str, ...]:
+    """Return the names in a limit of `_MERGED_NAMES`: joints at their limits, or lowest links."""
+    names = limit.values[_MERGED_NAMES[limit.code]]
+    return tuple(map(str, names)) if isinstance(names, tuple) else ()
 
 
 @build_document.register(BaseWorkspace)

@@ -1,9 +1,10 @@
-"""Document of a workspace: text of an interval without length."""
+"""Document of a workspace: texts of intervals and of their limits."""
 
 from __future__ import annotations
 
 from types import SimpleNamespace
 
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.present.document import get_english
 from pupper_analysis.tools.workspace.document import workspace_document
 from tests.support.stubs import workspace
@@ -16,3 +17,21 @@ def test_height_without_range_is_not_printed_as_symmetric_about_zero() -> None:
     ranges = get_english(workspace_document(result).findings[0])
     assert "height 95.1 to 95.1 mm" in ranges
     assert "±95.1" not in ranges
+
+
+def test_limits_of_each_direction_are_listed_with_their_links() -> None:
+    """Reference: the links of each limit. Only those of the first direction were printed."""
+    result = workspace()
+    ground = [diagnose("workspace-ends-at-ground", links=(link,)) for link in ("belly", "calf")]
+    pairs = [
+        diagnose("workspace-ends-at-links", links=links)
+        for links in (("calf", "thigh"), ("foot", "belly"))
+    ]
+    result.limits = {"height": (ground[0], pairs[0]), "roll": (ground[1], pairs[1])}
+    result.limits["x"] = (ground[0], pairs[0])
+    limits = (
+        "ground clearance (belly, calf) in height, roll, x; "
+        "clearance between links (calf, thigh) in height, x; "
+        "clearance between links (foot, belly) in roll"
+    )
+    assert limits in get_english(workspace_document(result).findings[1])
