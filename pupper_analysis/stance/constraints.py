@@ -1,4 +1,4 @@
-"""Constraints of a stand: each has a residual, a Jacobian and a violation.
+"""Constraints of a stand: each has a residual and a violation, and most have a Jacobian.
 
 `make_constraints` lists the constraints of a goal. PlaCo's tasks (`stance.solver`), the nonlinear
 program (`stance.programme`) and the evaluation of a stand (`stance.judge`) use this list.
@@ -70,6 +70,8 @@ class Constraint:
 
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
         """Return the Jacobian of the residual by qvel, shape (n, nv).
+
+        Constraints with ``is_presatisfied`` have no Jacobian: the call raises NotImplementedError.
 
         Args:
             goal: The goal of the constructor, or a copy with relaxed values.

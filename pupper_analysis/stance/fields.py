@@ -276,7 +276,7 @@ def _make_field(name: str, facts: dict[str, Any]) -> Field:
 
 
 FIELDS = read_field_table("pupper_analysis.stance", "fields.toml")
-"""{name: field} of all requirements of a stand."""
+"""{name: field} of the requirements of a stand, without ``ik_seed``."""
 
 ROBOT_FIELDS = read_field_table("pupper_analysis.stance", "robot_fields.toml")
 """{name: field} of the properties of a robot that a command can change: payload, servo gains,

@@ -462,8 +462,8 @@ degrees of freedom."""
 def has_underactuated_feet(robot: Robot) -> bool:
     """Return True if a sole (several contact points) is on a leg with fewer than six joints.
 
-    Such a leg cannot choose all six coordinates of the sole: with four joints, for example, roll
-    and yaw may follow from position and pitch. IK then cannot lay the sole exactly on the ground.
+    Such a leg does not determine all six coordinates of the sole: with four joints, for example,
+    roll and yaw may follow from position and pitch. IK may then leave the sole tilted.
     """
     return any(
         len(points) > 1 and _count_leg_joints(robot, points[0]) < _NUM_POSE_JOINTS

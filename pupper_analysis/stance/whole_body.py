@@ -56,7 +56,7 @@ from pupper_analysis.stance.task import StandTask
 
 POSTURE_TOLERANCE = 1e-6
 """Largest residual [m, rad] with which a task counts as satisfied. Chosen, not tuned: 1 um is below
-the tolerance of any robot. Residuals of tasks without conflict are about 1e-12."""
+the tolerances of usual robots. Residuals of tasks without conflict are about 1e-12."""
 
 _MAX_ITERATIONS = 200
 """Upper bound of the trust-region iterations from one initial guess, per stage of the solver (with

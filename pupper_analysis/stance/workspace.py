@@ -34,7 +34,7 @@ BISECTION_RTOL = 1e-3
 _FULL_SEARCH_RATIO = 0.4
 """Step of the outward search, relative to the first step, above which a failed IK from the last
 stand is followed by a full search from all initial guesses. With shorter steps the full search is
-used only before an end is accepted. Chosen, not tuned."""
+used before an end is accepted, and after the search has crossed a gap. Chosen, not tuned."""
 
 _RESTART_RATIO = 0.2
 """Step of the search for the end of a reachable interval after the search has crossed a gap,
