@@ -305,7 +305,8 @@ def with_payload(
         The loaded robot; the robot itself if the mass is zero.
 
     Raises:
-        ConfigurationError: If mass or point is not valid, or the link of the point is a fixed base.
+        ConfigurationError: If mass or point is not valid, or if the base is fixed, and no joint
+            moves the point.
         UnknownNameError: If the robot has no such frame.
         ModelError: If the loaded model cannot be built.
     """
@@ -314,7 +315,7 @@ def with_payload(
         raise ConfigurationError("mass", diagnose("payload-not-valid", mass=repr(mass)))
     if mass == 0.0:
         return robot
-    if tool.link == robot.base:
+    if not tool.chain:  # on the base, or on a link that is fixed to the base
         robot.check_floating()
     link, offset = tool.link, tool.offset
     body, mj_offset = tool.locate_in_mjcf(robot)

@@ -15,6 +15,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.stance.sag.equilibrium import integrate_step
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
+from tests.support.arm import URDF, arm, load_arm
 from tests.support.engines import evaluate_mujoco
 from tests.support.legged import quadruped
 from tests.support.states import random_state
@@ -123,3 +124,16 @@ def _serialize(model: mujoco.MjModel) -> bytes:
     content = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
     mujoco.mj_saveModel(model, None, content)
     return content.tobytes()
+
+
+def test_payload_that_no_joint_carries_is_refused_on_a_fixed_base(tmp_path: Path) -> None:
+    """Its weight loads no motor: on the base itself, and on a link that is fixed to the base."""
+    camera = (
+        '<link name="camera"/><joint name="mount" type="fixed"><parent link="base"/>'
+        '<child link="camera"/><origin xyz="0 0 0.2"/></joint></robot>'
+    )
+    robot = load_arm(tmp_path, urdf=URDF.replace("</robot>", camera))
+    for link in ("base", "camera"):
+        with pytest.raises(pa.ConfigurationError, match="fixed base"):
+            with_payload(robot, 1.0, (link, 0.0, 0.0, 0.0))
+    assert with_payload(arm(), 1.0, ("tip", 0.0, 0.0, 0.0)).total_mass > arm().total_mass
