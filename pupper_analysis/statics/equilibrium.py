@@ -309,7 +309,7 @@ def balance_load(
         held: If True, the friction cones, unilateral limits and grip limits do not apply, as if
             the feet were glued to the ground. Exception: for the minimum tangential distribution of
             a robot with welds or grips, forces without tangential parts that respect unilateral and
-            grip limits are returned if they exist. With a weld, other forces are not considered.
+            grip limits are returned if they exist. Without grips, other forces are not considered.
 
     Raises:
         ConfigurationError: If ``distribution`` is unknown, or a closed loop is open or singular.
