@@ -585,9 +585,9 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
 
     If the other limbs state equal CoMs (`_find_common_attributes`), this CoM is copied instead.
 
-    If only the difference of both CoMs is reported, `select_deviating_pairs` decides by the
-    distances of the CoM from the planes of the link's frame which of both links is repaired; both
-    are candidates if it does not decide. A link with its CoM outside the shapes is repaired itself.
+    If only the difference of both CoMs is reported, `select_deviating_pairs` selects the link to be
+    repaired, by the distances of the CoM from the planes of the link's frame. Both links are
+    candidates if the other limbs are few or differ; there is no repair if both or neither deviate.
     """
     link = robot.links.get(found.name)
     twin = None if link is None else _find_twin(robot, found.name)
