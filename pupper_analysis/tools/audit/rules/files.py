@@ -70,7 +70,7 @@ class _MissingMesh:
         name: File name, as written.
         owner: Link of a URDF, or mesh asset of an MJCF.
         place: File and line.
-        pointer: True for a pointer of Git LFS.
+        pointer: True for a pointer of Git LFS; in a URDF, only if the name is a relative path.
         touches: True if the mesh is used for collisions.
     """
 
