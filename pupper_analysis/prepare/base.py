@@ -113,8 +113,8 @@ def place_base_frame(
     tilted, if the base is in a ``<frame>`` of the MJCF, or if the limbs do not hang below the CoM.
     Nothing changes without a free joint.
     The CoM is that of the base and the bodies fixed to it. If the frame is tilted by more than 45
-    deg in the keyframe `home` (or the first keyframe, or without keyframes in the initial state), a
-    note is returned.
+    deg in the keyframe `home` (or the first keyframe, or the initial state if no keyframe has a
+    free base), a note is returned.
 
     Args:
         spec: Spec of the MJCF, in which all bodies have names; modified in place.
@@ -147,11 +147,13 @@ def place_base_frame(
         data.xmat[body].reshape(3, 3),
         int(model.jnt_qposadr[model.body_jntadr[body]]),
     )
+    # The keyframes of a file with a fixed base have no pose of the base.
+    has_base_pose = bool(len(list_free_joints(file)))
     keys = sorted(range(model.nkey), key=lambda key: model.key(key).name != "home")
     # Without keyframes: the initial state.
     start_rotation = (
         rotation_from_quaternion(model.key_qpos[keys[0], address + 3 : address + 7])
-        if keys
+        if keys and has_base_pose
         else rotation
     )
     if start_rotation[2, 2] < _MIN_LEVEL_COSINE:
