@@ -122,10 +122,13 @@ def _make_file_place(
 def _describe_dynamics_change(change: ModelChange) -> doc.Text:
     """Return a sentence on how much a change changes each quantity of the dynamics.
 
-    The effects are those of this change alone, without the other changes, the largest first.
+    The effects are those of this change alone, without the other changes, the largest first. The
+    effects of changes in `_NOT_EVALUATED_KINDS` are unknown.
     """
     if not change.effects:
-        return text("no-effect-on-the-dynamics").with_mark("quiet")
+        unknown = change.kind in _NOT_EVALUATED_KINDS
+        key = "effect-not-evaluated" if unknown else "no-effect-on-the-dynamics"
+        return text(key).with_mark("quiet")
     effects = sorted(change.effects.items(), key=lambda item: -item[1].relative)
     listed = join_words(
         text("quantity-by-times", quantity=word(name), times=format_number(effect.relative, ".2g"))
@@ -136,6 +139,11 @@ def _describe_dynamics_change(change: ModelChange) -> doc.Text:
         for name, effect in effects
     )
     return text("alone-it-changes-effects", effects=listed)
+
+
+_NOT_EVALUATED_KINDS = ("joint", "type")
+"""Kinds of changes whose effects on the dynamics are not evaluated: joints in one version only, and
+another type of the base. The trees are compared with such joints fixed, and with a free base."""
 
 
 def _format_percent(old: float, new: float) -> str:
