@@ -28,12 +28,14 @@ _AT_LIMIT = 1e-6
 not tuned."""
 
 _MIN_SHARE = 0.01
-"""Share of the gradient of the failed task above which an opposing task or limit is reported.
-Chosen, not tuned: smaller shares are those of rounding, and of tasks that are nearly satisfied."""
+"""Share of the gradient of the failed task, by base or by joints, above which an opposing task or
+limit is reported. Chosen, not tuned: smaller shares are those of rounding, and of tasks that are
+nearly satisfied."""
 
 _MIN_RATE = 1e-3
 """Upper bound of the derivative of the residual by a step of norm 1 (m and rad mixed) in a posture
-without motion towards the target, for example a stretched limb. Chosen, not tuned: the levers of
+without motion towards the target, for example a stretched limb. Motions of the base, or of the
+joints, with a smaller derivative are not compared between tasks. Chosen, not tuned: the levers of
 joints exceed 1 cm."""
 
 
@@ -67,8 +69,11 @@ def find_conflict(
     """Find the tasks and limits that keep a task from its target in a configuration.
 
     The gradient of task i is g_i = w_i r_i dr_i/dv, with weight w_i, residual r_i and displacement
-    v. A task opposes the failed task f if -g_i g_f > `_MIN_SHARE` |g_f|^2, and a limit of a joint
-    at the limit if the element of -dr_f/dv beyond the limit exceeds `_MIN_SHARE` |dr_f/dv|.
+    v. A task opposes the failed task f if -g_i g_f > `_MIN_SHARE` |g_f|^2 for the displacements of
+    the base, or for those of the joints, unless |dr_f/dv| is below `_MIN_RATE` for these
+    displacements. Base and joints are separate, because the base has longer levers. A limit of a
+    joint opposes the task if the joint is at the limit, and the element of -dr_f/dv beyond the
+    limit exceeds `_MIN_SHARE` |dr_f/dv|.
 
     Args:
         robot: Robot.
@@ -90,10 +95,14 @@ def find_conflict(
     rates = own / (weights[failed] * residuals(qpos)[failed])
     rate = float(np.linalg.norm(rates))
     out_of_reach = rate < _MIN_RATE
-    opposing = -gradients @ own > _MIN_SHARE * float(own @ own)
+    base, opposing = robot.nv - robot.nu, np.zeros(len(weights), dtype=bool)
+    for part in (slice(0, base), slice(base, robot.nv)):
+        if np.linalg.norm(rates[part]) >= _MIN_RATE:
+            share = _MIN_SHARE * float(own[part] @ own[part])
+            opposing |= -gradients[:, part] @ own[part] > share
     tasks = () if out_of_reach else tuple(np.flatnonzero(opposing).tolist())
     at_limit, blocking = dict[str, float](), dict[str, float]()
-    descent = -rates[robot.nv - robot.nu :]
+    descent = -rates[base:]
     positions = qpos[robot.nq - robot.nu :]
     for joint, (value, low, high) in enumerate(zip(positions, *limits, strict=True)):
         if min(value - low, high - value) < _AT_LIMIT:

@@ -331,15 +331,18 @@ def test_self_clearance_keeps_links_apart_that_touch_without_the_task() -> None:
 
 @pytest.mark.slow
 def test_target_inside_the_robot_is_refused_with_a_self_clearance() -> None:
-    """The front foot shall be 30 mm from the hind foot; the error names the position task."""
+    """The front foot shall be 30 mm from the hind foot; the error names the position task, and the
+    clearance that opposes it at the joints of the leg.
+    """
     robot, start = load("v3"), stand_of("v3").qpos
     front, back = (robot.contact_frames[foot] for foot in ("FR", "RR"))
     goal = pa.Configuration(robot, start).frame_position(back) + np.array([0.03, 0.0, 0.0])
     others = [foot for foot in robot.feet if foot != "FR"]
-    with pytest.raises(pa.PostureUnreachableError, match=f"PositionTask {front}"):
+    with pytest.raises(pa.PostureUnreachableError, match=f"PositionTask {front}") as caught:
         pa.solve_posture(
             robot, [PositionTask(front, goal), SelfClearanceTask()], start=start, contacts=others
         )
+    assert "SelfClearanceTask" in caught.value.conflicting
 
 
 def test_joints_of_a_continuous_and_a_sliding_joint_are_reached(tiny: pa.Robot) -> None:
