@@ -199,6 +199,35 @@ def test_rollout_derivatives_equal_finite_differences_across_limbs() -> None:
         assert whole[:, :, place] == pytest.approx(wanted, abs=1e-6 * (1 + np.abs(wanted).max()))
 
 
+@pytest.mark.parametrize("kinds", [("armature",), ("damping",), ("damping", "armature")])
+def test_derivative_by_the_lag_does_not_need_damping_and_armature(kinds: tuple[str, ...]) -> None:
+    """Reference: difference quotient of predicted positions [rad] about a lag of 4 ms."""
+    robot, lag = arm(), 0.004
+    given = ParameterTable(
+        (
+            *(
+                Parameter(kind, name, "", 0.02, 0.01)
+                for name in robot.joint_names
+                for kind in kinds
+            ),
+            Parameter("lag", SERVOS_SUBJECT, "position", 0.0, 0.005),
+        )
+    )
+    simulator = Simulator(robot, model_with_servos(robot), given, 0.005)
+    (run,) = split_runs(make_moving_log(3.0).select_rows(slice(0, 300)), MIDDLE, 0.0)
+    x = np.append(given.stated[:-1], lag)
+    change = 1e-4 * np.eye(len(x))[-1]
+    low, high = simulator.predict_positions(run, [x - change, x + change])
+    wanted = (high - low)[:, 0] / 2e-4
+    derivatives = differentiate_motion(simulator, MomentCoordinates(given), run, x)
+    indices, rates = next(
+        found for number, found in derivatives.items() if 0 in simulator.groups[number][0]
+    )
+    (group,) = (joints for joints, _ in simulator.groups if 0 in joints)
+    found = rates[:, group.index(0), indices.tolist().index(len(x) - 1)]
+    assert found == pytest.approx(wanted, abs=0.05 * np.abs(wanted).max())
+
+
 @pytest.mark.slow
 def test_common_factor_of_all_forces_is_not_determined() -> None:
     """A common factor on masses, gains and friction leaves a motion with servos unchanged."""

@@ -304,7 +304,7 @@ class Simulator:
         kp T^2. Therefore the derivative by T is the sum over the joints of -kp times the derivative
         by the damping and 2 kp T times that by the armature. Computed so, finite-difference errors
         do not distinguish equivalent parameters. Nothing changes unless damping and armature are
-        estimated.
+        estimated for each joint that has a parameter.
 
         Args:
             vector: Parameters, shape (n,).
@@ -316,6 +316,10 @@ class Simulator:
             self._get_joint_values(vector, "kp", self.drive.kp),
             self._get_delay(vector, "position"),
         )
+        joints = {parameter.subject for parameter in self.table} & {*self.robot.joint_names}
+        for name in joints:
+            if None in (self.table.find_index(kind, name) for kind in ("damping", "armature")):
+                return
         coefficients = np.zeros(len(self.table))
         for kind, joint_rates in (("damping", -kp), ("armature", 2 * kp * lag)):
             for name, rate in zip(self.robot.joint_names, joint_rates.tolist(), strict=True):
