@@ -362,7 +362,7 @@ def _select_next_step(
         if output is None:
             return NextStep("fit", ("-o", "plan.csv"))
         words = ("--record", str(output), "--bridge", "typed", "-o", "stands.csv")
-        return NextStep("fit", words, omitted=_MEASURING_OPTIONS)
+        return NextStep("fit", words, omitted=(*_MEASURING_OPTIONS, "--kp"))
     if isinstance(result, Recording):
         if result.missing_stands and (result.recorded_stands or not result.existing_stands):
             return NextStep("fit", ("-o", result.file))

@@ -17,6 +17,9 @@ import pytest
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import find_command
 from pupper_analysis.cli.robots import RobotOptions
+from pupper_analysis.tools.fit.command import _MODE_OPTIONS, _select_next_step
+from pupper_analysis.tools.fit.command import command as fit_command
+from pupper_analysis.tools.fit.stands.plan import StandPlan
 from tests.support.bar import MJCF, TRUE, URDF, log
 from tests.support.commands import check_refusal, run_command
 
@@ -220,3 +223,15 @@ def test_refusal_of_an_option_names_the_modes_that_use_the_option(
 ) -> None:
     message = "--weight: it does nothing with --plan, it is of --stands; leave one of the two out"
     check_refusal(capfd, tmp_path, ("fit", "v3", "--plan", "2", "--weight", "3kg"), message)
+
+
+def test_recording_after_a_plan_omits_the_options_that_it_refuses() -> None:
+    """Reference: table of the options that each mode accepts."""
+    plan = StandPlan("v3", stands=(), expected=(), candidates=0)
+    step = _select_next_step(plan, Path("plan.csv"))
+    assert step is not None
+    refused = _MODE_OPTIONS["--plan"] - _MODE_OPTIONS["--record"]
+    assert {"kp", "priors", "count"} <= refused
+    for option in fit_command.params:
+        if option.name in refused:
+            assert {*option.opts} & {*step.omitted}, option.opts
