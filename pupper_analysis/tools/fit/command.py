@@ -300,8 +300,7 @@ def _read_measurements(
     Args:
         stands: File of stands; None: ``logs`` are read.
         logs: Files of logs.
-        hold_out: Values of ``--hold-out``: files of logs; or, as the last value, a share, with
-            which the other values are ignored.
+        hold_out: Values of ``--hold-out``: files of logs, or a single share.
         topics: Values ``ROLE=TOPIC`` of ``--topic``, for bags.
         joints: Names of the joints in bags, separated by commas; None: from the messages.
 
@@ -310,8 +309,8 @@ def _read_measurements(
 
     Raises:
         ConfigurationError: If a value of ``--topic`` has another form, an unknown role or an
-            unsuitable topic, the share is 1 or more, or topics or joints are passed for a log that
-            is not a bag.
+            unsuitable topic, a share is 1 or more or not the only value, or topics or joints are
+            passed for a log that is not a bag.
         MeasurementError: If a file cannot be read, or is no list of stands or no log.
         MissingPackageError: If a log is a bag, and rosbags is not installed.
     """
@@ -321,11 +320,14 @@ def _read_measurements(
     topic_names = dict(shared.parse_assignment("--topic", topic_option) for topic_option in topics)
     read = partial(read_log, topics=topic_names, joints=joints.split(",") if joints else ())
     measured = list(map(read, logs)) if stands is None else read_stands(stands)
-    share = "".join(hold_out[-1:]).replace(".", "", 1).isdecimal()
-    if share and not float(hold_out[-1]) < 1:
-        finding = diagnose("not-between", given=float(hold_out[-1]), low=0, high=1)
+    shares = [float(value) for value in hold_out if value.replace(".", "", 1).isdecimal()]
+    if shares and len(hold_out) > 1:
+        finding = diagnose("hold-out-of-two-kinds", share=shares[0])
         raise ConfigurationError("--hold-out", finding)
-    return measured, float(hold_out[-1]) if share else list(map(read, hold_out)) or None
+    if shares and not shares[0] < 1:
+        finding = diagnose("not-between", given=shares[0], low=0, high=1)
+        raise ConfigurationError("--hold-out", finding)
+    return measured, shares[0] if shares else list(map(read, hold_out)) or None
 
 
 _MEASURING_OPTIONS = (

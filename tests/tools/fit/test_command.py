@@ -99,6 +99,11 @@ def test_invalid_input_is_refused_in_one_line(
     check_refusal(capfd, tmp_path, given, "command.<joint>")
     check_refusal(capfd, tmp_path, ("fit", "v3", "--log", str(stands)), "time")
     check_refusal(capfd, tmp_path, ("fit", "v3", "--plan", "2", "-o", "plan.csv"), "2 is no")
+    # A share beside a log would be predicted in place of the log.
+    write_log(stands, *np.tile(np.arange(200) / 100, (3, 1)))
+    held_out = ("--hold-out", str(stands), "--hold-out", "0.2")
+    given = ("fit", "v3", "--log", str(stands), *held_out)
+    check_refusal(capfd, tmp_path, given, "0.2 is a share")
 
 
 @pytest.mark.slow
