@@ -169,7 +169,7 @@ def record_stands(
         UnknownNameError: If the plan names a joint, foot or link that the robot lacks.
     """
     path = Path(output)
-    if path.exists() and path.samefile(plan):
+    if path.exists() and Path(plan).exists() and path.samefile(plan):
         raise ConfigurationError("output", diagnose("recording-into-the-plan"))
     with _lock_output(path):
         return _record_missing_stands(robot, plan, path, bridge, operator)
