@@ -70,7 +70,7 @@ if TYPE_CHECKING:
 @click.option(
     "--seconds",
     type=float,
-    help=("Duration of each run (s); by default 8, with --vary and --orders 5."),
+    help=("Duration of each run (s); by default 8, with --vary, --orders and --response 5."),
 )
 @click.option(
     "--vary",

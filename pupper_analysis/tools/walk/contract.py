@@ -45,7 +45,7 @@ TERM_SIZES = {
     "accelerometer": 3,
     "contacts": None,
 }
-"""Number of elements of each term; None if the number follows from the joints or the phases.
+"""Number of elements of each term; None if it follows from the joints, the phases or the feet.
 
 Velocities and gravity refer to the base, in the base frame. Joint positions are relative to the
 default positions. The up-command is the commanded vertical in the base frame. The phase contains
@@ -136,7 +136,7 @@ class PolicyContract:
         newest_first: True if the newest frame is the first.
         layout: ``by-frame`` or ``by-term``.
         phase_rate: Frequency of the gait phase [Hz], if a phase is observed.
-        phase_offsets: Phase of each foot at the start [rad].
+        phase_offsets: Phases at the start, shape (phases,) [rad], for example one per foot.
         signs: Shape (n,); -1 if the joint of the policy turns in the opposite direction.
         feet: Number of feet of the robot, if contacts are observed; otherwise 0.
         sources: Place of each key: {key: file, with the line if known}; "" if no file states it.
@@ -210,7 +210,7 @@ class PolicyContract:
 
         Output i of the policy then drives the joint that output ``order[i]`` has driven. Default
         positions, scales, limits and gains remain with the outputs of the policy, as on a robot
-        with exchanged cables.
+        with exchanged cables. The contract must name the joints.
         """
         return replace(self, joints=tuple(self.joints[index] for index in order))
 
@@ -750,8 +750,9 @@ KNOWN_LAYOUTS: Mapping[str, tuple[tuple[str, ...], float]] = {
     "legged_gym 1.0 without linear velocity": (_BASIC_TERMS, 0.0),
     "unitree_rl_gym, deploy_mujoco.py": ((*_BASIC_TERMS, "phase-sine", "phase-cosine"), 1.25),
 }
-"""{framework: terms of an observation, and gait frequency [Hz]} of frameworks whose files do not
-state the terms. legged_robot.py, compute_observations; deploy_mujoco.py, period 0.8 s."""
+"""{framework: terms of an observation, and gait frequency [Hz], 0 without a gait phase}, for
+frameworks whose files do not state the terms. legged_robot.py, compute_observations;
+deploy_mujoco.py, period 0.8 s."""
 
 _SCALES_OF_TERMS = {
     "linear-velocity": "lin_vel",
@@ -767,8 +768,8 @@ def _put_known_layout(
 ) -> None:
     """State the observation of the first of `KNOWN_LAYOUTS` that has the network's size.
 
-    The observation is stated by calls of ``put``. Nothing is stated unless the files contain scales
-    as in legged_gym.
+    The observation and its gait frequency are stated by calls of ``put``. Nothing is stated unless
+    the files contain scales as in legged_gym, and a layout has the size.
 
     Args:
         deployment: Numbers of a deployment.

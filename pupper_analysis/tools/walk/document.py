@@ -33,7 +33,7 @@ from pupper_analysis.tools.walk.trace import TraceCheck
 
 @build_document.register(Walk)
 def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
-    """Create the report of the gaits of a policy: view, motor table, runs and torques.
+    """Create the report of the gaits of a policy: view, motors, runs, contract and torques.
 
     `build_document` calls this function for a `Walk`.
 
@@ -101,9 +101,9 @@ def _select_next_step(walk: Walk) -> doc.NextStep:
 
 
 def _list_causes_of_fall(walk: Walk) -> Iterable[doc.Words]:
-    """Yield the causes of a fall: motors without torque, errors of the files, tested changes.
+    """Yield possible causes of a fall: zero or unknown torque limits, file errors, tested changes.
 
-    Other remarks about the files follow.
+    Other remarks about the files and the deployment follow.
     """
     yield from _report_zero_torque_limits(walk)
     yield from _list_limit_warnings(walk)
@@ -150,7 +150,7 @@ def _list_figures(walk: Walk) -> Iterable[doc.Words]:
     """Yield four texts with the key figures of a walk.
 
     1. Velocity and command of the first run [m/s, rad/s].
-    2. Largest motor torque of all runs (`_describe_largest_torque`).
+    2. Torque of the most loaded motor of all runs (`_describe_largest_torque`).
     3. Power [W] and cost of transport [1] of the first run; smallest `Gait.margin` of all runs.
     4. Duty factor of each foot in the first run: fraction of the time in contact [%].
     """
@@ -195,8 +195,8 @@ def _list_warnings(walk: Walk) -> Iterable[doc.Words]:
 def _describe_largest_torque(walk: Walk) -> doc.Words:
     """Return the text of the motor with the largest rms torque / torque limit.
 
-    It states rms and peak torque [N m], and the time at the limit [%]. For a motor without a limit,
-    the largest rms torque of all motors takes the place of the limit.
+    It states rms and peak torque [N m, N], and the time at the limit [%]. For a motor without a
+    positive limit, the largest rms torque of all motors takes the place of the limit.
     """
     rms, peak = _max_over_runs(walk, "torque_rms"), _max_over_runs(walk, "torque_peak")
     limited = np.isfinite(walk.limits) & (walk.limits > 0)
@@ -214,7 +214,7 @@ def _describe_largest_torque(walk: Walk) -> doc.Words:
 
 
 def _describe_region(walk: Walk) -> Iterable[doc.Words]:
-    """Yield the motor that is closest to the edge of its torque-speed region, or most beyond it.
+    """Yield the motor closest to the edge of its torque-speed region, or longest beyond the region.
 
     Nothing is yielded without assigned motors.
     """
@@ -270,8 +270,8 @@ def _max_over_runs(walk: Walk, name: str) -> Array:
 def _make_motor_table(walk: Walk) -> doc.Table:
     """Create the table of motors, with a row per joint and the worst value of all runs.
 
-    Columns: rms and peak torque, static torque of standing, limit [N m, N for a slide], time at the
-    limit [%], largest speed [rad/s, m/s].
+    Columns: rms and peak torque, rms of the static torque in the first run, limit [N m, N for a
+    slide], time at the limit [%], largest speed [rad/s, m/s].
     """
     units = find_common_units(walk.torque_units)
     rms, peak, share, speed = (
@@ -336,7 +336,7 @@ def _describe_outcome(gait: Gait) -> doc.Words:
 
 
 def _make_run_table(walk: Walk) -> doc.Table:
-    """Create the table of the simulated runs, a row per seed: velocities, power, sway, outcome."""
+    """Create the table of the simulated runs, a row per seed: velocities, power, sway, margin."""
     rows = tuple(
         (
             doc.Name(str(gait.seed)),
@@ -372,9 +372,11 @@ _NEUTRAL_VALUES = {"clip": math.inf, "action-clip": math.inf, "history": 1}
 
 
 def make_key_table(contract: PolicyContract) -> doc.Table:
-    """Create the table of keys of the contract, with value, origin and source of each.
+    """Create the table of the contract's main keys, with value, origin and source of each.
 
-    Optional keys that no file states, and that have no effect, are left out.
+    A key that no file states is left out if it has no value or a neutral one (`_NEUTRAL_VALUES`),
+    unless its origin is unknown: then the robot's files count. Position limits, signs and phases
+    are not shown.
     """
     values: dict[str, Any] = {
         "observation": ", ".join(
@@ -607,7 +609,7 @@ def _make_interval_table(result: TrackedIntervals) -> doc.Table:
 def _make_bound_cell(interval: TrackedInterval, tracked: float, beyond: Array) -> doc.Number:
     """Create the cell of one end of an interval of values at which the policy tracks the command.
 
-    The cell is marked with ``*`` if the tested range ended before an untracked value was found.
+    The cell is marked with ``*`` if the tested range ended before any seed had an untracked value.
 
     Args:
         interval: Interval.

@@ -20,8 +20,7 @@ _FACTORS = (
     ("friction", 2.0),
     *(("kp", 0.5), ("kp", 2.0), ("kd", 0.5), ("kd", 2.0)),
 )
-"""(quantity of `VARIED_QUANTITIES`, factor) of the tested changes. Gains of a deployment that are
-wrong differ by a factor of two or more. Chosen, not tuned."""
+"""(quantity of `VARIED_QUANTITIES`, factor) of the tested changes. Chosen, not tuned."""
 
 
 def find_fall_tests(

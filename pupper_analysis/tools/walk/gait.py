@@ -2,7 +2,7 @@
 
 Inputs are a robot, a policy with its contract, and a velocity command; output is a `Walk` with a
 `Gait` per seed. The policy is simulated in MuJoCo on servos with the gains of the policy, if
-stated, and the torque limits of the model. Means exclude the warm-up.
+stated, and the torque limits of the model or of the contract. Means exclude the warm-up.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ class Walk(Result):
         trace: Comparison with a recorded trace; None without.
         motors: {joint: name of the assigned motor}.
         fall_tests: Repetitions of the first run that falls, with one changed quantity each; empty
-            if not requested.
+            if not requested, and if no run falls.
     """
 
     name: str
@@ -220,7 +220,7 @@ class Walk(Result):
     def beyond_region(self) -> Array:
         """Largest fraction of a run in which each motor is outside its torque-speed region.
 
-        Shape (nu,); NaN for a joint without motor file.
+        Shape (nu,); NaN for a joint without assigned motor, and if all runs end at the first state.
         """
         largest: Array = np.fmax.reduce([gait.beyond_region for gait in self.gaits])
         return largest
@@ -370,7 +370,7 @@ def simulate_walk(
 
 
 def joint_torques(stage: Stage, run: PolicyRun) -> Array:
-    """Compute the motor torques of a run at the start of each step but the first, (n, nu) [N m].
+    """Compute the motor torques [N m, N] of a run at the start of each step but the first, (n, nu).
 
     n is the number of recorded states minus 1.
 
@@ -413,8 +413,10 @@ class Tracking:
         velocity: Mean velocity forward and to the left, shape (2,) [m/s].
         turning: Mean turning rate about the vertical [rad/s].
         tracks: Whether the robot does not fall, and both errors are within the tolerances.
-        speed_margin: 1 - speed error / tolerance; negative if the robot is too slow or too fast.
-        turning_margin: 1 - error of the turning rate / tolerance; negative if it turns wrongly.
+        speed_margin: 1 - speed error / tolerance; negative if the velocity is not tracked,
+            -infinite if unknown.
+        turning_margin: 1 - error of the turning rate / tolerance; negative if the turning rate is
+            not tracked, -infinite if unknown.
         failure: First criterion that is violated: ``falls``, ``speed`` or ``turning``; empty if the
             command is tracked.
     """
@@ -438,8 +440,9 @@ def evaluate_tracking(stage: Stage, run: PolicyRun, warm_up: float) -> Tracking:
         warm_up: Time that is ignored at the start [s].
 
     Returns:
-        Velocity forward and to the left [m/s], turning rate [rad/s], and tracking. Zero and not
-        tracked if fewer than two states follow the warm-up, or a state is not finite.
+        Velocity forward and to the left [m/s], turning rate [rad/s], and tracking. If fewer than
+        two states follow the warm-up, or one of these is not finite: velocities zero, margins
+        -infinite and failure ``falls``.
     """
     start = round(warm_up / stage.timestep)
     index = stage.robot.mj_convention.qpos_index
@@ -481,7 +484,8 @@ def measure_gait(
 ) -> Gait:
     """Compute the gait of a run after the warm-up: tracking, torques, power and contacts.
 
-    Torques, power and joint speeds of a run with a single state are unknown (NaN).
+    Of a run that falls during the warm-up, the last step is evaluated. Torques, power and joint
+    speeds of a run with a single state are unknown (NaN).
 
     Args:
         stage: Robot, policy and model of the simulation.
@@ -573,7 +577,7 @@ def describe_run_failure(stage: Stage, run: PolicyRun, duration: float) -> Diagn
 
 
 class GroundSupport(NamedTuple):
-    """Feet in contact at a time, and the static motor torques there, shape (nu,) [N m].
+    """Feet on the ground at a time, and the static motor torques, shape (nu,) [N m, N for slides].
 
     The static torques are zero if `sample_ground_support` does not compute them.
 
@@ -641,7 +645,7 @@ distance [m] from the centre of pressure to the projected CoM has weight 1. Chos
 def _compute_static_torques(
     stage: Stage, model: mujoco.MjModel, data: mujoco.MjData, points: Array, bodies: NDArray[Any]
 ) -> Array:
-    """Return the motor torques of a static pose, shape (nu,) [N m].
+    """Return the motor torques of a static pose, shape (nu,) [N m, N for slides].
 
     The contact forces are vertical and carry the weight. Their fractions n at the points p follow
     from non-negative least squares: minimise |sum n p - c|^2 with sum n = 1, where c is the

@@ -38,11 +38,10 @@ from pupper_analysis.tools.walk.policy import Policy
 from pupper_analysis.tools.walk.runs import Case, Stage, prepare_stage, simulate_cases
 
 DEFAULT_SECONDS, WARM_UP_SECONDS = 5.0, 1.5
-"""Duration of a run [s], and of the warm-up [s]. Chosen: most falls occur within the first 3 s."""
+"""Duration of a run [s], and of the warm-up [s], which is not evaluated. Chosen, not tuned."""
 
 DEFAULT_SEEDS = 5
-"""Number of initial states per value. Chosen: the spread of the margins over fewer seeds is not
-known."""
+"""Number of initial states per value. Chosen, not tuned."""
 
 NUM_HALVINGS = 5
 """Number of bisections between a value of a varied quantity at which the policy tracks the command
@@ -161,7 +160,7 @@ VARIED_QUANTITIES: Mapping[str, VariedQuantity] = {
     "push-left": VariedQuantity("m/s", 0.0, (-3.0, 3.0), None),
 }
 """Varied quantities. ``mass`` and ``com`` (forward) refer to the base body. ``friction`` is the
-sliding friction of all contacts. ``legs`` scales lengths beyond the first joint of each limb with a
+sliding friction of all contacts. ``legs`` scales lengths beyond the first body of each limb with a
 foot, at constant mass. ``payload`` is a fraction of the robot's mass, at the CoM of the base. A
 push lasts one action; its value is impulse / mass of the robot."""
 
@@ -467,8 +466,8 @@ def tracked_intervals(
         workers: Number of threads; by default the number of cores.
 
     Raises:
-        ConfigurationError: If an argument is out of range, the base is fixed, the robot has no
-            feet, or the policy acts more than once per time step.
+        ConfigurationError: If an argument is invalid or out of range, the base is fixed, the robot
+            has no feet, or the policy acts more than once per time step.
         ModelError: If the policy does not fit the robot.
     """
     checked_command = check_command(command)
@@ -552,8 +551,8 @@ def read_measured_intervals(
     ``mass`` (factor on the stated mass) and ``com`` (forward displacement [m]) are those of the
     base. ``kp`` and ``kd`` are factors on the stated gains, from the lowest to the highest end of
     the intervals of all joints. ``delay`` [s] is the fitted delay less the latency of the policy,
-    at least 0. Ignored are all other parameters of the fit, infinite intervals, and masses and
-    gains whose stated value is not positive.
+    at least 0. Ignored are all other parameters of the fit, parameters with an infinite interval or
+    stated value, and masses and gains whose stated value is not positive.
 
     Args:
         path: JSON of a fit: ``fit.json``, or the output of ``--json``.

@@ -234,8 +234,9 @@ def assemble_network(
         inputs: Number of elements of an observation.
 
     Raises:
-        ModelError: If there are too many weights, a weight is not finite, an input of a node does
-            not exist, or a size does not fit; the message names the layer.
+        ModelError: If there are too many weights, a weight is not finite, an input of a node or the
+            action does not exist, or a size does not fit; the message names the layer or value,
+            unless there are too many weights.
     """
     count = sum(weights.size for weights in constants.values())
     if count > MAX_WEIGHTS:

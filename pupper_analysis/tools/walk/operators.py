@@ -39,7 +39,7 @@ def _make_gemm(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _is_last_axis(attributes: dict[str, Any]) -> bool:
-    """Return True if an operator acts along the last axis; other axes would mix runs."""
+    """Return True if the ``axis`` of an operator is -1, 1 or 2, which is taken as the last axis."""
     return attributes.get("axis", 0) in (-1, 1, 2)
 
 
@@ -93,7 +93,7 @@ def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _is_plain_recurrence(attributes: Mapping[str, Any]) -> bool:
-    """Return True if a GRU or LSTM runs forward, with standard activations, gates and layout.
+    """Return True if a GRU or LSTM runs forward, and states no activations, clip, gates or layout.
 
     Args:
         attributes: Attributes of the ONNX node.
@@ -216,7 +216,7 @@ def _find_axis(value: Array, axis: int) -> int:
     """Return the axis of ``value``, whose first axis is that of the runs, for an ONNX axis.
 
     Raises:
-        ValueError: If the axis is that of the runs.
+        ValueError: If the axis of an array with several axes is not 1, 2 or -1.
     """
     if value.ndim <= 1:  # a constant, such as a list of sizes
         return axis
@@ -272,7 +272,8 @@ def _make_gather(attributes: dict[str, Any], _: int) -> Operation:
 def _make_reshape(_: dict[str, Any], __: int) -> Operation:
     """Return the operation Reshape, for arrays whose first axis is that of the runs.
 
-    A stated shape (1, c, n) becomes (runs, c, n); any other shape becomes (runs, 1, elements).
+    A stated shape of three axes (1, c, n), without 0 for c and n, becomes (runs, c, n); any other
+    shape becomes (runs, 1, elements).
     Arrays with less than three axes are unchanged.
     """
 
@@ -306,7 +307,7 @@ def _make_transpose(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_convolution(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation Conv along one axis; None with groups, dilation or padding."""
+    """Return the operation Conv along one axis; None with groups, dilation, pads or more axes."""
     is_plain = attributes.get("group", 1) == 1 and not any(attributes.get("pads", ()))
     is_plain &= attributes.get("auto_pad", "NOTSET") in ("NOTSET", "VALID")
     stride, dilation = attributes.get("strides", [1]), attributes.get("dilations", [1])

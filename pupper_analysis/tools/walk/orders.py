@@ -160,8 +160,8 @@ def rank_orders(
       by limb, or by limb if currently grouped by kind.
     - The opposite sign of each joint, and of all joints of the same kind.
     - Half and twice the action scale.
-    - With a history of several steps: the reversed history; and a history ordered by term instead
-      of by time step, or the reverse.
+    - With a history of several steps: the reversed history; and, if all terms have equally many
+      steps, a history ordered by term instead of by time step, or the reverse.
 
     Args:
         robot: Robot.

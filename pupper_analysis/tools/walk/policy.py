@@ -159,8 +159,8 @@ def split_sources(words: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...
 def select_policy(policy: Path | None, sources: Sequence[str]) -> tuple[Path, tuple[str, ...]]:
     """Return the file of the policy, and the other sources.
 
-    Without a policy, the only ONNX file in the folder of a deployment is used, or in the folder
-    ``exported`` beside this folder, as in unitree_rl_lab.
+    Without a policy, the only ONNX file in the folder of the first other source is used, or in the
+    folder ``exported`` beside this folder, as in unitree_rl_lab.
 
     Args:
         policy: Typed policy; None without.
@@ -247,7 +247,7 @@ def _read_policy(path: Path) -> tuple[Network, dict[str, Any]]:
             values = read_rtneural(path)
             network, sources = build_rtneural_network(path, values), [*tables.read(Request(path))]
             contract_values = make_rtneural_values(values, network.inputs, network.outputs)
-        elif path.suffix in TORCHSCRIPT_SUFFIXES:  # contains weights only
+        elif path.suffix in TORCHSCRIPT_SUFFIXES:  # states no contract key
             network, sources, contract_values = build_torchscript_network(path), [], {}
         else:
             network, sources, contract_values = (
@@ -279,7 +279,7 @@ _EXTERNAL_DATA_FIELD, _DATA_LOCATION_FIELD = 13, 14
 
 
 class _WeightFiles:
-    """Files beside an ONNX file that contain weights; each file is read once.
+    """Files below the folder of an ONNX file that contain weights; each file is read once.
 
     Args:
         path: ONNX file.
@@ -297,8 +297,8 @@ class _WeightFiles:
         """Return the bytes of a tensor's weights in another file.
 
         Raises:
-            ModelError: If the entries are not valid, or the file is not in the folder of the ONNX
-                file, cannot be read, or is too short.
+            ModelError: If the entries are not valid, or the file is not below the folder of the
+                ONNX file, cannot be read, or is too short.
         """
         entries = [gather_fields(entry) for entry in tensor.get(_EXTERNAL_DATA_FIELD, ())]
         stated = {get_text(entry, 1): get_text(entry, 2) for entry in entries}
@@ -333,9 +333,9 @@ def _read_tensor(
     """Return the name and the numbers of an ONNX tensor (protobuf message), in its shape.
 
     Raises:
-        ModelError: If the tensor is too large, has an unsupported type or another number of
-            elements than its shape, or if its file of weights cannot be read. The error names the
-            file.
+        ModelError: If the tensor is too large, has a negative dimension, an unsupported type or
+            another number of elements than its shape, or if its file of weights cannot be read.
+            The error names the file.
     """
     tensor = gather_fields(data)
     name, dims = get_text(tensor, 8), decode_integers(tensor.get(1, ()))
@@ -373,10 +373,10 @@ def _read_tensor(
 
 
 def build_onnx_network(path: Path, file: OnnxFile) -> Network:
-    """Build the network of an ONNX file. Weights may be in other files of the same folder.
+    """Build the network of an ONNX file. Weights may be in other files below the same folder.
 
     Args:
-        path: File; its folder contains the files of weights.
+        path: File; files of weights are below its folder.
         file: Content of the file.
 
     Raises:
@@ -522,7 +522,7 @@ def build_rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
 
     Raises:
         ModelError: If there is no layer, or a layer has an unknown type or activation, unsuitable
-            weights or a size that does not fit; the message names the layer.
+            weights or a size that does not fit; the message then names the layer.
     """
     layers = values["layers"]
     if not layers:
@@ -712,6 +712,7 @@ def build_torchscript_network(path: Path) -> Network:
         MissingPackageError: If torch is not installed.
         ModelError: If the file cannot be read, is too large or contains no network, or the
             network keeps a state that is no buffer, or does not start with zeros.
+        ValueError: If the network cannot be evaluated for an observation of any possible size.
     """
     try:
         data = read_input(path, _MAX_TORCHSCRIPT_BYTES)

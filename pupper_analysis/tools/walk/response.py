@@ -1,8 +1,8 @@
 """Response of a walking policy: mean velocity for a grid of commands, and dead zones.
 
 Inputs are a robot, a policy and the largest commands; output is a `ResponseMap` with a
-`ResponseAxis` for forward speed, speed to the left and turning rate. Along an axis the other two
-commands are zero.
+`ResponseAxis` for forward speed, speed to the left and turning rate, unless the largest command is
+0. Along an axis the other two commands are zero.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class ResponseMap(Result):
     Attributes:
         name: Name of the robot.
         policy: File name of the policy.
-        axes: Forward speed, speed to the left, turning rate.
+        axes: Forward speed, speed to the left, turning rate; without axes whose limit is 0.
         seeds: Number of initial states per command.
         seconds: Duration of each run.
         remarks: Errors and assumptions of the robot's files and the deployment behind the result.

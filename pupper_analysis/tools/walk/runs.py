@@ -67,8 +67,8 @@ class Case:
         delay: Delay of commands at the servos [s].
         seed: Seed of the initial state; 0 is the default pose at rest.
         lift: Additional height of the initial state [m], for example for longer legs.
-        push: Impulse on the CoM of the base during one action after `PUSH_TIME`: forward and to the
-            left in the world frame, shape (2,) [N s].
+        push: Impulse on the CoM of the base body during the action that starts at `PUSH_TIME`:
+            along x and y of the world frame, shape (2,) [N s].
     """
 
     model: mujoco.MjModel
@@ -113,7 +113,7 @@ class Stage:
         joints: Index of the robot's joint for each joint of the policy, shape (n,).
         gear: ctrl per joint position, shape (n,).
         ctrl: Controls of the default pose, shape (model.nu,).
-        default: Initial configuration, shape (nq,).
+        default: Initial configuration of seed 0 without `Case.lift`, shape (nq,).
         substeps: Number of time steps per action.
         upright: Reference of the fall criterion.
     """
@@ -232,7 +232,7 @@ def with_contract_efforts(robot: Robot, contract: PolicyContract, joints: IntArr
 def replace_efforts(
     robot: Robot, policy: Policy, efforts: Mapping[str, float]
 ) -> tuple[Robot, Policy]:
-    """Return robot and policy with other torque limits, which precede those of all files.
+    """Return robot and policy with other torque limits, which replace those of all files.
 
     Args:
         robot: Robot.
@@ -293,8 +293,8 @@ def simulate_cases(
     Args:
         stage: Policy on the robot.
         cases: Runs; their models have the sizes of the stage's model.
-        duration: Simulated time of each run [s].
-        warm_up: Time at the start without evaluation of tilt and height [s].
+        duration: Simulated time of each run without a fall [s].
+        warm_up: Time at the start of which tilt and height loss are not recorded [s].
         workers: Number of threads; by default the number of cores.
     """
     batches = [cases[start : start + _BATCH_SIZE] for start in range(0, len(cases), _BATCH_SIZE)]
@@ -411,8 +411,8 @@ def _simulate_batch(
     Args:
         stage: Robot, policy and model.
         cases: Cases, for example commands and pushes.
-        duration: Duration of each run [s].
-        warm_up: Time at the start without evaluation of tilt and height [s].
+        duration: Duration of each run without a fall [s].
+        warm_up: Time at the start of which tilt and height loss are not recorded [s].
     """
     count = len(cases)
     ticks = max(1, round(duration / (stage.substeps * stage.timestep)))

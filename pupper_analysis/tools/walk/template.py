@@ -1,7 +1,7 @@
 """Template of the TOML file that defines observation and action of a policy.
 
-`write_template` writes the keys of the contract: keys that a file states as comments with their
-source, and the missing keys to be completed.
+`write_template` writes the frequent keys of the contract (`_MEANINGS`) as comments: keys that a
+file states with their source, missing keys to be completed, and optional keys.
 """
 
 from __future__ import annotations
@@ -55,8 +55,9 @@ def write_template(
         Path of the TOML file, and the keys that must be completed.
 
     Raises:
+        MissingPackageError: If the policy is TorchScript and torch is not installed.
         ModelError: If the policy cannot be read.
-        OutputError: If the file exists, and the run does not replace files.
+        OutputError: If the file cannot be written, or exists and the run does not replace files.
     """
     network, statements = read_statements(policy, deployment)
     stated = {key: one for one in statements for key in one.values}

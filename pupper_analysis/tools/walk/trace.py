@@ -62,7 +62,7 @@ _NUM_COLUMNS = {"angular_velocity": 3, "gravity": 3, "quaternion": 4}
 
 MAX_NORM_DEVIATION = 0.05
 """Largest difference of the norm of a recorded quaternion from 1. Chosen: logs with two decimals
-have 0.01; a row of zeros or Euler angles have more."""
+have 0.01; a row of zeros has 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +94,10 @@ def read_trace(path: str | Path) -> Trace:
 
     A CSV file has the columns ``time``, ``obs_0`` ..., ``action_0`` ..., and optionally
     ``q_JOINT``, ``v_JOINT``, ``target_JOINT``, ``command_0`` to 2, ``gyro_0`` to 2, ``gravity_0``
-    to 2 or ``quat_0`` to 3 (w, x, y, z). An npz file has the arrays ``time``, ``observations``,
-    ``actions``, and optionally ``positions``, ``velocities``, ``targets``, ``joints`` (names),
-    ``commands``, ``angular_velocity``, ``gravity`` or ``quaternion``.
+    to 2 or ``quat_0`` to 3 (w, x, y, z); ``v_JOINT`` and ``target_JOINT`` require ``q_JOINT``. An
+    npz file has the arrays ``time``, ``observations``, ``actions``, and optionally ``positions``,
+    ``velocities``, ``targets``, ``joints`` (names), ``commands``, ``angular_velocity``, ``gravity``
+    or ``quaternion``.
 
     Raises:
         ModelError: If the file cannot be read, an array is missing or has an invalid shape, a
@@ -155,7 +156,8 @@ def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
     The names are empty if the columns are numbered, or absent.
 
     Raises:
-        ModelError: If the file is no table of numbers, or signals have different joints.
+        ModelError: If the file is no table of numbers, signals have different joints, or columns of
+            other signals are not numbered.
     """
     text = decode_input(path, data)
     header, _, body = text.partition("\n")
@@ -191,13 +193,13 @@ class TermCheck(Result):
 
     Attributes:
         term: Term, ``network`` or ``targets``.
-        first: Index of the first element in an observation; -1 for network and targets.
+        first: Index of the first element in a frame of the observation; -1 for network and targets.
         size: Number of elements.
         error: Root mean square of the difference, relative to the signal; None if not checked.
         mistake: ``order``, ``sign``, ``scale``, ``offset``, ``delay``, ``place`` (the term is
             elsewhere in the observation), ``history`` (frames reversed), ``unexplained``,
             ``unchecked`` (no recorded signal), or empty if the term agrees.
-        detail: Elements, factor or delay of the mistake.
+        detail: Elements, factors, offsets, place or delay of the mistake; may be empty.
     """
 
     term: str
@@ -231,7 +233,7 @@ class TraceCheck(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the network and a term, or the targets, agree, and nothing disagrees."""
+        """Whether the network agrees, a term or the targets agree, and nothing disagrees."""
         mistakes = [check.mistake for check in self.checks]
         checked = [check for check in self.checks[1:] if check.mistake == ""]
         return bool(checked) and all(mistake in ("", "unchecked") for mistake in mistakes)
@@ -316,7 +318,9 @@ def _make_signals(robot: Robot, policy: Policy, trace: Trace) -> dict[str, Array
     signal are missing.
 
     Raises:
-        ModelError: If the trace lacks a joint of the policy, or a column per joint.
+        ModelError: If the trace lacks a joint of the policy, or a column per joint, or the policy
+            names no joints and their number differs.
+        UnknownNameError: If the policy names a joint that the robot does not have.
     """
     contract, arrays = policy.contract, trace.arrays
     columns = list(trace.joints or robot.joint_names)
@@ -450,8 +454,9 @@ def _find_signs(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str
 def _find_scales(seen: Array, expected: Array, names: Sequence[str]) -> tuple[str, str] | None:
     """Return ("scale", factors of elements); None unless factors explain the difference.
 
-    The factors are ``seen`` (recorded elements) / ``expected`` (elements as the contract defines
-    them), as text. Both have the shape (n, size).
+    Also None if the magnitude of a factor is below 1e-3. The factors are ``seen`` (recorded
+    elements) / ``expected`` (elements as the contract defines them), as text. Both have the shape
+    (n, size).
     """
     squares = np.sum(expected**2, axis=0)
     factors = np.sum(seen * expected, axis=0) / np.where(squares > 0, squares, 1.0)
@@ -551,14 +556,15 @@ def record_trace(
     Args:
         robot: Robot.
         policy: Policy.
-        commands: Commands one after the other: forward [m/s], left [m/s], turning [rad/s].
+        commands: At least one command; commands follow each other: forward [m/s], left [m/s],
+            turning [rad/s].
         seconds_per_command: Duration of each command [s].
         seed: Seed of the initial state.
 
     Raises:
         ConfigurationError: If the base is fixed, the robot has no feet, or the policy acts more
             than once per time step.
-        ModelError: If a joint has no motor, or gains are missing or do not fit the robot.
+        ModelError: If the policy does not fit the robot (`prepare_stage`).
         UnknownNameError: If the policy names a joint that the robot does not have.
     """
     stage = prepare_stage(robot, policy)
