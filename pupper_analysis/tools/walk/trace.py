@@ -60,6 +60,10 @@ _SIGNALS = {
 _NUM_COLUMNS = {"angular_velocity": 3, "gravity": 3, "quaternion": 4}
 """{array of a trace: number of columns}, if it does not depend on the robot."""
 
+_NUM_UNKNOWN_SAMPLES = {"last-action": 1, "second-last-action": 2}
+"""{term: number of samples at the start of a trace that are not compared}. The term then contains
+actions before the trace, which may begin while the policy runs."""
+
 MAX_NORM_DEVIATION = 0.05
 """Largest difference of the norm of a recorded quaternion from 1. Chosen: logs with two decimals
 have 0.01; a row of zeros has 1."""
@@ -269,12 +273,14 @@ def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
             continue
         expected = np.clip(signal, *term.clip) * term.scale
         expected = np.clip(expected, -contract.clip, contract.clip)
-        seen = _extract_frame(contract, observations, newest=True)
+        start = _NUM_UNKNOWN_SAMPLES.get(term.name, 0)
+        expected, compared = expected[start:], observations[start:]
+        seen = _extract_frame(contract, compared, newest=True)
         names = labels if size == len(labels) else tuple(map(str, range(size)))
         error, mistake, detail = _explain_difference(seen[:, first : first + size], expected, names)
         if mistake:
             error, mistake, detail = _search_elsewhere(
-                contract, observations, expected, first, (error, mistake, detail)
+                contract, compared, expected, first, (error, mistake, detail)
             )
         detail = _describe_delay(detail, trace.period) if mistake == "delay" else detail
         checks.append(TermCheck(term.name, first, size, error, mistake, detail))
@@ -315,7 +321,7 @@ def _make_signals(robot: Robot, policy: Policy, trace: Trace) -> dict[str, Array
     """Return {term, or ``targets``: recorded signal in the units and order of the contract}.
 
     A signal has the shape (n, size), before clip and scale of the term. Terms without a recorded
-    signal are missing.
+    signal are missing. Actions before the trace are unknown, and replaced by zeros.
 
     Raises:
         ModelError: If the trace lacks a joint of the policy, or a column per joint, or the policy

@@ -80,6 +80,15 @@ def test_trace_of_the_stated_contract_agrees(
     assert found.period == pytest.approx(0.02)
 
 
+def test_trace_that_begins_while_the_policy_runs_agrees(
+    recorded: tuple[Policy, dict[str, Any]], tmp_path: Path
+) -> None:
+    """The first observed last action is the action before the trace, not zero."""
+    policy, arrays = recorded
+    late = {name: array if name == "joints" else array[30:] for name, array in arrays.items()}
+    assert find_mistakes(check(policy, late, tmp_path)) == {}
+
+
 def state_order(contract: PolicyContract, first: int, second: int) -> PolicyContract:
     order = list(range(12))
     order[first], order[second] = order[second], order[first]
