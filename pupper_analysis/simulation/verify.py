@@ -335,7 +335,7 @@ def verify_stand(
     stays = not failures or _are_failures_of_mismatch(robot, result, failures)
     if feedforward:
         failures += _find_deviations(robot, stand, record, result, stays=stays)
-        failures += _describe_height_loss(result, reference.com_height)
+        failures += _describe_height_loss(result, reference.com_height, failures)
         failures.sort(key=lambda failure: failure.code != TWO_ROBOTS_CODE)  # the cause first
     elif settled is not None and not settled.failures and _is_fixed_without_feet(robot, stand):
         failures += _compare_with_equilibrium(robot, result, settled)
@@ -642,18 +642,21 @@ def _compare_with_prediction(
     )
 
 
-def _describe_height_loss(result: StandVerification, com_height: float) -> list[Diagnostic]:
+def _describe_height_loss(
+    result: StandVerification, com_height: float, failures: Sequence[Diagnostic]
+) -> list[Diagnostic]:
     """Report that the base of a simulated robot with feed-forward settles too far below the stand.
 
-    The result is empty if the robot collapses, or if the height loss is `MAX_SINKING_RATIO` times
-    ``com_height`` at most.
+    The result is empty if the height loss is `MAX_SINKING_RATIO` times ``com_height`` at most, or
+    if the robot collapses and ``failures`` state why.
 
     Args:
         result: Simulation with feed-forward, compared with the prediction.
         com_height: CoM height of the stand above the feet [m].
+        failures: Failures so far.
     """
     share = result.height_loss / com_height
-    if result.collapses or share <= MAX_SINKING_RATIO:
+    if share <= MAX_SINKING_RATIO or (result.collapses and failures):
         return []
     loss, sunk = Quantity(result.height_loss, "m"), Quantity(result.contact_sag, "m")
     return [diagnose("height-lost", loss=loss, share=share, sunk=sunk)]

@@ -609,3 +609,22 @@ def test_creep_of_a_slide_is_a_speed_and_that_of_a_hinge_a_rate() -> None:
     creep = verify.measure_creep(robot, stand, model, states)
     assert creep.speed == pytest.approx(2e-3)
     assert creep.rate == pytest.approx(5e-4)
+
+
+@pytest.mark.parametrize(
+    ("loss", "collapses", "has_failures", "codes"),
+    [
+        (0.005, False, False, []),
+        (0.02, False, False, ["height-lost"]),
+        (0.04, True, False, ["height-lost"]),
+        (0.04, True, True, []),
+    ],
+)
+def test_a_robot_that_sinks_far_into_the_ground_fails(
+    loss: float, collapses: bool, has_failures: bool, codes: list[str]
+) -> None:
+    """A loss of 0.04 m of 0.1 m is a collapse (above 30 %), but no fall (above 50 %)."""
+    result: Any = SimpleNamespace(height_loss=loss, contact_sag=loss, collapses=collapses)
+    failures = describe_deviations(1.0, 0.0) if has_failures else []
+    found = verify._describe_height_loss(result, 0.1, failures)
+    assert [message.code for message in found] == codes
