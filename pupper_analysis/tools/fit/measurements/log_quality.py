@@ -15,6 +15,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Severity, diagnose
 from pupper_analysis.base.errors import MeasurementError
+from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.log import Log
 
@@ -235,13 +236,14 @@ def find_degrees(
             # The median ignores momentary commands far beyond a limit.
             reach = np.median(np.abs(finite_values)) if finite_values.size else 0.0
             if reach > _MAX_REACH_RATIO * max_positions[index]:
-                column = f"{kind}.{robot.joint_names[index]}"
+                name = robot.joint_names[index]
+                column, unit = f"{kind}.{name}", joint_unit(robot, name)
                 yield diagnose(
                     "column-in-degrees",
                     column=column,
                     header=f"{column} [deg]",
-                    value=Quantity(reach, "rad"),
-                    limit=Quantity(max_positions[index], "rad"),
+                    value=Quantity(reach, unit),
+                    limit=Quantity(max_positions[index], unit),
                     degrees=bool(
                         reach / _DEGREES_PER_RADIAN <= _MAX_REACH_RATIO * max_positions[index]
                     ),

@@ -17,6 +17,7 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.csv_text import csv_text
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import MeasurementError, UnknownNameError
+from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.columns import Columns, MeasurementColumn, read_columns
 from pupper_analysis.tools.fit.measurements.log_quality import find_column_step, find_degrees
@@ -148,7 +149,8 @@ class MeasuredStands:
             name, joint_name = self.names[row], robot.joint_names[joint]
             limits = robot.lower_limits[joint], robot.upper_limits[joint]
             angle_and_limits = (angles[row, joint], *limits)
-            angle, lower, upper = (Quantity(float(value), "rad") for value in angle_and_limits)
+            unit = joint_unit(robot, joint_name)
+            angle, lower, upper = (Quantity(float(value), unit) for value in angle_and_limits)
             finding = diagnose(
                 "stand-beyond-limits",
                 stand=name,

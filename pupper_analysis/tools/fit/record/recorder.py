@@ -36,6 +36,7 @@ from pupper_analysis.base.kinds import RECORD_KIND
 from pupper_analysis.base.locks import lock_file
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.statics.support_polygon import com_margin
@@ -385,7 +386,7 @@ class _RecordingSession:
             "servo-does-not-follow",
             joint=self._robot.joint_names[joint],
             stand=stand.name,
-            off=Quantity(float(error), "rad"),
+            off=Quantity(float(error), joint_unit(self._robot, self._robot.joint_names[joint])),
         )
         return _RecordingEndedError(finding, int(self._last_live_rows[joint]))
 
