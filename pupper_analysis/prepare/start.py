@@ -478,13 +478,15 @@ def _spread_feet(robot: Robot, pose: Array) -> Array:
     `_TARGET_SIDE_DISTANCE`; all targets have the same height. Legs that are straight to the side,
     such as a spider's at zero angles, cannot reach the ground below their feet. If the legs cannot
     reach the targets, the foot errors are the smallest found. Without an IK branch, the result is
-    ``pose``.
+    ``pose``. A foot on the base keeps its position.
     """
     qpos = robot.make_qpos(pose)
     config = Configuration(robot, qpos)
     feet = config.foot_positions()
-    targets, drops = dict(feet), []
+    targets, drops, moved = dict(feet), [], set[str]()
     for limb in find_limbs(robot):
+        if not len(limb.joints):  # a foot on the base
+            continue
         names = {robot.joint_names[index] for index in limb.joints}
         first = next(name for name in robot.pin_model.names if name in names)
         hip = config.joint_position(first)
@@ -502,8 +504,9 @@ def _spread_feet(robot: Robot, pose: Array) -> Array:
                     math.hypot(*outward[:2]), 1e-9
                 )
             drops.append(float(hip[2]) - _TARGET_FOOT_DEPTH * length)
-    for foot, place in targets.items():
-        targets[foot] = np.array([*place[:2], min(drops)])
+        moved.update(limb.feet)
+    for foot in moved:
+        targets[foot] = np.array([*targets[foot][:2], min(drops)])
     found = find_branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
     return next(combine_branches(found, pose), pose)
 

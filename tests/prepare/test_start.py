@@ -193,6 +193,15 @@ def test_stands_are_not_searched_for_wheels(
     assert searches == ["poses", "poses", "soles"]
 
 
+@pytest.mark.slow
+def test_robot_with_a_foot_on_the_base_is_loaded(tmp_path: Path) -> None:
+    """Three legs and the trunk as feet: the search of a start pose raised StopIteration."""
+    pair = quadruped(tmp_path, actuators="position")
+    feet = ["FL_calf", "FR_calf", "RL_calf", "trunk"]
+    robot = pa.load_robot(*pair, feet=feet)
+    assert set(robot.feet) == set(feet)
+
+
 def test_start_keyframe_is_at_the_origin_and_has_the_height_of_the_stand() -> None:
     """The stand is moved by 10 and 20 mm; height and joints are rounded to micrometres and urad."""
     robot, stand = load("v3"), stand_of("v3")
