@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import join_words, text
 from pupper_analysis.present.documents.loads import view_block
@@ -40,7 +42,8 @@ def _join_limits(workspace: BaseWorkspace) -> doc.Text:
             key = limit.code, None if merged else limit.values.get("links")
             if merged and key in limits:
                 names = dict.fromkeys((*_list_names(limits[key]), *_list_names(limit)))
-                limits[key] = diagnose(limit.code, **{merged: [*names]})
+                values = FrozenDict({**limit.values, merged: tuple(names)})
+                limits[key] = replace(limit, values=values)
             limits.setdefault(key, limit)
             limited = directions.setdefault(key, [])
             if direction not in limited:
