@@ -107,7 +107,11 @@ def test_log_inspection_states_rate_resolution_and_gaps() -> None:
     time = good.time + 2.0 * (np.arange(len(good.time)) > 400)
     odd = replace(good, time=time, position=position)
     odd = replace(odd, time=time[kept], position=position[kept], command=good.command[kept])
-    codes = {one.code for one in inspect_log(arm(), odd)}
+    remarks = {one.code: one.values for one in inspect_log(arm(), odd)}
+    codes, missing = set(remarks), remarks["log-samples-missing"]
+    step = float(np.median(np.diff(good.time)))
+    assert missing["count"] == 2
+    assert missing["longest"].value == pytest.approx(3 * step)  # not the jump of the clock
     assert find_column_step(position[:, 0]) == pytest.approx(quantum, rel=1e-6)
     assert len(odd.jumps) == 1
     assert codes >= {

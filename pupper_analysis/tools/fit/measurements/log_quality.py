@@ -126,18 +126,20 @@ def _list_remarks(robot: Robot, log: Log, joints: tuple[str, ...]) -> Iterator[D
 
 
 def _check_clock(log: Log) -> Iterator[Diagnostic]:
-    """Yield remarks on the sample times [s] of a log: clock jumps, gaps, uneven intervals.
-
-    The longest interval that a remark on gaps contains may be a clock jump.
-    """
+    """Yield remarks on the sample times [s] of a log: clock jumps, gaps, uneven intervals."""
     steps, jumps = np.diff(log.time), log.jumps
     interval, longest = Quantity(log.interval, "s"), Quantity(steps.max(), "s")
     if jumps:
         after = Quantity(log.time[jumps[0]], "s")
         yield diagnose("clock-jumps", count=len(jumps), after=after, longest=longest)
     gaps = steps > _MAX_GAP_RATIO * log.interval
-    if (count := int(gaps.sum()) - len(jumps)) > 0:
-        yield diagnose("log-samples-missing", count=count, interval=interval, longest=longest)
+    missing = np.delete(steps, jumps)
+    missing = missing[missing > _MAX_GAP_RATIO * log.interval]
+    if missing.size:
+        longest = Quantity(missing.max(), "s")
+        yield diagnose(
+            "log-samples-missing", count=missing.size, interval=interval, longest=longest
+        )
     deviation = float(steps[~gaps].std() / log.interval)
     if deviation > _MAX_INTERVAL_DEVIATION:
         yield diagnose("log-intervals-uneven", deviation=Quantity(deviation, "1"))
