@@ -162,6 +162,15 @@ def test_a_log_of_another_robot_or_without_commands_is_refused() -> None:
     with pytest.raises(MeasurementError) as refused:
         fit_motion(bar(), [measured])
     assert refused.value.cause.code == "joint-without-servo"
+    after_jump = np.arange(len(log().time)) >= 600  # a run of its own, without commands
+    measured = replace(
+        log(),
+        time=log().time + 2.0 * after_jump,
+        command=np.where(after_jump[:, None], np.nan, log().command),
+    )
+    with pytest.raises(MeasurementError) as refused:
+        fit_motion(bar(), [measured])
+    assert refused.value.cause.code == "joint-without-servo"
     with pytest.raises(MeasurementError) as refused:
         fit_motion(bar(), [log().select_rows(slice(0, 150))])
     assert refused.value.cause.code == "nothing-to-fit"

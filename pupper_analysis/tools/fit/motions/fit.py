@@ -137,7 +137,8 @@ def _check_runs(
     """Check that there are samples to fit, and that joints of ``logs`` have commands and a servo.
 
     Raises:
-        MeasurementError: If there are no samples to fit, or a joint lacks commands or a stiffness.
+        MeasurementError: If there are no samples to fit, or a joint lacks a stiffness, or has no
+            commands in a run.
     """
     if not runs or not any(run.counts.any() for run in runs):
         source = logs[0].source if logs else robot.name
@@ -146,6 +147,11 @@ def _check_runs(
         for name, command in zip(log.joints, log.command.T, strict=True):
             if not np.isfinite(command).any() or drive.kp[robot.joint_names.index(name)] <= 0:
                 raise MeasurementError(log.source, diagnose("joint-without-servo", joint=name))
+    for run in runs:
+        is_measured = np.isfinite(run.position).any(axis=0)
+        for joint in np.flatnonzero(is_measured & np.isnan(run.command).any(axis=0)):
+            problem = diagnose("joint-without-servo", joint=robot.joint_names[joint])
+            raise MeasurementError(", ".join(log.source for log in logs), problem)
 
 
 def _make_parameters(
