@@ -38,35 +38,47 @@ def _make_gemm(attributes: dict[str, Any], _: int) -> Operation | None:
     return apply
 
 
-def _is_last_axis(attributes: dict[str, Any]) -> bool:
-    """Return True if the ``axis`` of an operator is -1, 1 or 2, which is taken as the last axis."""
+def _is_along_elements(attributes: dict[str, Any]) -> bool:
+    """Return True if the ``axis`` of an operator is stated as -1, 1 or 2: not that of the runs."""
     return attributes.get("axis", 0) in (-1, 1, 2)
 
 
 def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
-    """Return the operation Split into ``count`` parts; None if not along the last axis."""
-    if not _is_last_axis(attributes):
+    """Return the operation Split into ``count`` parts; None if across the runs."""
+    if not _is_along_elements(attributes):
         return None
 
     def apply(value: Array, sizes: Array | None = None) -> tuple[Array, ...]:
         parts = attributes.get("split") if sizes is None else sizes.astype(int).tolist()
         indices = count if parts is None else np.cumsum(parts)[:-1].tolist()
-        return tuple(np.split(value, indices, axis=-1))
+        return tuple(np.split(value, indices, axis=_find_axis(value, attributes["axis"])))
 
     return apply
 
 
 def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation Concat along the last axis, or of lists of sizes (axis 0); else None."""
+    """Return the operation Concat; None if across the runs. Axis 0 is for lists of sizes.
+
+    Along axis 1, arrays with several channels each are joined by channel. Otherwise the elements of
+    each array are joined along the last axis; constants are repeated for all runs.
+    """
     if attributes.get("axis") == 0:
         return _concatenate_sizes
-    if not _is_last_axis(attributes):
+    if not _is_along_elements(attributes):
         return None
 
     def apply(*values: Array) -> Any:
-        return np.concatenate(
-            [np.reshape(value, (*values[0].shape[:-1], -1)) for value in values], -1
-        )
+        if attributes["axis"] == 1 and all(v.ndim == 3 and v.shape[1] > 1 for v in values):
+            return np.concatenate(values, 1)
+        reference = max(values, key=lambda value: (value.ndim, value.shape[:1]))
+        lead = reference.shape[:-1]
+        parts = [
+            np.reshape(value, (*lead, -1))
+            if value.ndim == reference.ndim and len(value) == len(reference)
+            else np.broadcast_to(value, (*lead, value.shape[-1]))
+            for value in values
+        ]
+        return np.concatenate(parts, -1)
 
     return apply
 
@@ -155,26 +167,33 @@ def _make_gelu(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _make_softmax(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation Softmax; None if not along the last axis."""
-    if attributes.get("axis", -1) not in (-1, 1, 2):
+    """Return the operation Softmax; None if across the runs."""
+    stated = attributes.get("axis", -1)
+    if stated not in (-1, 1, 2):
         return None
 
     def apply(value: Array) -> Any:
-        powers: Array = np.exp(value - value.max(axis=-1, keepdims=True))
-        return powers / powers.sum(axis=-1, keepdims=True)
+        axis = _find_axis(value, stated)
+        powers: Array = np.exp(value - value.max(axis=axis, keepdims=True))
+        return powers / powers.sum(axis=axis, keepdims=True)
 
     return apply
 
 
 def _make_layer_normalization(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation LayerNormalization (Ba et al., 2016); None unless of the last axis."""
-    if attributes.get("axis", -1) not in (-1, 1, 2):
+    """Return the operation LayerNormalization (Ba et al., 2016); None if across the runs.
+
+    From axis 1, all elements of a run are normalised together; else those along the last axis.
+    """
+    stated = attributes.get("axis", -1)
+    if stated not in (-1, 1, 2):
         return None
     epsilon = attributes.get("epsilon", 1e-5)
 
     def apply(value: Array, scale: Array, bias: Array | float = 0.0) -> Any:
-        centred = value - value.mean(axis=-1, keepdims=True)
-        deviation: Array = np.sqrt((centred**2).mean(axis=-1, keepdims=True) + epsilon)
+        axes = (1, 2) if stated == 1 and value.ndim == 3 else -1
+        centred = value - value.mean(axis=axes, keepdims=True)
+        deviation: Array = np.sqrt((centred**2).mean(axis=axes, keepdims=True) + epsilon)
         return centred / deviation * scale + bias
 
     return apply
@@ -366,7 +385,7 @@ def _ignore_attributes(operation: Operation) -> Make:
 
 IDENTITY_OPERATORS = ("Identity", "Cast", "CastLike", "Dropout", "Squeeze", "Unsqueeze")
 """ONNX operators that are evaluated as identity: for a single observation they change neither the
-numbers nor their order. Only the first input is used."""
+numbers nor their order, except a Cast of fractions to integers. Only the first input is used."""
 
 OPERATION_MAKERS: dict[str, Make] = {
     "Add": _ignore_attributes(np.add),

@@ -219,6 +219,22 @@ def single_operators() -> dict[str, bytes]:
          made.node("Transpose", ("x",), ("t",), perm=[1, 0, 2]),
          made.node("Squeeze", ("t", "zero"), ("y",))],
         [made.integers("zero", 0)])  # fmt: skip
+    made_of["Concat with a constant"] = (
+        [made.node("Concat", ("obs", "c"), ("y",), axis=1)],
+        [made.tensor("c", np.array([[0.5, -2.0]]))])  # fmt: skip
+    channels = made.node("Reshape", ("obs", "shape"), ("x",))
+    tensors = [made.integers("shape", 1, 3, 2), to_row[1]]
+    for name, nodes in {
+        "Softmax": [made.node("Softmax", ("x",), ("z",), axis=1)],
+        "Split": [made.node("Split", ("x",), ("a", "b", "c"), axis=1),
+                  made.node("Concat", ("c", "a", "b"), ("z",), axis=1)],
+        "Concat": [made.node("Neg", ("x",), ("n",)),
+                   made.node("Concat", ("x", "n"), ("z",), axis=1)],
+    }.items():  # fmt: skip
+        made_of[f"{name} of channels"] = [channels, *nodes, to_row[0]], tensors
+    made_of["LayerNormalization of channels"] = (
+        [channels, made.node("LayerNormalization", ("x", "g"), ("z",), axis=1), to_row[0]],
+        [*tensors, made.tensor("g", np.linspace(0.5, 2.0, 6).reshape(3, 2))])  # fmt: skip
     made_of["sizes"] = (
         [made.node("Shape", ("obs",), ("s",)),
          made.node("Gather", ("s", "zero"), ("b",), axis=0),
