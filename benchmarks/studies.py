@@ -183,6 +183,7 @@ def find_largest_robots() -> None:
     said = "Longest legs and largest mass of a v3 that stands on its servos"
     figure = drawing.make_page_figure(said, 3.4, layout="constrained")
     axes = figure.add_subplot()
+    axes.set_prop_cycle(color=drawing.SERIES_COLOURS)
     axes.set(xlabel="leg length relative to v3", ylabel="mass of the robot (kg)")
     for kp, part in stands.groupby("kp"):
         front = pareto_front(part, {"leg_scale": "max", "total_mass": "max"})
