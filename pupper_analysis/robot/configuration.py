@@ -426,6 +426,8 @@ class Configuration(Pictured):
         axes, as ``pin.computeCentroidalMap``. Armature is not included (Orin and Goswami 2008,
         "Centroidal momentum matrix of a humanoid robot").
         """
+        if self._structure.fixed == 1:
+            return self._massless_centroidal_map()
         workspace = self._structure.acquire_workspace()
         moving = pin.computeCentroidalMap(self._model, workspace.data, self._q)
         momentum = np.array(self._structure.sort_columns(moving))
@@ -444,6 +446,8 @@ class Configuration(Pictured):
         of ``centroidal_map``, which is subtracted here (Pinocchio's issue 2093). Multiplied by
         qvel, both matrices give the same vector, unless a fixed base has mass.
         """
+        if self._structure.fixed == 1:
+            return self._massless_centroidal_map_variation()
         # Pinocchio's function reads data.vcom[0], which must be zero, as in new data.
         data = self._model.createData()
         moving = pin.computeCentroidalMapTimeVariation(self._model, data, self._q, self._v)
@@ -453,6 +457,47 @@ class Configuration(Pictured):
         if self._structure.fixed:
             variation[3:] += pin.skew(self._moving_com_offset()) @ variation[:3]
         return variation
+
+    def _massless_centroidal_map(self) -> Array:
+        """Return ``centroidal_map`` if the moving links have no mass: Pinocchio's matrix is NaN.
+
+        Each link then contributes its rotational inertia times its angular velocity.
+        """
+        momentum = np.zeros((6, self._structure.nv))
+        for joint in range(1, self._model.njoints):
+            turning = pin.getJointJacobian(self._model, self._data, joint, pin.LOCAL_WORLD_ALIGNED)
+            angular = self._structure.sort_columns(turning)[3:]
+            momentum[3:] += self._world_inertia(joint) @ angular
+        return momentum
+
+    def _massless_centroidal_map_variation(self) -> Array:
+        """Return ``centroidal_map_time_variation`` if the moving links have no mass.
+
+        With inertia I and angular Jacobian J of a link, and S the cross-product matrix of its
+        angular velocity: d(I J)/dt = (S I - I S) J + I dJ/dt.
+        """
+        workspace = self._structure.acquire_workspace()
+        data, frame = workspace.data, pin.LOCAL_WORLD_ALIGNED
+        pin.computeJointJacobiansTimeVariation(self._model, data, self._q, self._v)
+        variation = np.zeros((6, self._structure.nv))
+        for joint in range(1, self._model.njoints):
+            matrices = (
+                pin.getJointJacobian(self._model, data, joint, frame),
+                pin.getJointJacobianTimeVariation(self._model, data, joint, frame),
+            )
+            angular, change = (self._structure.sort_columns(matrix)[3:] for matrix in matrices)
+            inertia, spin = self._world_inertia(joint), pin.skew(angular @ self.qvel)
+            variation[3:] += (spin @ inertia - inertia @ spin) @ angular + inertia @ change
+        return variation
+
+    def _world_inertia(self, joint: int) -> Array:
+        """Return the rotational inertia (3, 3) [kg m^2] of a joint's link about its CoM.
+
+        The result is expressed in world axes. ``joint`` is the index in Pinocchio's model.
+        """
+        rotation = self._data.oMi[joint].rotation
+        inertia: Array = rotation @ self._model.inertias[joint].inertia @ rotation.T
+        return inertia
 
     def _moving_com_offset(self) -> Array:
         """Return the vector (3,) [m] from the CoM to the CoM without fixed mass, in world axes.

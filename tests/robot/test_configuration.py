@@ -418,3 +418,33 @@ def test_com_of_a_fixed_base_with_massless_links_is_that_of_the_base(tmp_path: P
     kinematics = Kinematics(robot.structure)
     kinematics.update(robot.home)
     np.testing.assert_allclose(kinematics.com, (0.1, 0.0, 0.0), atol=1e-15)
+
+
+def test_centroidal_map_of_massless_links_is_the_rotational_inertia(tmp_path: Path) -> None:
+    """References: links of 1e-6 kg with the same tensors (Pinocchio), and finite differences.
+
+    The moving links have tensors, but no mass.
+    """
+    tensor = '<inertia ixx="0.3" iyy="0.2" izz="0.4" ixy="0.05" ixz="0.02" iyz="-0.03"/>'
+    heavy = f'<inertial><origin xyz="0.1 0 0"/><mass value="3"/>{tensor}</inertial>'
+
+    def load(mass: str, folder: Path) -> pa.Robot:
+        moving = f'<inertial><mass value="{mass}"/>{tensor}</inertial>'
+        urdf = re.sub(r"<inertial>.*?</inertial>", moving, URDF)
+        urdf = urdf.replace('<link name="base"/>', f'<link name="base">{heavy}</link>')
+        folder.mkdir()
+        mjcf = MJCF.replace('damping="2"', 'damping="2" armature="0.1"')
+        return load_arm(folder, urdf=urdf, mjcf=mjcf)
+
+    massless, light = load("0", tmp_path / "massless"), load("1e-6", tmp_path / "light")
+    qpos, qvel = massless.home + 0.3, np.linspace(0.5, 1.5, massless.nv)
+    config = pa.Configuration(massless, qpos, qvel)
+    momentum, variation = config.centroidal_map(), config.centroidal_map_time_variation()
+    reference = pa.Configuration(light, qpos, qvel)
+    assert momentum[3:].any()
+    np.testing.assert_allclose(momentum, reference.centroidal_map(), atol=1e-5)
+    np.testing.assert_allclose(variation, reference.centroidal_map_time_variation(), atol=1e-5)
+    before, after = (
+        pa.Configuration(massless, qpos + step * qvel).centroidal_map() for step in (-1e-5, 1e-5)
+    )
+    np.testing.assert_allclose(variation, (after - before) / 2e-5, atol=1e-8)
