@@ -14,6 +14,7 @@ import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from enum import Enum
+from fnmatch import fnmatchcase
 from functools import cache, wraps
 from numbers import Integral, Real
 from os import PathLike
@@ -57,6 +58,23 @@ def check_finite(name: str, value: object) -> float:
     if not math.isfinite(number):
         raise ConfigurationError(name, diagnose("not-finite", value=number))
     return number
+
+
+def match_names(pattern: str, names: Iterable[str]) -> list[str]:
+    """Return the names that a pattern selects, in the given order.
+
+    A name that equals the pattern is the only result, because names may contain brackets
+    (``arm[0]``).
+
+    Args:
+        pattern: Name, or pattern with the wildcards of ``fnmatch``, such as ``leg_*_3``;
+            case-sensitive.
+        names: Names, for example of joints.
+    """
+    listed = list(names)
+    if pattern in listed:
+        return [pattern]
+    return [name for name in listed if fnmatchcase(name, pattern)]
 
 
 def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:

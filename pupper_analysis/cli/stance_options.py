@@ -398,25 +398,25 @@ def _parse_assignments(option: str, texts: tuple[str, ...]) -> list[tuple[str, f
 
 
 def match_joint_pattern(option: str, pattern: str, robot: Robot) -> list[bool]:
-    """Return for each joint of ``robot.joint_names`` whether the name matches a shell pattern.
+    """Return for each joint of ``robot.joint_names`` whether a pattern selects the joint.
 
     Args:
         option: Name of the command-line option, for the error message.
-        pattern: Pattern with the wildcards of ``fnmatch``, such as "leg_*_3"; case-sensitive.
+        pattern: Name of a joint, or pattern with the wildcards of ``fnmatch``, such as "leg_*_3";
+            case-sensitive.
         robot: Robot.
 
     Raises:
         UnknownNameError: If no joint matches.
     """
-    from fnmatch import fnmatchcase
-
+    from pupper_analysis.base.arguments import match_names
     from pupper_analysis.base.errors import UnknownNameError
 
-    matches = [fnmatchcase(name, pattern) for name in robot.joint_names]
-    if not any(matches):
+    selected = match_names(pattern, robot.joint_names)
+    if not selected:
         unknown = UnknownNameError(robot.name, "joint", pattern, robot.joint_names)
         raise unknown.with_location(f"--{option}")
-    return matches
+    return [name in selected for name in robot.joint_names]
 
 
 def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") -> dict[str, float]:

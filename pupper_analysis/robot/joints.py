@@ -9,12 +9,11 @@ base.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from fnmatch import fnmatchcase
 
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.base.arguments import check_finite
+from pupper_analysis.base.arguments import check_finite, match_names
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
@@ -190,9 +189,7 @@ def named_positions(
     """
     positions: dict[str, Position] = {}
     for pattern, value in joints.items():
-        chosen = [joint for joint in robot.joint_names if fnmatchcase(joint, pattern)]
-        if pattern in robot.joint_names:
-            chosen = [pattern]  # a name may contain brackets
+        chosen = match_names(pattern, robot.joint_names)
         if not chosen:
             raise UnknownNameError(robot.name, "joint", pattern, robot.joint_names).with_location(
                 argument

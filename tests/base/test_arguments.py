@@ -20,6 +20,7 @@ from pupper_analysis.base.arguments import (
     check_finite,
     check_length,
     check_type,
+    match_names,
 )
 from tests.support.names import public, public_modules
 from tests.support.tiny import Files
@@ -307,3 +308,13 @@ def test_numbers_without_a_float_and_arrays_without_a_length_are_refused() -> No
     for wrong in ({"number": 10**400}, {"number": -(10**400)}, {"parts": np.array(1.0)}):
         with pytest.raises(pa.ConfigurationError):
             take(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "selected"),
+    [("arm[0]", ["arm[0]"]), ("arm[01]", ["arm0"]), ("arm*", ["arm0", "arm[0]"]), ("ARM0", [])],
+)
+def test_a_name_with_brackets_is_selected_by_its_exact_name(
+    pattern: str, selected: list[str]
+) -> None:
+    assert match_names(pattern, ["arm0", "arm[0]", "leg"]) == selected

@@ -10,8 +10,9 @@ import pytest
 from pupper_analysis import cli
 from pupper_analysis.cli.robots import RobotOptions
 from pupper_analysis.cli.stance_fields import OPTION_FIELDS
-from pupper_analysis.cli.stance_options import RobotAndTask
+from pupper_analysis.cli.stance_options import RobotAndTask, match_joint_pattern, parse_efforts
 from pupper_analysis.pupper.variants import VariantSpec
+from tests.support.arm import MJCF, URDF, load_arm
 from tests.support.commands import answer
 
 OURS = sorted({"stand", "workspace", "payload", "best", "path", "push"} & {*cli.COMMAND_NAMES})
@@ -88,3 +89,13 @@ def test_help_has_examples_and_exit_statuses(name: str) -> None:
     examples = [line for line in text.splitlines() if line.strip().startswith("pupper-analysis ")]
     assert len(examples) >= (3 if name in OURS else 1)
     assert "Exit status:" in text
+
+
+def test_name_of_a_joint_with_brackets_selects_the_joint(tmp_path: Path) -> None:
+    urdf, mjcf = (text.replace('"elbow"', '"arm[0]"') for text in (URDF, MJCF))
+    robot = load_arm(tmp_path, urdf=urdf, mjcf=mjcf)
+    matches = match_joint_pattern("kp", "arm[0]", robot)
+    assert [name for name, match in zip(robot.joint_names, matches, strict=True) if match] == [
+        "arm[0]"
+    ]
+    assert parse_efforts(("*=3", "arm[0]=5"), robot)["arm[0]"] == 5

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from fnmatch import fnmatchcase
 from pathlib import Path
 
 import click
 
 from pupper_analysis.base import kinds
+from pupper_analysis.base.arguments import match_names
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
@@ -138,8 +138,8 @@ _MAX_LISTED_MESHES = 2
 def _assign_by_pattern(texts: tuple[str, ...], joints: list[str]) -> dict[str, float]:
     """Parse the texts ``[JOINTS=]KGM2`` of ``--armature`` to {joint: armature [kg m^2]}.
 
-    The last text that matches a joint applies. JOINTS is a name or a pattern with the wildcards of
-    ``fnmatch``; without JOINTS the value applies to all joints. A pattern that matches no joint
+    The last text that matches a joint applies. JOINTS is a name or a pattern (`match_names`);
+    without JOINTS the value applies to all joints. A pattern that matches no joint
     raises a ConfigurationError.
     """
     values = {}
@@ -147,7 +147,7 @@ def _assign_by_pattern(texts: tuple[str, ...], joints: list[str]) -> dict[str, f
         pattern, value = shared.parse_number_assignment(
             "armature", text if "=" in text else f"*={text}"
         )
-        chosen = [name for name in joints if fnmatchcase(name, pattern)]
+        chosen = match_names(pattern, joints)
         if not chosen:
             message = diagnose("no-joint-like", pattern=pattern, known=joints)
             raise ConfigurationError("armature", message)

@@ -13,12 +13,11 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.arguments import check_type, match_names
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -244,25 +243,29 @@ def apply_priors(
         ConfigurationError: If a prior matches no possible parameter.
     """
     candidates, prior_list, used = list(stated), tuple(priors), set()
+    subjects_by_kind: dict[str, dict[str, None]] = {}
+    for kind, subject, _, _ in candidates:
+        subjects_by_kind.setdefault(kind, {})[subject] = None
+    selected = [
+        match_names(prior.subject, subjects_by_kind.get(prior.kind, {})) for prior in prior_list
+    ]
     parameters = []
     for kind, subject, component, value in candidates:
         default = PARAMETER_KINDS[kind]
         width = max(default.share * abs(value), default.width)
-        for prior in prior_list:
-            if prior.kind == kind and fnmatchcase(subject, prior.subject):
+        for prior, subjects in zip(prior_list, selected, strict=True):
+            if prior.kind == kind and subject in subjects:
                 width = prior.compute_std(value)
                 used.add(prior)
         if width > 0:
             parameters.append(Parameter(kind, subject, component, float(value), float(width)))
     for prior in prior_list:
         if prior not in used:
-            subjects = tuple(
-                dict.fromkeys(
-                    candidate[1] for candidate in candidates if candidate[0] == prior.kind
-                )
-            )
             finding = diagnose(
-                "prior-of-nothing", kind=prior.kind, pattern=prior.subject, known=subjects
+                "prior-of-nothing",
+                kind=prior.kind,
+                pattern=prior.subject,
+                known=tuple(subjects_by_kind.get(prior.kind, {})),
             )
             raise ConfigurationError("prior", finding)
     return tuple(parameters)

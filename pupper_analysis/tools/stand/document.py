@@ -6,13 +6,13 @@ format, with values in printed units. The verdict and the limiting motor come fi
 
 from __future__ import annotations
 
-import fnmatch
 import math
 from collections.abc import Iterable
 from typing import overload
 
 import numpy as np
 
+from pupper_analysis.base.arguments import match_names
 from pupper_analysis.base.diagnostics import merge_diagnostics
 from pupper_analysis.base.units import (
     find_common_units,
@@ -231,9 +231,7 @@ def _stiffen_soft_servos(stance: Stance) -> NextStep | None:
     classes = [each for each in servos.classes if set(each.joints) <= set(soft.joints)]
     words: list[str] = []
     for each in classes:
-        matching = [
-            joint for joint in stance.statics.joint_names if fnmatch.fnmatchcase(joint, each.name)
-        ]
+        matching = match_names(each.name, stance.statics.joint_names)
         if sorted(matching) != sorted(each.joints):
             return None
         words += ["--kp", f"{each.name}={soft.factor * each.kp:g}"]

@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
+from itertools import chain
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from pupper_analysis.base.arguments import match_names
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Vector, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
@@ -109,18 +110,16 @@ class VariablePattern:
 def find_moving_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...]:
     """Return the joints that match a pattern, or that move the matching bodies.
 
-    The base is returned as ``""``. A body matches by the link name in the URDF, the body name in
+    The base is returned as ``""``. If a name equals the pattern, only this name matches
+    (`match_names`). A body matches by the link name in the URDF, the body name in
     the MJCF, or the name of the joint.
 
     Raises:
         UnknownNameError: If nothing matches; the message lists the names.
     """
     names = _list_names(robot, pattern.kind)
-    joints = tuple(
-        joint
-        for joint, aliases in names.items()
-        if any(fnmatchcase(alias, pattern.pattern) for alias in aliases)
-    )
+    selected = match_names(pattern.pattern, chain.from_iterable(names.values()))
+    joints = tuple(joint for joint, aliases in names.items() if not {*aliases}.isdisjoint(selected))
     if not joints:
         kind = "body" if pattern.kind in BODY_VARIABLE_KINDS else "joint"
         raise UnknownNameError(

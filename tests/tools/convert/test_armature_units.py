@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.tools.convert.command import _assign_by_pattern
 
 _CART = """<mujoco model="cart"><compiler angle="radian"/><worldbody><body name="base">
 <geom type="box" size=".1 .1 .1" mass="1"/><body name="cart" pos="0 0 0.2">
@@ -41,3 +42,8 @@ def test_armature_of_slides_and_hinges_is_reported_in_units_of_its_own(tmp_path:
     for joint, unit in (("rail", "-1 kg of"), ("pivot", "-1 kg m^2 of")):
         with pytest.raises(pa.ConfigurationError, match=unit.replace("^", r"\^")):
             pa.convert_model(urdf, tmp_path / "new.xml", armature={joint: -1.0})
+
+
+def test_armature_of_a_joint_with_brackets_is_assigned_by_its_name() -> None:
+    assigned = _assign_by_pattern(("arm0=0.1", "arm[0]=0.2"), ["arm0", "arm[0]"])
+    assert assigned == {"arm0": 0.1, "arm[0]": 0.2}

@@ -55,3 +55,12 @@ def test_last_matching_prior_counts_and_unmatched_prior_is_refused() -> None:
     ]
     with pytest.raises(ConfigurationError, match="tail"):
         apply_priors(stated, [parse_prior("mass:tail=1g")])
+
+
+def test_prior_of_a_subject_with_brackets_concerns_this_subject() -> None:
+    stated = [("kp", "arm[0]", "", 5.0), ("kp", "arm0", "", 5.0)]
+    parameters = apply_priors(stated, [parse_prior("kp=1"), parse_prior("kp:arm[0]=2")])
+    assert {parameter.subject: parameter.width for parameter in parameters} == {
+        "arm[0]": 2.0,
+        "arm0": 1.0,
+    }

@@ -22,6 +22,8 @@ from pupper_analysis.tools.study.design import DesignBuilder
 from pupper_analysis.tools.study.measures import METRICS
 from pupper_analysis.tools.study.outcome import list_stand_assumptions
 from pupper_analysis.tools.study.parameters import (
+    VariablePattern,
+    find_moving_joints,
     scale_robot,
     with_gains,
     with_ground_friction,
@@ -30,6 +32,7 @@ from pupper_analysis.tools.study.parameters import (
 from pupper_analysis.tools.study.study import hash_designs
 from pupper_analysis.tools.study.variables import BLOCK_SIZE, Sampling, make_variable
 from tests.support import slips
+from tests.support.arm import MJCF, URDF, load_arm
 from tests.support.variants import load, stand_of
 
 
@@ -539,3 +542,10 @@ def test_offset_of_a_design_is_forward_and_to_the_left(fixed: tuple[float, float
     assert METRICS["com_margin"].function(design) == pytest.approx(stand.com_margin, abs=1e-9)
     other = pa.solve_stand(load("v3"), pa.StandTask(offset=(y, x)))
     assert other.com_margin != pytest.approx(stand.com_margin, abs=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["kp", "mass"])
+def test_variable_of_a_joint_with_brackets_selects_the_joint(kind: str, tmp_path: Path) -> None:
+    urdf, mjcf = (text.replace('"elbow"', '"arm[0]"') for text in (URDF, MJCF))
+    robot = load_arm(tmp_path, urdf=urdf, mjcf=mjcf)
+    assert find_moving_joints(robot, VariablePattern(kind, "arm[0]")) == ("arm[0]",)
