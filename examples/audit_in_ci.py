@@ -1,8 +1,8 @@
 """Audit model files in CI.
 
 The output shows each finding as an annotation, which GitHub displays at the line of the file. The
-exit status is 1 if a finding is an error. ``pupper-analysis audit FILE --format github`` prints the
-same from a shell; a script can have rules of its own.
+exit status is 1 if an audit fails. ``pupper-analysis audit FILE --format github`` prints
+annotations from a shell; a script can have rules of its own.
 """
 
 import sys

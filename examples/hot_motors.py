@@ -1,7 +1,7 @@
-"""Predict which motor of a standing robot becomes hot first, with and without a payload.
+"""Predict which motor of a standing robot is closest to its temperature limit.
 
-The output shows, for two payloads, the joint whose motor is closest to its limit, the copper loss
-of all motors and the final temperature of the winding.
+The output shows, without payload and with 2 kg, the joint whose motor is closest to its limit, the
+copper loss of all motors and the final temperature of the winding.
 """
 
 import pupper_analysis as pa
@@ -10,7 +10,7 @@ from pupper_analysis.tools.heat.heat import study_heat
 
 
 def main() -> None:
-    """Print loss and temperature of the hottest motor for two payloads."""
+    """Print the loss of all motors, and the motor closest to its limit, for two payloads."""
     motor = find_motor("dephy-actpack")
     for mass in (0.0, 2.0):
         robot = pa.load_variant("v3")

@@ -1,4 +1,4 @@
-"""Analyses variants of Pupper: ``pupper-analysis analyze`` as a script."""
+"""Analyse variants of Pupper: ``pupper-analysis analyze`` as a script."""
 
 from environment import run_command
 

@@ -113,7 +113,7 @@ FINE_BALL_RADIUS = 0.0055
 """Radius [m] from which the edges of a hull are rounded with more facets."""
 
 ARC_SEGMENTS = 2
-"""Facets in a quarter of a rounded corner of an outline."""
+"""Facets of a quarter circle at a rounded corner of an outline."""
 
 TOLERANCE = 0.0001
 """Distance [m] by which a surface may change to save triangles."""
@@ -173,7 +173,7 @@ VENT_Z = 0.0390
 """Height of the middle of a vent [m]."""
 
 VENT_REACH, VENT_LEAN = 0.012, 0.0035
-"""Distance from there to the vent's upper end, along z and x [m]."""
+"""Distance from the middle of a vent to its upper end, along z and x [m]."""
 
 VENT_DEPTH = 0.004
 """Depth of a vent [m]."""
@@ -542,7 +542,7 @@ def build_hip() -> Trimesh:
 
 
 def build_thigh() -> Trimesh:
-    """Build a right thigh: a cap on the second motor, a bar, and the third motor's housing."""
+    """Build a right thigh: axle and cap of the second motor, bar, housing of the third motor."""
     knee = THIGH_LENGTH * Z
     cap = motor_can(CAP_RADIUS, CAP_FAR - CAP_NEAR)
     cap = difference([cap, bolt_holes(CAP_BOLTS, CAP_FAR - CAP_NEAR)])

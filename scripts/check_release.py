@@ -1,4 +1,4 @@
-"""Check whether a tag may be released: package, citation and changelog must contain its version.
+"""Check whether a tag may be released: project, package, citation and changelog have its version.
 
     python scripts/check_release.py v0.2.0
     python scripts/check_release.py --dist dist
@@ -26,7 +26,7 @@ PROJECT_FOLDER = Path(__file__).resolve().parents[1]
 
 
 def read_versions(root: Path = PROJECT_FOLDER) -> dict[str, str]:
-    """Return {file: version in the file}; for the changelog, the newest release."""
+    """Return {file: version in the file}; for the changelog, the first release; "none" without."""
     text = {
         name: (root / name).read_text(encoding="utf-8")
         for name in (
@@ -94,7 +94,7 @@ def list_faults(folder: Path, root: Path = PROJECT_FOLDER) -> Iterator[str]:
 
 
 def _list_metadata_faults(text: str, project: dict[str, Any], root: Path) -> Iterator[str]:
-    """Yield the metadata that differ from pyproject.toml.
+    """Yield the metadata that differ from pyproject.toml or the README.
 
     Args:
         text: Metadata of the wheel.

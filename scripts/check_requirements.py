@@ -1,9 +1,9 @@
 """Write the requirements of the commands that check models, as a list and as a lock file.
 
-Extras of a package can only add dependencies, and ``pip install pupper-analysis`` installs those of
-stands, too. To check models only, as in CI, this list is installed, and then the package with
-``--no-deps``. The GitHub Action runs in other repositories, on a machine with their secrets, so it
-installs the lock file, which contains a hash of each file.
+Extras of a package can only add dependencies, and ``pip install pupper-analysis`` also installs the
+dependencies that only stands need. To check models only, as in CI, this list is installed, and then
+the package with ``--no-deps``. The GitHub Action runs in other repositories, on a machine with
+their secrets, so it installs the lock file, which contains a hash of each file.
 
     python scripts/check_requirements.py
 """
@@ -45,7 +45,7 @@ PINS = """\
 
 
 def requirement_name(requirement: str) -> str:
-    """Return the name of the package of a requirement."""
+    """Return the name of the package of a requirement, in lower case."""
     found = re.match(r"[A-Za-z0-9._-]+", requirement)
     assert found is not None, requirement
     return found[0].lower()
@@ -57,7 +57,7 @@ def make_requirements() -> str:
     needed = {requirement_name(line): line for line in project["dependencies"]}
     for name in NOT_NEEDED:
         del needed[name]
-    # Pins of placo alone: what it depends on without one is its own, not Pinocchio's.
+    # Of placo's dependencies only the pinned ones, which Pinocchio shares.
     pinned = [line for line in requires("placo") or () if "==" in line and ";" not in line]
     for line in pinned:
         needed.pop(requirement_name(line), None)

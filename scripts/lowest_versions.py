@@ -17,7 +17,7 @@ def lowest_versions(text: str) -> dict[str, str]:
         text: Text of pyproject.toml.
 
     Raises:
-        ValueError: If a requirement has no lower bound.
+        ValueError: If a requirement has no lower bound, or another form, such as extras.
     """
     content = tomllib.loads(text)
     versions = {}

@@ -1,4 +1,4 @@
-"""Drops Pupper v3 and sees that it stands: ``pupper-analysis live --drop`` as a script."""
+"""Drop Pupper v3, and check that it stands: ``pupper-analysis live --drop`` as a script."""
 
 from environment import run_command
 

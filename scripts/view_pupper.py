@@ -1,4 +1,4 @@
-"""Shows Pupper v3 in MuJoCo's viewer: ``pupper-analysis live --mujoco`` as a script."""
+"""Show Pupper v3 in MuJoCo's viewer: ``pupper-analysis live --mujoco`` as a script."""
 
 from environment import run_command
 
