@@ -297,7 +297,10 @@ def compile_error(root: etree._Element) -> str:
 
 
 def count_numbers(mjcf: bytes, path: str, name: str) -> int:
-    """Return the smallest number of values that MuJoCo accepts for an attribute."""
+    """Return the number of values of an attribute in the file, or the smallest that MuJoCo accepts.
+
+    1 if MuJoCo accepts none of the tried numbers.
+    """
     for number in (1, 2, 3, 4, 5, 6, 7, 9, 10):
         root = add_elements(mjcf)
         found = find_elements(root, path)
@@ -467,7 +470,7 @@ def make_table(found: list[tuple[str, dict[str, Any]]]) -> list[tuple[str, str, 
 
 @click.command()
 @click.argument("paths", nargs=-1)
-@click.option("--again", is_flag=True, help="Run those anew of which something is said wrongly.")
+@click.option("--again", is_flag=True, help="Run the cases with a wrong report again.")
 @click.option("--folder", type=click.Path(path_type=Path), default=Path("build/attributes"))
 @click.option("--csv", "to", type=click.Path(path_type=Path), help="Write the table here.")
 def main(paths: tuple[str, ...], again: bool, folder: Path, to: Path | None) -> None:

@@ -102,7 +102,7 @@ def compare_dynamics(config: pa.Configuration, mj: mujoco.MjData) -> Iterator[Ro
     yield "com_jacobian", "MuJoCo", config.com_jacobian(), linear[:, columns]
     expected = np.vstack([model.body_subtreemass[0] * linear, angular])[:, columns]
     yield "centroidal_map", "MuJoCo", config.centroidal_map(), expected
-    if robot.floating:  # Pinocchio does not know the mass of a fixed base
+    if robot.floating:  # Pinocchio's model lacks the mass of a fixed base
         data = pin_model.createData()
         expected = pin.jacobianCenterOfMass(pin_model, data, q) @ mapping
         yield "com_jacobian", "Pinocchio", config.com_jacobian(), expected

@@ -273,8 +273,9 @@ def _make_rows(folder: Path, case: Case) -> Iterator[list[str]]:
 
 
 def _key(row: Sequence[str]) -> tuple[str, ...]:
-    """Return the columns that identify a finding in another run: all but counts, lines and
-    judgement.
+    """Return the columns that identify a finding in another run.
+
+    These are all columns but commit, sources, numbers, lines and judgement.
     """
     return (row[0], row[2], *row[5:10])
 

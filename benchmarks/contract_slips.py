@@ -2,11 +2,12 @@
 
     python benchmarks/contract_slips.py FOLDER
 
-FOLDER is that of `benchmarks/contract.py`. Five robots are used whose trainer and deployment agree,
-or whose differences are known. A mistake is an edit of a line of a file: the order of three
+FOLDER is that of `benchmarks/contract.py`. The robots of `PAIRS` are used, whose trainer and
+deployment agree, or whose differences are known. A mistake is an edit of a file: the order of three
 numbers, a sign, a scale, a default angle, a gain, a limit, or degrees instead of radians. It is
-found if there is a new finding of this quantity, at the edited line and a line of another file. The
-exit status is 1 if a mistake is not found.
+found if there is a new finding of this quantity, at the edited line and a line of another file; for
+order, sign and unit, the finding must also name this mistake. The exit status is 1 if a mistake is
+not found.
 """
 
 from __future__ import annotations
@@ -263,7 +264,7 @@ def run_case(home: Path, case: Case, slots: dict[str, Slot]) -> Iterator[tuple[s
 @click.command()
 @click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
 def main(folder: Path) -> None:
-    """Plant 60 mistakes into copies of the sources of five public robots."""
+    """Plant the mistakes of `SLIPS` into copies of the sources of each robot of `PAIRS`."""
     known = {(one.repository, one.robot): one for one in list_cases()}
     count, lost = 0, 0
     for key, slots in PAIRS.items():

@@ -67,7 +67,8 @@ CONVERTED = {
 def convert_with_mujoco(urdf: Path, share: Path, folder: Path) -> Path:
     """Write the MJCF that MuJoCo makes of a URDF, with a free joint, and return its path.
 
-    Visual shapes, and collision meshes in other formats than STL and OBJ, are left out.
+    Visual shapes, and collision meshes that are missing or in other formats than STL and OBJ, are
+    left out.
 
     Args:
         urdf: The URDF.

@@ -126,7 +126,7 @@ def make_row(name: str, edit: Edit, robot: pa.Robot, stand: pa.Stand, folder: Pa
         own = pa.load_robot(urdf=urdf, mjcf=mjcf)
         found = study_stance(own, stand.task)
         verdict = format_verdict(found.verdict)
-        unreserved = found.verdict.code is VerdictCode.HOLDS  # any other names what it rests on
+        unreserved = found.verdict.code is VerdictCode.HOLDS  # others state a condition
         with contextlib.suppress(pa.PupperAnalysisError):
             rest = pa.steady_state(own, pa.solve_stand(own, stand.task))
             predicted = float(stand.qpos[2] - rest.qpos[2])

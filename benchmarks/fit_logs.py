@@ -5,10 +5,10 @@
 
 The effects are, for example, Stribeck friction, a dead band and motor lag. Masses, CoM positions,
 encoder offsets, kp, friction, damping and armature have random errors, as in ``fit_motions.py``.
-Servos are explicit torques; friction is a bristle with higher static than sliding friction. Another
-motion (other sines and steps) is predicted, not fitted. The table contains the number of intervals
-that contain the true value, for values that the measurements determine (friction only if it is a
-single number), and the error of kp over mass.
+Servos are MuJoCo's, with applied torques for the effects; friction is a bristle, in some cases with
+higher static than sliding friction. Another motion (other sines and steps) is predicted, not
+fitted. The table contains the number of intervals that contain the true value, for values that the
+measurements determine (friction only if it is a single number), and the error of kp over mass.
 
 In a second fit only kp, friction, damping and armature are unknown (as after weighing all parts):
 by ``fit`` with ``--prior mass=0`` and so on, and with ``--sysid`` by ``mujoco.sysid`` (``pip

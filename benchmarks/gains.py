@@ -71,8 +71,9 @@ MIN_DEVIATION = 1e-5
 """Deviation of a joint [rad] below which a robot counts as at rest."""
 
 MIN_GROWTH = 2 ** (6 / 12)
-"""Growth of a deviation from the sixth second to the last second, 6 s later, from which a robot
-counts as unstable: `gains` calls a mode unstable if it doubles within 12 s."""
+"""Growth of the largest deviation from the sixth second to the last three of 12 s, from which a
+robot counts as unstable: the growth in 6 s of a mode that doubles within 12 s, the bound of
+`gains`."""
 
 RTOL = 0.02
 """Relative tolerance of the bisection."""

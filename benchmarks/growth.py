@@ -1,5 +1,5 @@
-"""Growth of processor time with the number of variants, configurations, stands and simulations, and
-with the number of joints and contacts of a robot."""
+"""Growth of the time with the number of variants, configurations, stands and simulations, and of
+the processor time with the number of joints and contacts of a robot."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COUNTS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 
 
 def measure_growth(variant: str, most: int, seconds: float) -> dict[str, list[tuple[int, float]]]:
-    """Return {computation: points (number, time [s])}.
+    """Return {computation: points (number, elapsed time [s])}.
 
     Args:
         variant: Name of the robot.
@@ -174,7 +174,7 @@ def fit_exponent(points: Sequence[tuple[int, float]]) -> float:
 
 
 def draw_growth(found: dict[str, list[tuple[int, float]]], path: Path) -> None:
-    """Draw processor time [s] against number, with logarithmic axes.
+    """Draw time [s] against number, with logarithmic axes.
 
     One panel has the calls, two the sizes of generated robots.
     """

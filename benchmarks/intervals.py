@@ -40,7 +40,8 @@ SPEED_TOLERANCE, TURNING_TOLERANCE = 0.175, 0.1
 `walk`, 25 % of the command and 0.05 m/s."""
 
 RANGES = {"payload": (0.0, 2.0), "kp": (1.0, 8.0), "friction": (1.0, 0.05), "strength": (1.0, 0.05)}
-"""{quantity: value of the unchanged robot, and end of the searched range}."""
+"""{quantity: value of the unchanged robot, and end of the searched range}. The payload is relative
+to the mass of the robot; the others are factors."""
 
 HALVINGS = 6
 """Number of bisections of the separate loop."""

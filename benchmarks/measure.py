@@ -157,7 +157,7 @@ def take_turns(
 
     Args:
         jobs: Functions to call.
-        repeats: Minimum number of turns.
+        repeats: Minimum number of calls of each job.
         seconds: Minimum duration of the measurement [s].
         clock: Function that returns the time [s].
 

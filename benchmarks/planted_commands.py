@@ -7,8 +7,8 @@ that MuJoCo converts from the published URDF, as if only one of two files had th
 gets the URDF alone. A command *notices* a defect if
 
 - ``audit``: a finding that the published file does not have names the edited link or joint;
-- ``crosscheck``: a difference or error that the published pair does not have names it (for a
-  defect of the whole file: there is such a text);
+- ``crosscheck``: a difference, cause, note or error that the published pair does not have names it
+  (for a defect of the whole file: there is such a text);
 - ``stand``: the command refuses the file or fails, and the published file does not, or a new note
   or statement names it.
 """
@@ -62,7 +62,7 @@ def names_place(texts: Iterable[str], places: set[str]) -> bool:
 
 
 def compare(urdf: Path, mjcf: Path, share: Path) -> list[str]:
-    """Return the differences that `crosscheck` reports, or its error."""
+    """Return the differences, causes and notes that `crosscheck` reports, or its error."""
     try:
         found = pa.compare_models(urdf, mjcf, packages={PACKAGE: share})
     except pa.PupperAnalysisError as error:

@@ -2,11 +2,11 @@
 ratios.
 
 Our function and the engine's run alternately, and their processor times are compared, since the
-machine may do other work. The recorded ratio is the smallest of three medians. If a ratio is too
-large, it is measured again after a pause. If it is still too large, the checkout that recorded the
-ratio is measured alternately with this one: other processes slow Python more than an engine (J,
-com, M, g took 1.67 times the engine's time in one hour and 2.1 in the next), and they slow both
-checkouts equally.
+machine may do other work. The recorded ratio is the smallest of three ratios of medians. If a ratio
+is too large, it is measured again after a pause. If it is still too large, the checkout that
+recorded the ratio is measured alternately with this one: other processes slow Python more than an
+engine (J, com, M, g took 1.67 times the engine's time in one hour and 2.1 in the next), and they
+slow both checkouts equally.
 """
 
 from __future__ import annotations

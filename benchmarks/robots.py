@@ -6,8 +6,8 @@ r"""Known robots: results of audit, crosscheck, stand and hold for the files of 
 
 Each URDF and MJCF in the folders is a robot, and so are the pairs of `corpus.py`. The commands run
 in separate processes. Rows are written to `docs/data/robots-of-packages.csv`, which the
-documentation shows. A robot with unchanged files is not run again, except with `--again`. `--check`
-writes nothing, and ends with status 1 if a row would change.
+documentation shows. A robot with unchanged files is not run again, except with `--again` or
+`--check`. `--check` writes nothing, and ends with status 1 if a row would change.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ def _list_audit_defects(audits: Sequence[tuple[dict[str, Any], str]]) -> Iterato
 
 
 def _list_verdict_defects(verdict: dict[str, Any] | None) -> Iterator[str]:
-    """Yield the reasons of a failed verdict: with feed-forward, then by position commands alone."""
+    """Yield the reasons of a failed verdict: with feed-forward, without, then the remarks."""
     if verdict is None or verdict["passed"]:
         return
     for one in (*verdict["failures"], *verdict["failures_alone"], *verdict["remarks"]):

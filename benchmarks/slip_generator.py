@@ -40,7 +40,7 @@ NAMES = {
     "target",
     "tendon",
 }
-"""Attributes that contain words, or have no effect."""
+"""Attributes whose numbers are not edited: most contain names, or have no effect."""
 
 VISUAL_TAGS = {
     "visual",
@@ -53,7 +53,7 @@ VISUAL_TAGS = {
     "color",
     "size",
 }
-"""Elements that affect only the appearance."""
+"""Elements that are not edited: most affect only the appearance."""
 
 
 def change_one(change: Callable[[float], float]) -> Change:
@@ -86,7 +86,7 @@ def _roll(values: list[float], _: np.random.Generator) -> list[float]:
 
 
 def _drop_last_digit(value: float) -> float:
-    """Return a number without its last digit."""
+    """Return a number without its last digit; a tenth of a number with a single digit."""
     text = f"{value:.9g}"
     try:
         return float(text[:-1])
@@ -325,7 +325,7 @@ def _pick(items: list[object], random: np.random.Generator) -> object:
 
 
 def _list_physical_elements(root: Element) -> list[Element]:
-    """Return the elements that affect the dynamics."""
+    """Return the elements that may be edited: those outside of `VISUAL_TAGS`."""
     return [
         element
         for element in root.iter(etree.Element)

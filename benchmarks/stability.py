@@ -126,7 +126,10 @@ def draw_cases(count: int, seed: int = 0) -> Iterator[Case]:
 
 
 def read_cases(paths: list[str]) -> Iterator[Case]:
-    """Yield MJCFs at their keyframes, with half, once and twice their time step."""
+    """Yield MJCFs at their first keyframes, with half, once and twice the time step of the file.
+
+    Files without a keyframe are left out.
+    """
     for path in paths:
         for factor in (0.5, 1.0, 2.0):
             model = mujoco.MjModel.from_xml_path(path)

@@ -1,4 +1,4 @@
-"""Random stands with independent checks: `python benchmarks/stances.py` prints a table.
+"""Random stands with independent checks: `python benchmarks/stances.py` prints two tables.
 
 The checks share no code with the package's solvers: MuJoCo's kinematics of the MJCF, bounded least
 squares from random initial guesses, and linear programs with MuJoCo's CoM and weight.

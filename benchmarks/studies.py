@@ -5,7 +5,7 @@
     python benchmarks/studies.py efficiency        # 1 and 2 processes, 100 ms per design
     python benchmarks/studies.py overhead          # time per trivial design; memory
     python benchmarks/studies.py finding           # how large v3 may be, with a figure
-    python benchmarks/studies.py dask 2000         # two Dask workers against a bare loop
+    python benchmarks/studies.py dask 2000         # two Dask workers against two bare loops
     python benchmarks/studies.py scheduler 100000 --workers 1000  # workers that return rows at once
     python benchmarks/studies.py store 1000000     # rows: writing, reading, size
     python benchmarks/studies.py kills 20          # of the parent, of a worker
@@ -66,7 +66,10 @@ def peak_memory() -> float:
 
 
 def reduce_axes(count: int) -> dict[str, object]:
-    """Return the variables of at most 10,000 designs, with fewer values of the scales if fewer."""
+    """Return the variables of about ``count`` designs, at least 400 and at most 10,000.
+
+    For fewer designs, the two scales have fewer values.
+    """
     axes: dict[str, object] = dict(AXES)
     size = 10_000
     for name in ("leg_scale", "torso_mass_scale"):
@@ -277,7 +280,7 @@ def test_kills(count: int, kinds: tuple[str, ...]) -> None:
 
 
 def loop_over_part(count: int, part: int, parts: int) -> float:
-    """Evaluate a part of at most ``count`` designs without a store; return processor time [s]."""
+    """Evaluate a part of about ``count`` designs without a store; return processor time [s]."""
     import numpy as np
 
     study = pa.Study("v3", reduce_axes(count), SAG)

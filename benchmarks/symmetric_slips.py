@@ -16,7 +16,11 @@ Element = etree._Element
 
 
 def list_legs(tree: UrdfTree) -> list[list[UrdfJoint]]:
-    """Return the moving joints of each of the four legs, from the base outwards."""
+    """Return the moving joints of each of the four legs of three joints, from the base outwards.
+
+    Raises:
+        AssertionError: If there are not four such legs.
+    """
     found = []
     for first in tree.moving:
         chain = [first]
@@ -36,7 +40,7 @@ def list_legs(tree: UrdfTree) -> list[list[UrdfJoint]]:
 
 Change = Callable[[UrdfTree, UrdfJoint], None]
 Slip = Callable[[UrdfTree, list[UrdfJoint]], None]
-"""Of one leg."""
+"""Function that writes a mistake into one leg: the tree, and the joints of the leg."""
 
 
 def _change_part(part: int, change: Change) -> Slip:
@@ -94,7 +98,7 @@ def _write_limits_in_degrees(_: UrdfTree, joint: UrdfJoint) -> None:
 
 
 def _flip_limits(_: UrdfTree, joint: UrdfJoint) -> None:
-    """Change the sign of the limits of a joint."""
+    """Replace the range [lower, upper] of a joint by [-upper, -lower]."""
     limit = joint.element.find("limit")
     lower, upper = (float(limit.get(name, "0")) for name in ("lower", "upper"))
     limit.set("lower", repr(-upper))

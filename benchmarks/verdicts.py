@@ -9,12 +9,12 @@ command continues after the last case.
 
 The independent simulation loads the MJCF with ``mujoco`` alone, and adds the payload, the slope and
 the servos of the case. It starts in the stand with the commands of the verdict (``ctrl = q* + tau /
-kp``), without a nudge and with six nudges of the base of 0.05 m/s, and lasts for 20 s. The worst of
-the seven runs counts: the robot *falls* if the CoM loses 40 % of the height, the base tilts by 40
-deg, or MuJoCo resets the state; it *stands* if the CoM has lost less than 10 %, the base has tilted
-by less than 10 deg, the CoM has moved by less than 30 % of its height, and no speed exceeds 0.02
-m/s or rad/s in the last 2 s. All other outcomes are *between*. The unmodified file is simulated
-from the keyframe in the same way.
+kp``), without a nudge and with six nudges of the base of 0.05 m/s, and lasts for 20 s, or until the
+robot falls or is at rest. The worst of the seven runs counts: the robot *falls* if the CoM loses 40
+% of the height, the base tilts by 40 deg, or MuJoCo resets the state; it *stands* if the CoM has
+lost less than 10 %, the base has tilted by less than 10 deg, the CoM has moved by less than 30 % of
+its height, and no speed exceeds 0.02 m/s or rad/s in the last 2 s. All other outcomes are
+*between*. The unmodified file is simulated from the keyframe in the same way.
 
 A verdict is a *false HOLDS* if it passes and the robot falls, or if a file with servos falls from
 its keyframe (two thirds of the sound files have servos, and all edited files). It is a *false
@@ -105,7 +105,10 @@ def change_numbers(
 def change_one_of_list(
     attribute: str, change: Callable[[float], float], random: Random, text: str
 ) -> str:
-    """Change a single number, not zero, in one list of an attribute."""
+    """Change a single number, not zero, in one list of an attribute.
+
+    The third and fourth numbers are kept: base height and first quaternion entry of a ``qpos``.
+    """
     found = list(re.finditer(rf'(?<= {attribute}=")[^"]+(?=")', text))
     if not found:
         return text

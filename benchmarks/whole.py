@@ -23,8 +23,7 @@ from pupper_analysis.tools.analyze.analysis import analyze_variant, measure_leg_
 from pupper_analysis.tools.analyze.document import analysis_document
 
 STEP = 0.02
-"""Step [rad] of the grid search. The tutorial does not state its step; with this one, the search
-takes as long as our solver."""
+"""Step [rad] of the grid search. Chosen, not tuned: the tutorial does not state its step."""
 
 
 def jobs(variant: str) -> list[Job]:
