@@ -7,6 +7,7 @@ cross-check run in parallel threads.
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
@@ -132,7 +133,7 @@ class FootJacobian(Result):
         singular_values: Singular values of the matrix, shape (min(3, n),), in descending order
             (m/rad).
         condition: Ratio of the largest to the smallest singular value: 1 is isotropic, infinity
-            singular.
+            singular or without joints.
     """
 
     joints: tuple[str, ...]
@@ -295,7 +296,7 @@ def compute_leg_jacobians(config: Configuration) -> dict[str, FootJacobian]:
             joints=joints,
             matrix=full[:, columns],
             singular_values=values,
-            condition=float(values[0] / values[-1]) if values[-1] > 0 else float("inf"),
+            condition=float(values[0] / values[-1]) if values.size and values[-1] > 0 else math.inf,
         )
     return jacobians
 

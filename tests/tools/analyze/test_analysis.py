@@ -83,6 +83,25 @@ def test_leg_jacobian_of_a_planar_leg() -> None:
         assert jacobian.condition == pytest.approx(np.linalg.cond(jacobian.matrix))
 
 
+def test_foot_that_no_joint_moves_has_a_jacobian_without_columns(tmp_path: Path) -> None:
+    """The foot of the tiny robot, moved from the hand to the base."""
+    toe = '<origin xyz="0 0 -0.1"/>\n    <parent link="hand"/><child link="foot"/>'
+    shape, site = (
+        f'<{word} pos="0 0 -0.1"/>'
+        for word in ('geom type="sphere" size="0.02"', 'site name="foot"')
+    )
+    assert toe in TINY_URDF
+    urdf = TINY_URDF.replace(toe, toe.replace("hand", "base"))
+    mjcf = TINY_MJCF.replace(shape, "").replace(site, "")
+    mjcf = mjcf.replace("<freejoint/>", f"<freejoint/>{shape}{site}")
+    files = write(tmp_path, urdf, mjcf)
+    robot = pa.load_robot(urdf=files.urdf, mjcf=files.mjcf, feet=["foot"])
+    jacobian = compute_leg_jacobians(pa.Configuration(robot, robot.neutral()))["foot"]
+    assert jacobian.joints == ()
+    assert jacobian.matrix.shape == (3, 0)
+    assert jacobian.condition == np.inf
+
+
 @pytest.mark.slow
 def test_failed_verification_and_failed_cross_check_are_reported() -> None:
     """Motors of 0.2 N m where knees hold 0.36 N m, and a body of 10 g more in the MJCF."""
