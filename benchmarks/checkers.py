@@ -65,7 +65,7 @@ PACKAGE = "example-robot-data"
 def run_audit(path: Path, share: Path, _: Path) -> Said:
     """Return the errors and warnings of this package's ``audit``."""
     found = pa.audit_model(path, packages={PACKAGE: share}).findings
-    return Counter(f"{one.rule} {one.element}" for one in found if one.severity != "info")
+    return Counter(f"{one.rule} {one.element}" for one in found if one.severity != "note")
 
 
 def _run(words: list[str], share: Path, within: Path) -> str:

@@ -115,7 +115,7 @@ def add_audit(result: dict[str, Any], path: Path) -> None:
         errors, warned = audit.counts["error"], audit.counts["warning"]
         result["audit"] = "ERRORS" if errors else "WARNINGS" if warned else "OK"
         result["rules"] = sorted(
-            {found.rule for found in audit.findings if found.severity != "info"}
+            {found.rule for found in audit.findings if found.severity != "note"}
         )
 
 

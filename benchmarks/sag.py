@@ -150,7 +150,9 @@ def make_cases(
 
 @main.command()
 @click.option("--variant", type=click.Choice(list(pa.VARIANTS)), multiple=True)
-@click.option("--swing", type=float, multiple=True, default=(0.002, 0.006, 0.02), show_default=True)
+@click.option(
+    "--swing", "lift", type=float, multiple=True, default=(0.002, 0.006, 0.02), show_default=True
+)
 @click.option("--times", type=float, multiple=True, default=(1.05, 1.5, 3.0), show_default=True)
 @click.option("--verbose", is_flag=True, help="Print every case.")
 def lifted(

@@ -5,17 +5,21 @@ from __future__ import annotations
 import ast
 import csv
 import importlib
+import inspect
 import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+import click
 import numpy as np
 import orjson
 import pytest
 from click.testing import CliRunner
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import Severity
 from tests.support.repository import ROOT, benchmark
 from tests.support.variants import load, stand_of
 
@@ -65,6 +69,39 @@ def test_names_that_benchmarks_import_exist(folder: str) -> None:
     for module, name in sorted(wanted):
         if not hasattr(importlib.import_module(module), name):
             importlib.import_module(f"{module}.{name}")
+
+
+def test_commands_of_benchmarks_accept_the_names_of_their_parameters() -> None:
+    """Most commands are run by no test, so a parameter of another name would not be noticed."""
+    tried = 0
+    for path in sorted((ROOT / "benchmarks").glob("*.py")):
+        if "import click" not in path.read_text():
+            continue
+        for top in {id(each): each for each in vars(benchmark(path.stem)).values()}.values():
+            for command in [top, *getattr(top, "commands", {}).values()]:
+                if not isinstance(command, click.Command) or command.callback is None:
+                    continue
+                accepted = inspect.signature(command.callback).parameters
+                given = {each.name for each in command.params if each.expose_value}
+                assert given == set(accepted), f"{path.name}: {command.name}"
+                tried += 1
+    assert tried > 20
+
+
+def test_notes_of_audit_are_no_mistakes_found_by_a_checker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An audit with one finding of each severity."""
+    findings = [
+        SimpleNamespace(rule=severity, element="leg", severity=severity) for severity in Severity
+    ]
+    audit = SimpleNamespace(findings=findings, counts=dict.fromkeys(Severity, 1))
+    monkeypatch.setattr(pa, "audit_model", lambda *_, **__: audit)
+    found = benchmark("checkers").run_audit(tmp_path, tmp_path, tmp_path)
+    assert found == {"error leg": 1, "warning leg": 1}
+    result: dict[str, object] = {}
+    benchmark("one_slip").add_audit(result, tmp_path)
+    assert result["rules"] == ["error", "warning"]
 
 
 def test_published_robots_are_found_and_processes_are_measured(
