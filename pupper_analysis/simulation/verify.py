@@ -332,10 +332,13 @@ def verify_stand(
         and remains_small(drive.model, run.states[-1], ctrl, nudge)
     )
     failures += find_instability(result.stability, nudge, bounces=bounces)
-    stays = not failures or _are_failures_of_mismatch(robot, result, failures)
+    stays = not result.collapses and (
+        not failures or _are_failures_of_mismatch(robot, result, failures)
+    )
     if feedforward:
         failures += _find_deviations(robot, stand, record, result, stays=stays)
-        failures += _describe_height_loss(result, reference.com_height, failures)
+    failures += _describe_height_loss(result, reference.com_height, failures)
+    if feedforward:
         failures.sort(key=lambda failure: failure.code != TWO_ROBOTS_CODE)  # the cause first
     elif settled is not None and not settled.failures and _is_fixed_without_feet(robot, stand):
         failures += _compare_with_equilibrium(robot, result, settled)
@@ -645,20 +648,24 @@ def _compare_with_prediction(
 def _describe_height_loss(
     result: StandVerification, com_height: float, failures: Sequence[Diagnostic]
 ) -> list[Diagnostic]:
-    """Report that the base of a simulated robot with feed-forward settles too far below the stand.
+    """Report that the base of a simulated robot settles too far below the stand.
 
-    The result is empty if the height loss is `MAX_SINKING_RATIO` times ``com_height`` at most, or
-    if the robot collapses and ``failures`` state why.
+    The limit of the height loss is `MAX_SINKING_RATIO` times ``com_height``. Without feed-forward,
+    sag is expected, and only a collapse is reported. Empty also if the robot collapses and
+    ``failures`` state why.
 
     Args:
-        result: Simulation with feed-forward, compared with the prediction.
+        result: Simulation, compared with the prediction.
         com_height: CoM height of the stand above the feet [m].
         failures: Failures so far.
     """
     share = result.height_loss / com_height
-    if share <= MAX_SINKING_RATIO or (result.collapses and failures):
+    is_lost = share > MAX_SINKING_RATIO if result.feedforward else result.collapses
+    if not is_lost or (result.collapses and failures):
         return []
     loss, sunk = Quantity(result.height_loss, "m"), Quantity(result.contact_sag, "m")
+    if not result.feedforward:
+        return [diagnose("sags-too-far", loss=loss, share=share)]
     return [diagnose("height-lost", loss=loss, share=share, sunk=sunk)]
 
 

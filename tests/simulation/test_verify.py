@@ -612,19 +612,26 @@ def test_creep_of_a_slide_is_a_speed_and_that_of_a_hinge_a_rate() -> None:
 
 
 @pytest.mark.parametrize(
-    ("loss", "collapses", "has_failures", "codes"),
+    ("loss", "feedforward", "collapses", "has_failures", "codes"),
     [
-        (0.005, False, False, []),
-        (0.02, False, False, ["height-lost"]),
-        (0.04, True, False, ["height-lost"]),
-        (0.04, True, True, []),
+        (0.005, True, False, False, []),
+        (0.02, True, False, False, ["height-lost"]),
+        (0.04, True, True, False, ["height-lost"]),
+        (0.04, True, True, True, []),
+        (0.02, False, False, False, []),
+        (0.04, False, True, False, ["sags-too-far"]),
+        (0.04, False, True, True, []),
     ],
 )
-def test_a_robot_that_sinks_far_into_the_ground_fails(
-    loss: float, collapses: bool, has_failures: bool, codes: list[str]
+def test_a_robot_that_loses_much_height_fails(
+    loss: float, feedforward: bool, collapses: bool, has_failures: bool, codes: list[str]
 ) -> None:
-    """A loss of 0.04 m of 0.1 m is a collapse (above 30 %), but no fall (above 50 %)."""
-    result: Any = SimpleNamespace(height_loss=loss, contact_sag=loss, collapses=collapses)
+    """A loss of 0.04 m of 0.1 m is a collapse (above 30 %), but no fall (above 50 %). Without
+    feed-forward, servos sag, and a smaller loss is no failure.
+    """
+    result: Any = SimpleNamespace(
+        height_loss=loss, contact_sag=loss, collapses=collapses, feedforward=feedforward
+    )
     failures = describe_deviations(1.0, 0.0) if has_failures else []
     found = verify._describe_height_loss(result, 0.1, failures)
     assert [message.code for message in found] == codes
