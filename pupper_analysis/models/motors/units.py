@@ -31,7 +31,7 @@ class UnitKind:
     """Kind of quantity.
 
     Attributes:
-        unit: Unit of the result: SI unit, degC for temperatures, USD for prices.
+        unit: Unit of the result: SI unit, degC for temperatures, US dollars for prices.
         factors: {accepted unit: factor to ``unit``}; "" for a number without unit.
         offset: {unit: value that is added after the multiplication}, for temperatures.
         signed: Whether zero and negative values down to -273.15 are accepted (temperatures in
