@@ -440,7 +440,8 @@ def apply_stance_values(task: StandTask, numbers: Mapping[str, float]) -> StandT
 
     Args:
         task: Stand task.
-        numbers: {variable: value [m, rad]}; variables that are not stance variables are ignored.
+        numbers: {variable: value in the unit of the field}; variables that are not stance variables
+            are ignored.
 
     Raises:
         ConfigurationError: If a value is out of range, or contradicts another value of the task.
@@ -526,7 +527,7 @@ STAND_FAILURES = (
     NotSettlingError,
 )
 """Errors that mean that the robot of a design cannot stand in the stance. A metric then has its
-``fallen`` value; after other errors its value is unknown."""
+``fallen`` value, if it defines one; after other errors its value is unknown."""
 
 
 def classify_failure(error: BaseException) -> str:
@@ -554,9 +555,10 @@ def measure_design(
 ) -> DesignRow:
     """Build a design, evaluate all metrics, and return the row of the table with the results.
 
-    After a failure the other metrics are still evaluated; the row records the first failure. A
-    metric may define a value for robots that do not stand (``fallen``), which it gets if the error
-    is in `STAND_FAILURES`. ``numbers`` are {variable: value in the unit of the variable}.
+    If a metric fails, the other metrics are still evaluated; the row records the first failure. If
+    the design cannot be built, no metric is evaluated. A metric may define a value for robots that
+    do not stand (``fallen``), which it gets if the error is in `STAND_FAILURES`. ``numbers`` are
+    {variable: value in the unit of the variable}.
     """
     row: DesignRow = dict.fromkeys(FAILURE_COLUMNS)
     try:

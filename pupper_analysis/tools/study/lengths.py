@@ -1,13 +1,14 @@
 """Stretched links: geometry, mass and inertia of the links of a robot, in the URDF and the MJCF.
 
 A link is stretched along the line from the joint of the link to the next joint, or to the foot. The
-component of this line along the axis of the joint at its end is removed, so that a lateral offset
-remains. With the unit vector u of the line, the factor s and A = 1 + (s - 1) u u^T, positions
-become p' = A p. The density is constant, so that m' = s m, and the second moments become S' = s A S
-A^T, where S = tr(I)/2 1 - I and I' = tr(S') 1 - S'. Links that are fixed to a stretched link are
-stretched as well. A shape with a principal axis along u is lengthened; any other primitive shape
-keeps its size and is moved, and a mesh without such an axis is refused. Both ends of a geom with
-``fromto`` are moved, whatever its axis.
+component of this line along the axis of the next joint (for a foot, of the link's own joint) is
+removed, so that a lateral offset remains. With the unit vector u of the line, the factor s and
+A = 1 + (s - 1) u u^T, positions become p' = A p. The density is constant, so that m' = s m, and the
+second moments become S' = s A S A^T, where S = tr(I)/2 1 - I and I' = tr(S') 1 - S'. Links that are
+fixed to a stretched link are stretched as well. Boxes and meshes with a principal axis along u, and
+cylinders and capsules whose axis is along u, are lengthened. Any other primitive shape keeps its
+size and is moved, and a mesh without such an axis is refused. Both ends of a geom with ``fromto``
+are moved, whatever its axis.
 """
 
 from __future__ import annotations
@@ -163,7 +164,8 @@ def stretch_links(
         before scaling, and added afterwards. Unchanged for a fixed base or without feet.
 
     Raises:
-        ConfigurationError: If a link has no length, or does not end at exactly one joint or foot.
+        ConfigurationError: If a link is the base, has no length, or does not end at exactly one
+            joint or foot.
         ModelError: If no axis of a mesh is along the stretch.
     """
     urdf, mjcf = trees
@@ -302,7 +304,7 @@ def _stretch_body(
         transform: A, shape (3, 3), and b, shape (3,) [m]: points p of the body frame move to
             A p + b.
         factor: Factor on the mass.
-        meshes: Mesh geoms are appended here: {mesh name: (geom, factors along its axes)}.
+        meshes: Mesh geoms are appended here: {mesh name: [(geom, factors along its axes)]}.
     """
     matrix, shift = transform
     if inertia.mass > 0:
@@ -332,7 +334,7 @@ def _stretch_geom(
         geom: Geom.
         matrix: A, shape (3, 3).
         shift: b, shape (3,) [m].
-        meshes: Mesh geoms are appended here: {mesh name: (geom, factors along its axes)}.
+        meshes: Mesh geoms are appended here: {mesh name: [(geom, factors along its axes)]}.
 
     Raises:
         ModelError: If the geom is a mesh, and the stretch is along none of its axes.

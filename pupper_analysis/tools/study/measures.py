@@ -260,8 +260,9 @@ def survives_set_down(design: Design) -> bool:
     """Return True if the robot stands after it is set down from `SET_DOWN_HEIGHT`.
 
     The servos hold the positions of the stand, without feed-forward; the base starts at rest. The
-    robot must have an equilibrium in which it stays up. It must neither have fallen in one of the
-    checked states, nor have collapsed in the last one (`StandReference.has_collapsed`).
+    robot must have an equilibrium in which it stays up. The simulation must not diverge; the robot
+    must neither have fallen in one of the checked states, nor have collapsed in the last state
+    (`StandReference.has_collapsed`).
 
     Raises:
         NotStandingError: If the robot does not stay up in the predicted equilibrium.
@@ -284,7 +285,8 @@ def survives_set_down(design: Design) -> bool:
 
 
 _NUM_SET_DOWN_CHECKS = 50
-"""Number of states of `survives_set_down` that are checked for a fall. Chosen, not tuned."""
+"""Smallest number of states of `survives_set_down` that are checked for a fall, if the simulation
+has as many. Chosen, not tuned."""
 
 
 def _find_peak(values: NDArray[np.float64]) -> float:
@@ -354,8 +356,8 @@ def make_metric(requested: str | MetricFunction) -> Metric:
             function at the top level of a module, so that other processes can import the function.
 
     Raises:
-        ConfigurationError: If the name is unknown, a file is missing or not needed, or the function
-            has another signature, cannot be pickled or has the name of a metric.
+        ConfigurationError: If the name is unknown, a file is missing or not needed, or the argument
+            is no function of two arguments, cannot be pickled or has the name of a metric.
         ModelError: If the file cannot be used.
     """
     if isinstance(requested, str):
@@ -456,8 +458,7 @@ def fingerprint_metric(metric: Metric) -> str:
 
     The text is the fingerprint of the function for a metric that the user wrote; otherwise the
     name, and for a metric that reads a file (``NAME:FILE``, such as a policy) also the hash of this
-    file. Changes of the package's own metrics increase
-    `METRICS_REVISION` instead.
+    file. Changes of the package's own metrics increase `METRICS_REVISION` instead.
     """
     function = metric.function
     metric_name = f"{metric.name} {metric.content}".rstrip()

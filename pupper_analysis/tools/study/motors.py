@@ -63,8 +63,7 @@ def make_motor_variable(name: str, requested: object) -> tuple[Variable, dict[fl
 
     Args:
         name: Name of the variable, for messages.
-        requested: Names of motors or files, or a single one; or a variable in the form of
-            `Variable.to_dict`.
+        requested: Names of motors or files, or a single one; or {"values": names or files}.
 
     Returns:
         Variable; {code of the variable: motor}.

@@ -52,11 +52,12 @@ class Failures(Result):
     Attributes:
         kind: Failure kind.
         metric: Metric that failed in the first design with this failure; None if the design could
-            not be built.
+            not be built, exceeded the time limit or ended its worker.
         designs: Number of designs with this failure.
-        share: Fraction of all designs.
+        share: Fraction of the stored designs.
         reason: Reason for the first design with this failure, in English.
-        diagnostic: Reason as a diagnostic; None if the folder is of an older version.
+        diagnostic: Reason as a diagnostic; None if the stored record cannot be read, for example
+            of an older version.
     """
 
     kind: str

@@ -154,8 +154,8 @@ def map_joint_bodies(robot: Robot) -> dict[str, str]:
 
 
 _RESULT_RTOL = 1e-9
-"""Tolerance of `_check_result`: relative for masses, in m for centres of mass. Covers rounding.
-Chosen, not tuned."""
+"""Tolerance of `_check_result`: relative for masses (plus 1e-15 kg), in m for centres of mass.
+Covers rounding. Chosen, not tuned."""
 
 
 def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
@@ -171,10 +171,11 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
             ``com_z`` is an offset [m] in the axes of the URDF's link.
 
     Raises:
-        ConfigurationError: If a value is out of range, a stretched link has no length or more than
-            one end, or the CoM of a fixed base would be moved.
+        ConfigurationError: If a value is out of range, a stretched link is the base or has no
+            length or not exactly one end, or the CoM of a fixed base would be moved.
         UnknownNameError: If a pattern matches nothing.
-        ModelError: If a model cannot be built, or does not have the requested masses.
+        ModelError: If a model cannot be built, or does not have the requested masses and centres of
+            mass.
     """
     factors_by_kind: dict[str, dict[str, float]] = {}
     offsets: dict[str, Array] = {}
@@ -248,8 +249,8 @@ def _scale_value(
     Args:
         tree: Tree of the URDF or the MJCF.
         link: Link whose mass or inertia is scaled, with the links fixed to it; used only for the
-            kinds ``BODY_VARIABLE_KINDS``.
-        kind: What is scaled: one of ``BODY_VARIABLE_KINDS``, or the kind of a joint parameter.
+            kinds ``mass`` and ``inertia``.
+        kind: ``mass``, ``inertia``, or the kind of a joint parameter.
         joint: Joint whose parameter is scaled, for all other kinds.
         factor: Factor.
         robot: Robot of the files, for error messages.
@@ -389,7 +390,7 @@ def with_gains(
 
 
 def without_visuals(description: Description) -> Description:
-    """Return a description without visual geoms, unused meshes and textures in the MJCF.
+    """Return a description without visual geoms, unused meshes and all textures in the MJCF.
 
     The dynamics and the contacts are unchanged: a geom that gives its body mass is kept. Models
     with many meshes compile several times faster.

@@ -599,7 +599,7 @@ class StudyRun:
                 self._write_shard()
 
     def _submit_chunk(self, pool: WorkerPool, chunk: Chunk) -> None:
-        """Submit a chunk of designs to the workers; if the executor is broken, restart these.
+        """Submit a chunk of designs to the workers; if the executor is broken, restart the workers.
 
         Raises:
             StudyError: If the executor is broken, and belongs to the caller.
@@ -616,8 +616,8 @@ class StudyRun:
         Errors of this package that the evaluation raised are raised again.
 
         Raises:
-            StudyError: If the evaluation failed for another reason, for example a module that the
-                workers lack.
+            StudyError: If the executor of the caller is broken, or the evaluation failed for
+                another reason, for example a module that the workers lack.
         """
         chunk, start = self._in_flight.pop(future)
         try:
@@ -651,7 +651,7 @@ class StudyRun:
         pool.renew()
 
     def _retry_alone(self, pool: WorkerPool, chunk: Chunk, seconds: float) -> None:
-        """Evaluate one by one the designs of a chunk after its worker ended unexpectedly.
+        """Schedule the designs of a chunk one by one after its worker ended unexpectedly.
 
         A single design is recorded as failed after `MAX_CRASHES` crashes or after the time limit.
 

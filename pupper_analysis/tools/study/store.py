@@ -104,7 +104,7 @@ class Store:
         write_all([Writing(file, content + b"\n", EDITED_KIND if is_rerun else MODEL_KIND)])
 
     def read_request(self) -> dict[str, Any]:
-        """Read the definition of the study: {"format": number, "study": ..., "digest": ...}.
+        """Read the definition: {"format": number, "study": ..., "digest": ..., "versions": ...}.
 
         Raises:
             StudyError: If the folder contains no readable definition, or the format differs.

@@ -142,10 +142,11 @@ class Study:
                 {``base``, ``leg_scale``, ``torso_mass_scale``}, or {``urdf``: path, ``mjcf``: path}
                 with other arguments of `load_robot`. ``base`` may also name files. ``leg_scale``
                 and ``torso_mass_scale`` can be varied for variants only.
-            vary: {name of a variable: a list, a ``linspace``, a distribution, or a number}.
+            vary: {name of a variable: a list, a ``linspace``, a distribution, or a number; for a
+                motor variable, names or files of motors}.
             measure: Names of ``METRICS``, or functions of (robot, stand).
-            samples: Number of designs, required if a variable has a distribution. Otherwise the
-                designs are the product of all lists.
+            samples: Number of designs, required if a variable has a distribution. Otherwise None:
+                the designs are the product of all lists.
             seed: Seed of the samples.
             stand: Stand task; variables of the stance take precedence.
             payload_point: Position of a payload, shape (3,) [m] in the frame of the base, or
@@ -162,8 +163,8 @@ class Study:
 
         Raises:
             ConfigurationError: If an argument is not valid; the message lists valid values.
-            UnknownNameError: If the pattern of a variable matches nothing in the robot, or no motor
-                has a name.
+            UnknownNameError: If the pattern of a variable matches nothing in the robot, the frame
+                of ``payload_point`` does not exist, or no motor has a name.
             VariantError: If the variant of the robot does not exist, or a scale is not valid.
             ModelError: If the files of the robot or of a motor cannot be used, or the mass of
                 ``present_motor`` is unknown.
@@ -231,7 +232,8 @@ class Study:
         Raises:
             ConfigurationError: If a motor is varied and no present motor is given, or if a present
                 motor is given and no motor is varied.
-            ModelError: If the mass of the present motor is unknown.
+            UnknownNameError: If no motor has the name.
+            ModelError: If the file of the motor is not valid, or its mass is unknown.
         """
         if bool(self.motors) != (present is not None):
             code = "present-motor-missing" if self.motors else "present-motor-unused"
@@ -296,7 +298,7 @@ class Study:
         """SHA-256 hash, as hexadecimal text, of all that determines the results of a given design.
 
         For example the robot, stand task, payload position, metrics and package versions, but not
-        the variables.
+        the variables and the time limit.
         """
         parts = {
             "robot": hash_description(self.base.description),
@@ -343,8 +345,8 @@ class Study:
     def to_dict(self) -> dict[str, Any]:
         """Return the study as {key of a study file: value}, data for `Study.of`.
 
-        ``time_limit`` is None for no time limit.
-        Motors are data for `read_study` only: their numbers are in the files of the motors.
+        ``time_limit`` is None for no time limit. `Study.of` accepts neither motors, whose numbers
+        are in the files of the motors, nor functions of the user; these are for `read_study` only.
         """
         data: dict[str, Any] = {
             "robot": self.source.to_dict(),
@@ -397,7 +399,8 @@ class Study:
     def read(cls, path: str | Path) -> Study:
         """Read a study from a TOML file.
 
-        Relative paths of existing files are relative to the folder of the study file.
+        Relative paths are relative to the folder of the study file: of robot files, motors and
+        files of metrics.
 
         Raises:
             ConfigurationError: If the file cannot be read, or the study is not valid.
@@ -611,7 +614,8 @@ def read_study(folder: str | Path) -> pd.DataFrame:
         A row per stored design, as `Study.run` returns.
 
     Raises:
-        StudyError: If the folder contains no study, or a file with results (shard) is damaged.
+        StudyError: If the folder contains no study, its definition is damaged or has another
+            format, or a file with results (shard) is damaged.
         MissingPackageError: If pandas is not installed.
     """
     check_type("folder", folder, str | Path)

@@ -101,7 +101,8 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
         folder: Folder of the results of the study.
 
     Raises:
-        ConfigurationError: If the row does not exist, or the robot of the design cannot be built.
+        ConfigurationError: If the row does not exist, the robot of the design cannot be built, or
+            its stance cannot be solved.
         StudyError: If a shard is damaged.
         OutputError: If a file cannot be written, or exists with other content.
         ModelError: If no robot can be loaded from the written files.
@@ -158,7 +159,7 @@ def _build_design(study: Study, codes: Mapping[str, float], number: int) -> tupl
     ``codes`` contains the value of each variable.
 
     Raises:
-        ConfigurationError: If the robot of the design cannot be built.
+        ConfigurationError: If the robot of the design cannot be built, or its stance not be solved.
     """
     builder = DesignBuilder(
         study.make_source_with_visuals(),
