@@ -10,7 +10,6 @@ import difflib
 import hashlib
 import math
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from typing import Any
@@ -603,12 +602,16 @@ def make_failure_columns(kind: str, reason: Diagnostic) -> DesignRow:
 def measure_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, float]:
     """Evaluate the metrics of a design, and return {column: value in the unit of the metric}.
 
-    Metrics that raise an error of this package are left out.
+    A metric that raises an error in `STAND_FAILURES` has its ``fallen`` value, if it defines one.
+    Other metrics that raise an error of this package are left out.
     """
     row: dict[str, float] = {}
     for metric in metrics:
-        with suppress(PupperAnalysisError):
+        try:
             row.update(_make_columns(metric.name, metric.function(design)))
+        except PupperAnalysisError as error:
+            if isinstance(error, STAND_FAILURES) and metric.fallen is not None:
+                row[metric.name] = metric.fallen
     return row
 
 

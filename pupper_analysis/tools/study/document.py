@@ -426,7 +426,10 @@ def written_document(written: WrittenDesign, robot: Robot) -> doc.Document:
         (
             doc.Name(format_column_label(name, find_column_unit(name, robot))),
             doc.number_cell(value, ".6g"),
-            doc.number_cell(written.file_values[name], ".6g"),
+            doc.number_cell(
+                written.file_values[name] if math.isfinite(written.file_values[name]) else None,
+                ".6g",
+            ),
         )
         for name, value in written.study_values.items()
     )

@@ -8,6 +8,7 @@ files.
 from __future__ import annotations
 
 import json
+import math
 import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -64,7 +65,7 @@ class WrittenDesign(Result):
         stance: Stance of the design, for ``--stance``.
         numbers: {variable: value}; names of motors are texts.
         study_values: {metric: value in the study}.
-        file_values: {metric: value from the written files}.
+        file_values: {metric: value from the written files}; NaN for a metric that fails.
         command: Command that computes the stand from the written files.
         failures: Metrics whose values differ.
         warnings: Statement that the design stands only undisturbed, if it does.
@@ -132,12 +133,13 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
         loaded, stand, own_servos=design.own_servos, point=design.point, motors=design.motors
     )
     remeasured = measure_columns(reloaded, study.metrics)
+    metric_names = [metric.name for metric in study.metrics]
     measured = {
-        name: float(row[name])
-        for name in remeasured
-        if name in row and _is_finite_number(row[name])
+        str(name): float(value)
+        for name, value in row.items()
+        if str(name).partition(".")[0] in metric_names and _is_finite_number(value)
     }
-    remeasured = {name: value for name, value in remeasured.items() if name in measured}
+    remeasured = {name: remeasured.get(name, math.nan) for name in measured}
     options = ["pupper-analysis", "stand", str(urdf), str(mjcf), *options, "--stance", str(stance)]
     return WrittenDesign(
         number=number,

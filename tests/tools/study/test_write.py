@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 from pathlib import Path
 from typing import Any
@@ -119,6 +120,26 @@ def test_files_of_another_robot_are_reported(
     found = write_design(study, 2, heavy.urdf.parent.parent)
     assert not found.passed
     assert {one.values["metric"] for one in found.failures} >= {"total_mass", "peak_utilisation"}
+
+
+def test_metric_that_fails_for_the_written_files_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The written files are loaded with 20 kg more, with which the servos hold no stand."""
+    from pupper_analysis.tools.study import write
+
+    loaded = write.load_robot
+    monkeypatch.setattr(
+        write,
+        "load_robot",
+        lambda *files, **options: pa.robot.with_payload(loaded(*files, **options), 20.0),
+    )
+    found = write_studied_design("v3", {"kp": [5.0, 10.0]}, tmp_path)
+    assert found.study_values["stands"] == 1.0
+    assert found.file_values["stands"] == 0.0
+    assert math.isnan(found.file_values["servo_sag"])
+    differing = {one.values["metric"] for one in found.failures}
+    assert differing >= {"servo_sag", "stands"}
 
 
 def test_a_stance_as_a_file_is_the_stance(tmp_path: Path) -> None:
