@@ -399,8 +399,8 @@ class Study:
     def read(cls, path: str | Path) -> Study:
         """Read a study from a TOML file.
 
-        Relative paths are relative to the folder of the study file: of robot files, motors and
-        files of metrics.
+        Relative paths of robot files, motor files and files of metrics are relative to the folder
+        of the study file.
 
         Raises:
             ConfigurationError: If the file cannot be read, or the study is not valid.
@@ -417,6 +417,11 @@ class Study:
             for name in ("urdf", "mjcf"):
                 if isinstance(robot.get(name), str):
                     robot[name] = str(path.parent / robot[name])
+            if isinstance(robot.get("models"), list):
+                robot["models"] = [
+                    _resolve_files(path, file) if isinstance(file, str) else file
+                    for file in robot["models"]
+                ]
             if isinstance(robot.get("base"), str):
                 robot["base"] = _resolve_files(path, robot["base"])
         if isinstance(robot, str):
@@ -540,6 +545,8 @@ def _resolve_motor_files(folder: Path, data: dict[str, Any]) -> None:
     variables = data.get("vary")
     for name in filter(is_motor_variable, variables if isinstance(variables, dict) else ()):
         values = data["vary"][name]
+        if isinstance(values, dict) and isinstance(values.get("values"), list):
+            values = values["values"]
         data["vary"][name] = (
             [resolve(text) for text in values] if isinstance(values, list) else resolve(values)
         )

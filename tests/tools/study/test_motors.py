@@ -23,6 +23,7 @@ from pupper_analysis.tools.study.outcome import study_outcome
 from pupper_analysis.tools.study.requirements import Requirement
 from pupper_analysis.tools.study.study import Study, read_study
 from pupper_analysis.tools.study.write import write_design
+from tests.support import slips
 from tests.support.repository import ROOT
 from tests.support.variants import load
 
@@ -165,6 +166,20 @@ peak_torque = "3 N m"
 continuous_torque = "0.5 N m"
 mass = "100 g"
 """
+
+
+def test_listed_files_are_in_the_folder_of_the_study(tmp_path: Path) -> None:
+    """Files of ``models`` and of motors in ``values`` are found from another working folder."""
+    pair = slips.standing(tmp_path)
+    (tmp_path / "weak.toml").write_text(WEAK)
+    (tmp_path / "study.toml").write_text(
+        f'present_motor = "weak.toml"\nmeasure = ["total_mass"]\n'
+        f'robot = {{ models = ["{pair.urdf.name}", "{pair.mjcf.name}"] }}\n'
+        f'[vary]\n"motor:FL_knee" = {{ values = ["weak.toml"] }}\n'
+    )
+    study = Study.read(tmp_path / "study.toml")
+    assert [motor.name for motor in study.motors.values()] == ["weak"]
+    assert "FL_knee" in study.base.joint_names
 
 
 @pytest.fixture(scope="module")
