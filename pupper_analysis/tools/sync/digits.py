@@ -46,7 +46,8 @@ def format_numbers(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> st
     the vector, or times ``floor`` if larger.
 
     Args:
-        old: Numbers in the file, as written; may be fewer than those of ``new``, or none.
+        old: Numbers in the file, as written; may be fewer than those of ``new``, or none. Further
+            numbers are ignored.
         new: New vector.
         floor: Lower bound of the reference magnitude.
 

@@ -87,7 +87,7 @@ def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextSte
     """Return the command to run next.
 
     If the files differ and none was chosen, this is a trial of `sync` that keeps the URDF's values;
-    after such a trial (``dry_run``), `sync` that writes the files; otherwise `crosscheck`.
+    after a trial (``dry_run``) with changes, `sync` that writes the files; otherwise `crosscheck`.
     """
     if not chosen and not sync.agree:
         return doc.NextStep("sync", ("--take", "urdf", "--dry-run"))

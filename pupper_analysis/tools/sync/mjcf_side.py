@@ -61,7 +61,8 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[PropertyKey]) -> None:
     Args:
         side: MJCF with the target values.
         mover: Joint that moves the group, or the base.
-        keys: Differences (kind, element) of the group, recorded if nothing can be changed.
+        keys: Differences (kind, element) of the group; those of mass, CoM and inertia are recorded
+            in ``side.unwritten`` if nothing can be changed, or a body to be changed is a copy.
     """
     keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
     model = side.model

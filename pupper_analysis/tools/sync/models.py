@@ -137,7 +137,8 @@ def sync_models(
         ModelError: If a file cannot be read, or the files cannot be matched.
         ConfigurationError: If a choice is not valid or matches no difference, a model has no file
             (a robot in memory, or a text), or a value would be written to a scaled variant.
-        VariantError: If a model is probably a misspelled variant name.
+        VariantError: If a model is probably a misspelled variant name, or the scales of a variant
+            give no valid model.
         OutputError: If a file cannot be written, or has uncommitted changes.
     """
     # The files of scaled variants are compared, and never written.
@@ -164,8 +165,8 @@ def _find_paths(
 ) -> tuple[str | Path, str | Path]:
     """Return the paths of the URDF and the MJCF.
 
-    The files of a scaled variant are written to ``folder``. Any other name or
-    path is returned as it is.
+    The files of a scaled variant are written to ``folder``. Any other name or path is returned as
+    it is.
 
     Raises:
         ConfigurationError: If a model is an object in memory, or ``mjcf`` is missing and ``urdf``
@@ -320,7 +321,8 @@ def _list_unmended(
 ) -> Iterable[Unmended]:
     """Yield the differences that remain after the changes of a plan, each with the reason.
 
-    Joints that only one file contains are included.
+    Also yielded are parts that only one file contains, joints that only one file contains and, without
+    other differences, the reasons for which the files do not agree.
 
     Args:
         plan: Planned changes.
@@ -386,7 +388,8 @@ _JOINT_PROPERTIES: Final = (
 def format_owner_name(difference: Difference) -> str:
     """Return kind and name of the element that differs between URDF and MJCF.
 
-    Examples: ``link FL_hip``, ``joint FL_knee``, ``frame FL_foot``.
+    Examples: ``link FL_hip``, ``joint FL_knee``, ``frame FL_foot``. The name of any other element
+    is returned without a kind.
     """
     if difference.kind in BODY_KINDS:
         return f"link {find_subject_link(difference)}"
@@ -449,7 +452,7 @@ def _match_choice(differences: Sequence[Difference], which: str) -> Iterator[tup
     for a label, 2 for a link or element, 1 for a kind, 0 for all.
 
     Raises:
-        ConfigurationError: If ``which`` matches no difference.
+        ConfigurationError: If ``which`` matches no difference, or a number is not valid.
     """
     if not which:
         yield from ((index, 0) for index in range(len(differences)))
@@ -484,7 +487,8 @@ def _parse_number_ranges(text: str, count: int) -> Iterator[int]:
     """Yield the numbers, from 1 to ``count``, of a list such as ``1,4-6``.
 
     Raises:
-        ConfigurationError: If the text has another form, or a number is larger than ``count``.
+        ConfigurationError: If the text has another form, a number is not from 1 to ``count``, or a
+            range descends.
     """
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+)\s*)?", part)

@@ -256,7 +256,7 @@ def _make_urdf(robot: Robot) -> UrdfFile:
 
 
 def _make_mjcf(robot: Robot) -> MjcfFile:
-    """Return the MJCF that was generated from a URDF, without shapes, which have no mass."""
+    """Return the MJCF generated from a URDF, without shapes (which have no mass) and keyframes."""
     spec = robot.description.mjcf.copy()
     for pair in list(spec.pairs):
         spec.delete(pair)

@@ -274,7 +274,8 @@ def is_absent(
 
     Engines read a missing limit as infinite, a missing damping or friction as 0, and the mass of a
     link without <inertial> as 0; a stated mass of 0 or below counts as no value. A URDF must state
-    an effort; exporters write 0 if unknown, so an effort of 0 or below counts as no value.
+    an effort; exporters write 0 if unknown, so an effort of 0 or below counts as no value, like an
+    infinite one.
 
     Args:
         key: Kind and element of the differing number.

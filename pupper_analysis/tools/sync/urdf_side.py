@@ -39,7 +39,7 @@ _LIMIT_KINDS = ("lower limit", "upper limit")
 _NUMBER_KINDS = [
     one.kind for one in JOINT_ATTRIBUTES if one.is_in_both_formats and one.kind not in _LIMIT_KINDS
 ]
-"""Kinds of joint numbers in both formats, except limits."""
+"""Kinds of joint numbers in both formats, except position limits."""
 
 
 @dataclass(eq=False, kw_only=True)
