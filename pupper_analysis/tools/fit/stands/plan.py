@@ -628,10 +628,10 @@ class RandomStands:
 
 
 def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
-    """Return the height [m], at least 0, that the base loses in the nominal stand on its servos.
+    """Return the height [m] that the base loses in the nominal stand without feed-forward.
 
-    ``kp`` is the servo stiffness [N m/rad, N/m]; the model's if None. 0 if the stand cannot be
-    solved or has no equilibrium on its servos.
+    ``kp`` is the servo stiffness [N m/rad, N/m]; the model's if None. At least 0; 0 if the stand
+    cannot be solved or has no equilibrium on its servos.
     """
     try:
         stand = solve_stand(robot, explain=False)
