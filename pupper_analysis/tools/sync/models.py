@@ -321,8 +321,8 @@ def _list_unmended(
 ) -> Iterable[Unmended]:
     """Yield the differences that remain after the changes of a plan, each with the reason.
 
-    Also yielded are parts that only one file contains, joints that only one file contains and, without
-    other differences, the reasons for which the files do not agree.
+    Also yielded are parts and joints that only one file contains and, without other differences,
+    the reasons for which the files do not agree.
 
     Args:
         plan: Planned changes.
