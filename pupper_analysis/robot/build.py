@@ -188,13 +188,17 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
 def with_additions(robot: Robot, *additions: Addition) -> Robot:
     """Build a robot with additions to the MJCF; see `copy_metadata` for the data that are kept.
 
+    No addition concerns the URDF, so the result has a copy of the Pinocchio model of ``robot``. It
+    contains changes of this model since the files were read, such as limits.
+
     Raises:
         ModelError: If MuJoCo rejects the MJCF with the additions.
         UnknownNameError: If a contact point has no link in the URDF, or no site, body or geom in
             the MJCF.
     """
     description = robot.description.with_additions(*additions)
-    return rebuild_robot(robot, mjcf=description.mjcf, added=description.added)
+    built = rebuild_robot(robot, mjcf=description.mjcf, added=description.added)
+    return replace(built, pin_model=robot.pin_model.copy())
 
 
 def copy_metadata(built: Robot, robot: Robot) -> Robot:
@@ -493,7 +497,8 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
     """Return a robot with other effort limits, reported in the notes.
 
     For files with placeholder limits. The limits apply to computations and simulations of the
-    robot; the published file is simulated with the limits of the file.
+    robot; the published file is simulated with the limits of the file. Other changes of Pinocchio's
+    model since the files were read are kept, as in `with_payload`.
 
     Args:
         robot: The robot.
@@ -540,7 +545,11 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
     }
     changes = {"urdf": to_text(urdf.root), "mjcf": mjcf.spec, "efforts": new_limits}
     built = rebuild_robot(robot, **changes, null_efforts=null)
-    return replace(built, notes=(*robot.notes, diagnose("efforts-as-asked", joints=messages)))
+    model = robot.pin_model.copy()
+    for name, effort in efforts.items():
+        model.effortLimit[model.joints[model.getJointId(name)].idx_v] = effort
+    notes = (*robot.notes, diagnose("efforts-as-asked", joints=messages))
+    return replace(built, pin_model=model, notes=notes)
 
 
 def report_placeholder_efforts(robot: Robot) -> tuple[Diagnostic, ...]:

@@ -6,10 +6,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.models.additions import Options
+from pupper_analysis.robot.build import with_additions, with_efforts
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import with_payload
+from tests.support.arm import load_arm
 from tests.support.commands import run_command
 from tests.support.legged import quadruped, rewrite_file
 from tests.support.tiny import TINY_MJCF, TINY_URDF
@@ -129,3 +135,28 @@ def test_refusal_of_a_colour_with_commas_is_one_line(
     assert status == 2
     assert "rgba" in err
     assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("kind", ["efforts", "additions", "payload"])
+def test_changes_of_the_pinocchio_model_are_kept(kind: str, tmp_path: Path) -> None:
+    """Only the requested effort limit [N m] differs from the changed model."""
+    robot = load_arm(tmp_path)
+    model, convention = robot.pin_model, robot.pin_convention
+    shoulder, elbow = (robot.joint_names.index(name) for name in ("shoulder", "elbow"))
+    model.upperPositionLimit[:] = 0.25
+    model.effortLimit[convention.v_index[[shoulder, elbow]]] = 7.0, 8.0
+    model.armature = np.full(model.nv, 0.5)
+    if kind == "efforts":
+        changed = with_efforts(robot, {"elbow": 5.0})
+    elif kind == "additions":
+        addition = Options(diagnose("no-joints"), {"timestep": 0.001})
+        changed = with_additions(robot, addition)
+        assert changed.mj_model.opt.timestep == 0.001
+    else:
+        changed = with_payload(robot, 0.1, ("tip", 0.0, 0.0, 0.0))
+    assert changed.pin_model is not model
+    np.testing.assert_array_equal(changed.pin_model.upperPositionLimit, 0.25)
+    np.testing.assert_array_equal(changed.pin_model.armature, 0.5)
+    assert changed.effort_limits[shoulder] == 7.0
+    assert changed.effort_limits[elbow] == (5.0 if kind == "efforts" else 8.0)
+    assert model.effortLimit[convention.v_index[elbow]] == 8.0
