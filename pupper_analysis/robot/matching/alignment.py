@@ -174,7 +174,7 @@ def _joint_bits(
     """
     total = _placement_bits(first.joints[name], second.joints[name], tolerances)
     total += measure_deviation_bits(
-        _angle_between(first.joints[name].axis, second.joints[name].axis), tolerances.axis
+        angle_between(first.joints[name].axis, second.joints[name].axis), tolerances.axis
     )
     total += measure_body_deviation(first.bodies[name], second.bodies[name], tolerances)
     for frame in first.list_frames(name):
@@ -210,7 +210,7 @@ def _placement_bits(first: TreeJoint, second: TreeJoint, tolerances: Tolerances)
     )
 
 
-def _angle_between(first: Array, second: Array) -> float:
+def angle_between(first: Array, second: Array) -> float:
     """Return the angle [rad] between two vectors (3,)."""
     return math.atan2(float(np.linalg.norm(np.cross(first, second))), float(first @ second))
 

@@ -27,6 +27,7 @@ from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree, origin_of, set_origin
 from pupper_analysis.robot.matching.alignment import (
     align_frames,
+    angle_between,
     find_limit_offset,
     measure_body_deviation,
     measure_deviation_bits,
@@ -133,10 +134,8 @@ def _find_zero_offset(
     a limit is finite and the limits of both files do not differ by the offset.
     """
     first_joint, second_joint = first.joints[name], second.joints[name]
-    if (
-        first_joint.slides != second_joint.slides
-        or float(first_joint.axis @ second_joint.axis) < 1 - tolerances.axis
-    ):
+    axis_angle = angle_between(first_joint.axis, second_joint.axis)
+    if first_joint.slides != second_joint.slides or axis_angle > tolerances.axis:
         return 0.0
     if first_joint.slides:
         step = first_joint.rotation.T @ (second_joint.position - first_joint.position)

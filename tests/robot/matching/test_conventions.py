@@ -194,6 +194,21 @@ def test_zero_of_a_slide_shifted_with_its_limits_is_one_cause(tmp_path: Path) ->
     assert "q of the URDF = q of the MJCF + 0.02 m;" in comparison.differences[0].message
 
 
+@pytest.mark.parametrize(("angle", "is_zero"), [(5e-5, True), (5e-3, False)])
+def test_zero_of_a_turned_axis_is_no_convention(
+    tmp_path: Path, angle: float, is_zero: bool
+) -> None:
+    """The tolerance of an axis is an angle of 1e-4 rad."""
+    mjcf = zero_elsewhere(quadruped(), "shank1", 0.3)
+    axis = np.array(mjcf["shank1"].axis)
+    normal = np.cross(axis, np.roll(axis, 1))
+    turn = Rotation.from_rotvec(angle * normal / np.linalg.norm(normal))
+    mjcf = change_part(mjcf, "shank1", axis=tuple(turn.apply(axis)))
+    found = list_differences(compare_files(pair(tmp_path, mjcf)))
+    assert (("zero", "knee1") in found) == is_zero
+    assert (("axis", "knee1") in found) != is_zero
+
+
 # ------------------------------------------------------------------------------------- the base
 
 
