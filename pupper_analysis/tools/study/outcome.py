@@ -32,6 +32,7 @@ from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.tools.study.design import FAILURE_COLUMNS, FIELD_OF_VARIABLE, from_record
 from pupper_analysis.tools.study.measures import METRICS
+from pupper_analysis.tools.study.motors import is_motor_variable
 from pupper_analysis.tools.study.parameters import (
     COM_OFFSET_KINDS,
     JOINT_STANCE_KINDS,
@@ -208,12 +209,14 @@ def check_objectives(
     """Check the objectives of a Pareto front, and return {column: ``min`` or ``max``}.
 
     Raises:
-        ConfigurationError: If the study has no such metric or variable, or a column occurs twice.
+        ConfigurationError: If the study has no such metric or variable, the variable is a motor, or
+            a column occurs twice.
     """
     measured = [metric.name for metric in study.metrics]
+    numbers = [name for name in study.variables if not is_motor_variable(name)]
     for name in (*minimise, *maximise):
-        if name.partition(".")[0] not in measured and name not in study.variables:
-            valid_names = (*measured, *study.variables)
+        if name.partition(".")[0] not in measured and name not in numbers:
+            valid_names = (*measured, *numbers)
             finding = diagnose("study-has-no-such", column=name, known=valid_names)
             raise ConfigurationError("minimise, maximise", finding)
     objectives = {**dict.fromkeys(minimise, "min"), **dict.fromkeys(maximise, "max")}

@@ -19,7 +19,7 @@ from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.tools.study import measures
 from pupper_analysis.tools.study.document import study_document
 from pupper_analysis.tools.study.motors import encode_motor, with_motors
-from pupper_analysis.tools.study.outcome import study_outcome
+from pupper_analysis.tools.study.outcome import check_objectives, study_outcome
 from pupper_analysis.tools.study.requirements import Requirement
 from pupper_analysis.tools.study.study import Study, read_study
 from pupper_analysis.tools.study.write import write_design
@@ -113,6 +113,13 @@ def test_bad_studies_of_motors_are_refused(
     options = {**STUDY, "vary": {"motor": ["dephy-actpack"]}, **changes}
     with pytest.raises(error, match=words):
         Study(options.pop("robot"), options.pop("vary"), options.pop("measure"), **options)
+
+
+def test_motor_as_a_typed_objective_is_refused_before_the_run() -> None:
+    options = {**STUDY, "vary": {"motor": ["dephy-actpack"]}}
+    study = Study(options.pop("robot"), options.pop("vary"), options.pop("measure"), **options)
+    with pytest.raises(ConfigurationError, match="motor"):
+        check_objectives(study, (), ("motor",))
 
 
 def test_unknown_values_meet_no_requirement() -> None:
