@@ -244,11 +244,13 @@ def _list_limit_warnings(walk: Walk) -> Iterable[doc.Words]:
     peak = _max_over_runs(walk, "torque_peak")
     unknown = np.flatnonzero(np.isinf(walk.limits) & (peak > 0))
     if unknown.size:
+        largest = int(unknown[np.argmax(peak[unknown])])
         yield text(
             "walk-limits-unknown",
             count=len(unknown),
-            peak=f"{peak[unknown].max():.2f}",
-            joint=doc.Name(walk.joints[unknown[np.argmax(peak[unknown])]]),
+            peak=f"{peak[largest]:.2f}",
+            unit=walk.torque_units[largest],
+            joint=doc.Name(walk.joints[largest]),
         )
 
 

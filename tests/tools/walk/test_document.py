@@ -45,6 +45,18 @@ def test_units_of_the_motor_table_are_those_of_hinges_and_slides(
     assert document.walk_torque_plot(walk).y.unit == torque
 
 
+def test_unknown_limit_of_a_slide_has_a_force_in_newtons() -> None:
+    gait = SimpleNamespace(torque_peak=np.array([3.0, 40.0]))
+    walk: Any = SimpleNamespace(
+        gaits=[gait],
+        joints=("hip", "lift"),
+        limits=np.array([np.inf, np.inf]),
+        torque_units=("N m", "N"),
+    )
+    (line,) = document._list_limit_warnings(walk)
+    assert "40.00 N (lift)" in str(line)
+
+
 def make_orders(tracked: tuple[int, int]) -> Orders:
     """Return two interpretations; the second is the stated one, with a cost of 1.05 of the first.
 
