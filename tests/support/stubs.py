@@ -266,6 +266,8 @@ STAND: Any = Stub(
     com_margin=0.0333,
     qpos=np.array([0.0, 0.0, 0.1009]),
     depths={"FR": 0.0, "RL": 0.0},
+    foot_targets={"FR": np.zeros(3), "RL": np.zeros(3)},
+    stance_feet=("FR", "RL"),
     ground_clearance=Stub(distance=0.0111),
     self_clearance=Stub(distance=0.0222),
 )

@@ -1,4 +1,4 @@
-"""List the changes between two versions of a model, with the effects of each change."""
+"""List changes between two versions of a model, with effects."""
 
 HELP_HEADING = "Files"
 """Section of ``--help`` that lists this tool."""

@@ -1,4 +1,4 @@
-"""Evaluate postures of robots with a fixed base: statics, simulation, payload and force limits."""
+"""Compute torques, payload and forces of a fixed-base robot."""
 
 from pupper_analysis.base.exports import make_lazy_exports
 

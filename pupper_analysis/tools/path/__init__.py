@@ -1,4 +1,4 @@
-"""Plan a path to a stance in dynamic balance, and simulate the path."""
+"""Plan a path to a stance in balance, and simulate the path."""
 
 HELP_HEADING = "Stance"
 """Section of ``--help`` that lists this tool."""
