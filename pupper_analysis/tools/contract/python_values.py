@@ -3,8 +3,9 @@
 Supported are constants, names, lists, tables, dataclasses, configuration classes with bases,
 arithmetic, comparisons, loops over known values, and calls of some library functions and of
 functions in files below the allowed folders. Every other expression becomes an ``UnknownValue``
-with the text. If a statement cannot be evaluated, the variables, attributes and items that the
-statement assigns become unknown; changes by methods are not detected.
+with the text. If a statement cannot be evaluated, everything that the statement may change becomes
+unknown: names, attributes and items that it assigns, and lists and tables that it changes by
+methods.
 """
 
 from __future__ import annotations
@@ -51,6 +52,13 @@ class NamedValue:
 
 class UnknownValue(NamedValue):
     """Expression that is not constant, or a name from a module that was not read."""
+
+
+class LostItem(UnknownValue):
+    """Element of a list whose elements and length are unknown, since they may have changed.
+
+    `Evaluator.evaluate` returns an ``UnknownValue`` for a list that begins with such an element.
+    """
 
 
 @dataclass(eq=False)
@@ -205,6 +213,14 @@ _ALLOWED_METHODS: Final[Mapping[type, Sequence[str]]] = {
 }
 """{type: names of its methods that the evaluation of a configuration in Python may call}."""
 
+_CHANGING_METHODS: Final[Mapping[type, Sequence[str]]] = {
+    dict: ("pop", "popitem", "setdefault", "update", "clear"),
+    list: ("append", "extend", "insert", "pop", "remove", "reverse", "sort", "clear"),
+}
+"""{type: names of the methods that change an object of this type}."""
+_ITEM_FUNCTIONS: Final = ("zip", "enumerate", "list", "tuple", "reversed", "sorted")
+"""Functions that return the items of the arguments in a new list."""
+
 _NAMED_CONSTANTS: Final = {"pi": math.pi, "inf": math.inf, "tau": math.tau}
 """{name: value} of constants that numeric modules define, such as ``np.pi``."""
 
@@ -250,6 +266,8 @@ class Evaluator:
         self.modules: dict[Path, ModuleNames] = {}
         self.shown = Path()
         self.steps, self.depth = 0, 0
+        # {id: table} of tables that may have further keys, which are not known.
+        self.open_tables: dict[int, dict[Any, LocatedValue]] = {}
 
     def load_module(self, path: Path) -> ModuleNames:
         """Evaluate a Python file from the syntax tree, and return the names that the file defines.
@@ -495,19 +513,302 @@ class Evaluator:
         return None
 
     def _invalidate_targets(self, statement: ast.stmt | ast.ExceptHandler, scope: Scope) -> None:
-        """Set all variables, attributes and items that a statement may assign to unknown values.
+        """Set all values that a statement may change to unknown values.
 
-        Definitions of functions and classes, imports, and changes by methods such as ``append`` are
-        not considered.
+        These are the names, attributes and items that the statement assigns or deletes, the names
+        of functions, classes and imports that the scope contains already, and the objects of
+        `_list_changes`.
         """
+        for content, key, lost in [*self._list_changes([statement], scope, {}, set())]:
+            if key is not None:
+                with suppress(NotConstantError):
+                    self._apply_function(operator.setitem, content, key, lost)
+            elif isinstance(content, dict):
+                content.update(dict.fromkeys(content, lost))
+                self.open_tables[id(content)] = content
+            else:
+                item = replace(lost, value=LostItem(lost.value.name))
+                content[:] = [item] * max(len(content), 1)
         within = (node for node in ast.walk(statement) if isinstance(node, ast.stmt))
         for said, node in ((inner, node) for inner in within for node in ast.walk(inner)):
             stored = isinstance(node, ast.Name | ast.Attribute | ast.Subscript)
-            if stored and isinstance(node.ctx, ast.Store | ast.Del):  # type: ignore[attr-defined]
-                shown = ast.unparse(said).partition("\n")[0][:80]
-                lost = self._make_node(UnknownValue(shown), node, scope)
+            listed = isinstance(node, ast.Subscript) and self._find_values(node.value, scope, {})
+            if not stored or listed:
+                continue
+            if isinstance(node.ctx, ast.Store | ast.Del):  # type: ignore[attr-defined]
                 with suppress(NotConstantError):
+                    lost = self._make_lost(said, node, scope)
                     self._assign_target(cast(ast.expr, node), lost, scope)
+        for node in _walk_block(statement):
+            for name in _list_defined_names(node):
+                if name in scope and not isinstance(scope[name].value, UnknownValue):
+                    scope[name] = self._make_lost(node, node, scope)
+
+    def _make_lost(self, said: ast.AST, node: ast.AST, scope: Scope) -> LocatedValue:
+        """Make an unknown value with the first line of a statement, at the place of a node."""
+        shown = ast.unparse(said).partition("\n")[0][:80]
+        return self._make_node(UnknownValue(shown), node, scope)
+
+    def _list_changes(
+        self,
+        body: Sequence[ast.AST],
+        scope: Scope,
+        origins: dict[str, list[LocatedValue]],
+        seen: set[tuple[object, ...]],
+    ) -> Iterator[tuple[Any, Any, LocatedValue]]:
+        """Yield the lists, tables and fields that statements may change, without a change.
+
+        Args:
+            body: Statements.
+            scope: Visible names.
+            origins: {name: values to which the name may refer while the statements run}; names that
+                the statements assign are added.
+            seen: Functions that were searched, with the identities of their arguments; called
+                functions are added. A recursive call is not searched.
+
+        Yields:
+            Content, key and unknown value. The key is None if any item may change.
+        """
+        nodes = [node for statement in body for node in ast.walk(statement)]
+        for node in nodes * 2:  # twice, since a loop may use a name before the name is assigned
+            for target, values in self._list_bindings(node, scope, origins):
+                for name in ast.walk(target):
+                    if isinstance(name, ast.Name):
+                        known = origins.setdefault(name.id, [])
+                        have = {id(value.value) for value in known}
+                        known += [value for value in values if id(value.value) not in have]
+        assigned = {
+            node.id
+            for node in nodes
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+        }
+        within = (node for node in nodes if isinstance(node, ast.stmt))
+        for said, node in ((inner, node) for inner in within for node in ast.walk(inner)):
+            found: list[tuple[Any, Any]]
+            match node:
+                case ast.Attribute(ctx=ast.Store() | ast.Del()):
+                    found = [
+                        (owner.value.fields, node.attr)
+                        for owner in self._find_values(node.value, scope, origins)
+                        if isinstance(owner.value, InstanceValue | ClassValue)
+                    ]
+                case ast.Subscript(ctx=ast.Store() | ast.Del()):
+                    key = self._find_key(node.slice, scope, {*assigned, *origins})
+                    shifts = isinstance(node.ctx, ast.Del)
+                    found = [
+                        (owner.value, None if shifts and isinstance(owner.value, list) else key)
+                        for owner in self._find_values(node.value, scope, origins)
+                    ]
+                case ast.AugAssign(target=ast.Name()):
+                    found = [
+                        (owner.value, None)
+                        for owner in self._find_values(node.target, scope, origins)
+                    ]
+                case ast.Call():
+                    found = [
+                        *self._list_method_changes(node, scope, {*assigned, *origins}, origins)
+                    ]
+                    yield from self._list_call_changes(node, scope, origins, seen)
+                case _:
+                    found = []
+            for content, key in found:
+                if isinstance(content, list | dict):
+                    yield content, key, self._make_lost(said, node, scope)
+
+    def _list_bindings(
+        self, node: ast.AST, scope: Scope, origins: dict[str, list[LocatedValue]]
+    ) -> Iterator[tuple[ast.expr, list[LocatedValue]]]:
+        """Yield the targets to which a node assigns, with the values that they may get."""
+        match node:
+            case ast.Assign():
+                bound = [(target, node.value) for target in node.targets]
+            case ast.AnnAssign(value=ast.expr()) | ast.NamedExpr():
+                bound = [(node.target, cast(ast.expr, node.value))]
+            case ast.For() | ast.comprehension():
+                bound = [(node.target, node.iter)]
+            case ast.withitem(optional_vars=ast.expr()):
+                bound = [(cast(ast.expr, node.optional_vars), node.context_expr)]
+            case _:
+                bound = []
+        for target, source in bound:
+            values = self._find_values(source, scope, origins)
+            if not isinstance(target, ast.Name) or not isinstance(node, ast.Assign | ast.AnnAssign):
+                values += [item for value in values for item in _list_parts(value)]
+                values += [item for value in values for item in _list_parts(value)]
+            yield target, values
+
+    def _find_values(
+        self, expression: ast.expr, scope: Scope, origins: dict[str, list[LocatedValue]]
+    ) -> list[LocatedValue]:
+        """Return the known values to which an expression may refer, without its evaluation."""
+        match expression:
+            case ast.Name():
+                known = [scope[expression.id]] if expression.id in scope else []
+                return [*known, *origins.get(expression.id, ())]
+            case ast.Attribute():
+                owners = self._find_values(expression.value, scope, origins)
+                tables = [owner.table for owner in owners] + [
+                    cast(dict[Any, LocatedValue], owner.value.data)
+                    for owner in owners
+                    if isinstance(owner.value, ModuleNames)
+                ]
+                return [table[expression.attr] for table in tables if expression.attr in table]
+            case ast.Subscript():
+                key = self._find_key(expression.slice, scope, origins)
+                return self._find_items(expression.value, key, scope, origins)
+            case ast.Call(func=ast.Attribute(attr="values" | "items")):
+                function = cast(ast.Attribute, expression.func)
+                items = self._find_items(function.value, None, scope, origins)
+                return [LocatedValue(items, Place(Path()))]
+            case ast.Call(func=ast.Attribute(attr="get" | "setdefault" | "pop")):
+                function = cast(ast.Attribute, expression.func)
+                key = (
+                    self._find_key(expression.args[0], scope, origins) if expression.args else None
+                )
+                more = [
+                    value
+                    for argument in expression.args[1:]
+                    for value in self._find_values(argument, scope, origins)
+                ]
+                return [*self._find_items(function.value, key, scope, origins), *more]
+            case ast.Call(func=ast.Name()) if cast(ast.Name, expression.func).id in _ITEM_FUNCTIONS:
+                parts = [
+                    item
+                    for argument in expression.args
+                    for value in self._find_values(argument, scope, origins)
+                    for item in _list_parts(value)
+                ]
+                return [LocatedValue(parts, Place(Path()))]
+            case ast.Tuple() | ast.List():
+                parts = [
+                    value
+                    for element in expression.elts
+                    for value in self._find_values(element, scope, origins)
+                ]
+                return [LocatedValue(parts, Place(Path()))]
+            case ast.IfExp():
+                operands = [expression.body, expression.orelse]
+            case ast.BoolOp():
+                operands = expression.values
+            case ast.NamedExpr() | ast.Starred():
+                operands = [expression.value]
+            case _:
+                operands = []
+        return [
+            value for operand in operands for value in self._find_values(operand, scope, origins)
+        ]
+
+    def _find_items(
+        self,
+        expression: ast.expr,
+        key: Any,
+        scope: Scope,
+        origins: dict[str, list[LocatedValue]],
+    ) -> list[LocatedValue]:
+        """Return the items with a key of the values of an expression; all items if it is None."""
+        result: list[LocatedValue] = []
+        for owner in self._find_values(expression, scope, origins):
+            if key is None:
+                result += _list_parts(owner)
+            elif isinstance(owner.value, list | dict):
+                with suppress(NotConstantError):
+                    result.append(self._apply_function(operator.getitem, owner.value, key))
+        return result
+
+    def _find_key(self, expression: ast.expr, scope: Scope, changing: Iterable[str]) -> Any:
+        """Return the known key of an expression; None if unknown or if a name in it may change."""
+        changing = {*changing}
+        for node in ast.walk(expression):
+            if isinstance(node, ast.Call | ast.Slice) or (
+                isinstance(node, ast.Name) and node.id in changing
+            ):
+                return None
+        value = self.evaluate(expression, scope).value
+        return value if isinstance(value, str | int | float | bool) else None
+
+    def _list_method_changes(
+        self,
+        call: ast.Call,
+        scope: Scope,
+        changing: set[str],
+        origins: dict[str, list[LocatedValue]],
+    ) -> Iterator[tuple[Any, Any]]:
+        """Yield the lists and tables that a call of a method changes, each with its key or None."""
+        if not isinstance(call.func, ast.Attribute):
+            return
+        name = call.func.attr
+        for owner in self._find_values(call.func.value, scope, origins):
+            content = owner.value
+            if name not in _CHANGING_METHODS.get(type(content), ()):
+                continue
+            if isinstance(content, list) or name in ("popitem", "clear"):
+                yield content, None
+                continue
+            keys: list[Any] = [keyword.arg for keyword in call.keywords]
+            for argument in call.args[: 1 if name != "update" else None]:
+                if name != "update":
+                    keys.append(self._find_key(argument, scope, changing))
+                elif isinstance(argument, ast.Dict):
+                    keys += [key and self._find_key(key, scope, changing) for key in argument.keys]
+                else:
+                    is_stable = isinstance(argument, ast.Name) and argument.id not in changing
+                    update = self.evaluate(argument, scope).value if is_stable else None
+                    keys += update if isinstance(update, dict) else [None]
+            for key in keys:
+                has = key is not None and key in content
+                if key is None or name == "update" or has is (name == "pop"):
+                    yield content, key
+
+    def _list_call_changes(
+        self,
+        call: ast.Call,
+        scope: Scope,
+        origins: dict[str, list[LocatedValue]],
+        seen: set[tuple[object, ...]],
+    ) -> Iterator[tuple[Any, Any, LocatedValue]]:
+        """Yield the changes by the functions of evaluated files that a call may evaluate."""
+        owners: list[LocatedValue | None] = [None]
+        if isinstance(call.func, ast.Attribute):
+            owners = [*self._find_values(call.func.value, scope, origins)]
+        for called in self._find_values(call.func, scope, origins):
+            function = called.value
+            if not isinstance(function, FunctionValue) or self.depth >= MAX_CALL_DEPTH:
+                continue
+            node = function.node
+            names = [argument.arg for argument in (*node.args.posonlyargs, *node.args.args)]
+            bound = [
+                owner
+                for owner in owners
+                if owner is not None and isinstance(owner.value, InstanceValue | ClassValue)
+            ]
+            inside: dict[str, list[LocatedValue]] = dict(zip(names, [bound], strict=False))
+            sources = [(None, argument) for argument in call.args] + [
+                (keyword.arg, keyword.value) for keyword in call.keywords
+            ]
+            for place, (keyword, source) in enumerate(sources, 1 if bound else 0):
+                name = keyword or (names[place] if place < len(names) else "")
+                inside.setdefault(name, []).extend(self._find_values(source, scope, origins))
+            every = [*names, *(argument.arg for argument in node.args.kwonlyargs)]
+            key = (
+                id(node),
+                *((name, frozenset(_list_identities(values))) for name, values in inside.items()),
+            )
+            if key in seen or (id(node),) in seen:
+                continue
+            seen |= {key, (id(node),)}
+            self._count_step(node, scope)
+            lost = {
+                name: self._make_node(UnknownValue(name), node, function.around) for name in every
+            }
+            self.depth += 1
+            yield from self._list_changes(
+                node.body if isinstance(node, ast.FunctionDef) else [ast.Expr(node.body)],
+                function.around.new_child(lost),
+                inside,
+                seen,
+            )
+            self.depth -= 1
+            seen.remove((id(node),))
 
     def _assign_target(self, to: ast.expr, value: LocatedValue, scope: Scope) -> None:
         """Assign a value to a name, to several names, to an attribute or to an item.
@@ -567,7 +868,11 @@ class Evaluator:
             )(expression, scope)
         except NotConstantError:
             result = UnknownValue(ast.unparse(expression)[:80])
-        return self._make_node(result, expression, scope)
+        node = self._make_node(result, expression, scope)
+        first = node.value[0].value if isinstance(node.value, list) and node.value else None
+        return (
+            replace(node, value=UnknownValue(first.name)) if isinstance(first, LostItem) else node
+        )
 
     def _make_node(self, value: Any, expression: ast.AST, scope: Scope) -> LocatedValue:
         """Make a node of a value and its list items, with the place of an expression."""
@@ -777,10 +1082,12 @@ class Evaluator:
         """
         if len(expression.ops) > 1:
             raise NotConstantError
-        both = (
+        both = [
             self._to_plain(self.evaluate(operand, scope))
             for operand in (expression.left, *expression.comparators)
-        )
+        ]
+        if isinstance(expression.ops[0], ast.In | ast.NotIn) and self._is_open(both[1], both[0]):
+            raise NotConstantError
         return self._apply_function(_OPERATOR_FUNCTIONS[type(expression.ops[0])], *both)
 
     def _evaluate_ifexp(self, expression: ast.IfExp, scope: Scope) -> LocatedValue:
@@ -931,7 +1238,14 @@ class Evaluator:
             own = [self._list_items(argument) for argument in arguments]
         elif name == "update":
             own = [argument.value for argument in arguments]
+        if own and name in ("get", "pop", "setdefault") and self._is_open(value, own[0]):
+            raise NotConstantError
         return self._apply_function(getattr(value, name), *own, **keywords)
+
+    def _is_open(self, table: Any, key: Any) -> bool:
+        """Return True if a table lacks a key, but may have further keys that are not known."""
+        is_key = isinstance(key, str | int | float | bool)
+        return is_key and id(table) in self.open_tables and key not in table
 
     def call(
         self,
@@ -1010,6 +1324,41 @@ class Evaluator:
         self.steps += len(memo)
         getattr(fresh, "fields", {}).update(keywords)
         return fresh
+
+
+def _list_parts(node: LocatedValue) -> list[LocatedValue]:
+    """Return the items of a list, or the values of a table; of other values, an empty list."""
+    content = node.value
+    if isinstance(content, dict):
+        return [*content.values()]
+    return [*content] if isinstance(content, list) else []
+
+
+def _list_identities(values: list[LocatedValue]) -> Iterator[int]:
+    """Yield the identities of values. A list without place has those of its items."""
+    for value in values:
+        if value.place == Place(Path()) and isinstance(value.value, list):
+            yield from _list_identities(value.value)
+        else:
+            yield id(value.value)
+
+
+def _walk_block(statement: ast.AST) -> Iterator[ast.AST]:
+    """Yield the statements in a block, without the bodies of functions and classes."""
+    for child in ast.iter_child_nodes(statement):
+        if isinstance(child, ast.stmt):
+            yield child
+        if not isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.expr):
+            yield from _walk_block(child)
+
+
+def _list_defined_names(node: ast.AST) -> list[str]:
+    """Return the names that a definition of a function or class, or an import, defines."""
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        return [node.name]
+    if isinstance(node, ast.Import | ast.ImportFrom):
+        return [alias.asname or alias.name.split(".")[0] for alias in node.names]
+    return []
 
 
 def _list_search_folders(path: Path) -> Iterator[Path]:

@@ -87,6 +87,42 @@ LOST = {
     "deleted": ("x = {'a': 1, 'b': 2}\ndel x['a']\n", {"a": "<del x['a']>", "b": 2}),
     "a loop without end": ("x = 0\nwhile True:\n    x = x + 1\n", "<x = x + 1>"),
     "what may not happen": ("x = 1\nif unknown():\n    x = 2\n", "<x = 2>"),
+    "what may be updated": (
+        "x = {'a': 1, 'b': 2}\nif unknown():\n    x.update({'a': 5}, c=7)\n",
+        {"a": "<x.update({'a': 5}, c=7)>", "b": 2, "c": "<x.update({'a': 5}, c=7)>"}),
+    "what may be updated with unknown keys": (
+        "d = {'a': 1}\nif unknown():\n    d.update(load())\n"
+        "x = [d, d.get('b', 3), 4 if 'c' in d else 5]\n",
+        [{"a": "<d.update(load())>"}, "<d.get('b', 3)>", "<4 if 'c' in d else 5>"]),
+    "what may be popped": (
+        "x = {'a': 1, 'b': 2}\nif unknown():\n    x.pop('a')\n    x.pop('c', 0)\n"
+        "    x.setdefault('b', 3)\n", {"a": "<x.pop('a')>", "b": 2}),
+    "what may be appended": (
+        "a = [1, 2]\nb = a\nif unknown():\n    a.append(3)\nx = [b, len(b), b[0]]\n",
+        ["<a.append(3)>", "<len(b)>", "<b[0]>"]),
+    "what may be deleted": (
+        "x = [1, 2]\nif unknown():\n    del x[0]\n", ["<del x[0]>", "<del x[0]>"]),
+    "an item that may be set": ("x = [1, 2]\nif unknown():\n    x[1] = 3\n", [1, "<x[1] = 3>"]),
+    "any item that may be set": (
+        "x = {'a': 1, 'b': 2}\nif unknown():\n    for n in 'a', 'b':\n        x[n] = 3\n",
+        {"a": "<x[n] = 3>", "b": "<x[n] = 3>"}),
+    "by another name": (
+        "x = {'a': {'kp': 1, 'kd': 2}, 'b': 3}\nif unknown():\n    d = x['a']\n"
+        "    d['kp'] = 4\n", {"a": {"kp": "<d['kp'] = 4>", "kd": 2}, "b": 3}),
+    "in a loop over tables": (
+        "x = {'a': {'kp': 1}, 'b': {'kp': 2}}\nif unknown():\n"
+        "    for name, d in x.items():\n        d.update(kp=4)\n",
+        {"a": {"kp": "<d.update(kp=4)>"}, "b": {"kp": "<d.update(kp=4)>"}}),
+    "in a called function": (
+        "def f(d, v):\n    d['a'] = v\nx = {'a': 1, 'b': 2}\nif unknown():\n    f(x, 3)\n",
+        {"a": "<d['a'] = v>", "b": 2}),
+    "in a called method": (
+        "class A:\n    kp, kd = 1, 2\n    def f(self):\n        self.kp = 3\na = A()\n"
+        "if unknown():\n    a.f()\nx = [a.kp, a.kd]\n", ["<self.kp = 3>", 2]),
+    "what may be defined again": (
+        "def f():\n    return 1\ndef g():\n    return 1\nif unknown():\n    def f():\n"
+        "        return 2\n    class B:\n        def g(self):\n            return 3\n"
+        "x = [f(), g()]\n", ["<f()>", 1]),
     "over what is not known": ("x = 1\nfor x in unknown:\n    pass\n", "<for x in unknown:>"),
     "what may match": ("x = 1\nmatch unknown:\n    case 1:\n        x = 2\n", "<x = 2>"),
     "too large": ("x = 10\nfor n in range(99):\n    x = x * x\n", "<x * x>"),
