@@ -248,12 +248,11 @@ def _check_stand(design: Design) -> bool:
 
 
 SET_DOWN_HEIGHT = 0.002
-"""Height of the feet above the ground [m] from which the metric ``set_down`` drops the robot. A
-stand that is stable only without disturbance collapses from it. Chosen, not tuned."""
+"""Height of the feet above the ground [m] from which the metric ``set_down`` drops the robot: a
+disturbance that a stand must survive. Chosen, not tuned."""
 
 SET_DOWN_DURATION = 5.0
-"""Duration of the simulation of ``set_down`` [s]: a robot that buckles has left the stand by then.
-Chosen, not tuned."""
+"""Duration of the simulation of ``set_down`` [s], in which a robot may buckle. Chosen, not tuned."""
 
 
 def survives_set_down(design: Design) -> bool:

@@ -83,8 +83,8 @@ class MetricSummary(Result):
         main_effects: {variable: fraction of the variance due to this variable alone, among the
             designs with a value}; empty for a column ``NAME.KEY``.
         interaction: Fraction of the variance due to several variables together. None for samples,
-            for fewer than two variables with several values, if all main effects are 0, and unless
-            all designs of the product have a value.
+            for a column ``NAME.KEY``, for fewer than two variables with several values, if all main
+            effects are 0, and unless all designs of the product have a value.
     """
 
     metric: str

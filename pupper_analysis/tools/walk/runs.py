@@ -150,8 +150,8 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
     A policy without gains gets those of the robot's files.
 
     Raises:
-        ConfigurationError: If the base is fixed, the robot has no feet, or the policy acts more
-            than once per time step.
+        ConfigurationError: If the base is fixed, the robot has no feet, the policy acts more than
+            once per time step, or its contract states an effort below `MIN_EFFORT`.
         ModelError: If a joint has no motor, the policy states kp without kd or kd without kp,
             neither policy nor robot has gains, or the number of joints or of observed feet differs.
         UnknownNameError: If the policy names a joint that the robot does not have.
@@ -243,7 +243,7 @@ def replace_efforts(
         Robot; policy.
 
     Raises:
-        ConfigurationError: If a limit is not positive and finite.
+        ConfigurationError: If a limit is below `MIN_EFFORT` or not finite.
         ModelError: If the policy does not fit the robot.
         UnknownNameError: If a joint does not exist.
     """
