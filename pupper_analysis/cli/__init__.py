@@ -34,6 +34,7 @@ from pupper_analysis.cli.process import (
 from pupper_analysis.cli.shared import (
     CONTEXT_SETTINGS,
     EXIT_BAD_INPUT,
+    EXIT_FAILED,
     EXIT_INTERNAL,
     EXIT_VERIFIED,
 )
@@ -182,8 +183,11 @@ def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -
         raise KeyboardInterrupt from error
     except BrokenPipeError:  # a pipe for results has no reader
         return EXIT_VERIFIED
-    except SystemExit as error:
-        return error.code if isinstance(error.code, int) else EXIT_VERIFIED
+    except SystemExit as error:  # of a library or a plug-in
+        if error.code is None or isinstance(error.code, int):
+            return error.code or EXIT_VERIFIED
+        _print_error(str(error.code))
+        return EXIT_FAILED  # the status with which Python ends
     except Exception as error:
         raise_if_ended()
         if debug:

@@ -340,3 +340,20 @@ def test_control_characters_of_an_error_are_escaped(capsys: pytest.CaptureFixtur
         cli.run(named, [])
     err = capsys.readouterr().err
     assert err == "error: x: \\n::error::forged\\x1b[31m\\x9b\\u202e\n"
+
+
+@pytest.mark.parametrize(
+    ("code", "status", "message"),
+    [(None, 0, ""), (0, 0, ""), (3, 3, ""), ("no licence", 1, "error: no licence\n")],
+)
+def test_text_of_a_system_exit_is_an_error(
+    code: str | int | None, status: int, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Python prints the text on standard error, and exits with status 1."""
+
+    @click.command()
+    def command() -> None:
+        sys.exit(code)
+
+    assert status_of(command, []) == status
+    assert capsys.readouterr() == ("", message)
