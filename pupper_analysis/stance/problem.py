@@ -500,6 +500,9 @@ def _check_support_area(robot: Robot, corners: Array, stance_feet: Sequence[str]
     # A robot on grips alone has no corners if the grips cannot carry the weight.
     seen = corners - corners.mean(axis=0) if len(corners) > 1 else np.zeros((2, 2))
     if np.linalg.svd(seen, compute_uv=False)[1] < _MIN_SUPPORT_WIDTH:
+        if not stance_feet:
+            problem = diagnose("grips-without-area", robot=robot.name, grips=[*robot.grips])
+            raise ConfigurationError("contacts", problem)
         raise ConfigurationError(
             "swing" if len(stance_feet) < len(robot.contact_points) else "robot",
             diagnose("touches-along-line", robot=robot.name, feet=stance_feet),

@@ -778,3 +778,12 @@ def test_stand_on_the_planes_of_slopes_equals_the_stand_on_the_slopes() -> None:
     assert two.com_margin == pytest.approx(one.com_margin, abs=1e-9)
     sags = [pa.steady_state(robot, stand) for stand in (one, two)]
     np.testing.assert_allclose(sags[1].qpos, sags[0].qpos, atol=1e-9)
+
+
+def test_refusal_of_a_robot_on_a_grip_alone_names_the_grip(armed: pa.Robot) -> None:
+    task = grip_bar(armed)
+    contacts = {HAND: task.contacts[HAND]}
+    task = pa.StandTask(contacts=contacts, swing=dict.fromkeys(armed.feet, 0.02))
+    with pytest.raises(pa.ConfigurationError, match=r"except grips \(hand\)") as caught:
+        pa.solve_stand(armed, task)
+    assert "ground along a single line" not in str(caught.value)
