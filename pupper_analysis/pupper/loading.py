@@ -41,7 +41,7 @@ def _accept_variants(load_files: Callable[P, Robot]) -> Callable[P, Robot]:
         if len(models) != 1 or not is_variant(models[0]):
             return load_files(*models, **options)
         given = {name: value for name, value in options.items() if value not in (None, False)}
-        fixed_base = bool(given.pop("fixed_base", False))
+        fixed_base: Any = given.pop("fixed_base", False)
         given.pop("visuals", None)  # MuJoCo reads the meshes of variants without conversion
         if given:
             raise ConfigurationError(next(iter(given)), diagnose("options-of-files-alone"))

@@ -23,6 +23,7 @@ from pupper_analysis.present.document import (
     Text,
     number_cell,
 )
+from pupper_analysis.present.documents import loads
 from pupper_analysis.present.documents.registry import build_document, build_report
 from pupper_analysis.present.documents.standing import run_rows
 from pupper_analysis.present.figures.drawing import write_plots
@@ -171,3 +172,13 @@ def _joint_error_rows(*runs: Stub) -> list[str]:
         for line in lines
         if line.startswith("joint error")
     ]
+
+
+@pytest.mark.parametrize(
+    ("mass", "shown"), [(0.57, "0.57 kg"), (0.579, "0.57 kg"), (2.28999999, "2.28 kg")]
+)
+def test_largest_payload_is_rounded_down(mass: float, shown: str) -> None:
+    """Reference: decimal digits; 100 * 0.57 is 56.99999999999999."""
+    assert loads.mass_text(mass) == doc.Name(shown)
+    assert loads.round_mass_down(0.57) == pytest.approx(0.57)
+    assert loads.round_mass_down(0.579) == pytest.approx(0.57)

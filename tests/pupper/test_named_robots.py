@@ -160,3 +160,9 @@ def test_variant_accepts_visuals_without_effect() -> None:
     """A variant has no mesh that must be converted."""
     for visuals in (True, False):
         assert pa.load_robot("v3", visuals=visuals).name == "v3"
+
+
+def test_fixed_base_of_a_variant_is_a_truth_value() -> None:
+    """The text "no" was read as True."""
+    with pytest.raises(pa.ConfigurationError, match="fixed_base"):
+        pa.load_robot("v3", fixed_base="no")  # type: ignore[arg-type]

@@ -71,13 +71,21 @@ def mass_text(mass: float) -> doc.Words:
         return text("limit-unknown")
     if math.isinf(mass):
         return text("no-limit")
-    return doc.Name(f"{math.floor(100 * mass) / 100:.2f} kg")
+    return doc.Name(f"{_floor(100 * mass) / 100:.2f} kg")
 
 
 def round_mass_down(mass: float) -> float:
     """Round a mass [kg] above 0 down to two significant digits: the rounded mass also holds."""
     step = 10.0 ** (math.floor(math.log10(mass)) - 1)
-    return math.floor(mass / step) * step
+    return _floor(mass / step) * step
+
+
+def _floor(number: float) -> int:
+    """Round a positive number down; numbers up to 1e-12 below an integer give this integer.
+
+    Products such as 100 * 0.57 are a rounding error below 57.
+    """
+    return math.floor(number * (1 + 1e-12))
 
 
 def proof_text(verification: StandVerification) -> doc.Text:
