@@ -252,7 +252,7 @@ SET_DOWN_HEIGHT = 0.002
 disturbance that a stand must survive. Chosen, not tuned."""
 
 SET_DOWN_DURATION = 5.0
-"""Duration of the simulation of ``set_down`` [s], in which a robot may buckle. Chosen, not tuned."""
+"""Duration of the simulation of ``set_down`` [s]. Chosen, not tuned."""
 
 
 def survives_set_down(design: Design) -> bool:

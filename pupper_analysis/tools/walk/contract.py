@@ -73,8 +73,8 @@ _TERM_ALIASES = {
     "last_last_act": "second-last-action",
     "feet_contacts": "contacts",
 }
-"""{common name (`OBSERVATION_ALIASES`) of a term in Isaac Lab, mjlab, Unitree's environments and
-others: term}."""
+"""{common name (`OBSERVATION_ALIASES`) or other name of a term in Isaac Lab, mjlab, Unitree's
+environments and others: term}."""
 
 
 def find_term_name(name: str) -> str:
