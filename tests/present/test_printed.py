@@ -179,6 +179,6 @@ def _joint_error_rows(*runs: Stub) -> list[str]:
 )
 def test_largest_payload_is_rounded_down(mass: float, shown: str) -> None:
     """Reference: decimal digits; 100 * 0.57 is 56.99999999999999."""
-    assert loads.mass_text(mass) == doc.Name(shown)
+    assert loads.mass_text(mass) == Name(shown)
     assert loads.round_mass_down(0.57) == pytest.approx(0.57)
     assert loads.round_mass_down(0.579) == pytest.approx(0.57)
