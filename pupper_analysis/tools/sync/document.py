@@ -87,11 +87,12 @@ def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextSte
     """Return the command to run next.
 
     If the files differ and none was chosen, this is a trial of `sync` that keeps the URDF's values;
-    after a trial (``dry_run``) with changes, `sync` that writes the files; otherwise `crosscheck`.
+    after a trial (``dry_run``) with changes that would be written, `sync` that writes the files;
+    otherwise `crosscheck`.
     """
     if not chosen and not sync.agree:
         return doc.NextStep("sync", ("--take", "urdf", "--dry-run"))
-    if dry_run and sync.edits:
+    if dry_run and sync.edits and not sync.withheld:
         return doc.NextStep("sync", omitted=("--dry-run",))
     return doc.NextStep("crosscheck")
 

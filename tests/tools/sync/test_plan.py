@@ -26,6 +26,7 @@ from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.xml_bytes import read_xml_bytes
 from pupper_analysis.tools.sync import models
 from pupper_analysis.tools.sync.digits import format_numbers, format_shortest
+from pupper_analysis.tools.sync.document import sync_document
 from pupper_analysis.tools.sync.frames import is_same_body
 from pupper_analysis.tools.sync.plan import UnwrittenCause
 from tests.support.hidden_files import leave_hidden_file
@@ -294,6 +295,9 @@ def test_all_chosen_changes_are_written_or_none(tmp_path: Path) -> None:
             f"link shank0: {kind}" for kind in ("mass", "com", "inertia")
         }
         assert {left.reason.code for left in result.not_mended} == {"no-link-to-change"}
+        step = sync_document(result, dry_run=dry).next_step  # the same choice writes nothing
+        assert step is not None
+        assert step.command != "sync"
         assert (files.urdf.read_bytes(), files.mjcf.read_bytes()) == before
     for choice, options in (("mjcf", {"partial": True}), ("mjcf:link thigh1", {})):
         files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))
