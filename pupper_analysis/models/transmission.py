@@ -13,6 +13,7 @@ from enum import StrEnum
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.units import DAMPING_UNIT, STIFFNESS_UNIT
@@ -50,7 +51,7 @@ def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:
     return gear[:1] if is_at_one_joint(model, actuator) else gear
 
 
-def read_gears(model: mujoco.MjModel, actuators: Array | Sequence[int]) -> Array:
+def read_gears(model: mujoco.MjModel, actuators: NDArray[np.integer]) -> Array:
     """Return the gear of the first output of each actuator, shape (n,).
 
     ``actuator_gear`` of MuJoCo has a row per output; an actuator may have several outputs.
