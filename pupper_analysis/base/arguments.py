@@ -81,8 +81,7 @@ def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
     """Return a new array of real numbers of any shape; infinite values and NaN are accepted.
 
     Arrays and lists of texts, Booleans or complex numbers are rejected, which NumPy would convert
-    silently, and masked arrays with a masked element. In a list with numbers, Booleans are accepted
-    as 0 and 1.
+    silently, also a list with a Boolean among numbers, and masked arrays with a masked element.
 
     Args:
         name: Name of the argument, for the message.
@@ -102,6 +101,8 @@ def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
         if array.dtype.kind not in "iufO":
             message = diagnose("array-of-another-type", type=str(array.dtype))
             raise ConfigurationError(name, message)
+        if _contains_boolean(values):  # NumPy converts a Boolean among numbers to 0 or 1
+            raise ConfigurationError(name, diagnose("array-of-another-type", type="bool"))
         return np.array(array, dtype=float)
     except (TypeError, ValueError, OverflowError) as error:
         message = diagnose("no-array", problem=str(error))
@@ -111,6 +112,15 @@ def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
 def _is_real_number(value: object) -> bool:
     """Return True for a real number that is no Boolean."""
     return isinstance(value, Real) and not isinstance(value, _BOOLEAN_TYPES)
+
+
+def _contains_boolean(values: object) -> bool:
+    """Return True if a list or tuple, also nested, contains a Boolean or an array of Booleans."""
+    if isinstance(values, list | tuple):
+        return any(map(_contains_boolean, values))
+    if isinstance(values, np.ndarray):
+        return values.dtype.kind == "b"
+    return isinstance(values, _BOOLEAN_TYPES)
 
 
 def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ from pupper_analysis.base.arguments import (
     check_length,
     check_type,
     match_names,
+    real_array,
 )
 from tests.support.names import public, public_modules
 from tests.support.tiny import Files
@@ -318,3 +319,15 @@ def test_a_name_with_brackets_is_selected_by_its_exact_name(
     pattern: str, selected: list[str]
 ) -> None:
     assert match_names(pattern, ["arm0", "arm[0]", "leg"]) == selected
+
+
+@pytest.mark.parametrize(
+    "given",
+    [[True, 1.0], (2, False), [[0.5, 1.0], [True, 1.0]], [np.True_, 1.0], [np.array([True]), [1]]],
+    ids=repr,
+)
+def test_a_boolean_among_numbers_is_no_number(given: Any) -> None:
+    """NumPy would convert it to 0 or 1."""
+    with pytest.raises(pa.ConfigurationError, match="bool"):
+        real_array("values", given)
+    assert real_array("values", [[1, 2.5], (3, 4)]).tolist() == [[1.0, 2.5], [3.0, 4.0]]
