@@ -59,10 +59,10 @@ def has_free_joint(model: mujoco.MjModel | mujoco.MjSpec) -> bool:
 
 GEOM_CONTACT_WORDS: Final = (
     *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
-    *("margin", "gap", "group"),
+    *("margin", "gap", "adhesion", "group"),
 )
 """Attributes that are copied from one geom to another: contact parameters, and ``group``, which
-controls the visibility. ``surfacevel`` and ``adhesion`` are not copied."""
+controls the visibility. ``surfacevel`` is not copied, because its axes are those of the geom."""
 
 
 def add_plane(body: mujoco.MjsBody, name: str, bits: int = 1) -> mujoco.MjsGeom:
@@ -76,7 +76,7 @@ def add_plane(body: mujoco.MjsBody, name: str, bits: int = 1) -> mujoco.MjsGeom:
         bits: ``conaffinity`` of the plane.
     """
     plane, default_geom = body.add_geom(name=name), mujoco.MjSpec().default.geom
-    for word in GEOM_CONTACT_WORDS:
+    for word in (*GEOM_CONTACT_WORDS, "surfacevel"):
         setattr(plane, word, getattr(default_geom, word))
     plane.type, plane.size, plane.conaffinity = mujoco.mjtGeom.mjGEOM_PLANE, (0, 0, 0.05), bits
     return plane

@@ -14,8 +14,9 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.models.mjcf import compile_spec, find_invalid_number, to_xml
+from pupper_analysis.models.mjcf import add_plane, compile_spec, find_invalid_number, to_xml
 from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.convert.model import convert_model
@@ -166,3 +167,25 @@ def test_rotation_without_an_axis_is_refused(tag: str, tmp_path: Path) -> None:
         read_mjcf(path)
     assert caught.value.cause.code == "quaternion-without-direction"
     assert audit_model(path).counts["error"]
+
+
+_STICKY = """<mujoco><default><geom adhesion="3" surfacevel="0.5 0 0 0 0 0"/></default><worldbody>
+<geom name="belt" type="plane" size="1 1 1"/><body name="foot"><freejoint/>
+<geom name="sole" type="box" size=".1 .1 .1" adhesion="2"/></body></worldbody></mujoco>"""
+
+
+def test_added_plane_has_no_contact_parameters_of_the_default_class() -> None:
+    """References: MuJoCo's defaults of adhesion [N] and surface velocity [m/s, rad/s]."""
+    spec = mujoco.MjSpec.from_string(_STICKY)
+    add_plane(spec.worldbody, "floor")
+    model = compile_spec(spec, Path("sticky.xml"))
+    floor = model.geom("floor").id
+    assert model.geom_adhesion[floor] == 0.0
+    assert not model.geom_surfacevel[floor].any()
+
+
+def test_added_ball_has_the_adhesion_of_its_model_geom() -> None:
+    spec = mujoco.MjSpec.from_string(_STICKY)
+    SpecTree(spec).add_ball("ball", "foot", 0.1, (0.0, 0.0, 0.0), like="sole")
+    model = compile_spec(spec, Path("sticky.xml"))
+    assert model.geom_adhesion[model.geom("ball").id] == 2.0
