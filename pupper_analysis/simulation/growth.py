@@ -30,7 +30,6 @@ from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.results import Result
@@ -286,8 +285,9 @@ def _count_valid_steps(times: Array, rollouts: Array, timestep: float) -> int:
         timestep: Time step [s].
     """
     advances = np.diff(rollouts[..., 0], axis=1, prepend=times[:, None]) > timestep / 2
-    diverges: NDArray[np.bool_] = ~(advances & np.isfinite(rollouts).all(axis=-1)).all(axis=0)
-    return int(diverges.argmax()) if diverges.any() else len(diverges)
+    is_valid = advances & np.isfinite(rollouts).all(axis=-1)
+    diverged = np.flatnonzero(~(is_valid[0] & is_valid[1]))
+    return int(diverged[0]) if len(diverged) else rollouts.shape[1]
 
 
 @np.errstate(invalid="ignore", over="ignore")
