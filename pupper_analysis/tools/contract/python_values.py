@@ -449,6 +449,9 @@ class Evaluator:
         result = ClassValue(
             statement.name, known, theirs, [name for base in known for name in base.ordered]
         )
+        decorators = "".join(map(ast.unparse, statement.decorator_list))
+        if "dataclass" in decorators or "configclass" in decorators:  # have their own ``__init__``
+            theirs.pop("__init__", None)
         node = self._make_node(result, statement, scope)
         self.run_statements(
             statement.body, scope.new_child({"__class__": node}).new_child(result.fields)
@@ -1299,11 +1302,24 @@ class Evaluator:
     def _make_instance(
         self, of: ClassValue, arguments: list[LocatedValue], keywords: dict[str, LocatedValue]
     ) -> LocatedValue:
-        """Make an instance of a class with fresh copies of the default values, as of a dataclass.
+        """Make an instance of a class with fresh copies of the default values.
 
-        Arguments become fields, then ``__post_init__`` is evaluated; ``__init__`` is not.
+        ``__init__`` is evaluated with the arguments. If this is not possible, the attributes that
+        it assigns are unknown. In a class without ``__init__``, as in a dataclass, the arguments
+        become fields, then ``__post_init__`` is evaluated.
         """
         result: InstanceValue = self._copy_value(InstanceValue(of.name, of.fields, of), {})
+        start = of.fields.get("__init__")
+        if start is not None and isinstance(start.value, FunctionValue):
+            node = LocatedValue(result, start.place)
+            try:
+                self.call(replace(start.value, own=node), arguments, keywords)
+            except NotConstantError:
+                for part in ast.walk(start.value.node):
+                    if isinstance(part, ast.Attribute) and isinstance(part.ctx, ast.Store):
+                        lost = self._make_lost(part, part, start.value.around)
+                        result.fields[part.attr] = lost
+            return node
         result.fields.update(zip(dict.fromkeys(of.ordered), arguments, strict=False), **keywords)
         own = LocatedValue(result, Place(Path()))
         after = of.fields.get("__post_init__")

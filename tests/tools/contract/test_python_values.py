@@ -64,6 +64,14 @@ KNOWN = {
     "each instance's own": ("from dataclasses import dataclass, field\n@dataclass\nclass A:\n"
                             "    of: list = field(default_factory=lambda: [1])\n"
                             "a = A()\na.of.append(2)\nx = A().of\n", [1]),
+    "a class's own start": (
+        "class A:\n    kd = 1\n    def __init__(self, kp, gain=2):\n"
+        "        self.kp = gain * kp\nclass B(A):\n    def __init__(self, kp):\n"
+        "        super().__init__(kp, gain=3)\n        self.kd = self.kp / 10\n"
+        "a, b = A(kp=10), B(10)\nx = [a.kp, a.kd, b.kp, b.kd]\n", [20, 1, 30, 3.0]),
+    "a dataclass's own start": (
+        "class A:\n    def __init__(self, kp):\n        self.kp = 2 * kp\n@dataclass\n"
+        "class B(A):\n    kp: float = 1.0\nx = [B().kp, B(3).kp]\n", [1.0, 3]),
     "the module's name": ("x = 1\nif __name__ == '__main__':\n    x = 2\n", 1),
     "digits": ("x = 2.50\n", 2.5),
     "a table and more": ("a = {'kp': 1, 'kd': 2}\nx = dict(a, kp=3)\ny = a\n", {"kp": 3, "kd": 2}),
@@ -132,6 +140,9 @@ LOST = {
     "that raises": ("def f():\n    raise ValueError\nx = f()\n", "<f()>"),
     "a method of a text": (
         "x = ['FL_hip']\nx = [n.replace('FL', 'FR') for n in x]\n", ["<n.replace('FL', 'FR')>"]),
+    "a start that raises": (
+        "class A:\n    kp, kd = 1, 2\n    def __init__(self, kp):\n        raise ValueError\n"
+        "        self.kp = kp\na = A(kp=3)\nx = [a.kp, a.kd]\n", ["<self.kp>", 2]),
     "super in a class method": (
         "class A:\n    pass\nclass B(A):\n    def f(cls):\n        return super().f()\n"
         "x = B.f()\n", "<super().f()>"),
