@@ -120,24 +120,24 @@ class UrdfFile:
         links. Finally, the folders above the URDF are assumed to be the package, or a folder in it,
         because a copy may have another name. Other names are relative to the URDF.
         """
+        return next(filter(None, map(existing_file, self.list_mesh_places(filename))), None)
+
+    def list_mesh_places(self, filename: str) -> Iterator[Path]:
+        """Yield the paths of a mesh's ``filename`` that `resolve_mesh` tries, in order."""
         scheme, separator, rest = filename.partition("://")
         if not separator:
-            return existing_file(self.path.parent / filename)
-        if scheme == "file":
-            return existing_file(self.path.parent / rest)
-        if scheme not in ("package", "model"):
-            return None
+            yield self.path.parent / filename
+        if separator and scheme == "file":
+            yield self.path.parent / rest
+        if scheme not in ("package", "model") or not separator:
+            return
         package, _, inside = rest.lstrip("/").partition("/")
         for folder in self._package_folders(package):
-            found = existing_file(folder / inside)
-            if found is not None:
-                return found
+            yield folder / inside
         parts = Path(inside).parts
         suffixes = (Path(*parts[start:]) for start in range(1, len(parts) - 1))
-        candidates = (
-            folder / suffix for suffix in suffixes for folder in self.path.absolute().parents
-        )
-        return next(filter(None, map(existing_file, candidates)), None)
+        for suffix in suffixes:
+            yield from (folder / suffix for folder in self.path.absolute().parents)
 
     def _package_folders(self, package: str) -> Iterator[Path]:
         """Yield the folders that may be a ROS package, by descending priority."""

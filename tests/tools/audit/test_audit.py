@@ -559,6 +559,22 @@ def test_meshes_of_one_package_or_folder_are_one_finding(tmp_path: Path) -> None
     assert of_package.line == line_of(path.read_text(), "<robot", names[0])
 
 
+def test_pointer_of_git_lfs_in_a_package_is_found(tmp_path: Path) -> None:
+    """The package is found, so that the option --package is no advice."""
+    tree = etree.fromstring(OWN["urdf"].read_bytes())
+    geometry = next(tree.iterfind(".//collision/geometry"))
+    geometry[:] = [etree.Element("mesh", filename="package://dog/meshes/a.stl")]
+    path = tmp_path / "dog" / "urdf" / "dog.urdf"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(etree.tostring(tree))
+    mesh = tmp_path / "dog" / "meshes" / "a.stl"
+    mesh.parent.mkdir()
+    mesh.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
+    (finding,) = find_findings(audit_model(path), "mesh-missing")
+    assert "Git LFS" in finding.message
+    assert "--package" not in finding.message
+
+
 def test_a_mesh_that_is_mirrored_in_all_directions_is_found(tmp_path: Path) -> None:
     """Two mirrored directions are a rotation; a scale of 0 is another finding."""
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n")

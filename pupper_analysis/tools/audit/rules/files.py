@@ -93,7 +93,7 @@ def _list_missing_meshes(robot: UrdfModel | MjcfModel) -> Iterator[_MissingMesh]
             name = mesh.get("filename", "")
             if name not in seen and robot.file.resolve_mesh(name) is None:
                 place = Place(robot.file.path, mesh.sourceline)
-                pointer = is_pointer(robot.file.path.parent / name)
+                pointer = any(map(is_pointer, robot.file.list_mesh_places(name)))
                 yield _MissingMesh(name, owner, place, pointer, name in touching)
             seen.add(name)
 
