@@ -575,6 +575,18 @@ def test_pointer_of_git_lfs_in_a_package_is_found(tmp_path: Path) -> None:
     assert "--package" not in finding.message
 
 
+def test_plane_of_a_body_that_is_fixed_to_the_world_is_a_floor(tmp_path: Path) -> None:
+    """Reference: a ball of 0.1 m whose centre is 0.06 m above the plane: 0.04 m deep."""
+    path = tmp_path / "ball.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="room"><geom type="plane" size="1 1 1"/></body>'
+        '<body name="ball" pos="0 0 0.06"><freejoint/><geom size="0.1"/></body></worldbody>'
+        '<keyframe><key name="home" qpos="0 0 0.06 1 0 0 0"/></keyframe></mujoco>'
+    )
+    findings = find_findings(audit_model(path), "start-in-floor")
+    assert any("'ball'" in finding.message and "40" in finding.message for finding in findings)
+
+
 def test_a_mesh_that_is_mirrored_in_all_directions_is_found(tmp_path: Path) -> None:
     """Two mirrored directions are a rotation; a scale of 0 is another finding."""
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n")

@@ -440,16 +440,17 @@ def _run_simulation(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) 
 def start_in_floor(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find initial configurations with a body deeper than `MAX_FLOOR_DEPTH` in a world plane.
 
-    World planes are planes of the world body. There is one finding per configuration, which names
-    the deepest body.
+    World planes are planes of the world body and of bodies that are fixed to it. There is one
+    finding per configuration, which names the deepest body.
     """
     for start in _list_start_poses(robot):
         depths: dict[str, float] = {}
         for bodies, geoms, depth in _list_penetrations(robot, start):
             assert robot.mj_model is not None
             planes = robot.mj_model.geom_type[list(geoms)] == mujoco.mjtGeom.mjGEOM_PLANE.value
-            if planes.any() and 0 in bodies and depth > MAX_FLOOR_DEPTH:
-                name = robot.body_names[max(bodies)]
+            fixed = robot.mj_model.body_weldid[list(bodies)] == 0
+            if (planes & fixed).any() and depth > MAX_FLOOR_DEPTH:
+                name = robot.body_names[bodies[int(fixed.argmin())]]
                 depths[name] = max(depth, depths.get(name, 0.0))
         if depths:
             deepest = max(depths, key=lambda name: depths[name])
