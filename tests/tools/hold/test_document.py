@@ -79,3 +79,13 @@ def test_masses_are_not_rounded_up_to_a_payload_that_does_not_hold() -> None:
     assert step.words == ("--payload", "10.072kg")
     strong = replace(held, payload=replace(held.payload, worst_posture_mass=999.7))
     assert "payload limit at tip: 1000 kg" in " ".join(map(str, hold_document(strong).findings))
+
+
+def test_torques_from_1000_are_printed_as_integers() -> None:
+    """Reference: 1234 N m; printed as 1.23e+03 before."""
+    held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
+    torques = np.full(len(held.worst.joint_torques), 1234.0)
+    strong = replace(held, worst=replace(held.worst, joint_torques=torques))
+    texts = str(hold_document(strong))
+    assert "1234" in texts
+    assert "1.23e+03" not in texts
