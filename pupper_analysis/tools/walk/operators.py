@@ -212,7 +212,7 @@ def _make_batch_normalization(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _make_reduction(function: Callable[..., Any]) -> Make:
-    """Return a maker of a reduction of one axis, by default the last; the axis keeps one element.
+    """Return a maker of a reduction of one axis, by default of all; each axis keeps one element.
 
     The maker returns None if several axes, or another axis than -1, 1 or 2, are stated.
     """
@@ -223,6 +223,8 @@ def _make_reduction(function: Callable[..., Any]) -> Make:
             return None
 
         def apply(value: Array, axes: Array | None = None) -> Any:
+            if axes is None and "axes" not in attributes and value.ndim == 3:  # all of each run
+                return function(value, axis=(1, 2), keepdims=True)
             axis = stated[0] if axes is None else int(axes.item())
             return function(value, axis=_find_axis(value, axis), keepdims=True)
 

@@ -232,6 +232,10 @@ def single_operators() -> dict[str, bytes]:
                    made.node("Concat", ("x", "n"), ("z",), axis=1)],
     }.items():  # fmt: skip
         made_of[f"{name} of channels"] = [channels, *nodes, to_row[0]], tensors
+    for kind in ("ReduceMean", "ReduceL2"):
+        made_of[f"{kind} of all channels"] = (
+            [channels, made.node(kind, ("x",), ("m",)), made.node("Sub", ("x", "m"), ("z",)),
+             to_row[0]], tensors)  # fmt: skip
     made_of["LayerNormalization of channels"] = (
         [channels, made.node("LayerNormalization", ("x", "g"), ("z",), axis=1), to_row[0]],
         [*tensors, made.tensor("g", np.linspace(0.5, 2.0, 6).reshape(3, 2))])  # fmt: skip
