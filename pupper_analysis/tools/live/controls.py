@@ -386,19 +386,19 @@ class JointSliders:
             index = robot.joint_names.index(name)
             (scale, unit), unlimited_bound = READ_IN[units[index]], _UNLIMITED_BOUND[units[index]]
             limits = np.clip(ranges[index], -unlimited_bound, unlimited_bound) * scale
-            # Rounded inwards, so that a slider does not exceed the limits of its joint, unless the
-            # range is shorter than the step.
+            # Rounded inwards, so that a slider does not exceed the limits of its joint. A range
+            # with fewer than two multiples of the step is not rounded.
             low, high = (
                 math.ceil(limits[0] / _JOINT_STEP) * _JOINT_STEP,
                 math.floor(limits[1] / _JOINT_STEP) * _JOINT_STEP,
             )
-            value = float(
-                np.clip(round(float(start[index]) * scale, _SLIDER_DIGITS), low, max(high, low))
-            )
+            step = _JOINT_STEP
+            if high <= low:
+                low, high = map(float, limits)
+                step = high - low or _JOINT_STEP  # a joint without range keeps a slider
+            value = float(np.clip(round(float(start[index]) * scale, _SLIDER_DIGITS), low, high))
             name_and_unit = f"{escape_control(name)} ({unit})"
-            slider = gui.add_slider(
-                name_and_unit, low, max(high, low + _JOINT_STEP), _JOINT_STEP, value
-            )
+            slider = gui.add_slider(name_and_unit, low, max(high, low + step), step, value)
             slider.on_update(partial(self._on_moved, name))
             self.sliders[name], self._scales[name] = slider, scale
         self._initial_values = {name: slider.value for name, slider in self.sliders.items()}
