@@ -115,8 +115,7 @@ class Variable:
 
 
 MAX_LEVELS = 1_000_000
-"""Maximum number of values of a variable. Longer lists should be a distribution. Chosen, not
-tuned."""
+"""Maximum number of values of a variable; a longer list is refused. Chosen, not tuned."""
 
 
 def linspace(low: float, high: float, count: int) -> Variable:

@@ -42,12 +42,12 @@ one (`Candidate.cost`), above which the best one is clearly better. Chosen: for 
 on the model v3 the ratio is 1.2."""
 
 SCALE_FACTORS = (0.5, 2.0)
-"""Factors on the stated action scale that are tried as other interpretations of a policy. Smaller
-deviations cannot be recognised: the policy still walks with them."""
+"""Factors on the stated action scale that are tried as other interpretations of a policy. Chosen,
+not tuned: with smaller deviations a policy may still walk."""
 
 _MAX_PERMUTED_LIMBS = 4
-"""Maximum number of limbs of which all orders are tried; of more limbs, only pairs are exchanged.
-Chosen, not tuned."""
+"""Maximum number of limbs, with equally many joints, of which all orders are tried; of more limbs,
+only pairs are exchanged. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,8 +39,8 @@ NUM_STEPS = 5
 the largest command."""
 
 MIN_RESPONSE = 0.25
-"""Fraction of a command below which the policy ignores the command. Chosen, not tuned: policies
-that respond reach more than half of a command (`MIN_FOLLOWED_FRACTION`)."""
+"""Fraction of a command below which the policy counts as ignoring the command. Chosen, not tuned:
+half of the fraction that a tracking robot reaches (`MIN_FOLLOWED_FRACTION`)."""
 
 AXIS_NAMES = ("forward", "left", "turning")
 """Names of the commands: forward speed, speed to the left, turning rate to the left."""

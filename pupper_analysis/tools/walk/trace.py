@@ -40,8 +40,8 @@ MAX_DELAY_SAMPLES = 10
 
 MATCH_RTOL, MATCH_ATOL = 0.02, 1e-4
 """Tolerances of a column of a term: rms difference <= `MATCH_RTOL` * (rms of the expected signal
-about its mean) + `MATCH_ATOL`, in the unit of the term. Chosen: encoders and float32 logs deviate
-less, a wrong sign, scale, order or delay deviates more."""
+about its mean) + `MATCH_ATOL`, in the unit of the term. Chosen, not tuned: above the noise of
+encoders and float32 logs, below the effect of a wrong sign, scale, order or delay."""
 
 _SIGNALS = {
     "positions": "q",
