@@ -553,7 +553,8 @@ def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -
 
     The default class is the class of the element, or the ``childclass`` of a body above it, or else
     the first top-level class. A class inherits from the enclosing classes. In a class, only
-    elements with the tag of the element are searched.
+    elements with the tag of the element are searched; for attributes of all actuators
+    (`_COMMON_ACTUATOR_ATTRIBUTES`), elements with the tag of any actuator.
 
     Args:
         root: Root element.
@@ -567,11 +568,28 @@ def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -
         return node
     name = node.attributes.get("class") or node.childclass
     nested = _find_default_classes(root, name)
+    common = set(attributes) & _COMMON_ACTUATOR_ATTRIBUTES if node.tag in _ACTUATOR_TAGS else set()
     for default in reversed(nested):
         for child in default.children:
-            if child.tag == node.tag and set(attributes) & set(child.attributes):
+            wanted = set(attributes) if child.tag == node.tag else common
+            if wanted & set(child.attributes) and child.tag in (node.tag, *_ACTUATOR_TAGS):
                 return child
     return None
+
+
+_ACTUATOR_TAGS = frozenset(
+    (
+        *("general", "motor", "position", "velocity", "intvelocity", "orientation", "pid"),
+        *("damper", "cylinder", "muscle", "adhesion", "dcmotor"),
+    )
+)
+"""Tags of actuators in an MJCF. All tags of a default class set the same defaults."""
+
+_COMMON_ACTUATOR_ATTRIBUTES = frozenset(
+    ("forcerange", "forcelimited", "ctrlrange", "ctrllimited", "gear", "lengthrange", "cranklength")
+)
+"""Attributes that an actuator inherits from a default of another tag. Other attributes, such as
+``kp``, set gain and bias, which for example a motor replaces."""
 
 
 def _find_default_classes(root: XmlNode, name: str | None) -> list[XmlNode]:

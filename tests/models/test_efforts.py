@@ -17,6 +17,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.models.attributes import UNSTATED
 from pupper_analysis.models.efforts import resolve_effort_limit
+from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.transmission import Drive, classify_joint_drive
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare import judge
@@ -564,3 +565,21 @@ def test_limits_of_a_file_alone_are_in_this_file(tmp_path: Path) -> None:
         origins = [limit.origin for limit in robot.efforts]
         assert {origin.file for origin in origins if origin is not None} == {file}
         assert np.isfinite(robot.effort_limits).all()
+
+
+@pytest.mark.parametrize("tag", ["motor", "general", "position"])
+def test_empty_force_range_in_the_default_of_another_actuator_tag_is_found(
+    tag: str, tmp_path: Path
+) -> None:
+    """Reference: the compiled model with a range that is not empty has this range."""
+    text = ARM.format(motor='<position joint="turn" kp="9"/>', joint="")
+    text = text.replace("<worldbody>", f'<default><{tag} forcerange="RANGE"/></default><worldbody>')
+    inherited = mujoco.MjModel.from_xml_string(text.replace("RANGE", "-2 2"))
+    assert inherited.actuator_forcerange[0].tolist() == [-2, 2]
+    path = tmp_path / "arm.xml"
+    path.write_text(text.replace("RANGE", "0 0"))
+    robot = pa.load_robot(path, fixed_base=True, as_is=True)
+    assert robot.efforts[0].code == "zero"
+    other = text.replace(f"<{tag} forcerange", "<joint actuatorfrcrange").replace("RANGE", "-2 2")
+    path.write_text(other)
+    assert read_mjcf(path).find_attribute("actuator", "turn", ("forcerange",)) is None
