@@ -147,7 +147,9 @@ def statics(distribution: str) -> Callable[[pa.Robot, pa.Stand], object]:
             stand,
             *(pa.solve_stand(robot, task(robot)) for task in (make_tilted_task, three_legged)),
         )
-        return [pa.stance.stand_statics(robot, one, distribution=distribution) for one in stands]
+        return [
+            pa.stance.stand_statics(robot, stand, distribution=distribution) for stand in stands
+        ]
 
     return compute
 
@@ -164,7 +166,10 @@ def cross_check_robot(robot: pa.Robot, _: pa.Stand) -> object:
     rounding.
     """
     check = pa.cross_check(robot, configurations=3)
-    return {"passed": check.passed, "scales": {one.name: one.scale for one in check.quantities}}
+    return {
+        "passed": check.passed,
+        "scales": {quantity.name: quantity.scale for quantity in check.quantities},
+    }
 
 
 def squat(robot: pa.Robot) -> list[pa.StandTask]:

@@ -153,7 +153,7 @@ def test_robots_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         for robot in robots:
             for begun, files in known.items():
                 items = robot.shell_complete(click.Context(command), begun)
-                found = {one.value for one in items if one.type == "plain"}
+                found = {item.value for item in items if item.type == "plain"}
                 assert found == files | {one for one in VARIANTS if one.startswith(begun)}
             (item,) = robot.shell_complete(click.Context(command), "folder.xml/")
             assert (item.type, item.value) == ("file", "folder.xml/")
@@ -213,6 +213,6 @@ def test_feet_joints_and_com_are_completed() -> None:
         ("posture", "leg_front_l", {f"leg_front_l_{number}=" for number in (1, 2, 3)}),
     ):
         items = options[name].shell_complete(context, begun)
-        assert {one.value for one in items} == expected
+        assert {item.value for item in items} == expected
     context.params["words"] = ("no-such-file.urdf",)
     assert options["swing"].shell_complete(context, "F") == []

@@ -109,7 +109,7 @@ def test_unused_entries_of_a_stance_file_are_accepted(tmp_path: Path) -> None:
 _OUTPUT = {"style", "everything", "force", "json_path", "report_path", "figure", "output", "csv"}
 _SERVO = {"kp", "kd", "integrator", "timestep", "cone", "impratio"}
 _POLICY = {"policy", "contract", "command_text", "seeds", "seconds"}
-_ROBOT = {one.name for one in fields(RobotOptions)}
+_ROBOT = {field.name for field in fields(RobotOptions)}
 _LOAD = {"payload", "effort"}
 USED: dict[str, set[str]] = {
     "analyze": {"no_figures", "write_folder"},

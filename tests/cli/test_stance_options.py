@@ -42,7 +42,9 @@ def test_commands_share_their_options_of_robot_and_stance() -> None:
     analyze = {option.name: option for option in cli.find_command("analyze").params}
     common = sorted(names & set(analyze))
     stand = {option.name: option for option in cli.find_command("stand").params}
-    base = [one for one in OPTION_FIELDS.values() if one.slider and one.slider.folder == "Base"]
+    base = [
+        field for field in OPTION_FIELDS.values() if field.slider and field.slider.folder == "Base"
+    ]
     assert len(common) == 14 + len(base)
     for name in common:
         assert analyze[name].to_info_dict() == stand[name].to_info_dict()

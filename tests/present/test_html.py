@@ -384,7 +384,7 @@ def test_scene_positions_are_correct_on_a_slope_with_a_step_and_a_pit() -> None:
     assert seen.com_projection[2] == pytest.approx(meets, abs=1e-9)
     assert abs(meets) > 1e-4
     drawn = drawn_of(StandScene(robot, stand))
-    assert [one["pit"] for one in drawn["steps"]] == [False, True]
+    assert [step["pit"] for step in drawn["steps"]] == [False, True]
     assert drawn["polygon"] == [pytest.approx(corner, abs=1e-5) for corner in seen.polygon]
     for joint in seen.joints:
         config = pa.Configuration(robot, stand.qpos)

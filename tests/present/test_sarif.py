@@ -78,8 +78,8 @@ def test_sarif_has_levels_rules_and_baseline_states() -> None:
     ]
     run = checked_log(write_sarif(findings))
     first, second, third = run["results"]
-    assert [one["level"] for one in run["results"]] == ["note", "warning", "error"]
-    assert [one["ruleIndex"] for one in run["results"]] == [0, 1, 1]
+    assert [result["level"] for result in run["results"]] == ["note", "warning", "error"]
+    assert [result["ruleIndex"] for result in run["results"]] == [0, 1, 1]
     assert first["baselineState"] == "new"
     assert "baselineState" not in second
     assert second["locations"][0]["physicalLocation"]["region"] == {"startLine": 1}
@@ -105,7 +105,9 @@ def test_commands_write_sarif(tmp_path: Path) -> None:
     line = text[: text.index('value="-1.506"')].count("\n") + 1
     mjcf = str(ROOT / "mjcf" / "pupper_skeleton.xml")
     audit = checked_log(answer("audit", "robot.urdf", "--format", "sarif", folder=tmp_path).stdout)
-    (found,) = (one for one in audit["results"] if one["ruleId"] == "audit/mass-not-positive")
+    (found,) = (
+        result for result in audit["results"] if result["ruleId"] == "audit/mass-not-positive"
+    )
     place = found["locations"][0]["physicalLocation"]
     assert place == {"artifactLocation": {"uri": "robot.urdf"}, "region": {"startLine": line}}
     (tmp_path / "robot.urdf").write_text(text.replace("-1.506", "1.7"))

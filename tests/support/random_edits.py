@@ -240,7 +240,7 @@ def _default(root: Element, random: np.random.Generator, _: Path, __: str) -> st
              if one.get("class") and not _in_default(one)]  # fmt: skip
     if using and not random.integers(3):
         one = using[int(random.integers(len(using)))]
-        one.set("class", str(random.choice([str(each.get("class")) for each in classes])))
+        one.set("class", str(random.choice([str(default.get("class")) for default in classes])))
         return f"class of a {one.tag}"
     if classes and not random.integers(3):
         one = classes[int(random.integers(len(classes)))]

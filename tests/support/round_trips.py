@@ -148,7 +148,7 @@ def silent_losses(before: Table, after: Table, said: str) -> dict[str, list[str]
         more = name == "number" and int(value) <= int(after[name, word])  # type: ignore[call-overload]
         if not (more or _is_equal(value, after.get((name, word)))):
             words = _SAID_AS.get(word, (word,))
-            if not any(each in said for each in words):
+            if not any(word in said for word in words):
                 lost.setdefault(word, []).append(name)
     return lost
 

@@ -86,8 +86,8 @@ FORMULA = "a$b_c$ $\\frac$ ^"
 @pytest.mark.slow
 def test_names_of_joints_and_feet_are_written_without_formulas(tmp_path: Path) -> None:
     analysis = analysis_of("v3")
-    joints = [SimpleNamespace(name=f"{FORMULA}{one.name}", effort=one.effort)
-              for one in analysis.joints]  # fmt: skip
+    joints = [SimpleNamespace(name=f"{FORMULA}{joint.name}", effort=joint.effort)
+              for joint in analysis.joints]  # fmt: skip
     jacobians = {
         f"{FORMULA}{foot}": SimpleNamespace(joints=[f"{FORMULA}{name}" for name in one.joints])
         for foot, one in analysis.foot_jacobians.items()
@@ -197,14 +197,14 @@ def test_height_figure_marks_the_first_contact_of_a_robot_that_fails(
     robot = load("v3-long-leg")
     stand = pa.solve_stand_as_simulated(robot)
     sagging = pa.verify_stand(robot, stand, feedforward=False, duration=12.0)
-    contacts = [one for one in sagging.failures if one.code == "body-touches-ground"]
+    contacts = [failure for failure in sagging.failures if failure.code == "body-touches-ground"]
     analysis = change_analysis(
         analysis_of("v3"), stand=stand, verification=sagging, sagging=sagging
     )
     FIGURES["heights.png"]([analysis], Path("unused.png"))
     (axes,) = panels(figures[0])
     said = " ".join(text.get_text() for text in axes.texts)
-    time = min(one.values["time"].value for one in contacts)  # type: ignore[union-attr]
+    time = min(contact.values["time"].value for contact in contacts)  # type: ignore[union-attr]
     assert f"touch the ground at {time:.2f} s" in said
     assert contacts[0].subject is not None
     assert contacts[0].subject.name in said

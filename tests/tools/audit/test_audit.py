@@ -600,7 +600,9 @@ def test_a_mesh_that_is_mirrored_in_all_directions_is_found(tmp_path: Path) -> N
     for scale, rules in (("-1 -1 -1", {"mesh-mirrored"}), ("-1 -1 1", set()),
                          ("1 0 1", {"value-impossible"})):  # fmt: skip
         path.write_text(text.replace("SCALE", scale))
-        findings = [one.rule for one in audit_model(path).findings if "FL_calf" in one.element]
+        findings = [
+            finding.rule for finding in audit_model(path).findings if "FL_calf" in finding.element
+        ]
         assert {"mesh-mirrored", "value-impossible"} & set(findings) == rules
 
 
@@ -688,7 +690,9 @@ def test_file_without_ground_is_checked_on_a_default_ground(
     set.
     """
     result = audit_model(write_model(tmp_path, "mjcf", (FLOOR, *edits)))
-    assert {one.rule for one in result.findings if one.severity != Severity.NOTE} <= {rule}
+    assert {finding.rule for finding in result.findings if finding.severity != Severity.NOTE} <= {
+        rule
+    }
     assert bool(find_findings(result, rule)) is bool(rule)
 
 
@@ -707,7 +711,7 @@ def test_individually_identified_motors_are_no_finding(
         text = text.replace(joint, f'{joint} armature="{value:.6g}"')
     path = tmp_path / "own.xml"
     path.write_text(text)
-    assert {one.element for one in find_findings(audit_model(path), "mirror-drive")} == (
+    assert {finding.element for finding in find_findings(audit_model(path), "mirror-drive")} == (
         {"joint 'FR_KFE'"} if named else set()
     )
 
@@ -982,11 +986,13 @@ def test_links_without_inertial_are_one_finding(tmp_path: Path) -> None:
         text = re.sub(rf'(<link name="{site}")>.*?</link>', r"\1/>", text)
     file = tmp_path / "bare.urdf"
     file.write_text(text)
-    (bare,) = (each for each in audit_model(file).findings if each.rule == "link-without-inertial")
+    (bare,) = (
+        finding for finding in audit_model(file).findings if finding.rule == "link-without-inertial"
+    )
     assert "8.17 kg in place of 3.17 kg" in bare.message
     assert len(bare.diagnostic.values["others"]) == 4  # type: ignore[arg-type]
     assert bare.element == "link 'body_imu_site'"
-    rules = {each.rule for each in audit_model(ROOT / "urdf/pupper_v3.urdf").findings}
+    rules = {finding.rule for finding in audit_model(ROOT / "urdf/pupper_v3.urdf").findings}
     assert not rules & {"link-without-inertial", "massless-link-collides"}
 
 
@@ -994,10 +1000,14 @@ def test_com_outside_the_robot_is_found_for_a_link_without_shapes(tmp_path: Path
     """A CoM at 5.73 m (as if typed in degrees), on a leg of 0.6 m."""
     pair = quadruped(tmp_path)
     thigh = '<inertial pos="0 0 -0.1" mass="0.5"'
-    assert not any(one.rule == "com-outside-shapes" for one in pa.audit_model(pair.mjcf).findings)
+    assert not any(
+        finding.rule == "com-outside-shapes" for finding in pa.audit_model(pair.mjcf).findings
+    )
     pair.mjcf.write_text(pair.mjcf.read_text().replace(thigh, thigh.replace("-0.1", "-5.73"), 1))
     (message,) = (
-        one for one in pa.audit_model(pair.mjcf).findings if one.rule == "com-outside-shapes"
+        finding
+        for finding in pa.audit_model(pair.mjcf).findings
+        if finding.rule == "com-outside-shapes"
     )
     assert message.severity == "warning"
     assert message.diagnostic.code == "com-far-from-joints"
@@ -1036,7 +1046,7 @@ def test_legs_on_the_world_have_no_lever_to_their_base(tmp_path: Path) -> None:
             f"<mujoco><worldbody>{bodies}</worldbody>"
             f"<actuator>{motors.format(effort)}</actuator></mujoco>"
         )
-        rules = [one.rule for one in audit_model(path).findings]
+        rules = [finding.rule for finding in audit_model(path).findings]
         assert ("mass-beyond-motors" in rules) is found
 
 

@@ -40,7 +40,10 @@ def read_original(model: Path = URDF) -> bytes:
 
 def repairs_of(audit: Audit, rule: str) -> list[dict[str, str]]:
     return [
-        dict(repair.new) for one in audit.findings if one.rule == rule for repair in one.repairs
+        dict(repair.new)
+        for finding in audit.findings
+        if finding.rule == rule
+        for repair in finding.repairs
     ]
 
 
@@ -149,7 +152,7 @@ def test_sarif_contains_the_bytes_of_the_repair(tmp_path: Path) -> None:
     path = plant_text(tmp_path, '<link name="FR_calf">', 'value="0.05"', 'value="0.5"')
     shown = CliRunner().invoke(group, ["audit", str(path), "--format", "sarif"])
     (run,) = json.loads(shown.stdout)["runs"]
-    ((fix,),) = [one["fixes"] for one in run["results"] if "fixes" in one]
+    ((fix,),) = [result["fixes"] for result in run["results"] if "fixes" in result]
     ((replacement,),) = [change["replacements"] for change in fix["artifactChanges"]]
     region, data = replacement["deletedRegion"], path.read_bytes()
     start, end = region["byteOffset"], region["byteOffset"] + region["byteLength"]
@@ -213,7 +216,7 @@ def test_lost_shape_is_named_on_the_leg_that_deviates(wrong: str, tmp_path: Path
     calf = text[start : text.index("</link>", start)]
     path = tmp_path / URDF.name
     path.write_text(text.replace(calf, re.sub("(?s)<collision>.*?</collision>", "", calf)))
-    found = [each for each in audit_model(path).findings if each.rule == "mirror-shapes"]
+    found = [finding for finding in audit_model(path).findings if finding.rule == "mirror-shapes"]
     assert [each.element for each in found] == [f"link '{wrong}_calf'"]
 
 
@@ -232,7 +235,9 @@ def test_number_that_the_other_legs_share_is_copied_and_not_mirrored(tmp_path: P
     assert repairs_of(audit, "com-outside-shapes") == [{"xyz": "0 0.0014 -0.055"}]
     path.write_text(text[:start] + text[start:].replace(f"{inertial}</inertial>", "", 1))
     (repair,) = next(
-        each.repairs for each in audit_model(path).findings if each.rule == "link-without-inertial"
+        finding.repairs
+        for finding in audit_model(path).findings
+        if finding.rule == "link-without-inertial"
     )
     numbers = [dict(part.new) for part in (repair, *repair.further)]
     assert numbers[0]["xyz"] == "0 0.0014 -0.055"

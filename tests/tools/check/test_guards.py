@@ -55,16 +55,20 @@ def test_planted_mistake_fails_with_the_lines_of_both_files(folder: Path) -> Non
     done = run(folder, "--json", "check.json", "--format", "sarif")
     assert done.returncode == 1
     remarks = json.loads((folder / "check.json").read_text())["remarks"]
-    (kp,) = [one for one in remarks if one["check"] == "contract" and one["kind"] == "kp"
-             and one["element"] == "leg_front_r_3"]  # fmt: skip
+    (kp,) = [
+        remark
+        for remark in remarks
+        if (remark["check"], remark["kind"]) == ("contract", "kp")
+        and remark["element"] == "leg_front_r_3"
+    ]
     assert kp["place"].rpartition("/")[2].startswith("gym_cfg.py:")
     assert kp["other_place"].rpartition("/")[2] == f"deploy.yaml:{line}"
     assert kp["fails"]
     results = json.loads(done.stdout)["runs"][0]["results"]
     found = {
-        (one["locations"][0]["physicalLocation"]["artifactLocation"]["uri"].rpartition("/")[2],
-         one["locations"][0]["physicalLocation"]["region"]["startLine"])
-        for one in results if one["ruleId"] == "contract/kp"
+        (result["locations"][0]["physicalLocation"]["artifactLocation"]["uri"].rpartition("/")[2],
+         result["locations"][0]["physicalLocation"]["region"]["startLine"])
+        for result in results if result["ruleId"] == "contract/kp"
     }  # fmt: skip
     assert ("deploy.yaml", line) in found
     assert "gym_cfg.py" in {file for file, _ in found}

@@ -60,7 +60,7 @@ def test_github_annotations_name_both_lines(tmp_path: Path) -> None:
     said = run(tmp_path, URDF, sources["gym_cfg.py"], sources["deploy.yaml"], "--format", "sarif")
     assert said.returncode == 1
     results = json.loads(said.stdout)["runs"][0]["results"]
-    places = [one["locations"][0]["physicalLocation"] for one in results]
+    places = [result["locations"][0]["physicalLocation"] for result in results]
     names = {place["artifactLocation"]["uri"].rpartition("/")[2] for place in places}
     assert names == {"gym_cfg.py", "deploy.yaml"}
     assert run(tmp_path, MJCF, URDF, sources["policy.json"], "--fail-on", "error").returncode == 1

@@ -53,12 +53,14 @@ def test_isaac_lab_lists_are_ordered_by_depth_if_left_and_right_agree(
     text = path.read_text()
     path.write_text(text.replace(format_list(ANGLES), format_list(angles)))
     found = contract(sources["isaac_cfg.py"], path)
-    (read,) = [one for one in found.sources if one.role == "policy"]
+    (read,) = [source for source in found.sources if source.role == "policy"]
     assert {name[-2:] for name in read.order[:4]} == kinds
     assert found.findings == ()
     path.write_text(text.replace(format_list(ANGLES), format_list(range(12))))
     found = contract(sources["isaac_cfg.py"], path)
-    assert not [one for one in found.facts if one.source == path.name and "angle" in one.quantity]
+    assert not [
+        fact for fact in found.facts if fact.source == path.name and "angle" in fact.quantity
+    ]
     assert any(one.code == "contract-list-unread" for one in found.unread)
 
 
@@ -82,7 +84,7 @@ def test_motor_table_maps_joints_in_any_order(sources: dict[str, Path]) -> None:
     )
     found = contract(sources["gym_cfg.py"], base, policy)
     assert found.findings == ()
-    order = {one.name: (one.order_source, one.order) for one in found.sources}
+    order = {source.name: (source.order_source, source.order) for source in found.sources}
     assert order["config.yaml:pupper/walk"] == ("motors", tuple(JOINTS))
     policy.write_text(policy.read_text().replace(format_list(numbers), format_list(range(12))))
     wrong = contract(sources["gym_cfg.py"], base, policy).findings
@@ -100,7 +102,7 @@ def test_invalid_motor_numbers_are_ignored_with_a_note(
     numbers = format_list(range(12))
     assert numbers in text
     path.write_text(text.replace(numbers, format_list([*range(11), given])))
-    notes = [one.code for one in contract(path).notes]
+    notes = [note.code for note in contract(path).notes]
     assert "contract-motors-unread" in notes
 
 
@@ -131,7 +133,7 @@ def test_number_of_network_actions_is_compared_with_other_sources(
     gym.write_text(gym.read_text() + "    class env:\n        num_actions = 12\n")
     found = contract(gym, network)
     assert found.findings == ()
-    said = {one.quantity: one.value for one in found.facts if one.source == network.name}
+    said = {fact.quantity: fact.value for fact in found.facts if fact.source == network.name}
     assert said == {"actions": 12, "observed numbers": 36}
     gym.write_text(gym.read_text().replace("num_actions = 12", "num_actions = 10"))
     (finding,) = contract(gym, network).findings
@@ -152,17 +154,17 @@ def test_joints_of_other_names_are_matched_by_structure(
     deploy = sources["config.yaml"]
     deploy.write_text(deploy.read_text().replace(format_list(JOINTS), format_list(names.values())))
     found = read_contract(MJCF, urdf, deploy, stand=False)
-    assert any(one.code == "contract-matched" for one in found.notes)
-    said = {(one.source, one.joint) for one in found.facts if one.quantity in ("effort", "kp")}
+    assert any(note.code == "contract-matched" for note in found.notes)
+    said = {(fact.source, fact.joint) for fact in found.facts if fact.quantity in ("effort", "kp")}
     assert said >= {("numbered.urdf", joint) for joint in JOINTS}
     assert said >= {("config.yaml:walker", joint) for joint in JOINTS}
-    assert {one.kind for one in found.findings} == {"kd"}  # 0.25 deployed, 0.1 in the MJCF
-    (order,) = {one.order for one in found.sources if one.name == "config.yaml:walker"}
+    assert {finding.kind for finding in found.findings} == {"kd"}  # 0.25 deployed, 0.1 in the MJCF
+    (order,) = {source.order for source in found.sources if source.name == "config.yaml:walker"}
     assert order == tuple(JOINTS)
     first = text.index('name="m4"')
     urdf.write_text(text[:first] + text[first:].replace('effort="3', 'effort="2', 1))
-    (finding,) = [one for one in read_contract(MJCF, urdf, stand=False).findings
-                  if one.kind == "effort" and not one.probable_mistake]  # fmt: skip
+    (finding,) = [finding for finding in read_contract(MJCF, urdf, stand=False).findings
+                  if finding.kind == "effort" and not finding.probable_mistake]  # fmt: skip
     assert finding.joints == (JOINTS[4],)
 
 
@@ -174,8 +176,8 @@ def test_usd_is_accepted_as_the_model_of_a_contract(tmp_path: Path) -> None:
     deploy.write_text("joint_names: [hip, knee]\njoint_lower_limits: [-0.523599, -2.09440]\n")
     found = read_contract(path, deploy, stand=False)
     assert found.findings == ()
-    stated = {one.joint: one for one in found.facts
-              if one.source == path.name and one.quantity == "lower limit"}  # fmt: skip
+    stated = {fact.joint: fact for fact in found.facts
+              if fact.source == path.name and fact.quantity == "lower limit"}  # fmt: skip
     assert stated["knee"].value == pytest.approx(-2.0943951)
     assert stated["knee"].place.startswith(f"{path}:<")
     deploy.write_text(deploy.read_text().replace("-2.09440", "-2.3"))
@@ -191,7 +193,7 @@ def test_line_of_a_training_value_is_that_of_its_assignment(sources: dict[str, P
         text.replace(format_list([0.75] * 12), format_list([0.4] * 12))
     )
     found = contract(sources["mjlab_cfg.py"], sources["deploy.yaml"])
-    (finding,) = [one for one in found.findings if one.kind == "action scale"]
+    (finding,) = [finding for finding in found.findings if finding.kind == "action scale"]
     place, _, line = finding.places[0].rpartition(":")
     assert "SCALE[name] = " in Path(place).read_text().splitlines()[int(line) - 1]
     assert finding.joints == tuple(JOINTS)
@@ -205,18 +207,18 @@ def test_rounded_numbers_agree(sources: dict[str, Path]) -> None:
     sources["motors.py"].write_text(text.replace("10.0 / 2", "10.0 / 2 + 0.0123"))
     deploy = sources["deploy.yaml"]
     found = contract(sources["mjlab_cfg.py"], deploy)
-    assert [one for one in found.findings if one.kind == "kp"] == []  # 5.0123 is 5.0
+    assert [finding for finding in found.findings if finding.kind == "kp"] == []  # 5.0123 is 5.0
     deploy.write_text(deploy.read_text().replace(format_list([5.0] * 12), format_list([5.1] * 12)))
     found = contract(sources["mjlab_cfg.py"], deploy)
-    assert [one.joints for one in found.findings if one.kind == "kp"] == [tuple(JOINTS)]
+    assert [finding.joints for finding in found.findings if finding.kind == "kp"] == [tuple(JOINTS)]
 
 
 def test_left_right_asymmetry_is_found_in_a_single_source(sources: dict[str, Path]) -> None:
     text = sources["isaac_cfg.py"].read_text()
     sources["isaac_cfg.py"].write_text(text.replace('"leg_.*_l_1": -0.26', '"leg_.*_l_1": 0.26'))
     found = contract(sources["isaac_cfg.py"])
-    assert {one.probable_mistake for one in found.findings} == {"mirror"}
-    assert {one.joints for one in found.findings} == {
+    assert {finding.probable_mistake for finding in found.findings} == {"mirror"}
+    assert {finding.joints for finding in found.findings} == {
         ("leg_front_r_1", "leg_front_l_1"), ("leg_back_r_1", "leg_back_l_1")}  # fmt: skip
     assert found.findings[0].values == (0.26, 0.26)
 
@@ -226,7 +228,7 @@ def test_observations_in_another_order_are_found(sources: dict[str, Path]) -> No
     one, two = re.findall(r'            "(?:angles|last)".*\n', text)
     sources["mjlab_cfg.py"].write_text(text.replace(one + two, two + one))
     found = contract(sources["mjlab_cfg.py"], sources["deploy.yaml"])
-    assert [one.kind for one in found.findings] == ["observations"]
+    assert [finding.kind for finding in found.findings] == ["observations"]
 
 
 def test_model_values_are_compared_with_other_sources(sources: dict[str, Path]) -> None:
@@ -251,7 +253,7 @@ def test_stands_of_default_poses_differ_in_height(sources: dict[str, Path]) -> N
     assert 0.002 < one.sag < 0.02  # kp of 5: v3 sinks by some mm
     assert one.utilisation is not None
     assert 0.05 < one.utilisation < 0.3
-    finding = next(each for each in found.findings if each.kind == "default angle")
+    finding = next(finding for finding in found.findings if finding.kind == "default angle")
     apart = abs(one.height - two.height)
     assert f"{1e3 * apart:.3g} mm of base height" in finding.message
 
@@ -273,7 +275,7 @@ def test_a_folder_gives_the_deployments_of_this_robot(sources: dict[str, Path]) 
         "a:\n  ros__parameters:\n    joints: [x, y]\n    kps: [1, 1]\n"
     )
     found = contract(folder)
-    assert {one.name for one in found.sources} == {
+    assert {source.name for source in found.sources} == {
         "pupper_v3.urdf", "config.yaml:walker", "policy.onnx"}  # fmt: skip
 
 
@@ -281,7 +283,7 @@ def test_deployment_of_unitree_rl_gym_is_read_and_compared(sources: dict[str, Pa
     path = sources["deploy.yaml"].with_name("go.yaml")
     path.write_text(UNITREE_GYM)
     assert contract(sources["gym_cfg.py"], path).findings == ()
-    said = {one.quantity: one.value for one in contract(path).facts if one.source == path.name}
+    said = {fact.quantity: fact.value for fact in contract(path).facts if fact.source == path.name}
     assert {"time step", "decimation", "policy step", "observation ang_vel"} <= set(said)
     assert said["policy step"] == pytest.approx(0.02)
     changed = UNITREE_GYM.replace("control_decimation: 4", "control_decimation: 10")
@@ -308,17 +310,19 @@ def test_joint_orders_of_unitree_rl_lab_are_read(sources: dict[str, Path]) -> No
     deploy.write_text(
         f"joint_ids_map: {format_list(motors.index(one) for one in by_depth)}\n"
         f"default_joint_pos: {format_list(angles[one] for one in by_depth)}\n"
-        f"stiffness: {format_list(6.0 if one.endswith('3') else 5.0 for one in motors)}\n"
+        f"stiffness: {format_list(6.0 if motor.endswith('3') else 5.0 for motor in motors)}\n"
         f"damping: {format_list([0.25] * 12)}\n"
     )
     found = contract(path, deploy)
-    (read,) = [one for one in found.sources if one.role == "deployment"]
+    (read,) = [source for source in found.sources if source.role == "deployment"]
     assert (read.order_source, list(read.order)) == ("motors", by_depth)
     assert found.findings == ()
     text = deploy.read_text()
     deploy.write_text(text.replace("stiffness: [5.0, 5.0, 6.0", "stiffness: [5.0, 5.0, 9.0"))
     (finding,) = [
-        one for one in contract(path, deploy).findings if one.probable_mistake != "mirror"
+        finding
+        for finding in contract(path, deploy).findings
+        if finding.probable_mistake != "mirror"
     ]
     assert (finding.kind, finding.joints, finding.values) == ("kp", (motors[2],), (6.0, 9.0))
 
@@ -340,11 +344,11 @@ def test_motor_limits_in_the_order_of_the_motors_are_recognised(tmp_path: Path) 
             f"tau_limit: {format_list(limits_as_listed)}\n"
         )
         found = contract(deploy)
-        assert {one.joint: one.value for one in found.facts
-                if one.quantity == "kp" and one.source == "walk.yaml"} == {
+        assert {fact.joint: fact.value for fact in found.facts
+                if fact.quantity == "kp" and fact.source == "walk.yaml"} == {
                     joint: gains[joint[-1]] for joint in JOINTS}  # fmt: skip
-        efforts = {one.joint: one.number for one in found.facts
-                   if one.quantity == "effort" and one.source == "walk.yaml"}  # fmt: skip
+        efforts = {fact.joint: fact.number for fact in found.facts
+                   if fact.quantity == "effort" and fact.source == "walk.yaml"}  # fmt: skip
         return efforts, {note.code for note in found.notes}
 
     expected = {joint: limits[joint[-1]] for joint in JOINTS}
@@ -374,8 +378,8 @@ def test_list_of_another_length_is_not_assigned_to_joints(
         sources[name].write_text(text.replace(format_list([5.0] * 12), format_list(given)))
         found = contract(sources["gym_cfg.py"], sources[name])
         assert found.findings == ()
-        assert not [one for one in found.facts if one.quantity == "kp"
-                    and one.source.startswith(name)]  # fmt: skip
+        assert not [fact for fact in found.facts if fact.quantity == "kp"
+                    and fact.source.startswith(name)]  # fmt: skip
         (warning,) = found.unread
         assert (warning.code, warning.severity) == ("contract-list-unread", "warning")
         assert warning.values["count"] == len(given)
@@ -404,8 +408,8 @@ def test_duplicate_yaml_key_is_refused_and_merged_keys_are_read(
     path.write_text(f"gains: &gains {{{kd}}}\n<<: *gains\n{text.replace(kd, '')}")
     found = contract(sources["gym_cfg.py"], path)
     assert found.findings == ()
-    said = {one.joint: one.value for one in found.facts
-            if one.source == path.name and one.quantity == "kd"}  # fmt: skip
+    said = {fact.joint: fact.value for fact in found.facts
+            if fact.source == path.name and fact.quantity == "kd"}  # fmt: skip
     assert said == dict.fromkeys(JOINTS, 0.25)
 
 
@@ -424,7 +428,7 @@ def test_regular_expressions_with_exponential_time_are_left_out(
     )
     found = contract(sources["isaac_cfg.py"], sources["policy.json"])
     assert found.findings == ()
-    (note,) = [one for one in found.notes if one.code == "contract-names-unknown"]
+    (note,) = [note for note in found.notes if note.code == "contract-names-unknown"]
     assert note.values["names"] == (pattern,)
 
 
@@ -440,7 +444,7 @@ def test_mjcf_that_mujoco_cannot_compile_is_compared_by_its_joints(tmp_path: Pat
     found = read_contract(path, deploy, stand=False)
     (finding,) = found.findings
     assert (finding.kind, finding.values) == ("upper limit", (0.7, pytest.approx(math.pi / 6)))
-    (note,) = [one for one in found.notes if one.code == "contract-text-alone"]
+    (note,) = [note for note in found.notes if note.code == "contract-text-alone"]
     assert "'a'" in str(note)
     stated = {fact.quantity: fact.value for fact in found.facts if fact.source == "robot.xml"}
     assert stated["armature"] == 0.01
@@ -478,7 +482,7 @@ def test_a_flat_table_that_a_function_makes_is_a_trainer(sources: dict[str, Path
     path.write_text(PLAYGROUND)
     found = contract(path, sources["deploy.yaml"])
     assert found.findings == ()
-    (read,) = [one for one in found.sources if one.name == "joystick.py:default_config"]
+    (read,) = [source for source in found.sources if source.name == "joystick.py:default_config"]
     assert read.role == "trainer"
     path.write_text(PLAYGROUND.replace("Kp=5.0", "Kp=35.0").replace("ctrl_dt=0.02", "ctrl_dt=0.01"))
     kp, step = sorted(contract(path, sources["deploy.yaml"]).findings, key=lambda one: one.kind)
@@ -506,11 +510,11 @@ def test_a_usd_with_other_names_is_matched_by_structure(tmp_path: Path) -> None:
     other.write_text(text)
     found = read_contract(path, other, stand=False)
     assert any(one.code == "contract-matched" for one in found.notes)
-    lower = {(one.source, one.joint) for one in found.facts if one.quantity == "lower limit"}
+    lower = {(fact.source, fact.joint) for fact in found.facts if fact.quantity == "lower limit"}
     assert lower == {
         (name, joint) for name in (path.name, "other.urdf") for joint in ("hip", "knee", "spring")
     }
-    assert [one.message for one in found.findings] == []
+    assert [finding.message for finding in found.findings] == []
 
 
 def test_motor_limits_are_compared_with_the_urdf(sources: dict[str, Path]) -> None:
@@ -525,7 +529,7 @@ def test_an_observation_in_another_joint_order_is_a_finding(sources: dict[str, P
     swapped = [*JOINTS[:6], *JOINTS[9:], *JOINTS[6:9]]
     sources["config.yaml"].write_text(text.replace(format_list(JOINTS), format_list(swapped)))
     found = contract(sources["policy.onnx"], sources["config.yaml"])
-    orders = [one for one in found.findings if one.kind == "order"]
+    orders = [finding for finding in found.findings if finding.kind == "order"]
     assert len(orders) == 1
     assert set(orders[0].joints) == set(JOINTS[6:])
     assert "6 → 9 (leg_back_r_1)" in orders[0].message
@@ -580,10 +584,10 @@ def test_files_with_the_same_name_are_distinguished_by_their_folders(
     text = sources["deploy.yaml"].read_text()
     real.write_text(text.replace("step_dt: 0.02", "step_dt: 0.01"))
     found = contract(sources["gym_cfg.py"], sources["deploy.yaml"], real)
-    names = {one.name for one in found.sources if one.role == "deployment"}
+    names = {source.name for source in found.sources if source.role == "deployment"}
     assert names == {f"{real.parents[1].name}/deploy.yaml", "real/deploy.yaml"}
-    assert {one.sources[1] for one in found.findings} == {"real/deploy.yaml"}
-    gains = [one for one in found.facts if one.quantity == "kp"]
+    assert {finding.sources[1] for finding in found.findings} == {"real/deploy.yaml"}
+    gains = [fact for fact in found.facts if fact.quantity == "kp"]
     assert len([one for one in gains if one.source == "real/deploy.yaml"]) == 12
 
 
@@ -598,7 +602,7 @@ def test_yaml_with_the_settings_of_legged_gym_is_a_trainer(sources: dict[str, Pa
         + "  control:\n    stiffness: {leg: 5.0, _3: 6.0}\n    action_scale: 0.75\n"
     )
     found = contract(path, sources["policy.json"])
-    (read,) = [one for one in found.sources if one.path == str(path)]
+    (read,) = [source for source in found.sources if source.path == str(path)]
     assert (read.role, read.order_source) == ("trainer", "named")
     (finding,) = found.findings
     assert (finding.kind, finding.values) == ("kp", (6.0, 5.0))
@@ -613,7 +617,7 @@ def test_sources_that_agree_have_no_finding(
     found = contract(sources[trainer], sources[other])
     assert [one.message for one in found.findings] == []
     assert found.passed
-    kp = {(one.source, one.joint): one.value for one in found.facts if one.quantity == "kp"}
+    kp = {(fact.source, fact.joint): fact.value for fact in found.facts if fact.quantity == "kp"}
     assert len(kp) == 24
     assert set(kp.values()) == {5.0}
 
@@ -631,10 +635,10 @@ def test_expression_without_a_value_is_shown_as_written(sources: dict[str, Path]
     text = sources["isaac_cfg.py"].read_text()
     sources["isaac_cfg.py"].write_text(text.replace("damping=0.25", "damping=measured()"))
     found = contract(sources["isaac_cfg.py"], sources["policy.json"])
-    kd = [one for one in found.facts if one.quantity == "kd" and one.value is None]
+    kd = [fact for fact in found.facts if fact.quantity == "kd" and fact.value is None]
     assert {one.expression for one in kd} == {"measured()"}
     assert len(kd) == 12
-    assert [one for one in found.findings if one.kind == "kd"] == []
+    assert [finding for finding in found.findings if finding.kind == "kd"] == []
 
 
 def test_limits_of_moveit_count_if_they_are_enabled(sources: dict[str, Path]) -> None:
@@ -642,7 +646,9 @@ def test_limits_of_moveit_count_if_they_are_enabled(sources: dict[str, Path]) ->
     found = contract(path)
     assert found.findings == ()
     limits = {
-        (one.joint[-9:], one.quantity): one.value for one in found.facts if one.source == path.name
+        (fact.joint[-9:], fact.quantity): fact.value
+        for fact in found.facts
+        if fact.source == path.name
     }
     assert limits == {("front_r_1", "effort"): 3.0, ("front_r_2", "effort"): 3.0}
     text = path.read_text().replace("has_velocity_limits: false", "has_velocity_limits: true")
@@ -698,7 +704,9 @@ def test_missing_effort_limit_of_a_model_is_one_finding(tmp_path: Path) -> None:
         + "</robot>"
     )
     efforts_differ = [
-        each for each in compare_files(urdf, model).result.differences if each.kind == "effort"
+        difference
+        for difference in compare_files(urdf, model).result.differences
+        if difference.kind == "effort"
     ]
     subjects = [each.diagnostic.subject for each in efforts_differ]
     assert {subject.name for subject in subjects if subject} >= {"hip", "knee"}

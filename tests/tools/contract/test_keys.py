@@ -156,7 +156,7 @@ def test_keys_of_other_families_are_read_and_agree(
     tmp_path: Path, trainer: Path, name: str, text: str, stated: tuple[str, ...]
 ) -> None:
     found = compare(tmp_path, name, text, trainer)
-    assert [one.message for one in found.findings] == []
+    assert [finding.message for finding in found.findings] == []
     assert found.passed
     for quantity in stated:
         assert set(values(found, name, quantity)) == set(JOINTS), quantity
@@ -187,10 +187,12 @@ def test_slip_in_files_of_other_families_is_found(
     trainer.write_text(PARTS_TRAINER)
     assert old in text
     found = compare(tmp_path, name, text.replace(old, new, 1), trainer)
-    assert {one.kind for one in found.findings if one.probable_mistake != "mirror"} >= {kind}
+    assert {finding.kind for finding in found.findings if finding.probable_mistake != "mirror"} >= {
+        kind
+    }
     (place,) = {
-        one.places[0 if kind == "effort" else 1] for one in found.findings if one.kind == kind
-        and one.probable_mistake != "mirror"
+        finding.places[0 if kind == "effort" else 1] for finding in found.findings
+        if finding.kind == kind and finding.probable_mistake != "mirror"
     }  # fmt: skip
     assert str(tmp_path / name) in place
 
@@ -219,7 +221,7 @@ def test_policies_of_one_file_are_compared_with_the_trainer_only(
     text = f"{CONTROLLERS}  rl_run:{other}"
     assert compare(tmp_path, "x1.yaml", text).findings == ()
     found = compare(tmp_path, "x1.yaml", text, trainer)
-    assert {one.sources[1] for one in found.findings} == {"x1.yaml:controllers/rl_run"}
+    assert {finding.sources[1] for finding in found.findings} == {"x1.yaml:controllers/rl_run"}
 
 
 def test_keys_of_a_user_are_read_from_the_configuration(tmp_path: Path, trainer: Path) -> None:
@@ -332,7 +334,7 @@ def test_unreadable_source_is_named_and_the_others_are_compared(
     bad = tmp_path / "notes.yaml"
     bad.write_text("made: today\n")
     found = compare(tmp_path, "T1.yaml", SPREAD_DEPLOYMENT.replace("0.75", "0.5"), trainer, bad)
-    assert {one.kind for one in found.findings} == {"action scale"}
+    assert {finding.kind for finding in found.findings} == {"action scale"}
     (warning,) = found.unread
     assert warning.code == "contract-unread"
     assert "notes.yaml" in str(warning)

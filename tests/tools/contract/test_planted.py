@@ -38,7 +38,10 @@ def test_planted_mistake_is_found_with_both_lines(
     path, lines = write(slipped, kind, tmp_path)
     other, its_lines = write(robot, BESIDE[kind], tmp_path)
     found = read_contract(robot.urdf, path, other, stand=False)
-    messages = [(one.kind, one.probable_mistake, one.places, one.message) for one in found.findings]
+    messages = [
+        (finding.kind, finding.probable_mistake, finding.places, finding.message)
+        for finding in found.findings
+    ]
     hits = [
         finding
         for finding in found.findings
@@ -61,7 +64,9 @@ def test_planted_mistake_is_found_with_both_lines(
     assert not found.passed
     # Legs whose names are exchanged have each other's angles, too.
     more = {"default angle"} if slip == "order" else set()
-    assert {one.kind for one in found.findings} <= {quantity, "action offset"} | more, messages
+    assert {finding.kind for finding in found.findings} <= {quantity, "action offset"} | more, (
+        messages
+    )
 
 
 def _add_alias(text: str) -> str:
@@ -98,9 +103,9 @@ def test_harmless_edit_gives_no_finding(tmp_path: Path, name: str, sound: str) -
         path.write_bytes(change(path.read_text()).encode())
     other, _ = write(robot, BESIDE[kind], tmp_path)
     found = read_contract(robot.urdf, path, other, stand=False)
-    assert [one.message for one in found.findings] == []
-    for source in {one.source for one in found.facts}:
-        stated = [one for one in found.facts if one.source == source]
+    assert [finding.message for finding in found.findings] == []
+    for source in {fact.source for fact in found.facts}:
+        stated = [fact for fact in found.facts if fact.source == source]
         assert len(stated) >= 3 * len(robot.order), source  # silent, as it was read
 
 
@@ -110,7 +115,7 @@ def test_lists_in_another_order_with_joint_names_agree(tmp_path: Path) -> None:
     other, _ = write(robot, "legged_gym", tmp_path)
     found = read_contract(robot.urdf, path, other, stand=False)
     assert found.findings == ()
-    assert len([one for one in found.facts if one.quantity == "kp"]) == 24
+    assert len([fact for fact in found.facts if fact.quantity == "kp"]) == 24
 
 
 def test_at_least_sixty_mistakes_are_planted() -> None:

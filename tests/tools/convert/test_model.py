@@ -187,7 +187,9 @@ def test_missing_meshes_are_left_out_with_a_note(tmp_path: Path) -> None:
     pointer = tmp_path / "far.stl"
     pointer.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
     names = ("package://none/gone.stl", "far.stl")
-    shapes = "".join(format_shape("visual", f'<mesh filename="{one}"/>', "0 0 0") for one in names)
+    shapes = "".join(
+        format_shape("visual", f'<mesh filename="{name}"/>', "0 0 0") for name in names
+    )
     text = urdf_text(arm(), ()).replace("</link>", f"{shapes}</link>", 1)
     (tmp_path / "arm.urdf").write_text(text)
     _, found = convert_file(tmp_path / "arm.urdf", "arm.xml")

@@ -224,7 +224,7 @@ def test_inertials_overridden_by_the_compiler_are_one_cause(tmp_path: Path) -> N
         r'(<body name="[^"]*"[^>]*>(?:\s*<(?:free)?joint[^>]*/>)?)', box, files.mjcf.read_text()
     )
     files.mjcf.write_text(re.sub(r"<compiler ", '<compiler inertiafromgeom="true" ', text))
-    (cause,) = [one for one in compare_files(files).causes if one.kind == "geoms"]
+    (cause,) = [cause for cause in compare_files(files).causes if cause.kind == "geoms"]
     assert "overrules, by inertiafromgeom, the <inertial> of" in str(cause.diagnostic)
 
 

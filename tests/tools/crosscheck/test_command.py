@@ -94,7 +94,7 @@ def test_findings_are_failed_cases_of_junit(models: Path) -> None:
     failures = list(root.iter("failure"))
     assert int(root.get("tests", "0")) == len(list(root.iter("testcase")))
     assert int(root.get("failures", "0")) == len(failures) >= 1
-    assert any("6 kg in the URDF, 7.5 kg" in (one.get("message") or "") for one in failures)
+    assert any("6 kg in the URDF, 7.5 kg" in (failure.get("message") or "") for failure in failures)
 
 
 BAD: dict[str, tuple[list[str], str]] = {

@@ -202,7 +202,7 @@ def test_different_mass_lists_the_fixed_links_of_the_body(tmp_path: Path) -> Non
     parts = {**arm(), "rod": replace(arm()["rod"], mass=1.0)}
     urdf = urdf_text(parts, ()).replace("</robot>", pack)
     differences = compare_files(write(tmp_path, urdf, mjcf_text(parts, (), free=False))).differences
-    (mass,) = [one for one in differences if one.kind == "mass"]
+    (mass,) = [difference for difference in differences if difference.kind == "mass"]
     assert [str(one) for one in mass.made_of] == [
         "in the URDF 4 kg: pack 3 kg, rod 1 kg",
         "in the MJCF 1 kg",

@@ -44,8 +44,10 @@ def test_edit_is_reported_at_its_line_with_its_effect_in_mujoco(tmp_path: Path, 
     diff = pa.diff_models(before, after)
     assert not diff.same
     assert any(change.new_place.endswith(f"{edit.file}:{edit.line}") for change in diff.changes)
-    messages = [one for change in diff.changes for one in change.consequences] + [*diff.combined]
-    codes = {one.code for one in messages}
+    messages = [consequence for change in diff.changes for consequence in change.consequences] + [
+        *diff.combined
+    ]
+    codes = {message.code for message in messages}
     assert ("simulation-changes" in codes) is (name in FELT)
     assert (codes == {"simulation-unchanged"}) is (name in HARMLESS)
     # The height that all of it tells together is the one that bare MuJoCo has.
@@ -133,7 +135,11 @@ def test_robots_without_ground_are_compared_on_a_plane(tmp_path: Path, name: str
     FELT[name].written(folders[1])
     before, after = (folder / "pupper_v3.xml" for folder in folders)
     (change,) = pa.diff_models(before, after).changes
-    (message,) = (one for one in change.consequences if one.code == "simulation-changes")
+    (message,) = (
+        consequence
+        for consequence in change.consequences
+        if consequence.code == "simulation-changes"
+    )
     assert message.values["laid"]
     stated = [message.values[which] for which in ("higher", "lower", "falls")]
     (height,) = [value.value for value in stated if value is not None] or [0.0]
@@ -180,7 +186,7 @@ def test_friction_of_a_foot_without_friction_cone_is_reported(tmp_path: Path) ->
     after.write_text(before.read_text().replace("friction='1'", "friction='0.2'"))
     (change,) = pa.diff_models(before, after).changes
     assert (change.old, change.new) == (1.0, 0.2)
-    assert "simulation-changes" in {one.code for one in change.consequences}
+    assert "simulation-changes" in {consequence.code for consequence in change.consequences}
 
 
 @pytest.mark.parametrize(
@@ -231,7 +237,7 @@ def test_fused_links_keep_their_position(tmp_path: Path) -> None:
         assert [one.code for one in diff.combined] == ["simulation-changes"]
         assert (change.old_place or change.new_place).endswith("new.xml:2")
     new.write_text(fused.replace('size="0.02"', 'size="0.03"'))
-    (shape,) = [one for one in pa.diff_models(old, new).changes if one.kind == "geom"]
+    (shape,) = [change for change in pa.diff_models(old, new).changes if change.kind == "geom"]
     assert (shape.element, shape.old[1], shape.new[1]) == ("ball", 0.02, 0.03)
     for path, content in ((old, text), (new, fused)):
         path.write_text(content.replace('name="ball"', 'name="ball" contype="0" conaffinity="0"'))

@@ -55,7 +55,9 @@ def test_a_motion_is_fitted_and_the_files_corrected(
     assert status == 0, err
     assert "friction turn" in out
     assert out.splitlines()[-2].startswith("  next: pupper-analysis hold ")  # its base is fixed
-    estimates = {one["name"]: one for one in json.loads(found.read_text())["estimates"]}
+    estimates = {
+        estimate["name"]: estimate for estimate in json.loads(found.read_text())["estimates"]
+    }
     assert estimates["kp turn"]["mean"] == pytest.approx(TRUE["kp"], rel=0.05)
     assert 'kp="5"' not in (tmp_path / "fitted" / "bar.xml").read_text()
     # What is predicted may be a log of its own, but not one that was fitted.
@@ -181,7 +183,7 @@ def record_calls(words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> lis
     return calls
 
 
-NOT_TYPED = {one.name for one in fields(RobotOptions)} | {
+NOT_TYPED = {field.name for field in fields(RobotOptions)} | {
     *("stands", "logs", "count", "record", "listen"),  # the modes
     *("anyway", "output", "force"),  # which need a result of the fit, or an existing file
 }

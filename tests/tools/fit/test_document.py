@@ -144,8 +144,8 @@ def test_each_kind_of_number_that_may_be_determined_has_a_table(kind: str) -> No
 
 def test_bars_show_the_residuals() -> None:
     bars = [
-        [(bar.value, bar.marker) for one in make_document(fit).blocks if isinstance(one, BarPlot)
-         for bar in one.bars]
+        [(bar.value, bar.marker) for block in make_document(fit).blocks
+         if isinstance(block, BarPlot) for bar in block.bars]
         for fit in (stand_fit(), motion_fit())
     ]  # fmt: skip
     degrees = [(math.degrees(3e-3), math.degrees(4e-4)), (math.degrees(1e-3), math.degrees(5e-4))]

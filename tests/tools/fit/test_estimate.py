@@ -169,6 +169,6 @@ def test_first_moments_convert_to_masses_and_coms_and_back() -> None:
     assert y[3:] == pytest.approx(x[3:])
     step = 1e-6
     jacobian = np.column_stack(
-        [(moments.to_parameters(y + step * one) - x) / step for one in np.eye(5)]
+        [(moments.to_parameters(y + step * unit) - x) / step for unit in np.eye(5)]
     )
     assert moments.differentiate_parameters(y) == pytest.approx(jacobian, abs=1e-5)

@@ -147,7 +147,9 @@ def test_command_states_signals_that_were_not_received(
 ) -> None:
     """Without an IMU; the file may be replaced by the next recording, not another file."""
     _, arrays = walked
-    messages = [one for one in make_messages(arrays, list(arrays["joints"])) if one[0] != "Imu"]
+    messages = [
+        message for message in make_messages(arrays, list(arrays["joints"])) if message[0] != "Imu"
+    ]
     path = tmp_path / "trace.npz"
     for _ in range(2):
         install(monkeypatch, Node(messages[:], 0.02))

@@ -107,7 +107,7 @@ def test_log_inspection_states_rate_resolution_and_gaps() -> None:
     time = good.time + 2.0 * (np.arange(len(good.time)) > 400)
     odd = replace(good, time=time, position=position)
     odd = replace(odd, time=time[kept], position=position[kept], command=good.command[kept])
-    remarks = {one.code: one.values for one in inspect_log(arm(), odd)}
+    remarks = {remark.code: remark.values for remark in inspect_log(arm(), odd)}
     codes, missing = set(remarks), remarks["log-samples-missing"]
     step = float(np.median(np.diff(good.time)))
     assert missing["count"] == 2

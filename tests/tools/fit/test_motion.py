@@ -73,7 +73,9 @@ def test_held_out_motion_is_predicted_within_encoder_noise() -> None:
 def test_only_ratios_are_determined_if_the_mass_is_unknown() -> None:
     """Reference: planted kp / mass inside an interval of less than 5 % standard deviation."""
     found = fit_motion(bar(), [log()], priors=["com=0"])
-    assert {one.determined for one in found.estimates if one.kind in ("kp", "mass")} != {"data"}
+    assert {
+        estimate.determined for estimate in found.estimates if estimate.kind in ("kp", "mass")
+    } != {"data"}
     ratio = found.kp_over_mass
     assert ratio.determined is Determined.DATA
     assert ratio.low < TRUE["kp"] / 5 < ratio.high
@@ -85,7 +87,7 @@ def test_unexplained_motion_is_reported() -> None:
     """An oscillation of 17 rad/s is added to the positions, which no parameter explains."""
     odd = log().position + 0.02 * np.sin(17 * log().time)[:, None]
     found = fit_motion(bar(), [replace(log(), position=odd)], priors=PRIORS)
-    assert "motion-not-explained" in {one.code for one in found.failures}
+    assert "motion-not-explained" in {failure.code for failure in found.failures}
     assert not found.explained
 
 

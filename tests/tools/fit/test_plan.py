@@ -31,7 +31,7 @@ def test_the_chosen_make_the_determinant_largest() -> None:
     """Against all ways to choose: of 12 measurements 4."""
     rng = np.random.default_rng(3)
     rows = rng.normal(size=(12, 2, 5)) * rng.uniform(0.2, 2, size=(12, 1, 5))
-    each = [one.T @ one for one in rows]
+    each = [row.T @ row for row in rows]
     before = np.diag([1.0, 0.5, 2.0, 0.1, 1.0])
 
     def determinant(places: tuple[int, ...]) -> float:
@@ -63,17 +63,17 @@ def test_plan_has_known_masses_rotations_and_few_three_leg_stands(tmp_path: Path
     robot = load_variant("v3")
     at = (0.01, 0.0, 0.05)
     plan = plan_stands(robot, 6, added=0.2, added_at=at)
-    loaded = [one.added for one in plan.stands]
+    loaded = [stand.added for stand in plan.stands]
     assert 0 < sum(map(bool, loaded)) < 6
     assert loaded == sorted(loaded)  # it is put on once
-    assert sum(bool(one.swing) for one in plan.stands) <= 2
-    assert {round(math.degrees(one.heading)) for one in plan.stands} == {0, 180}
+    assert sum(bool(stand.swing) for stand in plan.stands) <= 2
+    assert {round(math.degrees(stand.heading)) for stand in plan.stands} == {0, 180}
     path = tmp_path / "plan.csv"
     write_plan(plan, path)
     write_plan(plan, path)  # a plan without readings is replaced
     read = read_stands(path)
-    np.testing.assert_allclose(read.heading, [one.heading for one in plan.stands], atol=1e-6)
-    masses = [[one.added, *(at if one.added else (0, 0, 0))] for one in plan.stands]
+    np.testing.assert_allclose(read.heading, [stand.heading for stand in plan.stands], atol=1e-6)
+    masses = [[stand.added, *(at if stand.added else (0, 0, 0))] for stand in plan.stands]
     np.testing.assert_allclose(read.added["base_link"], masses)
     narrowed = {one.name: one.std for one in plan.expected}
     assert narrowed["kp leg_front_r_3"] < 0.5 * 1.5  # without a known mass, and no scale: 0.72
@@ -103,8 +103,8 @@ def test_com_uncertainty_equals_that_of_robots_drawn_from_the_priors(
     """
     robot = scale_robot(load_variant("original"), {"com_x:base_link": 0.08})
     rng = np.random.default_rng(4)
-    known = [parse_prior(one) for one in priors]
-    mass = next(one.share for one in known if one.kind == "mass" and one.subject == "*")
+    known = [parse_prior(prior) for prior in priors]
+    mass = next(prior.share for prior in known if prior.kind == "mass" and prior.subject == "*")
     links, numbers = zip(*list_bodies(robot), strict=True)
     model = robot.structure.model
     data = model.createData()
@@ -115,7 +115,7 @@ def test_com_uncertainty_equals_that_of_robots_drawn_from_the_priors(
     coms = np.array([data.oMi[at].act(model.inertias[at].lever) for at in numbers])
     axes = np.array([data.oMi[at].rotation for at in numbers])
     com = [
-        [one.width for one in known if one.kind == "com" and one.subject in ("*", link)][-1]
+        [prior.width for prior in known if prior.kind == "com" and prior.subject in ("*", link)][-1]
         for link in links
     ]
     share = 0.0 if np.isnan(mass) else mass

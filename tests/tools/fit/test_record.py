@@ -432,7 +432,7 @@ def test_a_person_at_a_terminal_types_positions_and_any_key_stops(
     bridge, person = open_bridge("typed", robot)
     found = record_stands(robot, plan, tmp_path / "stands.csv", bridge, person)
     assert found.recorded_stands == ("s0", "s2")
-    assert [str(one) for one in found.findings] == [
+    assert [str(finding) for finding in found.findings] == [
         "stand s1 was left out by the operator",
         "stand s3 was left out by the operator",
     ]
@@ -529,7 +529,7 @@ class Float64MultiArray:
 
     @data.setter
     def data(self, values: list[float]) -> None:
-        assert all(isinstance(one, float) for one in values)
+        assert all(isinstance(value, float) for value in values)
         self._data = array("d", values)
 
 

@@ -300,7 +300,7 @@ def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: Measured
     assert own.friction_ratio == 1
     assert abs(fit.total_mass.mean - planted.total_mass) < 0.05
     assert fit.total_mass.low < planted.total_mass < fit.total_mass.high
-    found = {one.name: one for one in fit.estimates}
+    found = {estimate.name: estimate for estimate in fit.estimates}
     off = [
         (found[f"offset {name}"].mean - true) / found[f"offset {name}"].std
         for name, true in zip(robot.joint_names, OFFSETS, strict=True)
@@ -369,7 +369,7 @@ def test_one_sided_friction_under_a_known_mass_stays_within_intervals(
     fit = fit_stands(robot, stands, weight=planted.total_mass)
     assert fit.kp_factor is not None
     assert fit.kp_factor.low < 1.0 < fit.kp_factor.high
-    (settled,) = (one for one in fit.estimates if one.kind == "settling")
+    (settled,) = (estimate for estimate in fit.estimates if estimate.kind == "settling")
     assert settled.low < 0.8 < settled.high
     none = fit_stands(robot, stands, weight=planted.total_mass, priors=["settling=0"])
     assert none.kp_factor is not None
@@ -389,17 +389,19 @@ def test_dead_band_and_kp_are_identified_together(
     lazy = replace(stands, command=stands.command + band * np.sign(lead))
     fit = fit_stands(robot, lazy, weight=planted.total_mass, priors=["deadband=0.3deg", "load=0"])
     assert fit.explained
-    (found,) = (one for one in fit.estimates if one.kind == "deadband")
+    (found,) = (estimate for estimate in fit.estimates if estimate.kind == "deadband")
     assert 0 < found.low < band < found.high
-    assert "servos-have-a-dead-band" in {one.code for one in fit.diagnostics}
+    assert "servos-have-a-dead-band" in {note.code for note in fit.diagnostics}
     near = {
-        one.subject: one for one in fit.estimates if one.kind == "kp" and one.determined == "data"
+        estimate.subject: estimate
+        for estimate in fit.estimates
+        if estimate.kind == "kp" and estimate.determined == "data"
     }
     assert len(near) > 6
     for joint, one in near.items():
         assert one.mean == pytest.approx(kp[robot.joint_names.index(joint)], rel=0.06), joint
     plain = fit_stands(robot, stands, weight=planted.total_mass)
-    assert "servos-have-a-dead-band" not in {one.code for one in plain.diagnostics}
+    assert "servos-have-a-dead-band" not in {note.code for note in plain.diagnostics}
 
 
 @pytest.mark.slow
@@ -417,7 +419,7 @@ def test_kp_is_right_and_friction_is_named_for_joints_held_by_friction(
     assert fit.kp_over_mass.low < true < fit.kp_over_mass.high
     (found,) = (one for one in fit.estimates if one.kind == "deadband")
     assert found.low < -band.mean() < found.high < 0
-    (said,) = (one for one in fit.failures if one.code == "torques-off")
+    (said,) = (failure for failure in fit.failures if failure.code == "torques-off")
     assert said.values["times"] == pytest.approx(times, rel=0.4)
 
 
@@ -448,7 +450,9 @@ def test_doubled_weight_is_reported_as_far_from_the_file(
     fit = fit_stands(robot, stands, weight=2 * planted.total_mass)
     (said,) = fit.failures
     assert said.code == "scale-far-from-the-file"
-    (load,) = (one.mean for one in fit.estimates if one.kind == "load")  # takes up a little of it
+    (load,) = (
+        estimate.mean for estimate in fit.estimates if estimate.kind == "load"
+    )  # takes up a little of it
     assert said.values["kp"] / (1 + load) == pytest.approx(2.0, rel=0.05)
     assert said.values["mass"] == pytest.approx(2 * planted.total_mass / robot.total_mass, rel=0.01)
     widened = fit_stands(
@@ -483,12 +487,14 @@ def test_known_mass_determines_kp_and_contradicts_a_wrong_scale(
     # Weighed before a pack of a fifth was put on: nothing else shows it, and kp are right.
     packed = fit_stands(robot, with_mass, weight=planted.total_mass / 1.2)
     assert packed.explained
-    (said,) = (one for one in packed.diagnostics if one.code == "more-stands-there")
+    (said,) = (note for note in packed.diagnostics if note.code == "more-stands-there")
     assert 5 < said.values["load"] < 20  # it is drawn to nothing by what was known before
     assert packed.kp_factor is not None
     assert packed.kp_factor.low < 1 < packed.kp_factor.high
     wrong = fit_stands(robot, with_mass, weight=planted.total_mass / 1.5)
-    said = next(one for one in wrong.failures if one.code == "known-mass-contradicts-the-scale")
+    said = next(
+        failure for failure in wrong.failures if failure.code == "known-mass-contradicts-the-scale"
+    )
     assert said.values["load"] == pytest.approx(50, abs=15)
     # Half of what was put on: kp would be half.
     loads = with_mass.added[robot.base] * [0.5, 1, 1, 1]
@@ -508,12 +514,12 @@ def test_rotated_stands_distinguish_slope_from_com(robot: Robot, planted: Robot)
         model.gravity.linear = down
         tilted = replace(planted, pin_model=model)
         runs.append(predict_readings(robot, tilted, 6, seed=7 + way))
-    heading = np.repeat([0.0, math.pi], [len(one) for one in runs])
+    heading = np.repeat([0.0, math.pi], [len(run) for run in runs])
     fit = fit_stands(robot, join_stands(*runs, heading=heading), priors=["kp=0"])
-    (said,) = (one for one in fit.failures if one.code == "ground-slopes")
+    (said,) = (failure for failure in fit.failures if failure.code == "ground-slopes")
     assert said.values["axis"] == "x"
     assert said.values["slope"].value == pytest.approx(slope, rel=0.3)
-    (along,) = (one for one in fit.estimates if one.name == "slope.x floor")
+    (along,) = (estimate for estimate in fit.estimates if estimate.name == "slope.x floor")
     assert along.mean > 0
 
 
@@ -595,7 +601,7 @@ def test_outlier_is_named_with_its_stand_and_joint(
     values = getattr(stands, what).copy()
     values[stand, joint] += off
     fit = fit_stands(robot, replace(stands, **{what: values}), priors=["kp=0"])
-    (said,) = (one for one in fit.failures if one.code == "reading-contradicted")
+    (said,) = (failure for failure in fit.failures if failure.code == "reading-contradicted")
     assert (said.values["stand"], said.values["joint"]) == (str(stand), robot.joint_names[joint])
     # A servo that is asked for less than its position shows is read too far by so much.
     assert said.values["off"].value == pytest.approx(abs(off), rel=0.15)
@@ -677,7 +683,7 @@ def test_stand_with_a_loaded_swing_foot_is_left_out_with_a_note(
     """Reference: planted total mass [kg], from the other stands."""
     wrong = replace(stands, swing=(("FR",), *stands.swing[1:]))
     fit = fit_stands(robot, wrong, priors=["kp=0"])
-    (said,) = (one for one in fit.diagnostics if one.code == "stand-left-out")
+    (said,) = (note for note in fit.diagnostics if note.code == "stand-left-out")
     assert "stand 0: foot FR is in swing, but its computed height" in str(said)
     assert fit.stands == len(stands) - 1
     assert fit.explained
@@ -848,7 +854,7 @@ def test_common_softness_of_soles_is_reported_and_of_one_sole_is_not() -> None:
     sigma = 0.5 * math.hypot(1, noise)
     alike = make_posterior(FEET, 1 + np.array([2.1, 2.2, 2.3, 1.9]) * sigma, noise)
     messages = list(check_surroundings(alike))
-    assert [one.subject.name for one in messages if one.subject] == ["FL", "FR", "RL"]
+    assert [message.subject.name for message in messages if message.subject] == ["FL", "FR", "RL"]
     assert messages[0].values["times"] == pytest.approx(1 + 2.1 * sigma)
     assert not list(check_surroundings(make_posterior(FEET, 1 + np.eye(4)[0] * 2.5 * sigma, noise)))
 

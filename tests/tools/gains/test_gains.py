@@ -58,10 +58,10 @@ def test_bounds_of_torque_and_encoder_equal_closed_forms() -> None:
     """Reference: limit / error, and 10 % of the limit per count of 2 pi / 2^14 in 2 ms."""
     study = gains_of("v3")
     assert study.classes
-    for one in study.classes:
-        assert one.largest_kp_of_torque == pytest.approx(3.0 / 0.2)
+    for bounds in study.classes:
+        assert bounds.largest_kp_of_torque == pytest.approx(3.0 / 0.2)
         count = 2 * math.pi / 2**14
-        assert one.largest_kd_of_encoder == pytest.approx(MAX_NOISE_RATIO * 3.0 * 0.002 / count)
+        assert bounds.largest_kd_of_encoder == pytest.approx(MAX_NOISE_RATIO * 3.0 * 0.002 / count)
 
 
 @pytest.mark.slow

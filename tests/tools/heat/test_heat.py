@@ -50,7 +50,7 @@ def test_losses_and_temperatures_follow_from_the_torques() -> None:
     robot = load("v3")
     study = study_heat(robot, stand_of("v3"), motors_of(motor), battery_energy=3600.0)
     statics = pa.stance.stand_statics(robot, study.stand)
-    np.testing.assert_array_equal([one.torque for one in study.motors], statics.joint_torques)
+    np.testing.assert_array_equal([motor.torque for motor in study.motors], statics.joint_torques)
     for one in study.motors:
         assert one.current == pytest.approx(abs(one.torque) / 0.1133)
         final = one.steady_temperature
@@ -59,7 +59,7 @@ def test_losses_and_temperatures_follow_from_the_torques() -> None:
         assert one.steady_loss == pytest.approx(loss)
         assert final == pytest.approx(21 + loss * (1.0702867186480716 + 1.9406620046327363))
         assert one.time_to_limit == math.inf
-    assert study.loss == pytest.approx(sum(one.loss for one in study.motors))
+    assert study.loss == pytest.approx(sum(motor.loss for motor in study.motors))
     assert study.battery_time == pytest.approx(3600 / study.loss)
     assert study.battery_current is None  # the voltage of this motor is unknown
     assert study.passed
@@ -80,7 +80,7 @@ def test_the_first_hot_motor_is_named_with_its_minutes(tmp_path: Path) -> None:
     assert done.returncode == 1, done.stderr
     result = json.loads(data.read_text())
     first = min(
-        (one for one in result["motors"] if one["motor"] == "weak"),
+        (motor for motor in result["motors"] if motor["motor"] == "weak"),
         key=lambda one: one["time_to_limit"],
     )
     heat = first["current"] ** 2 * 2.0
@@ -134,7 +134,7 @@ def test_motor_that_cannot_exert_the_torque_is_too_weak() -> None:
     assert not study.passed
     assert study.first.largest_torque == pytest.approx(0.4)
     assert study.first.limiting_number == "supply_voltage"
-    assert abs(study.first.torque) == max(abs(one.torque) for one in study.motors)
+    assert abs(study.first.torque) == max(abs(motor.torque) for motor in study.motors)
     assert (study.first.time_to_limit, study.first.steady_temperature) == (None, None)
     assert (study.loss, study.battery_current) == (None, None)
     document = heat_document(study)

@@ -62,7 +62,7 @@ def test_torques_sag_and_tool_position_equal_the_closed_form() -> None:
     elsewhere = replace(held.settled, qpos=held.settled.qpos + 2e-3)
     stand, alone = held_stand(robot, held.posture), {"feedforward": False, "duration": 3.0}
     run = verify_stand(robot, stand, settled=elsewhere, **alone)  # type: ignore[arg-type]
-    assert [one.code for one in run.failures] == ["joint-off"]
+    assert [failure.code for failure in run.failures] == ["joint-off"]
 
 
 def test_omitted_joints_are_at_mid_range_or_in_the_keyframe(tmp_path: Path) -> None:
@@ -117,7 +117,7 @@ def test_posture_fails_if_motors_are_too_weak(tmp_path: Path) -> None:
         stand = held_stand(robot, find_posture(robot, posture))
         found = verify_stand(robot, stand, duration=4.0)
         assert found.passed is holds
-        assert ("motors-give-all" in [one.code for one in found.failures]) is not holds
+        assert ("motors-give-all" in [failure.code for failure in found.failures]) is not holds
     settled = steady_state(robot, stand)  # the weak elbow sags to where gravity asks for less
     alone = verify_stand(robot, stand, feedforward=False, settled=settled)
     assert alone.passed
@@ -129,7 +129,7 @@ def test_posture_fails_if_motors_are_too_weak(tmp_path: Path) -> None:
         steady_state(robot, stand)
     fallen = verify_stand(robot, stand, feedforward=False, duration=4.0)
     assert fallen.collapses
-    assert [one.code for one in fallen.failures] == ["posture-left"]
+    assert [failure.code for failure in fallen.failures] == ["posture-left"]
 
 
 COUPLED = 'joint1="b_slide" joint2="elbow" polycoef="0.02 {ratio} 0 0"'
@@ -237,7 +237,7 @@ def test_posture_with_touching_parts_fails(tmp_path: Path) -> None:
         post = f'<body name="base"><geom size=".05" pos="{x} {y} {z}"/>'
         robot = load_arm(tmp_path, mjcf=text.replace('<body name="base">', post))
         stand = held_stand(robot, find_posture(robot, posture))
-        found = {one.code for one in verify_stand(robot, stand, duration=3.0).failures}
+        found = {failure.code for failure in verify_stand(robot, stand, duration=3.0).failures}
         assert (found & {"parts-touch"}) == codes
 
 

@@ -262,7 +262,7 @@ def test_payload_of_soft_servos_is_below_that_of_the_motors() -> None:
         loaded = with_payload(robot, share * mass, tool)
         stand = held_stand(loaded, posture)
         found = verify_stand(loaded, stand, kp=kp, kd=kd, duration=3.0)
-        codes = {one.code for one in found.failures}
+        codes = {failure.code for failure in found.failures}
         assert ("mode-buckles" not in codes) is holds
 
 

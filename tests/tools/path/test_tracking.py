@@ -134,10 +134,10 @@ def test_tracking_failures_are_reported() -> None:
     path = path_of("v3", "lift")
     limp = track_path(robot, path, kp=0.3, kd=0.01)
     assert not limp.passed
-    assert any(one.code == "joint-off-path" for one in limp.failures)
+    assert any(failure.code == "joint-off-path" for failure in limp.failures)
     sway = path_of("v3", "sway")  # as fast as no contact forces allow
     fast = track_path(robot, replace(sway, time=0.35 / 3.0 * sway.time))
-    assert "foot-idle" in {one.code for one in fast.failures}
+    assert "foot-idle" in {failure.code for failure in fast.failures}
     weak = track_path(robot, path, kp=5.0, kd=0.1, integrator="implicitfast")
     assert weak.integrator == "implicitfast"
     with pytest.raises(pa.ConfigurationError, match="timestep"):

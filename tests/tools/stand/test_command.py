@@ -179,7 +179,7 @@ def test_explanation_equals_the_loaded_robot(tmp_path: Path) -> None:
     assert explained.feet == tuple(robot.feet)
     assert explained.mass == pytest.approx(float(robot.mj_model.body_mass.sum()))
     _, runs = prepare_robot(*files, LoadRequest())
-    assert [one.name for one in explained.passes] == [one.name for one in runs]
+    assert [one.name for one in explained.passes] == [run.name for run in runs]
 
 
 @pytest.mark.slow

@@ -47,8 +47,8 @@ def test_study_report_counts_equal_the_table() -> None:
     found = outcome()
     table = found.table
     assert len(table) == found.designs == 18
-    assert sum(one.designs for one in found.failures) == table["failure"].notna().sum() >= 6
-    unreachable = next(one for one in found.failures if one.kind == "unreachable")
+    assert sum(failure.designs for failure in found.failures) == table["failure"].notna().sum() >= 6
+    unreachable = next(failure for failure in found.failures if failure.kind == "unreachable")
     assert unreachable.designs == 6  # of one height
     assert unreachable.share == pytest.approx(1 / 3)
     assert "500.0 mm" in unreachable.reason
@@ -176,7 +176,9 @@ def test_markup_in_the_names_of_a_study_is_escaped() -> None:
         measured=tuple(
             replace(one, metric=names.get(one.metric, one.metric)) for one in found.measured
         ),
-        failures=tuple(replace(one, kind=EVIL[1], reason=EVIL[0]) for one in found.failures),
+        failures=tuple(
+            replace(failure, kind=EVIL[1], reason=EVIL[0]) for failure in found.failures
+        ),
     )
     page = Page(render_page(build_report([("", evil)])))
     assert len(page.strict.scripts) == len(outcome_page().strict.scripts)
@@ -204,13 +206,13 @@ def test_pareto_front_is_plotted_and_listed() -> None:
     """Both objectives in % and mm, as in other commands, and the number of each design."""
     found = outcome()
     document = study_document(found)
-    (plot,) = (one for one in document.blocks if isinstance(one, LinePlot))
+    (plot,) = (block for block in document.blocks if isinstance(block, LinePlot))
     (line,) = plot.series
     np.testing.assert_allclose(line.x, 100 * found.front["peak_utilisation"], rtol=1e-14)
     np.testing.assert_allclose(line.y, 1e3 * found.front["servo_sag"], rtol=1e-14)
     assert [axis.unit for axis in (plot.x, plot.y)] == ["%", "mm"]
-    (table,) = (one for one in document.blocks if "Pareto" in str(getattr(one, "title", ""))
-                and isinstance(one, Table))  # fmt: skip
+    (table,) = (block for block in document.blocks if "Pareto" in str(getattr(block, "title", ""))
+                and isinstance(block, Table))  # fmt: skip
     numbers = [found.table["design"].tolist().index(one) + 1 for one in found.front["design"]]
     assert [row[0].value for row in table.rows] == numbers
     sags = [row[2].value for row in table.rows]

@@ -112,7 +112,7 @@ def test_scaled_link_lengths_are_equal_in_both_engines(own: Robot) -> None:
     """Links between two joints get longer by the factor, across the second joint's axis alone."""
     urdf = UrdfTree.of(own.description.urdf)
     upper = {
-        joint: next(one.name for one in urdf.child_joints[link] if one.moves)
+        joint: next(joint.name for joint in urdf.child_joints[link] if joint.moves)
         for joint, link in urdf.moved_links.items()
         if sum(one.moves for one in urdf.child_joints.get(link, ())) == 1
     }

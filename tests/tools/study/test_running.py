@@ -230,7 +230,9 @@ def test_study_of_published_files_scales_both_models(
     changed = maker.design({"mass:*calf": 1.5, "payload": 2.0}).robot
     check = pa.cross_check(changed, configurations=3)
     # Which the files, as they are published, state otherwise.
-    assert {one.name for one in check.quantities if not one.passed} == {"effort limits"}
+    assert {quantity.name for quantity in check.quantities if not quantity.passed} == {
+        "effort limits"
+    }
 
 
 @pytest.mark.slow

@@ -279,7 +279,7 @@ def test_predictions_use_changed_gains_and_friction() -> None:
     asked = pa.steady_state(robot, slope, kp=kp).base_height
     assert pa.steady_state(other, slope).base_height == pytest.approx(asked, rel=1e-12)
     slippery = with_ground_friction(robot, 0.3)
-    assert {one.sliding_friction for one in slippery.contacts.values()} == {0.3}
+    assert {contact.sliding_friction for contact in slippery.contacts.values()} == {0.3}
     steep = pa.solve_stand(slippery, pa.StandTask(ground=pa.Ground(slope=0.4)))
     with pytest.raises(pa.StaticsInfeasibleError, match="friction too low"):
         pa.stance.stand_statics(slippery, steep)

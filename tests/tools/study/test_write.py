@@ -138,7 +138,7 @@ def test_metric_that_fails_for_the_written_files_is_reported(
     assert found.study_values["stands"] == 1.0
     assert found.file_values["stands"] == 0.0
     assert math.isnan(found.file_values["servo_sag"])
-    differing = {one.values["metric"] for one in found.failures}
+    differing = {failure.values["metric"] for failure in found.failures}
     assert differing >= {"servo_sag", "stands"}
 
 

@@ -47,7 +47,7 @@ def differences(files: Files) -> set[tuple[str, str]]:
     found = pa.compare_models(
         files.urdf, files.mjcf, configurations=1, tolerances=Tolerances.strict()
     )
-    return {(one.kind, one.element) for one in found.differences}
+    return {(difference.kind, difference.element) for difference in found.differences}
 
 
 def in_urdf(path: Path, link: str) -> pin.Inertia:

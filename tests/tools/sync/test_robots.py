@@ -46,7 +46,7 @@ def test_published_files_are_made_to_agree(robot: str, side: str, tmp_path: Path
         *files, tolerances=pa.matching.Tolerances.strict(), configurations=3
     )
     assert compared.agree is (not count)
-    left = {f"{one.element}: {one.kind}" for one in compared.differences}
+    left = {f"{difference.element}: {difference.kind}" for difference in compared.differences}
     assert left == {one.difference.removeprefix("joint ") for one in result.not_mended}
     assert max(compared.deviations.values()) < 1e-9
     # Lines without a number that is written are the same lines.

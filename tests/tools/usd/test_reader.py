@@ -44,7 +44,7 @@ def test_converted_usd_agrees_with_its_source(converter: str, folder: str, tmp_p
     (made,) = (tmp_path / "made").glob("*.usd*")
     for pair in ((urdf, made), (made, mjcf)):
         found = compare_models(*pair, configurations=2)
-        assert found.agree, [str(one.diagnostic) for one in found.differences]
+        assert found.agree, [str(difference.diagnostic) for difference in found.differences]
 
 
 def compare_with_usd(
@@ -148,7 +148,11 @@ def test_values_missing_in_the_usd_are_no_difference(tmp_path: Path) -> None:
     }
     assert values == {"effort": ["hip"], "damping": ["hip"], "friction": ["hip"]}
     strict = compare_with_usd(tmp_path, *changes, strict_names=True)
-    assert {one.kind for one in strict.differences} == {"effort", "damping", "friction"}
+    assert {difference.kind for difference in strict.differences} == {
+        "effort",
+        "damping",
+        "friction",
+    }
 
 
 def test_invalid_inertia_of_a_fixed_part_is_a_difference(tmp_path: Path) -> None:
@@ -156,7 +160,9 @@ def test_invalid_inertia_of_a_fixed_part_is_a_difference(tmp_path: Path) -> None
     compared."""
     thin = "float3 physics:diagonalInertia = (0, 0, 200)"
     found = compare_with_usd(tmp_path, ("float3 physics:diagonalInertia = (200, 200, 200)", thin))
-    assert {(one.kind, one.element) for one in found.differences} == {("inertia", "spring")}
+    assert {(difference.kind, difference.element) for difference in found.differences} == {
+        ("inertia", "spring")
+    }
 
 
 def test_a_joint_that_closes_a_loop_is_a_difference(tmp_path: Path) -> None:
@@ -172,7 +178,7 @@ def test_a_joint_that_closes_a_loop_is_a_difference(tmp_path: Path) -> None:
         def PhysicsFixedJoint "ankle\""""
     found = compare_with_usd(tmp_path, ('def PhysicsFixedJoint "ankle"', loop))
     assert not found.agree
-    assert {one.kind for one in found.differences} == {"equality"}
+    assert {difference.kind for difference in found.differences} == {"equality"}
 
 
 def test_a_joint_of_several_axes_is_refused(tmp_path: Path) -> None:
@@ -195,7 +201,7 @@ def test_invalid_usd_inertia_is_refused_at_its_prim(tmp_path: Path) -> None:
 def test_a_range_from_0_to_0_is_a_difference(tmp_path: Path) -> None:
     """A converter wrote 0 to 0, which locks the joint, for a URDF without a range."""
     zero = (("lowerLimit = -30", "lowerLimit = 0"), ("upperLimit = 60", "upperLimit = 0"))
-    kinds = {one.kind for one in compare_with_usd(tmp_path, *zero).differences}
+    kinds = {difference.kind for difference in compare_with_usd(tmp_path, *zero).differences}
     assert kinds == {"lower limit", "upper limit"}
 
 
@@ -271,7 +277,7 @@ def test_gains_of_a_drive_are_compared_per_radian(
 ) -> None:
     made = usd.write(tmp_path)
     found = compare_models(made, mjcf_of(made, kp, kd), configurations=2)
-    assert [one.kind for one in found.differences] == kinds
+    assert [difference.kind for difference in found.differences] == kinds
     assert found.agree == (not kinds)
     for one, stated in zip(found.differences, (KP, KD), strict=False):
         assert (one.element, one.urdf) == ("hip", pytest.approx(stated, rel=1e-6))

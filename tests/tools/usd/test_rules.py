@@ -33,7 +33,7 @@ SLIPS = {
 def test_usd_fault_is_found_at_its_prim(rule: str, tmp_path: Path) -> None:
     change, prim = SLIPS[rule]
     path = usd.write(tmp_path, change)
-    found = [one for one in audit_model(path).findings if one.rule == rule]
+    found = [finding for finding in audit_model(path).findings if finding.rule == rule]
     assert [one.prim for one in found] == [prim]
     assert found[0].file == str(path)
     assert found[0].line is None
@@ -42,7 +42,9 @@ def test_usd_fault_is_found_at_its_prim(rule: str, tmp_path: Path) -> None:
 def test_an_unstated_com_is_not_at_the_origin(tmp_path: Path) -> None:
     """A converter left out a com of (0, 0, 0): then it is the shapes'."""
     path = usd.write(tmp_path, ("point3f physics:centerOfMass = (1, 2, 3)\n", "\n"))
-    (found,) = (one for one in audit_model(path).findings if one.rule == "inertia-unstated")
+    (found,) = (
+        finding for finding in audit_model(path).findings if finding.rule == "inertia-unstated"
+    )
     assert (found.prim, str(found.severity)) == (BASE, "warning")
     assert "does not state com" in str(found.diagnostic)
 

@@ -251,7 +251,9 @@ def test_narrow_margin_is_reported_if_seeds_differ_by_more(trot: Policy) -> None
     assert replace(empty, turning_margins=empty.speed_margins).narrow == ()
     assert replace(empty, seeds=(0,)).narrow == ()
     shown = intervals_document(empty)
-    assert any("margin of the unchanged robot (turning) 10 %" in str(one) for one in shown.findings)
+    assert any(
+        "margin of the unchanged robot (turning) 10 %" in str(finding) for finding in shown.findings
+    )
 
 
 @pytest.mark.slow

@@ -154,8 +154,8 @@ def test_onnx_graphs_equal_onnxruntime(kind: str, tmp_path: Path) -> None:
     data = made_graphs()[kind]
     network = read_graph(data, tmp_path)
     session = runtime.InferenceSession(data)
-    names = [one.name for one in session.get_inputs()]
-    theirs = [np.zeros(one.shape, np.float32) for one in session.get_inputs()[1:]]
+    names = [input.name for input in session.get_inputs()]
+    theirs = [np.zeros(input.shape, np.float32) for input in session.get_inputs()[1:]]
     memory = network.initial_memory(1)
     for row in rows(5, 6).astype(np.float32):
         found, memory = network.forward(row[None].astype(float), memory)

@@ -64,9 +64,9 @@ def check(policy: Policy, arrays: dict[str, Any], folder: Path) -> TraceCheck:
 
 def find_mistakes(found: TraceCheck) -> dict[str, tuple[str, str]]:
     return {
-        one.term: (one.mistake, one.detail)
-        for one in found.checks
-        if one.mistake not in ("", "unchecked")
+        check.term: (check.mistake, check.detail)
+        for check in found.checks
+        if check.mistake not in ("", "unchecked")
     }
 
 
@@ -76,7 +76,7 @@ def test_trace_of_the_stated_contract_agrees(
     found = check(*recorded, tmp_path)
     assert find_mistakes(found) == {}
     assert found.passed
-    assert [one.term for one in found.checks] == ["network", *NAMES, "targets"]
+    assert [check.term for check in found.checks] == ["network", *NAMES, "targets"]
     assert found.period == pytest.approx(0.02)
 
 
@@ -218,7 +218,7 @@ def test_signals_that_are_not_recorded_are_unchecked(
     policy, arrays = recorded
     few = {name: arrays[name] for name in ("time", "observations", "actions")}
     found = check(policy, few, tmp_path)
-    unchecked = [one.term for one in found.checks if one.mistake == "unchecked"]
+    unchecked = [check.term for check in found.checks if check.mistake == "unchecked"]
     assert unchecked == list(NAMES[:-1])
     bare = policy.with_contract(terms=tuple(map(ObservationTerm, NAMES[:-1])), history=1)
     assert not replace(found, checks=found.checks[:-1]).passed, bare
@@ -243,8 +243,8 @@ def test_csv_and_npz_give_equal_results(
     found = check_trace(load("v3"), policy, read_trace(path))
     assert find_mistakes(found) == {}
     whole = check(policy, arrays, tmp_path)
-    assert [one.error for one in found.checks] == pytest.approx(
-        [one.error for one in whole.checks], abs=1e-9
+    assert [check.error for check in found.checks] == pytest.approx(
+        [check.error for check in whole.checks], abs=1e-9
     )
 
 
