@@ -1,4 +1,4 @@
-"""Limbs with the same structure: a limb without a foot among them, classes of their joints.
+"""Limbs with the same structure: groups of corresponding joints, and limbs that lack a foot.
 
 Limbs with the same types of joints, and with similar masses or dimensions, usually have the same
 function. If at least half of these limbs end in a foot and one limb does not, the file of that limb
@@ -18,10 +18,10 @@ from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.robot import Robot
 
 _SIMILARITY_TOLERANCE = 0.05
-"""Tolerance with which two limbs count as similar. It applies to masses (relative to the larger
-mass), to distances between joints (relative to the length of the limb), and to |cos| between axes
-(absolute). Similar masses, or similar distances and axes, are sufficient, because a single wrong
-value affects only one of the two. Left and right limbs of published robots agree within 1 %."""
+"""Tolerance [1] with which two limbs count as similar (`Limb.is_similar_to`). It applies to masses
+(relative to the larger mass), to distances between joints (relative to the length of the limb), and
+to |cos| between axes (absolute). A larger difference makes two limbs dissimilar. Left and right
+limbs of published robots agree within 1 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +29,9 @@ class Limb:
     """Limb, from the base to the end.
 
     Attributes:
-        bodies: Ids of the moving bodies.
-        kinds: Types of the joints.
-        masses: Masses [kg] of the n bodies, including fixed bodies, shape (n,).
+        bodies: Ids of the moving bodies in MuJoCo's model.
+        kinds: Types of the joints (MuJoCo's ``jnt_type``).
+        masses: Mass [kg] of each of the n bodies with the bodies that are fixed to it, shape (n,).
         lengths: Distances [m] between successive joints, invariant under mirroring.
         turns: |cos| of the angles between successive joint axes, invariant under mirroring.
     """
@@ -45,12 +45,16 @@ class Limb:
     def is_similar_to(self, other: Limb) -> bool:
         """Return True if two limbs have the same joint types, and similar dimensions or masses.
 
-        Dimensions are similar if no distance between joints differs by more than 0.05 times the
-        length of the limb (sum of the larger distances, which must not be 0), and no |cos| between
-        axes by more than 0.05. Limbs without a distance (one joint, or all joints in one point) are
-        compared by their masses alone. Masses are similar if both limbs have the same number
-        of bodies, and no mass differs by more than 0.05 times the larger mass
-        (`_SIMILARITY_TOLERANCE`).
+        The tolerance is 0.05 (`_SIMILARITY_TOLERANCE`). Either similarity is sufficient, because a
+        single wrong value of a file affects only masses or only dimensions.
+
+        Dimensions are similar if the distances between joints differ by at most 0.05 times the
+        length of the limb, and |cos| between successive axes differs by at most 0.05. The length is
+        the sum of the larger distances. If the length is 0 (one joint, or all joints in one point),
+        only masses are compared.
+
+        Masses are similar if both limbs have the same number of bodies, and each mass differs by at
+        most 0.05 times the larger mass.
         """
         if self.kinds != other.kinds:
             return False
@@ -75,8 +79,8 @@ class Limb:
 def list_limbs(robot: Robot) -> list[Limb]:
     """Return the limbs of a robot: the chains of moving bodies from the base to the limb ends.
 
-    A limb end carries no other moving body. Bodies that are fixed to a moving body count as part of
-    this body.
+    A limb end is a moving body without moving descendants. Bodies that are fixed to a moving body
+    count as part of this body.
     """
     model, data = robot.mj_model, robot.compute_kinematics()
     weld, base = model.body_weldid, int(model.body_weldid[model.body(robot.mj_base).id])
@@ -110,8 +114,8 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
     """Return {joint: corresponding joints of similar limbs}.
 
     Limbs are similar if `Limb.is_similar_to` holds, for example the legs of a quadruped.
-    Corresponding joints have the same position in the order of the limb. Joints without a similar
-    limb are omitted, as are joints that similar limbs share.
+    Corresponding joints have the same index, counted from the base. A joint is omitted if no other
+    limb is similar to its limb, or if the similar limb contains this joint too.
     """
     model, limbs = robot.mj_model, list_limbs(robot)
     joints = [
@@ -134,10 +138,10 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
 
 
 def report_limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Report the limbs without a foot if at least half of the similar limbs have a foot.
+    """Report each limb without a foot, if at least half of the limbs similar to it have a foot.
 
-    The limb itself is counted as one of the similar limbs. Empty if the feet were not detected by
-    this package (no note ``feet-found``).
+    The limb itself counts as one of the similar limbs. The result is empty if this package did not
+    detect the feet (no note ``feet-found``).
     """
     if not any(note.code == "feet-found" for note in robot.notes):
         return ()
@@ -166,16 +170,18 @@ def report_limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
 
 
 def group_joints(robot: Robot, kp: Array, kd: Array) -> list[list[int]]:
-    """Group driven joints at the same place in similar limbs, with equal gains and effort limits.
+    """Group corresponding joints with actuator that have equal gains and effort limits.
+
+    `sibling_joints` defines the corresponding joints of similar limbs, such as the knees.
 
     Args:
         robot: Robot.
-        kp: Stiffness, shape (nu,) [N m/rad, N/m].
-        kd: Damping, shape (nu,) [N m s/rad, N s/m].
+        kp: Servo stiffness, shape (nu,) [N m/rad, N/m].
+        kd: Servo damping, shape (nu,) [N m s/rad, N s/m].
 
     Returns:
-        Indices (in actuator order) of the joints of each group. A joint without a similar joint is
-        a group of its own. The groups are in the order of their first joint.
+        Indices (in actuator order) of the joints of each group. A joint that corresponds to no
+        other joint is a group of its own. The groups are in the order of their first joint.
     """
     siblings, names = sibling_joints(robot), robot.joint_names
     values = np.stack([kp, kd, robot.effort_limits])
@@ -193,10 +199,11 @@ def group_joints(robot: Robot, kp: Array, kd: Array) -> list[list[int]]:
 
 
 def name_joints(names: Sequence[str]) -> str:
-    """Return one name for several joints, for example ``leg_*_1``; the name of a single joint.
+    """Return one short name for several joints, for example ``leg_*_1``.
 
-    The common beginning and end of the names, cut at underscores, are joined by ``*``. Without a
-    common part, the first two names and the number of further names are listed.
+    The common beginning and end of the names, cut at underscores, are joined by ``*``. If the names
+    have no common part, the result lists two names and the number of further names. A single name
+    is returned unchanged.
     """
     if len(names) == 1:
         return names[0]

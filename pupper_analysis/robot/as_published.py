@@ -34,11 +34,12 @@ class ServosUsed:
     """Servos that a result depends on.
 
     Attributes:
-        source: Origin of the gains: the MJCF; added on loading at some joints, where the
-            MJCF has no servo or an invalid one; or passed by the caller.
-        kp: Minimum and maximum stiffness (N m/rad or N/m) of the added servos; of all servos if
-            none was added, or the caller passed gains.
-        kd: Minimum and maximum damping (N m s/rad or N s/m) of the servos of ``kp``.
+        source: Origin of the gains. ``FILE``: the MJCF. ``ADDED``: this package added servos at
+            joints for which the MJCF has no servo or an invalid servo. ``GIVEN``: passed by the
+            caller.
+        kp: Minimum and maximum stiffness (N m/rad or N/m) of the added servos. If no servo was
+            added, or the caller passed gains: of all servos.
+        kd: Minimum and maximum damping (N m s/rad or N s/m) of the same servos.
         made: Added servos that are in use; empty if the caller passed gains.
         stiffness_unit: Unit of ``kp``; both units if the servos are at hinges and slides.
         damping_unit: Unit of ``kd``; both units if the servos are at hinges and slides.
@@ -58,30 +59,31 @@ class ServosUsed:
 
 
 MIN_UNHELD_DISPLACEMENT = 0.05
-"""Lower bound of the displacement of a joint [rad, m] in a simulation of a published file from its
-keyframe, for two messages. With a larger displacement, a joint without servo counts as not held,
-and a joint with servo may count as moved away by its command. A joint without servo has no
-stiffness, and usually moves to a stop. Chosen, not tuned."""
+"""Displacement of a joint [rad, m] in a simulation of a published file from its keyframe, above
+which the joint counts as displaced. A displaced joint without servo counts as not held
+(`OwnRun.unheld`). A displaced joint with servo may count as moved by its command
+(`JointOff.commanded_away`). A joint without servo has no stiffness, and usually moves to a stop.
+Chosen, not tuned."""
 
 
 MAX_TORQUE_DEVIATION = 0.05
-"""Largest torque deviation of a simulation of the published MJCF that agrees with the computed
-equilibrium, relative to the scale of `PublishedRun.torque_error`. Solo 12, whose mesh feet this
-package replaces by spheres, deviates by 0.016."""
+"""Largest `PublishedRun.torque_error` [1] with which a simulation of the published MJCF agrees with
+the computed equilibrium. The error of Solo 12 is 0.016, because this package replaces its mesh feet
+by spheres."""
 
 MAX_IMPORTED_TORQUE_DEVIATION = 0.1
-"""Largest torque deviation of a simulation of a URDF, relative to the scale of
-`PublishedRun.torque_error`; replaces ``MAX_TORQUE_DEVIATION`` there. MuJoCo's import of a URDF
-keeps the collision meshes of the file, whose contacts are at slightly different positions than
-those of the computed spheres (Go2: 0.065)."""
+"""Largest `PublishedRun.torque_error` [1] with which a simulation of a URDF agrees with the
+computed equilibrium. For a URDF, this value replaces ``MAX_TORQUE_DEVIATION``. MuJoCo's import of a
+URDF keeps the collision meshes of the file. Their contacts are at slightly different positions than
+the contacts of the computed spheres (error of Go2: 0.065)."""
 
 MAX_PUBLISHED_DEVIATION = 0.02
 """Largest deviation of a joint position [rad, m] with which a simulation of the published MJCF with
 feed-forward agrees with the computed equilibrium. Pupper v3 deviates by 5e-5. Chosen, not tuned."""
 
 MIN_POSTURE_DEVIATION = 0.5
-"""Displacement [rad, m] of a joint from which a robot with a fixed base counts as having left its
-posture. Chosen, not tuned."""
+"""Displacement [rad, m] of a joint above which a robot with a fixed base has left its posture
+(`OwnRun.has_left_posture`). Chosen, not tuned."""
 
 
 class OwnCommands(StrEnum):
@@ -114,9 +116,9 @@ class JointOff:
     def commanded_away(self) -> bool:
         """True if the servo's command explains the displacement of this joint in the simulation.
 
-        Conditions: the absolute displacement exceeds ``MIN_UNHELD_DISPLACEMENT``, and the
-        distance of the command from the initial position exceeds half of the displacement. False
-        without a command.
+        Both conditions must hold. The displacement exceeds ``MIN_UNHELD_DISPLACEMENT``. The
+        distance of the command from the initial position exceeds half of the displacement. The
+        result is False without a command.
         """
         if self.commanded is None or abs(self.off) <= MIN_UNHELD_DISPLACEMENT:
             return False
@@ -125,10 +127,10 @@ class JointOff:
 
 @dataclass(frozen=True)
 class Cause:
-    """Element of the MJCF, or change on loading, that causes a deviation from equilibrium.
+    """Cause of a deviation from equilibrium: an element of the MJCF, or a change on loading.
 
     Attributes:
-        code: Code; see ``present.verdict.describe_cause``.
+        code: Code of the cause; ``present.verdict.describe_cause`` has a text for each code.
         elements: Names of the elements.
         line: Line of the first element in the file; None if unknown.
         remaining: Largest torque deviation with all causes disabled, relative to the largest
@@ -153,9 +155,9 @@ reports the deviation, but is not FAILS.
 
 
 MAX_OWN_TILT = math.radians(10.0)
-"""Largest tilt of the base [rad] with which a robot stands in the pose of its keyframe, at the end
-of a simulation of the published file from this keyframe. The tilt is relative to the initial
-orientation. Chosen, not tuned: a knee angle with a wrong sign gives 18 to 21 deg (Solo 12, Go1).
+"""Largest tilt of the base [rad], relative to the initial orientation, at the end of a simulation
+of the published file from its keyframe. With a larger tilt the run fails (`OwnRun.is_tilted`).
+Chosen, not tuned: a knee angle with a wrong sign gives 18 to 21 deg (Solo 12, Go1).
 """
 
 
@@ -168,17 +170,18 @@ class OwnRun(BodyMotion):
     Attributes:
         imported: Whether the model is MuJoCo's import of a URDF, completed by free base, floor,
             servos etc., but with its own shapes.
-        timestep: Time step (s) of an import, if smaller than the robot's because of the shapes.
+        timestep: Time step (s) of an import, if its shapes require a smaller time step than the
+            robot's; otherwise None.
         keyframe: Name of the keyframe; "" if the run starts at the nominal stand.
         commands: Commands of the actuators.
-        limp: Whether most joints have torque motors, or no actuators, without commands.
+        limp: Whether most joints have no servo and no command: a torque motor, or no actuator.
         worst: Joint with the largest displacement; None if the simulation diverged.
-        unheld: Joint without servo with the largest displacement, in a robot with servos; None
-            below ``MIN_UNHELD_DISPLACEMENT``.
+        unheld: Displaced joint without servo, in a robot with servos: the joint with the largest
+            displacement. None if no such displacement exceeds ``MIN_UNHELD_DISPLACEMENT``.
         held: If the keyframe has no ctrl, a second run in which the servos hold the joint
             positions.
-        standing: Whether the robot stands on the ground. Otherwise the base is fixed, and a joint
-            that ends ``MIN_POSTURE_DEVIATION`` away has left the posture.
+        standing: Whether the robot stands on the ground. If False, the base is fixed, and
+            `has_left_posture` is evaluated instead.
         causes: Causes of a failure, if found.
         missing: Files that the published MJCF lacks, so that MuJoCo refuses it.
     """
@@ -255,18 +258,19 @@ class PublishedRun:
     Attributes:
         feedforward: Whether the commands include feed-forward; otherwise positions only.
         duration: Simulated time (s); the nudge is applied after the first second.
-        torque_error: Largest torque deviation within the last second, relative to the largest
-            computed torque, or to a fraction of the weight times 1 m if that is larger. With a
-            fixed base, the dry friction of the joint is subtracted from the deviation.
+        torque_error: Largest torque deviation within the last second, divided by a scale [1]. The
+            scale is the largest computed torque, or a fraction of the weight times 1 m if that is
+            larger. With a fixed base, the dry friction of the joint is subtracted from the
+            deviation.
         height_error: Final minus computed height of the CoM (m); None if the base is fixed.
         joint_error: Largest joint deviation.
-        collapses: Whether the robot has fallen, sunk or risen by ``MAX_HEIGHT_LOSS_RATIO`` (in
-            ``robot.fall``) of its height, travelled by its height, or diverged. For a fixed base,
-            whether a joint has left the posture.
+        collapses: Whether the robot has collapsed or the simulation has diverged: see
+            `pupper_analysis.robot.fall.has_collapsed`. For a fixed base, whether a joint has left
+            the posture.
         differs: Whether the robot collapses, or deviates by more than a verified stand may.
         imported: Whether the model is MuJoCo's import of a URDF.
-        worst_joint: Joint with the largest displacement if the robot collapses, otherwise with the
-            largest torque deviation.
+        worst_joint: Joint with the largest displacement if the robot collapses; otherwise the joint
+            with the largest torque deviation.
         joint_error_unit: Unit of ``joint_error``: rad, or m for a slide.
     """
 
@@ -291,8 +295,8 @@ class PublishedRun:
     def agrees_with_equilibrium(self) -> bool:
         """True if the robot does not collapse in this run and is near the computed equilibrium.
 
-        The torque error is at most ``MAX_TORQUE_DEVIATION`` (for a URDF
-        ``MAX_IMPORTED_TORQUE_DEVIATION``); with feed-forward, the joint error is also at most
+        Near means that the torque error is at most ``MAX_TORQUE_DEVIATION`` (for a URDF
+        ``MAX_IMPORTED_TORQUE_DEVIATION``). With feed-forward, the joint error must also be at most
         ``MAX_PUBLISHED_DEVIATION``.
         """
         near = not self.feedforward or self.joint_error <= MAX_PUBLISHED_DEVIATION
@@ -329,8 +333,8 @@ class Published:
     def worst(self) -> PublishedRun | None:
         """Worst simulation that deviates from the computed equilibrium; None if none deviates.
 
-        A simulation in which the robot collapses is worse than a simulation in which it does not.
-        Otherwise, a simulation with feed-forward counts as worse than a simulation without.
+        A simulation with a collapse is worse than a simulation without a collapse. Otherwise, a
+        simulation with feed-forward is worse than a simulation without feed-forward.
         """
         deviating = (run for run in self.runs if run.differs)
         return max(deviating, key=lambda run: (run.collapses, run.feedforward), default=None)

@@ -69,18 +69,18 @@ def build_robot(
 
     Args:
         description: Contents of the URDF and the MJCF, contact points and other data.
-        fixed_base: Whether to fix a free base to the world at the pose in the MJCF; contacts with
-            planes and height fields are then disabled.
-        foot_depth: Distance [m] of the feet below the hips in the nominal stand, the stand of the
-            default `StandTask`. By default, the lowest foot touches the ground in the configuration
-            ``Robot.home``.
+        fixed_base: Whether to fix a free base to the world, at the pose in the MJCF. If True,
+            contacts with planes and height fields are disabled.
+        foot_depth: Distance [m] of the feet below the hips in the nominal stand (the stand of the
+            default `StandTask`), from which the height of the base in this stand follows. By
+            default, the lowest foot touches the ground with the joint positions of ``Robot.home``.
 
     Raises:
-        ModelError: If MuJoCo or Pinocchio rejects a file, or a number of the compiled model is not
-            valid; if the MJCF has a flexible body, a ball joint or no joint; if a joint of the URDF
-            is planar, is floating within the tree or has no axis; if both files have different
-            joints; or if a contact point without an entry in ``description.foot_geoms`` is not the
-            centre of a collision sphere.
+        ModelError: If MuJoCo or Pinocchio rejects a file. If a number of the compiled model is not
+            valid. If the MJCF has a flexible body, a ball joint or no joint. If a joint of the URDF
+            has no axis, is planar, or is floating within the tree. If both files have different
+            joints. If ``description.foot_geoms`` has no entry for a contact point, and the contact
+            point is not the centre of a collision sphere.
         UnknownNameError: If a contact point has no link in the URDF, or no site, body or geom in
             the MJCF.
         KeyError: If ``description.foot_geoms`` names a geom that the MJCF lacks.
@@ -153,9 +153,9 @@ def build_robot(
 
 
 def _refuse_flexes(model: mujoco.MjModel, source: Path) -> None:
-    """Raise an error if a model contains flexible bodies, which statics does not support.
+    """Raise an error if a model contains flexible bodies, because statics does not support them.
 
-    If a vertex of a flexible body has joints of its own, it would count as a limb without motors.
+    A vertex with joints of its own would count as a limb without motors.
 
     Raises:
         ModelError: If the model contains a flexible body (``flex``).
@@ -171,7 +171,7 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
 
     Args:
         robot: The robot.
-        changes: Fields of ``Description``, such as ``mjcf``.
+        changes: New values of fields of ``Description``, for example ``mjcf=spec``.
 
     Raises:
         ModelError: For example if MuJoCo or Pinocchio rejects the changed description, the joints
@@ -188,8 +188,8 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
 def with_additions(robot: Robot, *additions: Addition) -> Robot:
     """Build a robot with additions to the MJCF; see `copy_metadata` for the data that are kept.
 
-    No addition concerns the URDF, so the result has a copy of the Pinocchio model of ``robot``. It
-    contains changes of this model since the files were read, such as limits.
+    Additions do not change the URDF, so the result has a copy of the Pinocchio model of ``robot``.
+    Changes of this model in memory, such as other limits, are kept.
 
     Raises:
         ModelError: If MuJoCo rejects the MJCF with the additions.
@@ -202,7 +202,7 @@ def with_additions(robot: Robot, *additions: Addition) -> Robot:
 
 
 def copy_metadata(built: Robot, robot: Robot) -> Robot:
-    """Return a rebuilt robot with the data of the original that ``Robot.description`` lacks.
+    """Return a rebuilt robot with those data of the original that its description does not contain.
 
     The data are ``stand_height``, the notes, and the published file. If the robot has contacts of a
     task (``touching``), these and the fingerprint are copied as well.
@@ -224,7 +224,7 @@ def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) 
     """Add the contacts of a task to a rebuilt robot: friction, hands and welds.
 
     Args:
-        built: Robot that was rebuilt with the contact geometry.
+        built: Rebuilt robot; its files contain the contact geometry of the task.
         robot: Original robot, whose fingerprint (key for caches) is kept.
         touching: {foot or other part: contact of this part}.
     """
@@ -243,8 +243,8 @@ def _check_forces_at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
     """Report settings of the MJCF with effect at rest; make gravity compensation passive, in place.
 
     Reported are MuJoCo's sleep, passive forces at rest (such as springs), and gravity compensation
-    that MuJoCo would add to the motor torques. In the latter case, ``actuatorgravcomp`` is cleared,
-    so that the compensation is a passive force, which reduces the motor torques.
+    that MuJoCo would add to the motor torques. ``actuatorgravcomp`` is cleared, so that this
+    compensation becomes a passive force. A passive force reduces the motor torques.
     """
     notes: list[Diagnostic] = []
     if mj_model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP.value:
@@ -271,8 +271,7 @@ def _copy_armature(
     """Copy the armature of MuJoCo's model to Pinocchio's, in place.
 
     Returns notes about armature, and about effort limits (`report_efforts`). ``null`` is {joint:
-    statement of an empty force range of the MJCF, such as ``forcerange="0 0"``}, which MuJoCo
-    ignores.
+    empty force range in the MJCF}, for example ``forcerange="0 0"``. MuJoCo ignores such a range.
     """
     limits = efforts_of(mj_model, pin_model, pin_convention, joint_names, {}, null)
     notes = report_efforts(limits)
@@ -295,9 +294,10 @@ def _hash_properties(
     contact_frames: Mapping[str, str],
     contact_radius: Mapping[str, float],
 ) -> str:
-    """Return a hash (16 hex digits) of the properties of a URDF that stances depend on.
+    """Return a hash (16 hex digits) of the properties of a URDF that affect stances.
 
-    Kinematics and feet, rounded to 1 nm; inertias; position limits; names; contact radii.
+    The properties are kinematics and feet (rounded to 1 nm), inertias, position limits, names and
+    contact radii.
     """
     parts = [
         repr((joint_names, sorted(contact_frames.items()), sorted(contact_radius.items()))).encode()
@@ -321,9 +321,9 @@ def _hash_properties(
 def _compile_mujoco_model(
     description: Description, fixed_base: bool
 ) -> tuple[mujoco.MjModel, Array, list[Diagnostic]]:
-    """Compile the MJCF; return model, qpos of the keyframe ``home``, and notes of additions.
+    """Compile the MJCF; return model, qpos of the start pose, and notes of additions.
 
-    Without keyframe ``home``, the first keyframe is used; without keyframes, qpos0.
+    The start pose is the keyframe ``home``, otherwise the first keyframe, otherwise qpos0.
     """
     spec, keyframe, notes = make_mujoco_spec(description, fixed_base=fixed_base)
     model = mjcf_description.compile_spec(spec, description.mjcf_source)
@@ -355,9 +355,10 @@ def _list_joints(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
 
 
 def _find_base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence[str]) -> str:
-    """Return the base: the body of the free joint, or else the static parent of the first joint.
+    """Return the name of the base body.
 
-    That parent is the nearest ancestor of the first joint's body that is fixed to the world.
+    A free base is the body of the free joint. A fixed base is the nearest ancestor of the first
+    joint's body that is fixed to the world.
     """
     if floating:
         return str(model.body(int(model.jnt_bodyid[list_free_joints(model)[0]])).name)
@@ -370,8 +371,9 @@ def _find_base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence
 def _match_root_link(model: mujoco.MjModel, base: str, urdf: str) -> str:
     """Return the name of the body that corresponds to the URDF's root link.
 
-    Candidates are the fixed base and its ancestors: a body with the same name; else the first body
-    whose name is that of the link with a prefix or suffix (``right_``, ``robot/``); else ``base``.
+    Candidates are the body ``base`` and its ancestors. A candidate with the name of the link is
+    returned; otherwise the first candidate whose name is this name with a prefix or suffix
+    (``right_``, ``robot/``); otherwise ``base``.
     """
     root = UrdfTree.of(urdf).base.name
     body, ancestors = model.body(base).id, list[str]()
@@ -386,9 +388,9 @@ def _match_root_link(model: mujoco.MjModel, base: str, urdf: str) -> str:
 
 
 def _find_imu(model: mujoco.MjModel, pin_model: pin.Model) -> str | None:
-    """Return the site of the IMU; None if there is no such site.
+    """Return the name of the IMU's site; None if there is no such site.
 
-    The site has a gyro and an accelerometer, and a link of the URDF has the same name.
+    It is a site with a gyro and an accelerometer whose name is also the name of a link of the URDF.
     """
     gyro, accelerometer = mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER
     sites = [
@@ -411,7 +413,7 @@ def _build_pinocchio_model(
     joint_names: Sequence[str],
     floating: bool,
 ) -> pin.Model:
-    """Build the model of the URDF; a fixed base has the pose of the MJCF.
+    """Build Pinocchio's model of the URDF; a fixed base has the pose that the MJCF states.
 
     Raises:
         ModelError: If the joints differ from the joints of the MJCF, or are not supported.
@@ -457,8 +459,9 @@ def _find_root_link(model: pin.Model) -> str:
 
 
 _GRAVITY_ATOL = 0.05
-"""Largest norm of the difference from Earth's gravity [m/s^2] that is not reported. Gravity varies
-by 0.05 m/s^2 between pole and equator."""
+"""Tolerance of the gravity vector of an MJCF [m/s^2]. If the norm of its difference from Earth's
+gravity is larger, the gravity is reported. Gravity varies by 0.05 m/s^2 between pole and
+equator."""
 
 _DISABLE_BIT = mujoco.mjtDisableBit
 """MuJoCo's enumeration of disable flags."""
@@ -468,7 +471,8 @@ _REPORTED_FLAGS = (
     (_DISABLE_BIT.mjDSBL_CONSTRAINT, "constraint"),
     (_DISABLE_BIT.mjDSBL_ACTUATION, "actuation"),
 )
-"""(flag of MuJoCo that disables forces which support a robot, word in the message)."""
+"""(flag of MuJoCo, word in the message). Each flag disables forces that support a robot, and is
+reported if it is set (`report_options`)."""
 
 
 def report_options(model: mujoco.MjModel) -> Iterator[Diagnostic]:
@@ -494,21 +498,22 @@ def report_options(model: mujoco.MjModel) -> Iterator[Diagnostic]:
 
 @check_arguments
 def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
-    """Return a robot with other effort limits, reported in the notes.
+    """Return a copy of the robot with other effort limits, and a note that reports them.
 
-    For files with placeholder limits. The limits apply to computations and simulations of the
-    robot; the published file is simulated with the limits of the file. Other changes of Pinocchio's
-    model since the files were read are kept, as in `with_payload`.
+    Use this function if the files contain placeholder limits. The new limits apply to computations
+    and simulations of the robot; the published file is simulated with the limits of the file. Other
+    changes of the robot's Pinocchio model in memory are kept.
 
     Args:
         robot: The robot.
-        efforts: {joint: limit in both directions at the joint [N m; N for a slide]}.
+        efforts: {joint: largest absolute torque of the motor at the joint [N m], or force of a
+            slide [N]}.
 
     Returns:
         The robot with the limits; the robot itself if ``efforts`` is empty.
 
     Raises:
-        UnknownNameError: If there is no such joint.
+        UnknownNameError: If the robot lacks a joint of ``efforts``.
         ConfigurationError: If an argument has another type, or a limit is below `MIN_EFFORT` or not
             finite.
     """
@@ -569,13 +574,14 @@ def report_placeholder_efforts(robot: Robot) -> tuple[Diagnostic, ...]:
 
 
 def find_placeholder_efforts(robot: Robot, efforts: Mapping[str, float]) -> dict[str, Diagnostic]:
-    """Return {joint: reason} of efforts that appear to be placeholders.
+    """Return {joint: reason} for each joint whose effort limit appears to be a placeholder.
 
-    See ``placeholder_efforts`` for the criteria.
+    A placeholder is a number that nobody determined, such as 100 N m at every joint. For the
+    criteria see ``placeholder_efforts``.
 
     Args:
         robot: Robot, whose masses and armatures are compared with the efforts.
-        efforts: {joint: effort [N m]}. Slides are skipped.
+        efforts: {joint: effort limit [N m]}. Slides are not examined.
     """
     model = robot.mj_model
     body_masses, motors = np.bincount(model.body_weldid, model.body_mass, model.nbody), []

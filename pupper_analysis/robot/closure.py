@@ -2,7 +2,7 @@
 
 A URDF is a tree, and can only express ``<mimic>``. MuJoCo's residuals phi(q) are zero if the loops
 are closed (constraint violations otherwise). With the Jacobian A of phi, A qvel = 0, and the
-constraints exert A^T lambda. The dependent joints F have no motor and carry no torque:
+constraints exert A^T lambda. The dependent joints (index F) have no motor and exert no torque:
 
     0 = x_F - A_F^T lambda,    x' = x - A^T lambda
 
@@ -31,26 +31,27 @@ from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.impedance import EqualityCompliance
 
 CLOSED_ATOL = 1e-10
-"""Residual of the independent loop equations [m, rad] below which Newton's method has closed a
-loop. Chosen, not tuned."""
+"""Largest residual of the independent loop equations [m, rad] below which Newton's method ends,
+because the loops count as closed. Chosen, not tuned."""
 
 MAX_OPENING = 1e-6
-"""Largest constraint violation [m, rad] with which an unloaded loop counts as closed; other
-configurations are rejected. Under load, the accepted static deflection is added
-(`_MAX_COMPLIANCE_FACTOR`). Chosen, not tuned."""
+"""Constraint violation [m, rad] above which an unloaded loop counts as open, and the configuration
+is rejected. Under load, a static deflection is accepted in addition (`_MAX_COMPLIANCE_FACTOR`).
+Chosen, not tuned."""
 
 _RANK_RTOL = 1e-7
-"""Singular value, relative to the largest, above which constraint equations count as independent.
-The redundant equation of a planar loop has up to 1e-9 in files with rounded numbers. Also the
-absolute bound below which an entry of a constraint Jacobian, or a negative determinant
-(`Closure.has_reference_assembly`), counts as zero."""
+"""Singular value of the constraint Jacobian, relative to the largest singular value, above which an
+equation counts as independent. The redundant equation of a planar loop has a ratio of up to 1e-9 in
+files with rounded numbers. The value is also used as an absolute bound: smaller entries of a
+constraint Jacobian, and negative determinants of smaller size (`Closure.has_reference_assembly`),
+count as zero."""
 
 _MAX_ITERATIONS = 50
 """Maximum number of Newton iterations that close a loop. Chosen, not tuned."""
 
 _MAX_NEWTON_STEP = 0.3
-"""Upper bound of the displacement of a joint [rad, m] in a Newton step that closes a loop; longer
-steps are scaled down. Chosen, not tuned."""
+"""Upper bound of the displacement of each joint [rad, m] in a Newton step that closes loops. A
+longer step is scaled down. Chosen, not tuned."""
 
 _START_ATOL = 1e-3
 """Constraint violation [m, rad] below which qpos0 or a keyframe serves as the reference
@@ -58,26 +59,28 @@ configuration with closed loops. Keyframes are written with a few digits, and vi
 up to a millimetre. Chosen, not tuned."""
 
 _DIFFERENCE_STEP = 1e-7
-"""Step of the joint positions [rad, m] in the central differences of the constraint torques. The
-step is small, because the stiffness of a soft constraint varies within a millimetre of constraint
-violation. Chosen, not tuned."""
+"""Step of the joint positions [rad, m] in the central differences of the constraint torques (finite
+differences). The step is small, because the stiffness of a soft constraint varies within a
+millimetre of constraint violation. Chosen, not tuned."""
 
 _MAX_COMPLIANCE_FACTOR = 2.0
-"""Largest accepted violation of a soft loop constraint under load, less `MAX_OPENING`, relative to
-the constraint force times the largest compliance of the constraint. Larger than 1, because the
-force is that of the closed loop, not of the deflected loop. Chosen, not tuned."""
+"""Factor of the accepted static deflection of a loop constraint [1]. `Closure.check` accepts a
+violation of `MAX_OPENING` plus this factor times the constraint force times the largest compliance
+of the constraint. The factor is larger than 1, because the force is computed for the closed loop,
+not for the deflected loop. Chosen, not tuned."""
 
 _FOOT_JOINT_MOBILITY = 1e-2
-"""Weight of the Newton step of joints between base and feet, relative to other joints, while loops
-are closed: a low weight changes the positions of the feet in the initial guess only a little.
-Chosen, not tuned."""
+"""Step weight [1] of joints between base and feet, when Newton's method closes loops. Other joints
+have the weight 1. Because of the low weight, the feet stay near their initial positions. Chosen,
+not tuned."""
 
 _DISABLE_FLAGS = (
     *("mjDSBL_CONTACT", "mjDSBL_LIMIT", "mjDSBL_FRICTIONLOSS", "mjDSBL_ACTUATION"),
     "mjDSBL_SENSOR",
 )
-"""MuJoCo's disable flags that are set in the copied model with which loops are closed: equality
-constraints are then the only constraints, and no forces of actuators or sensors are computed."""
+"""MuJoCo's disable flags that are set in the copy of the model with which `Closure` evaluates the
+constraints. The equality constraints are then the only constraints, and MuJoCo computes neither
+actuator forces nor sensors."""
 
 
 class Closure:
@@ -89,9 +92,11 @@ class Closure:
         joint_names: Joints in actuator order.
 
     Attributes:
-        dependent_joints: Indices (k,) of the dependent joints, which have no motor.
-        driving_joints: Indices (n,) of the other joints in loops and couplings.
-        constraint_names: Types and names of the active equality constraints.
+        dependent_joints: Indices, shape (k,), of the joints without motor whose positions follow
+            from the constraints.
+        driving_joints: Indices, shape (n,), of the other joints in loops and couplings.
+        constraint_names: Type and name of each active equality constraint, such as ``connect`` of a
+            rod.
         is_world_coupled: Whether a constraint couples a free base to the world, which is not
             supported.
     """
@@ -124,7 +129,7 @@ class Closure:
     def residual(self, qpos: Array) -> Array:
         """Return the violations of the equality constraints, shape (m,) [m, rad].
 
-        MuJoCo's ``efc_pos``; zero if all loops are closed.
+        The values are MuJoCo's ``efc_pos``. They are zero if all loops are closed.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -135,8 +140,9 @@ class Closure:
     def jacobian(self, qpos: Array) -> Array:
         """Return the derivatives of ``residual`` by the joint positions, shape (m, nu).
 
-        Columns are in actuator order; those of joints outside of loops and couplings are zero. The
-        pose of the base does not affect the violations, unless `is_world_coupled` is true.
+        Columns are in actuator order. The columns of joints outside of loops and couplings are
+        zero. The pose of the base does not affect the violations, unless `is_world_coupled` is
+        true.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -163,9 +169,8 @@ class Closure:
     def load_transfer(self, qpos: Array) -> Array:
         """Return the matrix P that maps a joint load x to the torques P x of the loop constraints.
 
-        The motors exert the rest, x - P x, which is zero at the dependent joints
-        (``dependent_joints``), because these joints have no motor. P x depends on the load of the
-        dependent joints only.
+        The motors exert the rest, x - P x. At the dependent joints the rest is zero, because these
+        joints have no motor. P x depends only on the load of the dependent joints.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -185,8 +190,8 @@ class Closure:
     def constraint_torques(self, qpos: Array) -> Array:
         """Return the joint torques and forces that the soft loop constraints exert at rest.
 
-        tau = -A^T (r / c), with the Jacobian A, the constraint violations r [m, rad], and the
-        compliances c at the same violations. All velocities are zero.
+        tau = -A^T (r / c), with the Jacobian A, the constraint violations r [m, rad], and their
+        compliances c [m/N, rad/(N m)]. All velocities are zero.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -246,15 +251,15 @@ class Closure:
 
         Args:
             qpos: Initial guess, shape (nq,), whose loops may be open.
-            moving: Step weight of each joint, shape (nu,), 0 to 1: a joint with a lower weight
-                moves less, a joint with weight 0 not at all.
-            give: Required constraint violations (static deflections), shape (m,) [m, rad]; 0 by
-                default.
+            moving: Step weight of each joint, shape (nu,), 0 to 1. A joint with a lower weight
+                moves less. A joint with weight 0 does not move.
+            give: Constraint violations that the result must have, shape (m,) [m, rad]: the static
+                deflections under a load. Default: 0.
 
         Returns:
             Configuration, shape (nq,), with the base pose of ``qpos``. None if the iteration does
-            not converge, or converges to another assembly mode (`has_reference_assembly`), for
-            example with crossed rods. Without ``give``, also None if a redundant equation is
+            not converge. None if it converges to another assembly mode (`has_reference_assembly`),
+            for example with crossed rods. Without ``give``, also None if a redundant equation is
             violated by ``MAX_OPENING`` or more.
         """
         result = self._close_by_newton(qpos, moving, give)
@@ -263,12 +268,13 @@ class Closure:
     def has_reference_assembly(self, qpos: Array) -> bool:
         """Return True if all loops at ``qpos`` (nq,) have the assembly mode of the reference.
 
-        The reference is qpos0 or a keyframe with closed loops; without such a configuration, qpos0
-        after closing the loops, if possible.
+        The reference is the first of qpos0 and the keyframes in which the loops are closed. If
+        there is none, it is qpos0 with loops closed by Newton's method, if the method converges.
 
-        The assembly mode counts as different (for example, crossed rods of a four-bar linkage) if
-        det(A^T A_ref) is below ``-_RANK_RTOL`` for a loop. A is the Jacobian of the loop equations
-        by the dependent joints of the loop, A_ref the value of A in the reference configuration.
+        A four-bar linkage, for example, has two assembly modes: with and without crossed rods. The
+        mode counts as different if det(A^T A_ref) is below ``-_RANK_RTOL`` for a loop. A is the
+        Jacobian of the loop equations by the dependent joints of the loop. A_ref is the value of A
+        in the reference configuration.
         """
         rows = self.jacobian(qpos)[:, self.dependent_joints]
         return all(
@@ -312,14 +318,14 @@ class Closure:
     def violation_error(self, qpos: Array, give: Array | None = None) -> float:
         """Return the largest deviation of the constraint violations from the required violations.
 
-        Metres and radians are mixed. Independent combinations of the equations are evaluated,
-        because the redundant equation of a planar loop is violated by nanometres in files with
-        rounded numbers.
+        Metres and radians are mixed. Only independent combinations of the equations are evaluated,
+        because files with rounded numbers violate the redundant equation of a planar loop by
+        nanometres.
 
         Args:
             qpos: Configuration, shape (nq,).
-            give: Required constraint violations (static deflections), shape (m,) [m, rad]; 0 by
-                default.
+            give: Required constraint violations, shape (m,) [m, rad]: the static deflections under
+                a load. Default: 0.
         """
         combinations = self._independent_combinations(self.jacobian(qpos))
         error = self.residual(qpos) - (0.0 if give is None else give)
@@ -328,8 +334,8 @@ class Closure:
     def check(self, qpos: Array, load: Array) -> None:
         """Raise an error unless the loops are closed, up to their deflection under a static load.
 
-        Each constraint may be violated by ``MAX_OPENING``, plus ``_MAX_COMPLIANCE_FACTOR`` times
-        the force of the constraint times the largest compliance that the constraint can have.
+        The accepted violation of a constraint is ``MAX_OPENING`` + ``_MAX_COMPLIANCE_FACTOR`` *
+        force * compliance. The compliance is the largest that the constraint can have.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -354,8 +360,8 @@ class Closure:
     def step_weights(self, placing: IntArray) -> Array:
         """Return the step weight of each joint for `close_loops`, shape (nu,), actuator order.
 
-        The weight is 1, and ``_FOOT_JOINT_MOBILITY`` for joints between base and feet, so that
-        closing the loops moves the feet only a little.
+        Joints between base and feet have the low weight ``_FOOT_JOINT_MOBILITY``, so that closing
+        the loops moves the feet only a little. Other joints have the weight 1.
 
         Args:
             placing: Indices of the joints between base and feet.
@@ -421,8 +427,9 @@ class Closure:
     def _find_closed_start(self) -> Array:
         """Return a reference configuration (nq,), with closed loops if possible.
 
-        The first of qpos0 and the keyframes that violates no constraint by ``_START_ATOL``; else
-        the result of Newton's method from qpos0; if that does not converge, qpos0.
+        The result is the first of qpos0 and the keyframes that violates no constraint by
+        ``_START_ATOL``. If there is none, it is the result of Newton's method from qpos0. If the
+        method does not converge, it is qpos0.
         """
         model, index = self._model, self._convention.qpos_index
         starts = [np.array(pose)[index] for pose in (model.qpos0, *model.key_qpos)]
@@ -456,9 +463,10 @@ class Closure:
         return rows[:, self._first_dof :]
 
     def _independent_combinations(self, rows: Array) -> Array:
-        """Return r combinations (r, m) of constraint rows (m, nu); r is the rank of the rows.
+        """Return a matrix (r, m) of independent combinations of constraint rows (m, nu).
 
-        r is at most the rank at the generic configuration (`_generic_jacobian`).
+        r is the rank of the rows, but at most the rank at the generic configuration
+        (`_generic_jacobian`).
         """
         left_vectors, singular_values, _ = np.linalg.svd(rows, full_matrices=False)
         count = int(
@@ -485,8 +493,9 @@ class Closure:
     def _select_dependent_joints(self, rows: Array, used: IntArray) -> IntArray:
         """Return the dependent joints: joints without actuator that the constraints determine.
 
-        Greedy selection while the columns of the Jacobian stay independent: first the dependent
-        joints of active joint couplings, then the other joints from the last to the first.
+        Joints are selected one after another, if their columns of the Jacobian are independent of
+        the selected columns. The order is: dependent joints of active joint couplings, then the
+        other joints from the last to the first.
 
         Args:
             rows: Jacobian (m, nu) of the constraints.

@@ -2,8 +2,8 @@
 
 MuJoCo's contacts are soft. Input: the contact parameters of a foot. Output: `GroundLaw`, with the
 penetration under a normal force (solved by Newton's method), the normal stiffness, and the
-viscosity: MuJoCo's regularised friction lets a foot creep (slip slowly) at a speed proportional to
-the tangential force.
+viscosity. MuJoCo's regularised friction lets a foot creep (slip slowly) at a speed proportional to
+the tangential force; the viscosity is the ratio of force to speed.
 """
 
 from __future__ import annotations
@@ -18,37 +18,40 @@ from pupper_analysis.robot.impedance import clip_solimp, solimp_impedance
 from pupper_analysis.robot.robot import Robot
 
 _MAX_ITERATIONS = 200
-"""Maximum number of iterations in which `GroundLaw.depth` narrows a lower and an upper bound of the
-penetration. Usually 5 Newton steps are sufficient; bisection needs more. Chosen, not tuned."""
+"""Maximum number of iterations of `GroundLaw.depth` between a lower and an upper bound of the
+penetration. Usually 5 Newton steps are sufficient. Bisection needs more iterations. Chosen, not
+tuned."""
 
 _NUM_UNBOUNDED_STEPS = 4
-"""Maximum number of Newton steps of `GroundLaw.depth` from a given initial guess. Usually two are
-sufficient. Chosen, not tuned."""
+"""Maximum number of Newton steps of `GroundLaw.depth` from the caller's initial guess. If they do
+not converge, the iteration with bounds follows. Usually two steps are sufficient. Chosen, not
+tuned."""
 
 _STEP_RTOL = 1e-9
-"""Length of a Newton step, relative to the penetration plus the contact margin, at which
-`GroundLaw.depth` ends. The remaining relative error is of the order of the square of this value.
-Chosen, not tuned."""
+"""Length of a Newton step, relative to the penetration plus the contact margin [1], at or below
+which `GroundLaw.depth` ends. The remaining relative error is of the order of the square of this
+value. Chosen, not tuned."""
 
 _DEPTH_RTOL = 4e-16
 """Difference between upper and lower bound of a penetration, relative to the penetration plus the
-contact margin, at which the iteration of `GroundLaw.depth` ends. The value is about two
-roundings of double precision (2.2e-16 each)."""
+contact margin [1], at or below which the iteration of `GroundLaw.depth` ends. The value is about
+two roundings of double precision (2.2e-16 each)."""
 
 
 @dataclass(frozen=True)
 class GroundLaw:
     """Force law of the ground under a foot, as in MuJoCo at rest.
 
-    r is the penetration plus the contact margin, d(r) the impedance of ``solimp``, A the
-    ``diagApprox`` of the contact, and R = (1 - d)/d A. A constraint at rest has the force aref / R,
-    aref = k d r - b v. Therefore
+    r is the penetration plus the contact margin, and d(r) the impedance of ``solimp``. A is
+    MuJoCo's ``diagApprox`` of the contact (approximate inverse inertia), and R = (1 - d)/d A. A
+    constraint at rest has the force aref / R, with aref = k d r - b v. Therefore
 
         normal force:      f = k d(r)^2 r / ((1 - d(r)) A)
         tangential force:  f = -c v, c = b d / ((1 - d) A_t), A_t = A / impratio
 
-    with the creep velocity v, for the elliptic cone; for the pyramidal cone see `of_contact`. Here
-    k = 1/(dmax timeconst dampratio)^2 and b = 2/(dmax timeconst), or -solref/(dmax^2, dmax).
+    with the creep velocity v, for the elliptic friction cone. For the pyramidal cone see
+    `of_contact`. If ``solref`` is positive, k = 1/(dmax timeconst dampratio)^2 and b = 2/(dmax
+    timeconst). If it is negative, k = -solref[0]/dmax^2 and b = -solref[1]/dmax.
 
     Source: MuJoCo documentation, "Computation: Solver parameters"; ``engine_core_constraint.c``.
 
@@ -58,8 +61,8 @@ class GroundLaw:
         solimp: dmin, dmax, width [m], midpoint, power; within MuJoCo's bounds.
         normal: A [1/kg].
         tangential: A_t [1/kg]; infinite without friction.
-        margin: Height [m] above the ground at which the contact begins. Depths are penetrations of
-            the shapes, and start at -margin.
+        margin: Height [m] above the ground at which the contact begins. The penetration at this
+            height is -margin.
     """
 
     stiffness: float
@@ -138,22 +141,23 @@ class GroundLaw:
         """Return the penetration [m] at rest under a normal force: the inverse of ``force``.
 
         Method for positive forces: Newton steps within a lower and an upper bound of the
-        penetration. A step that leaves the bounds, or that follows a step which did not halve the
-        residual, is replaced by the geometric mean of the bounds (half the upper bound while the
-        lower bound is zero). With ``near``, up to `_NUM_UNBOUNDED_STEPS` Newton steps without
-        bounds are tried before.
+        penetration. A step is replaced by the geometric mean of the bounds in two cases: if it
+        leaves the bounds, or if the previous step did not halve the residual. While the lower bound
+        is zero, half the upper bound replaces the geometric mean. With ``near``, up to
+        `_NUM_UNBOUNDED_STEPS` Newton steps without bounds are tried first.
 
         The iteration ends if the relative step is at most `_STEP_RTOL`, if the relative distance of
         the bounds is at most `_DEPTH_RTOL`, or after `_MAX_ITERATIONS`.
 
         Args:
             force: Normal force [N].
-            near: Initial guess of the penetration [m], close to the solution. Default: none.
+            near: Initial guess of the penetration [m], close to the solution; None if there is
+                none.
 
         Returns:
-            Penetration [m], at least -margin if the force is positive; otherwise -margin or less,
-            extrapolated with the initial stiffness. If the ground exerts no force (``solref`` of
-            zero): infinite for a positive force, else -margin.
+            Penetration [m]. If the force is positive, it is at least -margin. Otherwise it is at
+            most -margin, extrapolated with the initial stiffness. If the ground exerts no force
+            (``solref`` of zero), it is infinite for a positive force, and -margin otherwise.
         """
         start = -self.margin
         if not self._initial_stiffness:  # solref is zero: no contact force

@@ -28,10 +28,12 @@ class ContactParameters:
     """Effective parameters of the contact between two geoms.
 
     Attributes:
-        condim: 1 frictionless, 3 sliding, 4 plus torsional, 6 plus rolling friction.
-        friction: Coefficients (5,): sliding (twice, -), torsional [m], rolling (twice, [m]).
-        solref: Time constant [s] and damping ratio; or negative stiffness and damping.
-        solimp: dmin, dmax, width [m], midpoint, power.
+        condim: Friction of the contact: 1 none, 3 sliding, 4 also torsional, 6 also rolling.
+        friction: Five coefficients: sliding in two directions [1], torsional [m], rolling about two
+            axes [m].
+        solref: Time constant [s] and damping ratio [1]; or, if not positive, -stiffness and
+            -damping.
+        solimp: MuJoCo's dmin, dmax, width [m], midpoint and power.
         margin: Distance [m] at which contact forces begin.
     """
 
@@ -50,11 +52,11 @@ class ContactParameters:
 def combine_geoms(model: mujoco.MjModel, first: int, second: int | None) -> ContactParameters:
     """Return the contact parameters of two geoms without a ``<pair>``, as in MuJoCo.
 
-    If the priorities differ, the parameters of the geom with the higher priority are used.
-    Otherwise: the larger condim, the larger of each friction coefficient, and the means of solref
-    and solimp weighted by solmix. If a solref is not positive (stiffness and damping), the smaller
-    of each value is used. Margins are added in either case. The resulting solref is replaced by
-    `effective_solref`.
+    If the priorities differ, the parameters of the geom with the higher priority are used. If they
+    are equal, the result has the larger condim, the larger of each friction coefficient, and the
+    means of solref and solimp weighted by solmix. Exception: if the first number of a solref is not
+    positive, the smaller of each solref number is used. Margins are always added. The resulting
+    solref is replaced by `effective_solref`.
 
     Source: MuJoCo documentation, "Computation: Contact parameters".
 
@@ -96,17 +98,19 @@ geoms from which MuJoCo computes the parameters of a contact."""
 _DEFAULT_PLANE_MODEL = mujoco.MjModel.from_xml_string(
     "<mujoco><worldbody><geom type='plane' size='1 1 1'/></worldbody></mujoco>"
 )
-"""Model with a plane that has MuJoCo's default contact parameters."""
+"""Model with a single plane that has MuJoCo's default contact parameters. `combine_geoms` uses it
+if no second geom is given."""
 
 
 def contact_offset(radius: ArrayLike, normal: Array, depth: ArrayLike) -> Array:
-    """Return the vector (..., 3) [m] from the centre of a foot to the contact.
+    """Return the vector (..., 3) [m] from the centre of a foot's sphere to the contact.
 
-    MuJoCo places the contact in the middle of the penetration.
+    MuJoCo places the contact in the middle between the two penetrating surfaces.
 
     Args:
         radius: Radius (...) [m] of the foot's sphere.
-        normal: Unit normal (..., 3) out of the ground. The result is in the same frame.
+        normal: Unit normal (..., 3) out of the ground. The result is expressed in the frame of the
+            normal.
         depth: Penetration (...) [m].
     """
     distance = np.asarray(radius) - np.asarray(depth) / 2
@@ -117,7 +121,8 @@ def contact_offset(radius: ArrayLike, normal: Array, depth: ArrayLike) -> Array:
 def ground_geom(model: mujoco.MjModel) -> int | None:
     """Return the id of the ground plane; None if no plane is fixed to the world.
 
-    The first plane that can touch something is preferred to planes whose contacts are disabled.
+    If there are several planes, the first plane with enabled contacts is returned. If all contacts
+    are disabled, the first plane is returned.
     """
     fixed = model.body_weldid[model.geom_bodyid] == 0
     planes = np.flatnonzero(fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value))
@@ -148,9 +153,9 @@ def foot_geom(model: mujoco.MjModel, body: int, position: Array) -> int | None:
 
 
 def find_acting_contacts(data: mujoco.MjData) -> NDArray[np.bool_]:
-    """Return a mask, shape (ncon,), of MuJoCo's contacts that are closer than their margin.
+    """Return a mask, shape (ncon,): True for MuJoCo's contacts that are closer than their margin.
 
-    Contacts between margin and ``gap`` are detected too, but exert no force.
+    MuJoCo also detects contacts in the ``gap`` beyond the margin, which exert no force.
 
     Args:
         data: Data after ``mj_collision``.
@@ -162,8 +167,8 @@ def find_acting_contacts(data: mujoco.MjData) -> NDArray[np.bool_]:
 def list_contact_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]:
     """Return the ids of the two bodies of each of n contacts, shape (n, 2).
 
-    If one side of a contact is a flexible body (``flex``), MuJoCo stores -1 as the id of the geom.
-    The body is then that of a touched vertex.
+    If one side of a contact is a flexible body (``flex``), there is no geom. The result then
+    contains the body of the touched vertex.
 
     Args:
         model: MuJoCo model.
@@ -213,8 +218,8 @@ def ground_forces(
 
     Returns:
         {foot: force (3,) [N] of the ground on the foot, in world axes}, for feet in contact; and
-        the names of bodies that touch the ground with another geom. Contacts in the gap beyond the
-        margin are ignored.
+        the names of bodies that touch the ground with a geom that is not in ``foot_geoms``.
+        Contacts in the gap beyond the margin are ignored.
     """
     forces: dict[str, Array] = {}
     other_bodies: set[str] = set()
@@ -241,7 +246,7 @@ def ground_forces(
 def find_ground_contacts(
     model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> tuple[set[str], set[str]]:
-    """Return the names of feet, and of other bodies, that touch the world body.
+    """Return the names of the feet, and of the other bodies, that touch the world body (ground).
 
     Unlike `ground_forces`, no forces are computed. Contacts in the gap beyond the margin are
     ignored.
@@ -252,7 +257,7 @@ def find_ground_contacts(
         foot_geoms: {geom id: foot}.
 
     Returns:
-        Names of the feet in contact; names of the other bodies in contact.
+        Names of the feet in contact; names of the bodies that touch with another geom.
     """
     acting = find_acting_contacts(data)
     pairs, bodies = data.contact.geom[acting], list_contact_bodies(model, data)[acting]
@@ -269,14 +274,14 @@ def find_ground_contacts(
 def bodies_on_ground(
     model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> set[str]:
-    """Return the names of bodies that touch the world body with a geom that is no foot geom.
+    """Return the names of bodies that touch the world body with a geom that belongs to no foot.
 
     Contacts in the gap beyond the margin are ignored.
 
     Args:
         model: MuJoCo model.
         data: Data after ``mj_collision``.
-        foot_geoms: {geom: foot}.
+        foot_geoms: {geom id: foot}.
     """
     return find_ground_contacts(model, data, foot_geoms)[1]
 
@@ -308,8 +313,8 @@ def foot_geoms(
 ) -> dict[str, tuple[int, float]]:
     """Return the geom of each contact point: {contact point: (geom id, radius [m])}.
 
-    The geom is the entry in ``description.foot_geoms``. Without an entry, the geom is the collision
-    sphere of the body whose centre is the contact point (`foot_geom`).
+    The geom is the entry in ``description.foot_geoms``. Without an entry, the geom is a collision
+    sphere of the contact point's body, with its centre at the contact point (`foot_geom`).
 
     Args:
         description: Description of the robot.
@@ -366,19 +371,19 @@ def stand_height(
 ) -> float:
     """Return the height [m] of the base above the ground in the stand of the default `StandTask`.
 
-    With ``foot_depth``, the centre of the lowest foot is this distance below its hip, the first
-    body of its leg, with all joints at the values in qpos0. Otherwise, the lowest foot touches the
-    ground with the joint positions of the keyframe. Distances are along the z axis of the base. The
-    height is 0 without feet.
+    In this stand, the lowest foot touches the ground. Without ``foot_depth``, the joints have the
+    positions of the keyframe. With ``foot_depth``, the joints have the positions of qpos0, and the
+    centre of each foot counts as this distance below its hip (the first body of its leg). Distances
+    are measured along the z axis of the base. The height is 0 without feet.
 
     Args:
         model: MuJoCo model.
         base: Name of the base body.
         centres: {contact point: (body id, position (3,) [m] in the body)}.
         radius: {contact point: radius [m]}.
-        keyframe: Configuration in MuJoCo's order; only the last ``model.nq`` values are used, since
-            the keyframe may be that of a model with a free base.
-        foot_depth: Distance [m] below the hips, or None.
+        keyframe: Configuration in MuJoCo's order. Only the last ``model.nq`` values are used, since
+            the keyframe may belong to the same robot with a free base.
+        foot_depth: Distance [m] of the centres of the feet below the hips, or None.
     """
     data = mujoco.MjData(model)
     if foot_depth is None:
@@ -399,7 +404,7 @@ def stand_height(
 
 
 def limb_ends(model: mujoco.MjModel) -> list[int]:
-    """Return the ids of the bodies with joints that carry no other moving body."""
+    """Return the ids of the limb ends: bodies with joints and without moving descendants."""
     moving_bodies = [body for body in range(1, model.nbody) if int(model.body_weldid[body]) == body]
     parents = {int(model.body_weldid[model.body_parentid[body]]) for body in moving_bodies}
     return [body for body in moving_bodies if body not in parents and model.body_jntnum[body]]
