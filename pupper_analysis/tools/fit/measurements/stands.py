@@ -237,8 +237,9 @@ def read_stands(path: str | Path) -> MeasuredStands:
     columns are ``stand`` (name; rows of the same name are repeated readings), ``swing`` (feet in
     the air, separated by blanks), ``heading`` (rotation of the robot about the vertical), and
     ``added.<link>`` with ``added_x.<link>``, ``added_y.<link>`` and ``added_z.<link>`` (known mass
-    and position in the link frame). Units are SI units, or stated in brackets: ``position.FL_knee
-    [deg]``, ``added.base [g]``. Empty cells are missing values; an empty heading is 0.
+    and position in the link frame). Units are SI units, or stated in brackets:
+    ``position.FL_knee [deg]``, ``added.base [g]``. Empty cells are missing values; an empty heading
+    is 0.
 
     Args:
         path: CSV file.
