@@ -1,5 +1,5 @@
-"""Motor torques and contact forces of robots at rest, compared with closed forms, with Newton and
-Euler, and with MuJoCo's inverse dynamics.
+"""Motor torques and contact forces of robots at rest, compared with closed forms, the Newton-Euler
+balance, linear programs, and MuJoCo's inverse dynamics.
 """
 
 import itertools
@@ -74,7 +74,7 @@ def check_cones(
     friction: float,
     normals: dict[str, np.ndarray] | None = None,
 ) -> None:
-    """No foot pulls or slides; and the utilisations are right."""
+    """Assert unilateral forces inside the friction cones, and |f_t| / (mu f_n) as utilisations."""
     for foot, force in result.contact_forces.items():
         normal = UP if normals is None else normals[foot]
         push = float(force @ normal)
@@ -99,11 +99,11 @@ def mujoco_joint_torques(
     mujoco.mj_inverse(model, data)
     needed = data.qfrc_inverse.copy()
     for foot, force in result.contact_forces.items():
-        given_by_ground = np.zeros(model.nv)
+        ground_torques = np.zeros(model.nv)
         body = int(model.site(robot.contact_frames[foot]).bodyid[0])
         point = result.contact_points[foot]
-        mujoco.mj_applyFT(model, data, force, np.zeros(3), point, body, given_by_ground)
-        needed -= given_by_ground
+        mujoco.mj_applyFT(model, data, force, np.zeros(3), point, body, ground_torques)
+        needed -= ground_torques
     return needed[addresses(robot)[1]]
 
 
@@ -122,7 +122,7 @@ def test_contact_forces_and_torques_balance_gravity(
     try:
         result = pa.gravity_compensation(config, distribution=distribution)
     except pa.StaticsInfeasibleError:
-        return  # see below
+        return  # test_feasible_balance_is_always_found judges refusals
     friction = config.robot.contacts[config.robot.contact_points[0]].sliding_friction
     check_newton_euler(config, result)
     check_cones(result, friction)
@@ -138,7 +138,7 @@ def test_contact_forces_and_torques_balance_gravity(
     assert result.joint_names == config.robot.joint_names
 
 
-# ------------------------------------------------------------------------------------- the best
+# ------------------------------------------------------------------------------------- optimality
 
 
 def null_space(result: pa.statics.GravityCompensation) -> np.ndarray:
@@ -198,8 +198,8 @@ def test_distribution_is_optimal_among_feasible_perturbations(
 
         free = null_space(best)
         assert free.shape[1] == 6
-        # Of equal tangential forces, the least normal ones; but a foot that bears nothing may be
-        # where more of one direction would make it pull.
+        # Among forces with equal tangential parts, those with the smallest normal parts are
+        # optimal, unless the constraint that an unloaded foot must not pull is active.
         bears = forces[2::3].min() > 1e-3 * forces.max()
         if distribution is pa.statics.ForceDistribution.MIN_TANGENTIAL and bears:
             sideways = linalg.null_space(np.delete(np.eye(12), np.s_[2::3], axis=0) @ free)
@@ -224,7 +224,7 @@ def linear_programme(
     share: np.ndarray,
     friction: float,
 ) -> float:
-    """The least peak of share * |torque|, with cones of 64 sides, by scipy's simplex."""
+    """Return the smallest peak of share * |torque| with friction pyramids of 64 sides, by HiGHS."""
     sides = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     count = len(result.contact_forces)
     jacobian = np.concatenate(jacobians(config, result))
@@ -247,7 +247,9 @@ def linear_programme(
 
 @pytest.mark.parametrize("friction", [0.1, 0.8])
 def test_min_max_torque_equals_a_linear_program(variant: str, friction: float) -> None:
-    """The polyhedral cones inside and around the true one differ by cos(pi / 64)."""
+    """Reference: linear programs with pyramids inside and around the friction cone, whose friction
+    coefficients differ by the factor cos(pi / 64).
+    """
     robot = load(variant)
     stand = pa.solve_stand(robot, pa.StandTask(pitch=0.05, com=(0.01, 0.01)))
     config = pa.Configuration(robot, stand.qpos)
@@ -365,7 +367,9 @@ def test_force_acts_at_half_the_depth_of_a_sunk_foot() -> None:
 
 
 def test_knee_torque_equals_the_lever_arm_formula() -> None:
-    """Standing, the skeleton's knee holds the foot's force less calf and foot, at their arms."""
+    """Closed form: ground force less the weights of foot and calf, each times its lever arm about
+    the knee.
+    """
     config = at_stand("original")
     result = pa.gravity_compensation(
         config, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
@@ -542,8 +546,8 @@ def forces_exist(
             force = normal + friction * side
             wrenches.append(np.concatenate([force, np.cross(point - com, force)]))
     columns = np.array(wrenches).T
-    asked = np.array([0, 0, 1.0, 0, 0, 0])
-    found = optimize.linprog(np.zeros(columns.shape[1]), A_eq=columns, b_eq=asked, method="highs")
+    wrench = np.array([0, 0, 1.0, 0, 0, 0])
+    found = optimize.linprog(np.zeros(columns.shape[1]), A_eq=columns, b_eq=wrench, method="highs")
     return bool(found.status == 0)
 
 
@@ -565,7 +569,9 @@ def test_feasible_balance_is_always_found(
     friction: float,
     tilts: list[tuple[float, float]],
 ) -> None:
-    """On any four slopes: refused only where a linear programme finds no forces either."""
+    """Reference: a linear program for one to four feet on random slopes. A refusal means that the
+    linear program finds no forces either.
+    """
     config = near_stand(name, share)
     contacts = sorted(feet)
     normals = {
@@ -610,7 +616,7 @@ def test_feasible_balance_is_always_found(
 def test_infeasibility_error_has_no_numerical_warnings(
     tilts: dict[str, tuple[float, float]],
 ) -> None:
-    """Warnings are errors here; of an infeasible programme the solver's answer may be huge."""
+    """Warnings are errors in tests; the solver's result for an infeasible program may be huge."""
     normals = {foot: tilt_vertical(*tilt) for foot, tilt in tilts.items()}
     with pytest.raises(pa.StaticsInfeasibleError, match="friction too low"):
         pa.gravity_compensation(at_stand("v3"), list(tilts), friction=0.3, normals=normals)
@@ -819,6 +825,7 @@ def test_more_friction_needs_no_more_torque() -> None:
 
 
 def test_forces_without_friction_are_vertical() -> None:
+    """References: closed form, no tangential force; Newton and Euler."""
     result = pa.gravity_compensation(at_stand("v3"), friction=0.0)
     for force in result.contact_forces.values():
         np.testing.assert_allclose(force[:2], 0, atol=1e-9)
@@ -869,7 +876,9 @@ def test_torques_of_a_fixed_base_equal_those_of_the_hanging_robot() -> None:
 
 
 def test_friction_between_two_walls_carries_the_weight() -> None:
-    """The normals of left and right feet are opposite and horizontal."""
+    """References: Newton and Euler, and the friction cones. The normals of left and right feet are
+    opposite and horizontal.
+    """
     config = at_stand("original")
     normals = {
         foot: np.array([0, -1.0 if foot.endswith("L") else 1.0, 0])
@@ -922,19 +931,20 @@ def test_text_instead_of_a_list_of_feet_is_refused() -> None:
 def test_distribution_may_be_given_by_its_value(distribution: pa.statics.ForceDistribution) -> None:
     config = at_stand("v3")
     one, two = (
-        pa.gravity_compensation(config, distribution=given)
-        for given in (distribution, distribution.value)
+        pa.gravity_compensation(config, distribution=form)
+        for form in (distribution, distribution.value)
     )
     np.testing.assert_array_equal(one.joint_torques, two.joint_torques)
 
 
 def test_minimum_torque_is_below_that_of_minimum_tangential_forces(variant: str) -> None:
-    """v3: by more than 0.1 %. The legs of the others are equal, with feet below the hips: equal.
-    Minimum tangential forces are the default."""
+    """For v3, the norm of the torques is smaller by more than 0.1 %. For variants with equal legs
+    and feet below the hips, the norms are equal. Minimum tangential forces are the default.
+    """
     config, kinds = at_stand(variant), pa.statics.ForceDistribution
     least, tangential, default = (
-        pa.gravity_compensation(config, **given).joint_torques
-        for given in (
+        pa.gravity_compensation(config, **options).joint_torques
+        for options in (
             {"distribution": kinds.MIN_TORQUE},
             {"distribution": kinds.MIN_TANGENTIAL},
             {},
@@ -948,7 +958,9 @@ def test_minimum_torque_is_below_that_of_minimum_tangential_forces(variant: str)
 
 
 def test_a_larger_torque_with_an_unknown_limit_is_the_hardest_load() -> None:
-    """Reference: the definition; i2rt's YAM was answered with a finger at 0.00 N = 0 %."""
+    """Reference: the definition. Earlier, the result for i2rt's YAM was a finger with 0.00 N = 0 %,
+    although another joint had a larger torque with an unknown limit.
+    """
     statics = pa.gravity_compensation(at_stand("v3"))
     torques = np.zeros_like(statics.joint_torques)
     torques[:4] = 0.5, -8.6, 2.0, 3.0

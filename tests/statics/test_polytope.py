@@ -73,17 +73,17 @@ def test_vertices_equal_the_intersection_of_half_spaces() -> None:
         for _ in range(10):
             rows, limits = random.normal(size=(count, 3)), random.uniform(0.5, 5.0, 2 * count)
             faces = np.concatenate([rows, -rows])
-            mine = find_vertices(rows, limits)
-            assert mine is not None
+            vertices_found = find_vertices(rows, limits)
+            assert vertices_found is not None
             halves = np.column_stack([faces, -limits])
             theirs = spatial.HalfspaceIntersection(halves, np.zeros(3)).intersections
-            mine_hull, their_hull = spatial.ConvexHull(mine), spatial.ConvexHull(theirs)
+            mine_hull, their_hull = spatial.ConvexHull(vertices_found), spatial.ConvexHull(theirs)
             assert mine_hull.volume == pytest.approx(their_hull.volume, rel=1e-9)
-            assert len(mine) == len(np.unique(theirs.round(8), axis=0))
+            assert len(vertices_found) == len(np.unique(theirs.round(8), axis=0))
             direction = random.normal(size=3)
             bounds = [(None, None)] * 3
             best = optimize.linprog(-direction, A_ub=faces, b_ub=limits, bounds=bounds)
-            assert (mine @ direction).max() == pytest.approx(-best.fun, rel=1e-9)
+            assert (vertices_found @ direction).max() == pytest.approx(-best.fun, rel=1e-9)
 
 
 def test_motor_without_torque_makes_the_polytope_flat() -> None:

@@ -89,7 +89,9 @@ def test_torque_limits_reduce_the_region_to_com_positions_that_motors_hold(effor
 
 @pytest.mark.slow
 def test_friction_bounds_the_region_between_sloped_contacts() -> None:
-    """Contacts with normals that lean inwards: corners balance, and points outside do not."""
+    """Reference: the balance of robots with the CoM 1 mm inside and outside every fourth corner.
+    The normals of the contacts lean inwards.
+    """
     robot, qpos = load("v3"), stand_of("v3").qpos
     config = pa.Configuration(robot, qpos)
     points = config.contact_points()
@@ -193,8 +195,9 @@ def farthest_by_linear_programs(
 
 
 def test_region_equals_linear_programs_within_a_hundredth_of_a_millimetre() -> None:
-    """The polygon never exceeds the region by more than 1e-7 m. With 48 fixed directions, the
-    distance was up to 0.3 mm. Motors, friction and three slopes limit the region.
+    """Reference: linear programs in four random directions. The polygon exceeds the region by at
+    most 1e-7 m. With 48 fixed directions, the distance was up to 0.3 mm. Motors, friction and three
+    slopes limit the region.
     """
     robot = with_efforts(load("v3"), 0.75)
     config = pa.Configuration(robot, stand_of("v3").qpos)

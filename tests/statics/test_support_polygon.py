@@ -56,10 +56,10 @@ def test_a_region_is_not_empty_if_the_program_of_a_single_direction_fails() -> N
         friction = random.uniform(0.1, 1.2, count)
         if number < 54:  # the other sets are drawn, but not evaluated
             continue
-        none = np.zeros((0, 4))
+        no_limits = np.zeros((0, 4))
         areas = [
             shapely.MultiPoint(
-                find_extreme_positions(points @ way.T, normals @ way.T, friction, None, none)
+                find_extreme_positions(points @ way.T, normals @ way.T, friction, None, no_limits)
             ).convex_hull.area
             for way in (np.eye(3), turn)
         ]
