@@ -27,7 +27,7 @@ from tests.support.names import public, public_modules
 from tests.support.tiny import Files
 from tests.support.variants import load, stand_of
 
-APART = {  # below, each with an argument that is wrong
+APART = {  # each tested with wrong arguments below, or by the tests of its own module
     *("to_json", "load_robot", "fit", "fit_motion", "fit_stands", "pareto_front", "study_outcome"),
     *("plan_stands", "tool_payload", "write_design", "write_plan"),
     "write_report",
@@ -45,7 +45,7 @@ SLOW = {"push_recovery", "best_stance", "simulate_payload", "simulate_push", "sw
 
 @pytest.fixture
 def usual(tiny_files: Files, tmp_path: Path) -> dict[str, Any]:
-    """Arguments that are right, by their names."""
+    """Return valid arguments, by name."""
     robot, stand = load("v3"), stand_of("v3")
     return {
         "robot": robot,
@@ -92,8 +92,8 @@ def usual(tiny_files: Files, tmp_path: Path) -> dict[str, Any]:
 def test_wrong_arguments_raise_errors_of_the_package(
     name: str, usual: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each argument gets values of wrong type and range; the message has one line, and there is at
-    least one refusal per argument.
+    """Each argument gets values of wrong type and range. Each message has one line, and the number
+    of refusals is at least the number of arguments.
     """
     monkeypatch.chdir(tmp_path)
     function = OFFERED[name]
@@ -126,7 +126,7 @@ def _refusal(function: Callable[..., object], arguments: dict[str, Any]) -> str 
 
 def _fits(junk: object, hint: str) -> bool:
     """Return True if a value may be valid, so that the function would run to its end."""
-    if "Array" in hint:  # that of gains, which is looked at when servos are made
+    if "Array" in hint:  # arrays of gains are checked when servos are made
         return True
     kinds = {bool: "bool", int: "int", float: "float", str: "str"}
     if isinstance(junk, int | float) and not isinstance(junk, bool):
@@ -204,7 +204,7 @@ def test_studies_and_reports_raise_for_wrong_arguments(junk: Any, tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         (np.zeros(19) + 1j, "complex128"),
         (np.ma.masked_array(np.zeros(19), mask=[True] + 18 * [False]), "masked"),
@@ -215,7 +215,7 @@ def test_studies_and_reports_raise_for_wrong_arguments(junk: Any, tmp_path: Path
         ([[1.0], [1.0, 2.0]], "not an array of numbers"),
     ],
 )
-def test_values_raise_unless_an_array_of_real_numbers(given: Any, said: str) -> None:
+def test_values_raise_unless_an_array_of_real_numbers(given: Any, message: str) -> None:
     """NumPy would convert such values, and drop for example an imaginary part."""
     robot, stand = load("v3"), stand_of("v3")
     calls: list[Callable[[], object]] = [
@@ -224,7 +224,7 @@ def test_values_raise_unless_an_array_of_real_numbers(given: Any, said: str) -> 
         lambda: pa.verify_stand(robot, stand, kp=given, kd=0.1),
     ]
     for call in calls:
-        with pytest.raises(pa.ConfigurationError, match=said) as caught:
+        with pytest.raises(pa.ConfigurationError, match=message) as caught:
             call()
         assert "\n" not in str(caught.value)
 

@@ -79,7 +79,7 @@ def test_study_process_runs_without_opengl(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_command_imports_opengl_only_to_draw(tmp_path: Path) -> None:
-    """GLFW starts a process of its own to be loaded: a tenth of the time of `stand v3`."""
+    """Loading GLFW starts another process, which takes a tenth of the time of `stand v3`."""
     code = """
 import atexit, os, sys
 loaded = lambda: [name for name in ("mujoco", "glfw", "OpenGL") if name in sys.modules]

@@ -208,7 +208,7 @@ def test_only_a_regular_file_is_replaceable(kind: int) -> None:
 def test_check_writable_raises_without_folder_permission(
     denied: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # By a stand-in: who runs the tests may be root, who may do everything.
+    # os.access is replaced, since the tests may run as root, who has all permissions.
     monkeypatch.setattr(os, "access", lambda path, how: not how & denied)
     with pytest.raises(OutputError, match="no file may be made"):
         files.check_writable(tmp_path / "new", OWN_KIND)
@@ -269,7 +269,7 @@ def slow():
     with files.write_atomically(Path("out"), kinds.OWN_KIND) as file: file.write(b"x")
 cli.run(slow, [])
 """
-"""A command that is held while its temporary file is there."""
+"""Command that sleeps for 60 s while its temporary file exists."""
 
 
 def held_in(folder: Path) -> subprocess.Popen[str]:
@@ -287,7 +287,7 @@ def held_in(folder: Path) -> subprocess.Popen[str]:
 
 
 def test_terminated_write_leaves_no_file(tmp_path: Path) -> None:
-    """SIGTERM while the temporary file is there: the command line takes it away."""
+    """SIGTERM while the temporary file exists: the command line removes the file."""
     process = held_in(tmp_path)
     time.sleep(0.1)
     assert len(list(tmp_path.iterdir())) == 1
@@ -320,7 +320,7 @@ def test_input_of_a_run_is_not_overwritten(
                 refuse(other, RESULTS_KIND)
         with write_atomically(tmp_path / "new", OWN_KIND) as file:
             file.write(b"made here")
-        register_input(tmp_path / "new")  # to prove it
+        register_input(tmp_path / "new")  # an output of this run, read again
         write(tmp_path / "new", text="again")
         write(read, EDITED_KIND, "edited")
         with pytest.raises(OutputError, match="which this run reads"):
@@ -434,7 +434,7 @@ def write_both(folder: Path, **options: bool) -> tuple[Path, ...]:
 
 
 def fails_at(what: str, monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
-    """Lets renames onto a file of that name fail once."""
+    """Make the first rename onto a file of this name fail."""
     real = Path.replace
     left = [error]
 
@@ -512,7 +512,7 @@ def test_backup_is_named_and_kept_if_it_cannot_be_restored(
     monkeypatch.setattr(Path, "replace", only_once)
     with pytest.raises(OutputError, match="cannot be put back") as raised:
         write_both(folder)
-    assert (folder / "a.old1").read_bytes() == b"old a"  # not hidden: no later run clears it
+    assert (folder / "a.old1").read_bytes() == b"old a"  # not hidden: no later run removes it
     assert str(folder / "a.old1") in str(raised.value)
     assert not [path for path in folder.iterdir() if path.name.startswith(".")]
 

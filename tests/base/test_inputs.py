@@ -49,13 +49,13 @@ def test_pipes_folders_and_devices_are_refused_as_input(tmp_path: Path) -> None:
 def test_read_does_not_block_if_a_pipe_replaces_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The check before is skipped, as if the file were replaced after it."""
+    """`check_input` is skipped, as if the pipe replaced the file after this check."""
     os.mkfifo(tmp_path / "pipe")
     monkeypatch.setattr("pupper_analysis.base.inputs.check_input", lambda *_, **__: None)
     assert read_input(tmp_path / "pipe", 10) == b""
 
 
-@pytest.mark.skipif(not Path("/proc/self/environ").is_file(), reason="Linux alone has it")
+@pytest.mark.skipif(not Path("/proc/self/maps").is_file(), reason="only Linux has /proc")
 def test_size_limit_holds_for_a_file_without_a_stated_size(monkeypatch: pytest.MonkeyPatch) -> None:
     """Files of /proc have a size of 0 bytes and some content."""
     path = Path("/proc/self/maps")

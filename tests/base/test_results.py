@@ -54,12 +54,12 @@ def test_values_of_other_types_become_json(value: object, expected: object) -> N
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, np.float64(math.nan)])
 def test_values_that_are_not_finite_become_null(value: float) -> None:
     """Also in arrays with a stride of two, which orjson does not accept directly."""
-    for whole in (
+    for document in (
         {"x": value},
         {"x": [value]},
         Sample(np.array([value]), value, {"a": np.array(value)}),
     ):
-        text = pa.results.to_json(whole)
+        text = pa.results.to_json(document)
         assert "null" in text
         json.loads(text, **strict)
     strided = np.array([value, 0.0, value, 0.0])[::2]

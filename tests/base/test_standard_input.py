@@ -32,7 +32,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def given(monkeypatch: pytest.MonkeyPatch):
+def set_input(monkeypatch: pytest.MonkeyPatch):
     def give(data: str | bytes) -> None:
         raw = io.BytesIO(data.encode() if isinstance(data, str) else data)
         monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(raw))
@@ -40,20 +40,20 @@ def given(monkeypatch: pytest.MonkeyPatch):
     return give
 
 
-def test_meshes_of_standard_input_are_read_from_the_current_folder(capfd, given) -> None:
+def test_meshes_of_standard_input_are_read_from_the_current_folder(capfd, set_input) -> None:
     """The audit reports the mesh until the file exists in the current folder."""
     urdf = urdf_text(arm()).replace(
         "<inertial>",
         '<visual><geometry><mesh filename="one.stl"/></geometry></visual><inertial>',
         1,
     )
-    given(urdf)
-    _, said, _ = run_command(capfd, "audit", "-")
-    assert "one.stl" in said
+    set_input(urdf)
+    _, output, _ = run_command(capfd, "audit", "-")
+    assert "one.stl" in output
     Path("one.stl").write_text(MESH)
-    given(urdf)
-    _, said, _ = run_command(capfd, "audit", "-")
-    assert "one.stl" not in said
+    set_input(urdf)
+    _, output, _ = run_command(capfd, "audit", "-")
+    assert "one.stl" not in output
 
 
 @pytest.mark.parametrize(
@@ -67,15 +67,15 @@ def test_meshes_of_standard_input_are_read_from_the_current_folder(capfd, given)
         (b"<mujoco>\n<nonsense/></mujoco>", "standard input:2: not a valid MJCF"),
     ],
 )
-def test_errors_name_standard_input(capfd, given, data: bytes, message: str) -> None:
-    given(data)
+def test_errors_name_standard_input(capfd, set_input, data: bytes, message: str) -> None:
+    set_input(data)
     status, _, err = run_command(capfd, "audit", "-")
     assert status == 2
     assert message in err
 
 
-def test_second_model_from_standard_input_is_refused(capfd, given) -> None:
-    given(urdf_text(arm()))
+def test_second_model_from_standard_input_is_refused(capfd, set_input) -> None:
+    set_input(urdf_text(arm()))
     status, _, err = run_command(capfd, "crosscheck", "-", "-")
     assert status == 2
     assert "one model alone can come from standard input" in err
@@ -99,39 +99,41 @@ def write_results(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[i
 
 
 @pytest.mark.parametrize("suffix", ["urdf", "xml"])
-def test_audit_of_standard_input_equals_that_of_the_file(capfd, given, suffix: str) -> None:
+def test_audit_of_standard_input_equals_that_of_the_file(capfd, set_input, suffix: str) -> None:
     text = (urdf_text if suffix == "urdf" else mjcf_text)(arm()).replace('"1.0"', '"0.0001"')
     path = Path(f"robot.{suffix}")
     path.write_text(text)
     of_file = write_results(capfd, "audit", str(path))
-    given(text)
+    set_input(text)
     of_input = write_results(capfd, "audit", "-")
     assert json.loads(of_input[1])["findings"]
     assert of_input == (of_file[0], of_file[1].replace(str(path), str(STANDARD_INPUT)))
 
 
 @pytest.mark.parametrize("suffix", ["urdf", "xml"])
-def test_crosscheck_of_standard_input_equals_that_of_the_files(capfd, given, suffix: str) -> None:
+def test_crosscheck_of_standard_input_equals_that_of_the_files(
+    capfd, set_input, suffix: str
+) -> None:
     text = {"urdf": urdf_text(quadruped()), "xml": mjcf_text(quadruped())}
     text["xml"] = text["xml"].replace('mass="0.5"', 'mass="0.6"', 1)
     for name, content in text.items():
         Path(f"robot.{name}").write_text(content)
     names = ["robot.urdf", "robot.xml"]
     of_files = write_results(capfd, "crosscheck", *names)
-    given(text[suffix])
+    set_input(text[suffix])
     typed = ["-" if name.endswith(suffix) else name for name in names]
     status, of_input = write_results(capfd, "crosscheck", *typed)
     assert status == of_files[0]
     assert of_input == of_files[1].replace(f"robot.{suffix}", str(STANDARD_INPUT))
 
 
-def test_include_of_standard_input_is_read_from_the_current_folder(capfd, given) -> None:
+def test_include_of_standard_input_is_read_from_the_current_folder(capfd, set_input) -> None:
     Path("more.xml").write_text('<mujoco><option gravity="0 0 -1"/></mujoco>')
-    given(mjcf_text(arm()).replace("<worldbody>", '<include file="more.xml"/><worldbody>', 1))
-    _, said, err = run_command(capfd, "audit", "-", "-v")
+    set_input(mjcf_text(arm()).replace("<worldbody>", '<include file="more.xml"/><worldbody>', 1))
+    _, output, err = run_command(capfd, "audit", "-", "-v")
     assert err == ""
-    assert "gravity is (0, 0, -1)" in said
-    assert "more.xml" in said
+    assert "gravity is (0, 0, -1)" in output
+    assert "more.xml" in output
 
 
 def test_file_called_standard_input_is_a_file(capfd) -> None:
@@ -140,11 +142,11 @@ def test_file_called_standard_input_is_a_file(capfd) -> None:
     assert status in (0, 1)
 
 
-def test_conversion_of_standard_input_equals_that_of_the_file(capfd, given) -> None:
+def test_conversion_of_standard_input_equals_that_of_the_file(capfd, set_input) -> None:
     text = urdf_text(arm())
     Path("robot.urdf").write_text(text)
     run_command(capfd, "convert", "robot.urdf", "-o", "one.xml")
-    given(text)
+    set_input(text)
     status, _, err = run_command(capfd, "convert", "-", "-o", "two.xml")
     assert status in (0, 1), err
     expected = Path("one.xml").read_text().replace("robot.urdf", str(STANDARD_INPUT))

@@ -57,7 +57,7 @@ HAN = re.compile("[\u4e00-\u9fff]")
 
 
 def list_template_names(template: str) -> set[str]:
-    """The names of the values that a template needs or asks for."""
+    """Return the names of all required and optional values of a template."""
     optional = re.findall(r"\[!?(\w+)\?", template)
     holes = [name.split("|")[0] for _, name, _, _ in Formatter().parse(template) if name]
     return {*optional, *holes}
@@ -120,12 +120,12 @@ def literals(node: ast.expr, where: str, tree: ast.Module) -> Iterator[str]:
     if isinstance(node, ast.IfExp):
         yield from literals(node.body, where, tree)
         yield from literals(node.orelse, where, tree)
-    elif isinstance(node, ast.Name):  # of a line before
+    elif isinstance(node, ast.Name):  # assigned in an earlier line
         for one in ast.walk(tree):
             for target, value in pair_assignment(one) if isinstance(one, ast.Assign) else ():
                 if ast.unparse(target) == node.id:
                     yield from literals(value, where, tree)
-    elif isinstance(node, ast.Subscript):  # of a table in the same module
+    elif isinstance(node, ast.Subscript):  # value of a table in the same module
         (table,) = (
             one.value
             for one in tree.body
@@ -316,7 +316,7 @@ def test_json_of_a_diagnostic_has_code_values_units_sources_and_words() -> None:
 
 def test_unknown_code_raises() -> None:
     with pytest.raises(KeyError):
-        diagnose("no-such-code")  # diagnose's own calls are looked at in the package alone
+        diagnose("no-such-code")  # the test of codes in use reads the package, not the tests
 
 
 def test_arrays_become_tuples_and_unsupported_values_raise() -> None:

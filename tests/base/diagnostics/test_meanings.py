@@ -34,9 +34,9 @@ OWN_PAGES = {
 @cache
 def read_field_docs(kind: type) -> dict[str, str]:
     """Return {field: text of the class docstring, without code marks}."""
-    said = inspect.cleandoc(kind.__dict__.get("__doc__") or "").partition("Attributes:\n")[2]
+    attributes = inspect.cleandoc(kind.__dict__.get("__doc__") or "").partition("Attributes:\n")[2]
     found: dict[str, str] = {}
-    for names, words in re.findall(r"^    ([\w, ]+): (.*(?:\n {8}.*)*)", said, flags=re.M):
+    for names, words in re.findall(r"^    ([\w, ]+): (.*(?:\n {8}.*)*)", attributes, flags=re.M):
         plain = re.sub(r"\s+", " ", words).replace("``", "")
         found |= dict.fromkeys(names.split(", "), plain)
     return found
@@ -48,7 +48,7 @@ def list_meanings() -> dict[str, dict[str, str]]:
 
 
 def all_results(kind: type = Result) -> set[type]:
-    """All kinds of results, which are there as their modules are."""
+    """Import all modules, and return all subclasses of a result class."""
     for module in pkgutil.walk_packages(pa.__path__, "pupper_analysis."):
         if not module.name.endswith("__main__"):
             importlib.import_module(module.name)
