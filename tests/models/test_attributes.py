@@ -31,7 +31,7 @@ from pupper_analysis.models.xml import to_text
 from tests.support.corpus import INERTIAL, format_joint, format_link, format_urdf
 from tests.support.engines import to_pinocchio
 
-# No two alike: a swapped column is seen.
+# No two values are equal, so that a swapped column is found.
 VALUES = {
     "lower limit": -0.5,
     "upper limit": 0.75,
@@ -120,7 +120,7 @@ def test_springdamper_equals_its_stiffness_and_damping(tmp_path: Path) -> None:
         next(a for a in PASSIVE_ATTRIBUTES if a.kind == kind) for kind in ("damping", "spring")
     )
     made = damping.read_compiled_value(file.model, 1), spring.read_compiled_value(file.model, 1)
-    # Of a time constant T and a damping ratio z, MuJoCo makes d = 2 M / T and k = M / (T z)^2.
+    # d / k = 2 T z^2
     assert made[0] / made[1] == pytest.approx(2 * 0.2 * 0.5**2)
     stated = read_mjcf_model(file).joints["j"].stated
     assert (stated["damping"], stated["spring"]) == made

@@ -13,7 +13,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.conversion import pinocchio_from_mujoco, pinocchio_from_urdf
 
-# Every feature that Pupper has not: joints off the frame's origin, two joints in a body, a slide
+# Features that Pupper does not have: joints off the frame's origin, two joints in a body, a slide
 # joint, a reference angle, a static child, a rotated inertia.
 ODD = """
 <mujoco>
@@ -78,7 +78,9 @@ def test_odd_model_has_the_same_dynamics_in_pinocchio() -> None:
 
 
 def test_bodies_equal_those_of_pinocchios_own_parser(tmp_path: Path) -> None:
-    """With explicit inertials, in one file: the parser does not read ``<include>``."""
+    """Reference: Pinocchio's MJCF parser. The file has explicit inertials and no ``<include>``,
+    which the parser does not read.
+    """
     _, path = pa.pupper.write_variant("v3", tmp_path)
     ours = pinocchio_from_mujoco(mujoco.MjModel.from_xml_path(str(path)))
     theirs = pin.buildModelFromMJCF(str(path))

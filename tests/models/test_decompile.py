@@ -10,7 +10,7 @@ import pupper_analysis as pa
 from pupper_analysis.models.decompile import make_spec_of_model
 from tests.support.variants import NAMES, load
 
-# One of each supported element.
+# Examples of the supported elements.
 RICH_MJCF = """
 <mujoco model="rich">
   <compiler angle="radian"/>
@@ -87,7 +87,7 @@ def accelerations(model: mujoco.MjModel, seed: int) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["rich", *NAMES])
 def test_spec_of_model_has_equal_dynamics(name: str) -> None:
-    """MuJoCo's ``mj_forward`` of the model and of the compiled spec."""
+    """Reference: MuJoCo's ``mj_forward`` of the original model at five random states."""
     model = make_rich_model() if name == "rich" else load(name).mj_model
     made = make_spec_of_model(model, "model").compile()
     for seed in range(5):
@@ -175,7 +175,7 @@ def test_model_with_flex_is_refused() -> None:
 
 
 def test_model_that_no_spec_reproduces_is_refused() -> None:
-    """A mass that the compiler of MuJoCo does not accept."""
+    """An inertia that MuJoCo's compiler does not accept."""
     model = make_rich_model()
     model.body_inertia[2] = (1.0, 1.0, 5.0)  # violates the triangle inequality
     with pytest.raises(pa.ModelError):

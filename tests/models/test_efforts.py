@@ -71,8 +71,8 @@ def bare_height(robot: pa.Robot, seconds: float = 4.0) -> float:
     used = robot.mj_convention.actuator_index
     servo = model.actuator_biastype[0] == mujoco.mjtBias.mjBIAS_AFFINE.value
     while data.time < seconds:
-        asked = KP * (stand.qpos[7:] - data.qpos[joints]) - KD * data.qvel[dofs]
-        data.ctrl[used] = stand.qpos[7:] if servo else asked
+        torques = KP * (stand.qpos[7:] - data.qpos[joints]) - KD * data.qvel[dofs]
+        data.ctrl[used] = stand.qpos[7:] if servo else torques
         mujoco.mj_step(model, data)
     return float(data.qpos[2])
 
@@ -99,8 +99,7 @@ def test_weak_motors_are_reported_for_each_kind_of_limit(way: str) -> None:
 
 @pytest.mark.slow
 def test_payload_is_equal_for_each_kind_of_limit() -> None:
-    """Reference: the first of three equivalent statements of the same limit; one is in the URDF
-    only."""
+    """Reference: the first of three equivalent statements of the same limit in the MJCF."""
     stand, masses = stand_of("v3"), []
     for way in WAYS:
         found = pa.payload_limit(limit_torque(way, 0.8), stand, (0, 0, 0.05), kp=40.0, kd=0.8)
@@ -174,8 +173,8 @@ def test_limits_of_replaced_motors_are_kept_by_their_servos() -> None:
     robot = limit_torque("ctrlrange", 0.8)
     stated = {limit.joint: limit for limit in robot.efforts}
     servos = make_missing_servos(robot, np.full(12, 20.0), np.full(12, 0.4), 0.002)
-    given = robot.description.with_additions(*servos)
-    made = rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=stated)
+    completed = robot.description.with_additions(*servos)
+    made = rebuild_robot(robot, mjcf=completed.mjcf, added=completed.added, efforts=stated)
     np.testing.assert_allclose(made.effort_limits, 0.8, rtol=1e-15)
     assert [limit.origin for limit in made.efforts] == [limit.origin for limit in robot.efforts]
     assert made.efforts[0].origin is not None
@@ -225,7 +224,7 @@ KNEE = 'lower="-2.6" upper="-0.4" effort="80"'
         ('lower="0" upper="0" effort="0"', True),
         ('lower="0.0" upper="-0" effort="0e0"', True),
         ('lower="0" upper="0"', True),  # the reader completes the effort
-        ('lower="0" upper="0" effort="80"', False),  # who gives it an effort may have locked it
+        ('lower="0" upper="0" effort="80"', False),  # with an effort, the joint may be locked
         ('upper="0" effort="80"', False),
         ('lower="-1" effort="0"', False),
     ],
@@ -239,7 +238,7 @@ def test_hinge_has_no_range_if_its_limit_states_none(
     assert bool(notes) is free
     if free:
         assert notes[0].values["names"] == ("FL_knee", "FR_knee", "RL_knee", "RR_knee")
-    # What the audit says of the file as it is written stays.
+    # `audit` reports the range of the file as written, unless the lower limit is below the upper.
     found = [one for one in pa.audit_model(urdf).findings if one.rule == "range-empty"]
     assert bool(found) is ('lower="-1"' not in limit)
 
@@ -269,7 +268,7 @@ def test_mjcf_range_counts_if_the_urdf_has_none(tmp_path: Path) -> None:
     assert found.passed, found.failures
     differing = pa.compare_models(pair.urdf, pair.mjcf).differences
     assert {one.kind for one in differing} == {"lower limit", "upper limit", "effort"}
-    # And where neither has one, they agree.
+    # If neither file states a range, the files agree.
     rewrite_file(
         pair.mjcf, (' range="-2.6 -0.4"', ""), ('ctrlrange="-30 30"', 'ctrlrange="-80 80"')
     )
@@ -325,7 +324,7 @@ def test_motor_has_no_torque_if_its_range_is_zero(
     data = mujoco.MjData(robot.mj_model)
     data.ctrl[:] = 1.0
     mujoco.mj_forward(robot.mj_model, data)
-    assert data.qfrc_actuator[0] != 0  # the engine applies no limit of zero
+    assert data.qfrc_actuator[0] != 0  # MuJoCo applies no limit of zero
 
 
 def _without_effort(pair: Pair, effort: str = "") -> Pair:
@@ -336,8 +335,8 @@ def _without_effort(pair: Pair, effort: str = "") -> Pair:
 def test_smaller_of_two_limits_counts_with_its_file(tmp_path: Path) -> None:
     """80 N m in the URDF, motors of 30 N m in the MJCF."""
     notes = pa.load_robot(*quadruped(tmp_path)).notes
-    (told,) = (note for note in notes if note.code == "effort-limits-differ")
-    (first, *_) = told.values["joints"]
+    (note,) = (note for note in notes if note.code == "effort-limits-differ")
+    (first, *_) = note.values["joints"]
     assert [first.values[word] for word in ("file", "least", "unused")] == [
         "MJCF",
         Quantity(30.0, "N m"),
@@ -482,7 +481,7 @@ def test_stand_fails_if_the_urdf_effort_is_too_small(tmp_path: Path) -> None:
     assert np.abs(result.verification.joint_torques).max() < 1 + 1e-9
     assert result.overloaded_motors
     assert not result.passed
-    pair = _without_effort(biped(tmp_path))  # nobody states one
+    pair = _without_effort(biped(tmp_path))  # neither file states an effort
     rewrite_file(pair.mjcf, (' ctrlrange="-80 80"', ' kp="800" kv="40"'), ("<motor ", "<position "))
     result = study_stance(pa.load_robot(*pair), pa.StandTask())
     assert result.passed
@@ -490,7 +489,7 @@ def test_stand_fails_if_the_urdf_effort_is_too_small(tmp_path: Path) -> None:
 
 
 def classify_drive(actuators: str) -> Drive:
-    """Return the drive type of a hinge with the given actuator elements."""
+    """Return the drive type of a hinge with the completed actuator elements."""
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><body><joint name="hinge"/><geom size="0.1"/></body></worldbody>'
         f"<actuator>{actuators}</actuator></mujoco>"

@@ -41,8 +41,8 @@ def replace_free_joint(pair: Pair, turning: str, place: str) -> Pair:
 def test_crosscheck_and_convert_read_six_joints_as_a_free_base(
     turning: str, place: str, tmp_path: Path
 ) -> None:
-    """The URDF has a free base; neither files differ nor does the converted URDF contain the
-    slides.
+    """The URDF has a free base. The files differ at most in effort limits, and the converted URDF
+    does not contain the slides.
     """
     pair = replace_free_joint(quadruped(tmp_path), turning, place)
     compared = pa.compare_models(pair.urdf, pair.mjcf)
@@ -56,10 +56,10 @@ def test_crosscheck_and_convert_read_six_joints_as_a_free_base(
 @pytest.mark.slow
 def test_stand_with_six_joints_equals_the_stand_with_a_free_joint(tmp_path: Path) -> None:
     """Reference: qpos of the same robot with a free joint, within 1e-9."""
-    (tmp_path / "whole").mkdir()
-    whole = quadruped(tmp_path / "whole")
+    (tmp_path / "free").mkdir()
+    free = quadruped(tmp_path / "free")
     pair = replace_free_joint(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
-    robots = [pa.load_robot(urdf=one.urdf, mjcf=one.mjcf) for one in (whole, pair)]
+    robots = [pa.load_robot(urdf=one.urdf, mjcf=one.mjcf) for one in (free, pair)]
     assert robots[1].floating
     one, two = (pa.solve_stand(robot) for robot in robots)
     np.testing.assert_allclose(one.qpos, two.qpos, atol=1e-9)

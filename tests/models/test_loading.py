@@ -37,7 +37,7 @@ WITH_MESH = f'<worldbody><body name="b">{EXPLICIT}<geom type="mesh" mesh="k"/></
 
 
 def write(folder: Path, **files: str) -> Path:
-    """Writes files (``sub__part`` is sub/part.xml), and returns the path of the first."""
+    """Write files (``sub__part`` is sub/part.xml), and return the path of the first."""
     for name, text in files.items():
         path = folder / f"{name.replace('__', '/')}.xml"
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -230,8 +230,8 @@ def test_shapes_unknown_to_pinocchio_are_handled(
     robot = read_urdf(path)
     assert (robot.notes, robot.text) == ((), path.read_text())
     assert pinocchio_from_urdf(robot.text, path, floating=False).nv == 1
-    assert capfd.readouterr() == ("", "")  # it complains of each on standard error
-    # Shapes are not as harmless: which of two is meant cannot be told.
+    assert capfd.readouterr() == ("", "")  # Pinocchio reports each element on standard error
+    # Of two shapes, it is unknown which is meant.
     path.write_text(format_urdf(format_link("a", f"<visual>{shape}{shape}</visual>")))
     assert "<geometry> more than once" in get_refusal(lambda: read_urdf(path))
 
@@ -356,8 +356,8 @@ def test_error_of_mujoco_in_an_included_file_has_its_file_and_line(
     tmp_path: Path, part: str, line: int
 ) -> None:
     include = '<include file="a.xml"/>'
-    whole = f"<worldbody>{include}</worldbody>" if "<body" in part else include
-    path = write(tmp_path, m=format_mjcf(whole), a=f"<mujocoinclude>{part}</mujocoinclude>")
+    content = f"<worldbody>{include}</worldbody>" if "<body" in part else include
+    path = write(tmp_path, m=format_mjcf(content), a=f"<mujocoinclude>{part}</mujocoinclude>")
     message = get_refusal(lambda: read_mjcf(path))
     assert message.startswith(f"{tmp_path / 'a.xml'}:{line}: MuJoCo cannot ")
 
@@ -374,9 +374,9 @@ def test_cyclic_deep_and_too_many_includes_are_refused(tmp_path: Path) -> None:
         },
         "e.xml:1: it has a DOCTYPE": {"e": '<!DOCTYPE x [<!ENTITY a "b">]>\n<mujocoinclude/>'},
     }
-    for said, files in cases.items():
+    for message, files in cases.items():
         path = write(tmp_path, m=format_mjcf(f'<include file="{next(iter(files))}.xml"/>'), **files)
-        assert said in get_refusal(partial(read_mjcf, path))
+        assert message in get_refusal(partial(read_mjcf, path))
 
 
 def test_attached_models_are_loaded(tmp_path: Path) -> None:
@@ -463,7 +463,7 @@ def test_flat_meshes_become_shells_if_massless(tmp_path: Path) -> None:
     assert file.spec.copy().compile().ngeom == 2
     assert file.refusal is None
     assert file.as_it_is is not None
-    # The file as it is stays one that MuJoCo refuses.
+    # `audit` reports that MuJoCo refuses the file as written.
     assert "mujoco-refuses" in {found.rule for found in pa.audit_model(path).findings}
     path.write_text(path.read_text().replace(EXPLICIT, ""))
     with pytest.raises(ModelError, match="mesh volume is too small"):
@@ -529,8 +529,8 @@ def test_elements_with_missing_files_are_omitted(tmp_path: Path) -> None:
     }
     left = {"geom": 1, "mat": 1, "sensor": 1}
     assert counts == {kind: left.get(kind, 0) for kind in counts}
-    said = " ".join(map(str, model.notes))
-    assert all(file in said for file in ("(k.obj)", "(t.png, up.png)"))
+    notes = " ".join(map(str, model.notes))
+    assert all(file in notes for file in ("(k.obj)", "(t.png, up.png)"))
     path = write(tmp_path, m=format_mjcf(*lines, '<contact><pair geom1="g" geom2="s"/></contact>'))
     assert "m.xml:10: MuJoCo cannot compile it: " in get_refusal(lambda: read_mjcf(path))
 
@@ -559,7 +559,7 @@ BODY = '<worldbody><body name="b"><joint name="j"/><geom name="g" size="1"/><sit
 def test_reference_to_a_missing_element_is_refused_at_its_line(
     kind: str, missing_mesh: bool, tmp_path: Path
 ) -> None:
-    """A copy of the spec lacks the element, and compiles."""
+    """MuJoCo omits the element in a copy of the spec, and compiles the copy."""
     drawn = '<geom type="mesh" mesh="k" mass="0"/>' if missing_mesh else ""
     text = format_mjcf(
         MESH if missing_mesh else "", f"{BODY}{drawn}</body></worldbody>", DANGLING[kind]
@@ -567,7 +567,7 @@ def test_reference_to_a_missing_element_is_refused_at_its_line(
     path = write(tmp_path, m=text)
     message = get_refusal(lambda: read_mjcf(path))
     assert message.startswith(f"{path}:4: MuJoCo cannot compile it: ")
-    assert "'nix'" in message or kind == "camera target"  # of which MuJoCo does not tell the name
+    assert "'nix'" in message or kind == "camera target"  # MuJoCo does not name this target
     file = read_model(path)
     assert isinstance(file, MjcfFile)
     assert file.refusal is not None

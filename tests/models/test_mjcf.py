@@ -57,7 +57,7 @@ WORLD, TOO_MUCH = "<worldbody>", ("0 0 1e300", "1e300 0 -9.81", "0 nan -9.81")
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ('pos="0.0 0.08 -0.2"', 'pos="0.0 nan -0.2"', "body 'shank0': its pos has nan"),
         ('axis="0.0 1.0 0.0"', 'axis="0.0 inf 0.0"', "joint 'knee0': its axis has"),
@@ -70,7 +70,7 @@ WORLD, TOO_MUCH = "<worldbody>", ("0 0 1e300", "1e300 0 -9.81", "0 nan -9.81")
         *((WORLD, f'<option gravity="{one}"/>{WORLD}', "gravity") for one in TOO_MUCH),
     ],
 )
-def test_invalid_numbers_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_invalid_numbers_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     """NaN, infinite and huge numbers in reading, comparing and compiling; `audit` reports the same
     text.
     """
@@ -84,9 +84,9 @@ def test_invalid_numbers_are_refused(tmp_path: Path, old: str, new: str, said: s
     ):
         with pytest.raises(ModelError) as refusal:
             read()
-        assert said in str(refusal.value)
+        assert message in str(refusal.value)
     audit = audit_model(files.mjcf)
-    assert any(said in finding.message for finding in audit.findings)
+    assert any(message in finding.message for finding in audit.findings)
 
 
 @pytest.mark.slow

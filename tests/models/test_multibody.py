@@ -114,8 +114,8 @@ def test_tree_keeps_limits_and_inertias_of_continuous_and_sliding_joints(tiny: p
 
 
 def test_random_frames_of_the_generator_keep_the_dynamics(tmp_path: Path) -> None:
-    """Control of `turned_frames`: all frames rotate by more than 0.1 rad; mass matrix and bias
-    forces of Pinocchio are unchanged.
+    """Control of `turned_frames`: all frames below the base rotate by more than 0.1 rad. Mass
+    matrix and bias forces of Pinocchio are unchanged.
     """
     files = write(tmp_path, urdf_text(quadruped()), mjcf_text(quadruped()))
     model = read_mjcf(files.mjcf).model

@@ -88,7 +88,7 @@ def test_chain_of_joints_is_limited_to_250_in_any_order_of_links(
             f'<child link="l{number + 1}"/></joint>'
             for number in range(count)
         ]
-        first = int(begin * count)  # chains that are looked at later end at those looked at before
+        first = int(begin * count)  # later chains end at links of chains that were followed before
         path = tmp_path / f"{count}.urdf"
         turned = "".join([*links[first:], *links[:first], *joints])
         path.write_text(f'<robot name="r">{turned}</robot>')

@@ -206,12 +206,12 @@ def test_xacro_is_expanded_if_it_is_installed(
     monkeypatch.setitem(sys.modules, "xacro", package)
     with ensure_run() as run:
         read = read_model(file)
-        # What it includes is read as well, and never written over.
+        # The included file counts as an input, so it must not be an output.
         with pytest.raises(OutputError, match="which this run reads"):
             run.register_output(part)
     assert isinstance(read, UrdfFile)
     assert list(read.tree.links) == ["base"]
-    # The lines are those of no file that anyone has.
+    # Line numbers of the expanded text belong to no file of the user.
     assert read.place("link", "base") == Place(file)
 
     def refuse(path: str) -> _Expanded:

@@ -84,7 +84,7 @@ def test_no_point_of_a_shape_is_beyond_its_support(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", SIZES)
 def test_coal_shape_distance_equals_the_support_function(kind: str) -> None:
-    """Its distance to a half space, along any direction."""
+    """Reference: Coal's distance to half spaces in 20 random directions."""
     shape = read_shape(model_of(kind), 1)
     own = coal.Transform3s(shape.pose.rotation, shape.pose.position)
     directions = directions_of(7)[:20]
@@ -97,10 +97,12 @@ def test_coal_shape_distance_equals_the_support_function(kind: str) -> None:
 
 
 def test_mesh_shape_is_its_convex_hull() -> None:
-    """MuJoCo has a hull of a colliding mesh only; the computed hull has the same corners."""
+    """Reference: MuJoCo's hull of a colliding mesh. MuJoCo has no hull of other meshes; their
+    computed hull has the same corners.
+    """
     touching = model_of("mesh")
     drawn = model_of("mesh")
-    drawn.mesh_graphadr[0] = -1  # as of a mesh that touches nothing
+    drawn.mesh_graphadr[0] = -1  # as for a mesh without contacts
     hulls = [read_shape(model, 1).mesh for model in (touching, drawn)]
     sets = []
     for hull in hulls:

@@ -33,7 +33,7 @@ def test_the_base_is_the_link_that_no_joint_moves(tree: UrdfTree) -> None:
 
 
 def test_links_on_fixed_joints_form_one_group(tree: UrdfTree) -> None:
-    """Reference: the links of `quadruped()`; with all joints fixed the group is the whole robot."""
+    """Reference: the links of `quadruped()`; with all joints fixed the group is the total robot."""
     assert tree.fixed_group("shank1") == ["shank1", "foot1"]
     assert set(tree.fixed_group("base")) == {"base"}
     leg = list(tree.subtree("thigh2"))
@@ -62,13 +62,13 @@ def test_chain_of_joints_ends_at_the_base_and_equals_pinocchio(tree: UrdfTree) -
 def test_a_subtree_is_removed_with_its_joint(tree: UrdfTree) -> None:
     """Reference: total mass [kg] of Pinocchio's model, less the masses of the subtree."""
     mass = build_pinocchio_model(tree).inertias
-    whole = sum(inertia.mass for inertia in mass)
+    total = sum(inertia.mass for inertia in mass)
     part = sum(tree.links[name].mass or 0.0 for name in tree.subtree("thigh0"))
     tree.remove_subtree("thigh0")
     assert {"thigh0", "shank0", "foot0"}.isdisjoint(tree.links)
     assert all(joint.child in tree.links for joint in tree.joints.values())
     assert sum(inertia.mass for inertia in build_pinocchio_model(tree).inertias) == pytest.approx(
-        whole - part
+        total - part
     )
 
 

@@ -205,7 +205,7 @@ def test_servo_models_are_read(tmp_path: Path, model: str) -> None:
     [
         ({"model": "m7"}, "m1, m2, m3"),
         ({"model": "m5"}, "load_friction_motor"),
-        ({"model": "m1", "R": -2.0}, "R|resistance: "),
+        ({"model": "m1", "R": -2.0}, "resistance: "),
         ({"model": "m1", "kt": None}, "torque_constant"),
         ({"model": "m3", "load_friction_base": "high"}, "load_friction"),
     ],
