@@ -2,8 +2,8 @@
 
 Coordinates are MuJoCo's, with the joints in actuator order (``robot.coordinates``).
 
-Computed by Pinocchio from the URDF. Forces of springs, gravity compensation and wind are MuJoCo's,
-because a URDF does not contain such forces.
+Pinocchio computes the results from the URDF. MuJoCo computes the forces of springs, gravity
+compensation and wind, because a URDF does not contain such forces.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pupper_analysis.robot.robot import Robot, borrow
 from pupper_analysis.robot.structure import Workspace
 
 Reference = Literal["local", "world", "local_world_aligned"]
-"""Reference frame of a Jacobian, as ``pin.ReferenceFrame``."""
+"""Name of the reference frame of a Jacobian: the names of ``pin.ReferenceFrame`` in lower case."""
 
 _REFERENCE_FRAMES = {
     "local": pin.LOCAL,
@@ -50,8 +50,8 @@ class Configuration(Pictured):
 
     Attributes:
         robot: The robot.
-        qpos: Configuration (nq,), read-only.
-        qvel: Velocity (nv,), read-only.
+        qpos: Configuration, shape (nq,), read-only.
+        qvel: Velocity, shape (nv,), read-only.
     """
 
     def __init__(self, robot: Robot, qpos: ArrayLike, qvel: ArrayLike | None = None) -> None:
@@ -147,10 +147,10 @@ class Configuration(Pictured):
             name: Name of the link.
             offset: Vector (3,) [m] from the origin of the link to the point, in world axes; zero
                 by default.
-            reference: "local_world_aligned": velocity of the point, in world axes. "local":
-                velocity of the point, in the axes of the link. "world": velocity of the point of
-                the link that coincides with the world origin, in world axes; ``offset`` has no
-                effect, and is not checked.
+            reference: Velocity to which J maps. "local_world_aligned": velocity of the point, in
+                world axes. "local": velocity of the point, in the axes of the link. "world":
+                velocity of the material point of the link at the world origin, in world axes;
+                ``offset`` then has no effect, and is not checked.
 
         Raises:
             UnknownNameError: If the URDF has no such link.
@@ -186,10 +186,8 @@ class Configuration(Pictured):
         Args:
             name: Name of the link.
             offset: Vector (3,) [m] from the origin of the link to the point, in world axes at this
-                state; it moves with the link. Zero by default.
-            reference: Velocity that J maps to: "local_world_aligned": of the point, in world axes;
-                "local": of the point, in the axes of the link; "world": of the point of the link at
-                the world origin, in world axes, so that ``offset`` has no effect, and is not
+                state. The point moves with the link. Zero by default.
+            reference: As in ``frame_jacobian``. With "world", ``offset`` has no effect, and is not
                 checked.
 
         Raises:
@@ -223,16 +221,17 @@ class Configuration(Pictured):
     ) -> float:
         """Return Yoshikawa's manipulability of a point on a link: sqrt(det(J J^T)).
 
-        J contains the columns of the joints: the base is held. The result is the product of the
-        singular values of J, and 0 at a singular configuration (Yoshikawa 1985, "Manipulability of
-        robotic mechanisms").
+        J contains only the columns of the joints, as if the base were fixed. The result is the
+        product of the singular values of J. It is 0 at a singular configuration (Yoshikawa 1985,
+        "Manipulability of robotic mechanisms").
 
         Args:
             name: Name of the link.
             offset: Vector (3,) [m] from the origin of the link to the point, in world axes. Zero by
                 default.
-            motion: Rows of J: "linear" (three rows, unit m^3/rad^3 with hinges), "angular" (three
-                rows, unit 1 with hinges), or "both" (six rows).
+            motion: Rows of J: "linear" (three rows), "angular" (three rows), or "both" (six rows).
+                If all joints are hinges, the unit of the result is m^3/rad^3 for "linear", and 1
+                for "angular".
 
         Raises:
             UnknownNameError: If the URDF has no such link.
@@ -330,7 +329,7 @@ class Configuration(Pictured):
         return index
 
     def foot_positions(self) -> dict[str, Array]:
-        """Return {contact point: centre of its sphere in the world frame, shape (3,) [m]}."""
+        """Return {contact point: sphere centre in the world frame, shape (3,) [m]}."""
         placements, frames = self._data.oMf, self._structure.feet
         return {foot: np.array(placements[frame].translation) for foot, frame in frames.items()}
 
@@ -399,7 +398,8 @@ class Configuration(Pictured):
 
         Args:
             feet: Names of n contact points.
-            offsets: Vectors (n, 3) [m] from each centre to the point, in world axes.
+            offsets: Vector from the sphere centre of each contact point to the point, in world
+                axes, shape (n, 3) [m].
         """
         jacobians = self._jacobians(feet)
         result: Array = jacobians[:, :3] - cross_matrices(offsets) @ jacobians[:, 3:]
@@ -438,13 +438,15 @@ class Configuration(Pictured):
     def centroidal_map_time_variation(self) -> Array:
         """Return the time derivative dA/dt, shape (6, nv), of ``centroidal_map`` at ``qvel``.
 
-        The derivative of the centroidal momentum is A qacc + dA/dt qvel, and equals the sum of the
-        external forces and of their moments about the CoM. The bias of the momentum is dA/dt qvel.
+        The derivative of the centroidal momentum is A qacc + dA/dt qvel. It equals the sum of the
+        external forces, and the sum of their moments about the CoM. The bias of the momentum is
+        dA/dt qvel.
 
-        ``pin.computeCentroidalMapTimeVariation`` differentiates about a fixed point at the CoM.
-        Its angular rows therefore lack the cross product of the CoM velocity and the linear rows
-        of ``centroidal_map``, which is subtracted here (Pinocchio's issue 2093). Multiplied by
-        qvel, both matrices give the same vector, unless a fixed base has mass.
+        The angular rows differ from ``pin.computeCentroidalMapTimeVariation`` (Pinocchio's issue
+        2093), because Pinocchio differentiates about a fixed point at the present CoM. This method
+        subtracts the missing term: the cross product of the CoM velocity and the linear rows of
+        ``centroidal_map``. Multiplied by qvel, both matrices give the same vector, unless a fixed
+        base has mass.
         """
         if self._structure.fixed == 1:
             return self._massless_centroidal_map_variation()
@@ -529,10 +531,9 @@ class Configuration(Pictured):
     def gravity(self) -> Array:
         """Return the gravity vector g, shape (nv,) [N, N m]: the bias forces at rest.
 
-        With a free base, g[:3] = -m gravity [N]. As ``pin.computeGeneralizedGravity``. The joint
-        part contains the motor torques of a robot whose base is held, without contacts and passive
-        forces;
-        ``gravity_compensation`` computes the motor torques of a standing robot.
+        Computed by ``pin.computeGeneralizedGravity``. With a free base, g[:3] = -m gravity [N]. The
+        joint part contains the motor torques of a robot with a held base, without contacts and
+        passive forces. For the motor torques of a standing robot use ``gravity_compensation``.
         """
         forces = pin.computeGeneralizedGravity(self._model, self._data, self._q)
         return self._structure.to_qvel_order(forces)
@@ -540,9 +541,9 @@ class Configuration(Pictured):
     def passive_forces(self) -> Array:
         """Return the passive generalised forces of the MJCF at zero velocity, shape (nv,) [N, N m].
 
-        MuJoCo's ``qfrc_passive``, for example of springs, gravity compensation, wind and flexible
-        bodies; damping is zero at rest. A URDF does not contain such forces. Zero without sources
-        (`Robot.acts_at_rest`).
+        The forces are MuJoCo's ``qfrc_passive``, for example of springs, gravity compensation, wind
+        and flexible bodies. A URDF does not contain such forces. The result is zero if the MJCF has
+        no source of such forces (`Robot.acts_at_rest`).
         """
         if not self.robot.acts_at_rest:
             return np.zeros(self.robot.nv)
@@ -550,20 +551,19 @@ class Configuration(Pictured):
             return springs.forces(self.qpos)
 
     def static_load(self) -> Array:
-        """Return the generalised force that the robot needs at rest, shape (nv,) [N, N m].
+        """Return the generalised force required to hold the robot at rest, shape (nv,) [N, N m].
 
-        Motors, contacts and constraints must exert this force together: the gravity vector minus
-        the passive forces of the MJCF.
+        Motors, contacts and constraints must exert this force together. It is the gravity vector
+        minus the passive forces of the MJCF.
         """
         return self.gravity() - self.passive_forces() if self.robot.acts_at_rest else self.gravity()
 
     def transfer_to_motors(self, forces: Array) -> Array:
         """Transfer the loads of joints without motor to the motors, through loops and couplings.
 
-        Constraint forces transfer the load of dependent joints, which have no motor, to the motors
-        of other joints (`Closure.load_transfer`). The rows of dependent joints become zero. Without
-        loops and couplings the result is ``forces``. The first nv - nu rows (the base) are
-        unchanged.
+        Dependent joints have no motor. Constraint forces transfer their load to the motors of other
+        joints (`Closure.load_transfer`). The rows of dependent joints become zero. The first nv -
+        nu rows (the base) are unchanged. Without loops and couplings the result is ``forces``.
 
         Args:
             forces: Generalised forces that motors and constraints must exert together, shape (nv,)
@@ -590,11 +590,11 @@ class Configuration(Pictured):
         return result
 
     def static_load_derivative(self, wrenches: Mapping[str, Array]) -> Array:
-        """Return the derivative of the static load minus constant wrenches on feet, (nv, nv).
+        """Return the derivative (nv, nv) of the static load minus constant wrenches on feet.
 
         The differentiated force is l - sum J^T w. l is the `static_load` (gravity minus passive
-        forces), w a wrench, and J the Jacobian (6, nv) of the centre of a foot. Column i is the
-        derivative by a step along qvel[i].
+        forces), w a wrench, and J the Jacobian (6, nv) of the sphere centre of a foot. Column i
+        contains the derivatives with respect to a displacement along qvel[i].
 
         Args:
             wrenches: {contact point: wrench (6,)}: force [N] and moment about the centre [N m],
@@ -611,10 +611,11 @@ class Configuration(Pictured):
         return self.loaded_points_derivative(self._jacobians(wrenches), pushes)
 
     def loaded_points_derivative(self, jacobians: Array, wrenches: Array) -> Array:
-        """Return the derivative of the static load minus constant wrenches on moving points.
+        """Return the derivative (nv, nv) of the static load minus constant wrenches on points.
 
         The differentiated force is l - sum J^T w, with l the `static_load` (gravity minus passive
-        forces), and w a wrench. Column i is the derivative by a step along qvel[i].
+        forces), and w a wrench. Column i contains the derivatives with respect to a displacement
+        along qvel[i].
 
         Args:
             jacobians: Jacobians J of n points that move with links, shape (n, 6, nv): linear
@@ -635,9 +636,10 @@ class Configuration(Pictured):
         return changed
 
     def wrenches_derivative(self, jacobians: Array, wrenches: Array) -> Array:
-        """Return the derivative of the generalised force of constant wrenches on moving points.
+        """Return the derivative (nv, nv) of the generalised force of constant wrenches on points.
 
-        The differentiated force is sum J^T w. Column i is the derivative by a step along qvel[i].
+        The differentiated force is sum J^T w. Column i contains the derivatives with respect to a
+        displacement along qvel[i].
 
         Args:
             jacobians: Jacobians J of n points that move with links, shape (n, 6, nv): linear
@@ -662,8 +664,8 @@ class Configuration(Pictured):
         The result is qacc = M^-1 (force - h), with the mass matrix M and the bias h.
 
         Args:
-            force: All generalised forces, shape (nv,) [N, N m], except the bias: motors, damping,
-                contacts.
+            force: Sum of the generalised forces of motors, damping and contacts, shape (nv,) [N, N
+                m]. The bias h is not included.
 
         Raises:
             ConfigurationError: If the vector has a wrong length, or a value is not finite.
@@ -677,15 +679,15 @@ class Configuration(Pictured):
     def joint_torque_regressor(self, qacc: ArrayLike) -> Array:
         """Return the regressor Y (nv, 10 n) of the inverse dynamics of n bodies.
 
-        Y ``dynamic_parameters()`` = M qacc + h without armature, because inverse dynamics are
-        linear in the inertial parameters. As ``pin.computeJointTorqueRegressor``.
+        Inverse dynamics are linear in the inertial parameters: M qacc + h = Y p, without armature,
+        with p from ``dynamic_parameters``. Computed by ``pin.computeJointTorqueRegressor``.
 
         Args:
             qacc: Generalised acceleration (nv,).
 
         Returns:
-            Ten columns per moving body: the base if it is free, then the body of each joint in
-            actuator order.
+            Y, with ten columns per moving body: first the base if it is free, then the body of each
+            joint in actuator order.
 
         Raises:
             ConfigurationError: If the vector has a wrong length, or a value is not finite.
@@ -704,9 +706,9 @@ class Configuration(Pictured):
     def dynamic_parameters(self) -> Array:
         """Return the inertial parameters (10 n,) of the bodies of ``joint_torque_regressor``.
 
-        Per body: mass m [kg], m c [kg m] with c the CoM, and Ixx, Ixy, Iyy, Ixz, Iyz, Izz [kg m^2]
-        about the origin of the joint, in the axes of the joint, as in Pinocchio's
-        ``Inertia.toDynamicParameters``. A body contains the links that fixed joints attach.
+        Ten numbers per body: mass m [kg], m c [kg m] with c the CoM, and Ixx, Ixy, Iyy, Ixz, Iyz,
+        Izz [kg m^2]. The inertias are about the origin of the joint, in the axes of the joint, as
+        in Pinocchio's ``Inertia.toDynamicParameters``. Links on fixed joints are part of the body.
         """
         inertias = self._model.inertias
         parameters = [inertias[int(body)].toDynamicParameters() for body in self._bodies()]
@@ -774,12 +776,11 @@ class Configuration(Pictured):
     def imu(self, qacc: ArrayLike, name: str | None = None) -> tuple[Array, Array]:
         """Return the readings of gyro and accelerometer at the frame of a link.
 
-        The accelerometer measures the proper acceleration: acceleration of the sensor's point minus
-        gravity.
+        The reading of the accelerometer is the acceleration of the frame's origin minus gravity.
 
         Args:
             qacc: Generalised acceleration (nv,).
-            name: Link; by default the ``imu`` of the robot.
+            name: Link with the sensors; by default ``Robot.imu``.
 
         Returns:
             Angular velocity (3,) [rad/s] and acceleration (3,) [m/s^2], both in the axes of the
@@ -817,16 +818,17 @@ def _check_reference(reference: str) -> pin.ReferenceFrame:
 
 
 _DIFFERENCE_STEP = 1e-6
-"""Step of the central differences of passive forces [rad, m]. Most forces are smooth: springs are
-linear or polynomial, and gravity compensation varies with sines of the angles. A tendon spring has
-a kink at each end of a range of its rest length. Chosen, not tuned."""
+"""Step of the central differences of passive forces [rad, m]. Most passive forces are smooth:
+springs are linear or polynomial, and gravity compensation varies with sines of the angles.
+Exception: a tendon spring has a kink at each end of its range of rest lengths. Chosen, not
+tuned."""
 
 
 class AtRest:
     """Passive forces at rest, from MuJoCo's ``qfrc_passive``; see `Configuration.passive_forces`.
 
-    Borrow an instance with ``borrow``, because creating MuJoCo's data takes longer than an
-    evaluation (measured on Pupper v3: 12 times as long).
+    Obtain an instance by ``borrow``, which reuses instances: creating MuJoCo's data takes 12 times
+    as long as an evaluation (measured on Pupper v3).
 
     Args:
         robot: The robot.
@@ -844,7 +846,8 @@ class AtRest:
     def force_derivative(self, qpos: Array) -> Array:
         """Return the derivative of the passive forces at rest, shape (nv, nv).
 
-        Column i is the derivative by a step along qvel[i], computed by central differences.
+        Column i contains the derivatives with respect to a displacement along qvel[i], computed by
+        central differences.
 
         Args:
             qpos: Configuration, shape (nq,).

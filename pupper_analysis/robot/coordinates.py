@@ -50,16 +50,15 @@ def normalise_quaternion(qpos: Array) -> None:
 
 @dataclass(frozen=True, eq=False)
 class PinocchioConvention:
-    """Maps between public coordinates and those of a Pinocchio model with another joint order.
+    """Maps between public coordinates and the coordinates of a Pinocchio model.
 
     Attributes:
         floating: Whether the base is free.
         nq: Size of Pinocchio's q.
         nv: Size of Pinocchio's v.
-        q_index: Address (n,) of each joint in Pinocchio's q.
-        v_index: Address (n,) of each joint in Pinocchio's v.
-        unbounded: Whether each joint is ``continuous``, with the coordinates (cos, sin), shape
-            (n,).
+        q_index: Index in Pinocchio's q of each of the n joints in actuator order, shape (n,).
+        v_index: Index in Pinocchio's v of each joint, shape (n,).
+        unbounded: Mask, shape (n,): True for a ``continuous`` joint, whose q is (cos, sin).
     """
 
     floating: bool
@@ -104,7 +103,7 @@ class PinocchioConvention:
         return q
 
     def unit_q(self, qpos: Array) -> Array:
-        """Convert a qpos, whose quaternion is normalised already, to Pinocchio's q.
+        """Convert a qpos with normalised quaternion to Pinocchio's q, without normalising again.
 
         Args:
             qpos: Configuration, shape (nq,): quaternion (w, x, y, z), joints in actuator order.
@@ -169,7 +168,7 @@ class PinocchioConvention:
         return np.concatenate([q[:3], q[[6, 3, 4, 5]], joints])
 
     def velocity_map(self, qpos: Array) -> Array:
-        """Return the matrix T (model.nv, nv) of v_pin = T qvel at a configuration.
+        """Return the matrix T, shape (model.nv, nv), of Pinocchio's velocity v_pin = T qvel.
 
         T is orthogonal: qvel = T^T v_pin, tau_pin = T tau, J = J_pin T and M = T^T M_pin T.
 
@@ -186,7 +185,7 @@ class PinocchioConvention:
         return result
 
     def acceleration_offset(self, qpos: Array, qvel: Array) -> Array:
-        """Return the vector dT/dt qvel (model.nv,) of a_pin = T qacc + dT/dt qvel.
+        """Return the term dT/dt qvel, (model.nv,), of Pinocchio's acceleration T qacc + dT/dt qvel.
 
         T is the `velocity_map`. It changes only with the orientation of the base, so the vector is
         zero for a fixed base.
@@ -205,16 +204,16 @@ class PinocchioConvention:
 
 @dataclass(frozen=True, eq=False)
 class MujocoConvention:
-    """Maps between public coordinates and those of a MuJoCo model, which have another order.
+    """Index maps between public coordinates and the coordinates of a MuJoCo model.
 
     ``data.qpos[qpos_index]`` is the public qpos, ``data.qvel[qvel_index]`` the public qvel. The
     first control of an actuator is ``data.ctrl[model.actuator_ctrladr[actuator_index]]``.
 
     Attributes:
-        qpos_index: Address (nq,) of each public coordinate in MuJoCo's qpos.
-        qvel_index: Address (nv,) of each public velocity in MuJoCo's qvel.
-        actuator_index: Actuator (n,) of each joint; -1 if there is none. If a joint has several,
-            the last.
+        qpos_index: Index in MuJoCo's qpos of each public coordinate, shape (nq,).
+        qvel_index: Index in MuJoCo's qvel of each public velocity, shape (nv,).
+        actuator_index: Id of the actuator of each joint, shape (n,); -1 for a joint without
+            actuator. If a joint has several actuators, the id of the last.
     """
 
     qpos_index: IntArray
@@ -226,7 +225,7 @@ class MujocoConvention:
         """Return the maps between the coordinates of this package and of a MuJoCo model.
 
         Args:
-            model: MuJoCo model; its first free joint, if any, is that of the base.
+            model: MuJoCo model. The first free joint, if any, belongs to the base.
             joint_names: Joints in actuator order.
         """
         qpos: list[int] = []
@@ -253,7 +252,7 @@ class MujocoConvention:
         )
 
     def set_state(self, data: mujoco.MjData, qpos: Array, qvel: Array | None = None) -> None:
-        """Write a state to MuJoCo's data, without computing anything.
+        """Write a state to MuJoCo's data; nothing is computed.
 
         Args:
             data: MuJoCo data; modified.
@@ -267,7 +266,7 @@ class MujocoConvention:
         """Return qpos (nq,) and qvel (nv,) of MuJoCo's data, with joints in actuator order.
 
         Returns:
-            qpos, shape (nq,); qvel, shape (nv,): base velocity linear in the world frame, angular
-            in the base frame.
+            qpos, shape (nq,); qvel, shape (nv,). The linear base velocity is in the world frame,
+            the angular base velocity in the base frame.
         """
         return data.qpos[self.qpos_index], data.qvel[self.qvel_index]

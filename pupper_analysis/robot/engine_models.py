@@ -1,7 +1,7 @@
 """Models of a robot for other programs, and conversions between the conventions of both engines.
 
 `EngineModels` is a base class of ``Robot``. Public coordinates are MuJoCo's, with the joints in
-actuator order (``robot.coordinates``); Pinocchio's are those of ``robot.pin_model``.
+actuator order (``robot.coordinates``). Pinocchio's coordinates are those of ``robot.pin_model``.
 """
 
 from __future__ import annotations
@@ -66,10 +66,10 @@ class EngineModels:
     def mj_spec(self) -> MujocoSpec:
         """Return a new MuJoCo spec of the robot, with its additions such as floor and servos.
 
-        The caller may change the spec. ``mj_spec().compile()`` returns a model with the same values
-        as ``mj_model``. Meshes keep the paths of the file, or their contents if the robot was
-        loaded from a spec in memory or converted from a URDF. The spec can be attached to another
-        spec.
+        The caller may change the spec, or attach it to another spec. ``mj_spec().compile()``
+        returns a model with the same values as ``mj_model``. The spec contains the paths of the
+        meshes. If the robot was loaded from a spec in memory or converted from a URDF, the spec
+        contains the meshes themselves.
         """
         spec: MujocoSpec
         spec, _, _ = make_mujoco_spec(self.description, fixed_base=not self.floating)
@@ -82,8 +82,9 @@ class EngineModels:
     def collision_model(self) -> PinocchioGeometryModel:
         """Pinocchio's geometry model with the collision shapes of ``mj_model``; cached.
 
-        The shapes are primitives and convex hulls of meshes on the joints of ``pin_model``, without
-        the ground. The collision pairs are those that MuJoCo checks. A copy is ``.copy()``.
+        The shapes are primitives, and convex hulls of meshes, without the ground. They are attached
+        to the joints of ``pin_model``. The collision pairs are the pairs of geoms that MuJoCo
+        checks. Change only a copy (``.copy()``), because all callers share the cached object.
 
         Raises:
             ModelError: If Pinocchio's collision library does not support a geom.
@@ -143,7 +144,7 @@ class EngineModels:
     def to_mujoco(self, q: ArrayLike, v: ArrayLike | None = None) -> Array | tuple[Array, Array]:
         """Convert Pinocchio's q, or q and v, to qpos, or qpos and qvel.
 
-        The inverse of `to_pinocchio`.
+        This is the inverse of `to_pinocchio`.
 
         Args:
             q: Pinocchio's configuration (pin_model.nq,).
@@ -166,10 +167,10 @@ class EngineModels:
         return qpos, self.pin_convention.velocity_map(qpos).T @ velocity
 
     def velocity_map(self, qpos: ArrayLike) -> Array:
-        """Return the orthogonal matrix T (pin_model.nv, nv) of v = T qvel at a configuration.
+        """Return the matrix T, shape (pin_model.nv, nv), of Pinocchio's velocity v = T qvel.
 
-        With T, forces are tau_pin = T tau, Jacobians J = J_pin T, and mass matrices
-        M = T^T M_pin T.
+        T is orthogonal. It also converts forces, tau_pin = T tau, Jacobians, J = J_pin T, and mass
+        matrices, M = T^T M_pin T.
 
         Raises:
             ConfigurationError: If ``qpos`` has not the shape (nq,), a value is not finite, or the
@@ -180,9 +181,9 @@ class EngineModels:
     def forces_to_pinocchio(self, qpos: ArrayLike, forces: ArrayLike) -> Array:
         """Convert generalised forces (nv,), dual to qvel, to Pinocchio's tau (pin_model.nv,).
 
-        Base forces are in the world frame in MuJoCo, and in the base frame in Pinocchio; base
-        torques are in the base frame in both. Forces that depend on the velocity, such as
-        ``qfrc_bias``, differ by more: see `accelerations_to_pinocchio`.
+        MuJoCo expresses the base force in the world frame, Pinocchio in the base frame. Both
+        express the base torque in the base frame. Bias forces that depend on the velocity
+        (``qfrc_bias``) are not converted by T alone: see `accelerations_to_pinocchio`.
 
         Args:
             qpos: Configuration (nq,).
@@ -306,9 +307,10 @@ def _check_columns(name: str, values: ArrayLike, count: int) -> Array:
 def _are_checked(model: mujoco.MjModel, one: CarriedShape, other: CarriedShape) -> bool:
     """Return True if MuJoCo checks two geoms of the robot for contact.
 
-    Not checked are geoms that `may_touch` excludes (contact bits, ``<exclude>``), geoms of one
-    body, and geoms of a body and its parent, unless the parent is fixed to the world. Exceptions: a
-    ``<pair>`` is always checked, and the MJCF may disable the filter of parents.
+    A ``<pair>`` is always checked. Other geoms are not checked if `may_touch` excludes them
+    (contact bits, ``<exclude>``), or if both belong to the same body. Geoms of a body and its
+    parent are not checked either, unless the parent is fixed to the world, or the MJCF disables
+    this filter.
     """
     for pair in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True):
         if set(pair) == {one.geom, other.geom}:

@@ -1,9 +1,9 @@
-"""Explanation of the deviation between two models: each difference with the effect on the dynamics.
+"""Explanation of the deviation between two models: their differences, with effects on the dynamics.
 
 Input: a robot with two models. Output: an ``Explanation``. Method: the multibody trees are compared
 value by value, and elements that only an MJCF can contain are listed. The effect of each difference
-is evaluated alone. Finally, all values of the MJCF are written into the URDF's tree, which must
-then behave as the MJCF without the listed elements; the remaining deviation is the residual.
+is evaluated alone. Finally, all values of the MJCF are written into the URDF's tree. The tree must
+then behave as the MJCF without the listed elements. The remaining deviation is the residual.
 """
 
 from __future__ import annotations
@@ -47,9 +47,10 @@ from pupper_analysis.robot.matching.trees import Mimics, Reference, kinematic_tr
 from pupper_analysis.robot.robot import Robot
 
 MAX_RESIDUAL = 1e-9
-"""Largest deviation between the models that remains after all found differences are removed,
-relative to the scale of the quantity, with which the differences explain the whole deviation. Two
-engines in double precision agree to about 1e-13; for accelerations see `_compute_residual`."""
+"""Largest accepted residual: deviation between the models after all found differences are removed,
+relative to the scale of the quantity [1]. Up to this value, the differences explain the whole
+deviation (``complete``). Two engines in double precision agree to about 1e-13. For accelerations
+see `_compute_residual`."""
 
 _NUM_STATES = 10
 """Number of random states at which the effect of each difference between two files is evaluated.
@@ -69,19 +70,23 @@ def explain_differences(
     """Return all differences between the URDF and the MJCF of a robot, with effects.
 
     Values of both trees are compared body by body, and elements that only the MJCF can contain are
-    listed. The effect of each difference is evaluated by applying this difference alone to the
-    URDF's model, or to a MuJoCo model without other such elements. Finally, all differences are
-    applied to the URDF's model, which must behave as the MJCF without the listed elements.
+    listed. The effect of a value is evaluated by applying this difference alone to the URDF's
+    model. The effect of an element is evaluated by enabling it in a MuJoCo model without the other
+    listed elements. Finally, all differences of values are applied to the URDF's model. It must
+    then behave as the MJCF without the listed elements.
 
     Args:
         robot: The robot.
         tolerances: Tolerances of the comparison; by default for files with 5 to 6 digits.
-        reference: Unmodified MJCF; by default the MuJoCo model of the robot.
+        reference: Compiled model of the unmodified MJCF, with names; by default the MuJoCo model of
+            the robot.
         mimics: Mimic joints of the URDF.
-        alignment: Tree of the MJCF in the link frames of the URDF; computed by default.
-        conventions: Base frame and joint zeros of the URDF's file, relative to the MJCF, if the
-            robot's URDF was converted to those of the MJCF.
-        unstated: {damping or friction: joints with the MJCF's value, because the URDF has none}.
+        alignment: Joint tree of the MJCF, expressed in the link frames of the URDF; computed by
+            default.
+        conventions: Original base frame and joint zeros of the URDF, relative to the MJCF. Required
+            if the robot's URDF was converted to the base frame and joint zeros of the MJCF.
+        unstated: {"damping" or "friction": joints whose URDF has no value, so that the value of the
+            MJCF was copied}.
     """
     tolerances = tolerances or Tolerances()
     reference = reference or Reference(
@@ -143,14 +148,15 @@ def _compute_residual(
 ) -> dict[str, float]:
     """Return {quantity: relative deviation that the found differences do not explain}.
 
-    ``patched`` are the quantities of the URDF after all found differences are replaced by the
-    values of the MJCF. ``reduced`` are those of the MJCF without elements that a URDF cannot
-    specify. Deviations are relative to the scale of the quantity (`RelativeError.scale`).
+    ``patched`` contains the quantities of the URDF with all found values of the MJCF. ``reduced``
+    contains the quantities of the MJCF without the elements that a URDF cannot specify. Deviations
+    are relative to the scale of the quantity (`RelativeError.scale`).
 
-    For accelerations, the rounding error grows with the condition number of the mass matrix (1e8
-    for a link of 1e-6 kg at the end of an arm). If the deviation of the forces M (a1 - a2) is below
-    ``MAX_RESIDUAL``, relative to the largest force, this deviation is used: the backward error of
-    the linear solver. A missing force exceeds this bound.
+    The rounding error of accelerations grows with the condition number of the mass matrix (1e8 for
+    a link of 1e-6 kg at the end of an arm). Therefore the forces M (a1 - a2) are also compared
+    (backward error of the linear solver). If their deviation is at most ``MAX_RESIDUAL`` of the
+    largest force, it may replace the deviation of the accelerations. A missing force exceeds this
+    bound.
     """
     residual = {
         name: relative_error.relative_deviation(name, patched[name], reduced[name])
@@ -204,9 +210,14 @@ def armature_differences(
 ) -> Iterator[Difference]:
     """Yield suspicious armatures of an MJCF, as differences with their effects.
 
-    A URDF cannot specify armature. An armature of the free joint is suspicious: it usually comes
-    from a default class, and adds inertia without weight to the base. Different armatures of a
-    joint and its mirror image on the other side of the robot are suspicious as well.
+    A URDF cannot specify armature, so two cases are suspicious. First, an armature of the free
+    joint usually comes from a default class, and adds inertia without weight to the base. Second, a
+    joint and its mirror image on the other side of the robot should have equal armatures.
+
+    Args:
+        values: Multibody tree with the armatures of the MJCF.
+        behaviour: Evaluation of the compared quantities for a tree.
+        relative_error: Quantities of both models, which scale the effects.
     """
     if values.base_armature:
         value = values.base_armature
@@ -253,8 +264,9 @@ def _report_copied_values(
 ) -> Iterator[Diagnostic]:
     """Yield diagnostics of parameters that were copied from the MJCF to the URDF.
 
-    Reported are armature, damping and dry friction, with minimum, maximum and number of joints, if
-    a copied value is not zero. Hinges and slides have diagnostics of their own, with their units.
+    Reported are armature, damping and dry friction, if a copied value is not zero. A diagnostic
+    contains minimum, maximum and number of joints. Hinges and slides have separate diagnostics,
+    with their units. ``copied`` is {parameter: joints}.
     """
     for kind, slides in product(_COPIED_CODES, (False, True)):
         joints = [values.joints[name] for name in copied.get(kind, ())]

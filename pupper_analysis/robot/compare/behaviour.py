@@ -25,7 +25,10 @@ from pupper_analysis.robot.robot import Robot
 
 
 class MujocoBehaviour:
-    """Evaluation of the quantities for MuJoCo models that differ only in parameters."""
+    """Evaluation of the compared quantities for MuJoCo models that differ only in parameters.
+
+    Call the object with a model to evaluate the quantities (module docstring) at all states.
+    """
 
     def __init__(
         self,
@@ -38,10 +41,10 @@ class MujocoBehaviour:
 
         Args:
             robot: The robot.
-            reference: Model with the names of the elements.
-            states: States of the evaluation.
-            moved: {joint: displacement (3,) [m] of the evaluated point from MuJoCo's anchor, in the
-                axes of the body}.
+            reference: Compiled MJCF, and element names.
+            states: States and torques at which the quantities are evaluated.
+            moved: {joint: vector (3,) [m] from MuJoCo's joint anchor to the evaluated point of the
+                joint, in the axes of the body}.
         """
         model, names = reference.model, reference.names
         self._reference, self._states, self._name = reference, states, robot.name
@@ -101,10 +104,10 @@ class MujocoBehaviour:
 def offsets_in_world(
     model: mujoco.MjModel, data: mujoco.MjData, joints: Sequence[int], local: Array
 ) -> Array:
-    """Rotate vectors from the axes of the joints' bodies to world axes; the unit is kept.
+    """Rotate one vector per joint from the axes of the joint's body to world axes.
 
     `MujocoBehaviour` adds these vectors to MuJoCo's joint anchors. The vector of a hinge is
-    projected onto the joint axis.
+    projected onto the joint axis. The unit is kept.
 
     Args:
         model: MuJoCo model.
@@ -125,8 +128,8 @@ def offsets_in_world(
 def _mask_robot_bodies(robot: Robot, reference: Reference) -> list[bool]:
     """Return a mask (nbody,) of the bodies of a compiled MJCF that belong to the robot.
 
-    For a fixed base, all static bodies belong to the robot, as in `pinocchio_from_mujoco`. Bodies
-    that the robot's own model lacks are omitted.
+    If the base is fixed, all static bodies belong to the robot, as in `pinocchio_from_mujoco`. The
+    mask is False for bodies that ``robot.mj_model`` does not contain.
     """
     model, moving = reference.model, reference.bodies()
     kept = {robot.mj_model.body(body).name for body in range(robot.mj_model.nbody)}
@@ -138,10 +141,11 @@ def _mask_robot_bodies(robot: Robot, reference: Reference) -> list[bool]:
 
 
 class Behaviour:
-    """Evaluation of the quantities for multibody trees of a robot, in MuJoCo.
+    """Evaluation of the compared quantities for multibody trees of a robot, in MuJoCo.
 
-    A tree with the structure of the tree before reuses the MuJoCo model of that tree.
-    ``tools/crosscheck`` compares with Pinocchio.
+    Call the object with a tree to evaluate the quantities at all states. If a tree has the same
+    structure as the previous tree, the MuJoCo model is reused. ``tools/crosscheck`` compares the
+    quantities with Pinocchio.
 
     Attributes:
         states: States of the evaluation.
@@ -189,7 +193,7 @@ class States:
 
 _MAX_JOINT_POSITION = 1e3
 """Upper bound of the absolute joint position of a random state [rad, m]. Some files use limits such
-as 1e16 for unlimited joints; numbers of this size have no fractional digits in double precision."""
+as 1e16 for unlimited joints. Numbers of this size have no fractional digits in double precision."""
 
 _MAX_EFFORT = 1e6
 """Upper bound of the absolute torque of a random state [N m, N], because some files state huge
@@ -234,20 +238,20 @@ def random_states(robot: Robot, count: int, seed: int) -> States:
 
 
 MAX_PINOCCHIO_NV: Final = 200
-"""Maximum degrees of freedom of a robot that is also compared in Pinocchio.
+"""Maximum degrees of freedom (nv) of a robot that is also compared in Pinocchio; bounds the memory.
 
-Pinocchio's data contain four tensors of second derivatives (nv, nv, nv), which are not needed: 32
-nv^3 bytes, 0.26 GB for nv = 200 and 256 GB for nv = 2000.
+Pinocchio's data contain four tensors of second derivatives (nv, nv, nv) that are not needed here.
+They take 32 nv^3 bytes: 0.26 GB for nv = 200, and 256 GB for nv = 2000.
 """
 
 _MAX_STATE_BYTES: Final = 80e6
-"""Maximum size of the mass matrices of all states in an evaluation of a large robot [bytes]. A
-robot with 306 degrees of freedom is compared at no more than 106 states, a robot with 1000 at 10.
-Chosen, not tuned."""
+"""Maximum memory of the mass matrices of all states in an evaluation of a large robot [bytes]. It
+limits the number of states: 106 states for 306 degrees of freedom, 10 states for 1000. Chosen, not
+tuned."""
 
 _MIN_STATES: Final = 2
-"""Smallest number of random states to which the size of a robot reduces the number of states: a
-single state might be singular. Chosen, not tuned."""
+"""Smallest number of random states at which a large robot is compared. A single state might be
+singular. Chosen, not tuned."""
 
 
 def is_large(robot: Robot) -> bool:
@@ -256,10 +260,10 @@ def is_large(robot: Robot) -> bool:
 
 
 def affordable_states(robot: Robot, count: int) -> int:
-    """Return the number of random states for a comparison: ``count``, or fewer for large robots.
+    """Return the number of random states for a comparison: ``count``, or fewer for a large robot.
 
-    The mass matrices of a large robot (`is_large`) may take `_MAX_STATE_BYTES` for all states; the
-    number is not reduced below `_MIN_STATES`.
+    For a large robot (`is_large`), the mass matrices of all states may take `_MAX_STATE_BYTES`. The
+    number is at least `_MIN_STATES`, unless ``count`` is smaller.
     """
     if not is_large(robot):
         return count
