@@ -1,12 +1,12 @@
 """Comparison of a robot's URDF and MJCF: agreement, differences, and causes of differences.
 
-The world pose of a fixed base is no difference: the URDF is moved to the base of the MJCF. A tilt
-of the base is reported, because it changes the torques for users of the unmodified URDF.
+The world pose of a fixed base is no difference: before the comparison, the URDF is moved to the
+base of the MJCF. A tilt of the base is reported, because it changes the torques for users of the
+unmodified URDF.
 
-Collision shapes of feet are compared: another radius changes the height of the robot, and a missing
-shape lets it fall. Other collision shapes, and feet of another shape with the same height (such as
-a sphere for a mesh), are not compared, because they differ in most pairs of files and do not change
-a stand.
+Collision shapes of feet are compared by height: another radius changes the height of the robot, and
+a missing shape lets it fall. The form of a foot (such as a sphere instead of a mesh) and other
+collision shapes are not compared. They differ in most pairs of files, and do not change a stand.
 """
 
 from __future__ import annotations
@@ -71,14 +71,14 @@ from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.robot.shapes import may_touch
 
 CONTACT_HEIGHT_ATOL = 2e-4
-"""Difference of the heights of two contact surfaces [m] up to which the difference is not reported.
-Meshes are accurate to a tenth of a millimetre, and files contain radii such as 0.02 for 19.95 mm.
-Chosen, not tuned."""
+"""Tolerance of the height of a foot's contact surface [m]. A larger difference between URDF and
+MJCF is reported. Meshes are accurate to a tenth of a millimetre, and files contain radii such as
+0.02 for 19.95 mm. Chosen, not tuned."""
 
 _FOOT_HEIGHT_RTOL = 0.15
-"""Height of a limb's lowest point above the lowest point of all limbs, relative to the height of
-the CoM above that point, up to which the limb counts as a leg with a foot. Heights are measured at
-the initial pose. Hands are higher. Chosen, not tuned."""
+"""Relative height up to which a limb counts as a leg with a foot [1]. The height is that of the
+limb's lowest point above the lowest point of all limbs, at the initial pose. It is relative to the
+height of the CoM above that point. Hands are higher. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,21 +101,23 @@ def compare_collisions(
 ) -> tuple[list[Difference], list[Diagnostic]]:
     """Compare the height of the lowest collision shape of each foot, in a URDF and an MJCF.
 
-    The robot is in the initial pose of the MJCF. Feet are the limb ends that are about as low as
-    the lowest limb end; a robot with a fixed base has no feet here. A difference is reported if the
-    lowest points differ by more than ``CONTACT_HEIGHT_ATOL``, or if only one file has a shape.
+    The robot is in the initial pose of the MJCF. A limb end that is about as low as the lowest limb
+    end counts as a foot. The feet of a robot with a fixed base are not compared. A difference is
+    reported if the lowest points differ by more than ``CONTACT_HEIGHT_ATOL``, or if only one file
+    has a shape.
 
     Args:
         matched: Matched joints, links and bodies of both files.
         urdf: The URDF.
         mjcf: The MJCF.
-        moved: Joints (or the base) that the two files place differently. Shapes that move with such
-            a joint are not compared.
+        moved: Joints (or the base) whose placement differs between the files. Shapes that move with
+            these joints are not compared.
 
     Returns:
-        Differences of feet, and notes. If the files have different base frames or joint zeros,
-        nothing is compared, and a note reports this. Both are empty if the URDF has no collision
-        shape, or the MJCF has no compiled model or no geom outside of the world body.
+        Differences of feet, and notes. If the files have different base frames or joint zeros, no
+        feet are compared, and a note reports this. Differences and notes are empty if the URDF has
+        no collision shape, if the MJCF has no compiled model, or if the MJCF has no geom outside of
+        the world body.
     """
     conventions = matched.conventions
     urdf_model, mjcf_model = read_urdf_model(urdf), read_mjcf_model(mjcf)
@@ -146,7 +148,7 @@ def compare_collisions(
 
 
 MovingShapes = tuple[tuple[_PlacedShape, ...], tuple[_PlacedShape, ...]]
-"""Collision shapes that move with a joint: in the URDF, in the MJCF."""
+"""(collision shapes of the URDF, collision shapes of the MJCF) that move with a joint."""
 
 
 def _collect_limb_shapes(
@@ -156,14 +158,16 @@ def _collect_limb_shapes(
     of_mjcf: tuple[RobotModel, MjcfFile],
     data: mujoco.MjData,
 ) -> MovingShapes | None:
-    """Return the collision shapes that move with a joint; None if a link or extent is unknown or 0.
+    """Return the collision shapes that move with a joint; None if they cannot be compared.
+
+    This is the case if a link or the extent of a shape is unknown, or if an extent is 0.
 
     Args:
         name: Joint.
         matched: Matched files.
         of_urdf: Model and file of the URDF.
         of_mjcf: Model and file of the MJCF.
-        data: MuJoCo data with kinematics, in whose world frame the shapes are placed.
+        data: MuJoCo data with kinematics. The shapes are placed in its world frame.
 
     Returns:
         Shapes of the URDF, and shapes of the MJCF, each with its place in the file.
@@ -233,7 +237,7 @@ def _find_foot_joints(
 ) -> list[str]:
     """Return the joints whose limb is low enough to end in a foot (``_FOOT_HEIGHT_RTOL``).
 
-    The keys of ``limbs`` are joints, and ``data`` is the initial pose.
+    The keys of ``limbs`` are joints; ``data`` contains the initial pose.
     """
     model = data.model
     ends = {
@@ -254,9 +258,9 @@ def _find_foot_joints(
 def _locate_disabled_contact(mjcf: MjcfFile, body: str, urdf_shape: _PlacedShape) -> Place:
     """Return the location in the MJCF at which the contacts of a foot are disabled.
 
-    If a flag disables all contacts, the result is the location of the flag. Otherwise, the result
-    is the location of the contact bits of the foot's geom that is nearest to the shape in the URDF.
-    If the foot has no geom, the result is the location of the body.
+    If a flag disables all contacts, the result is the location of the flag. Otherwise, the geom of
+    the foot that is nearest to the shape in the URDF is selected. The result is the location of the
+    geom's contact bits. If the foot has no geom, the result is the location of the body.
 
     Args:
         mjcf: The MJCF.
@@ -352,10 +356,10 @@ def _find_lowest_shape(
 def report_base_tilt(
     matched: Match, urdf: etree._Element, tolerances: Tolerances
 ) -> Diagnostic | None:
-    """Return a diagnostic of the tilt of a fixed base in one file relative to the other.
+    """Return a diagnostic of the tilt of a fixed base in the MJCF relative to the URDF.
 
-    The tilt is the angle between the directions of gravity in both base frames. None if the angle
-    is within the tolerance for rotations, the base is free, or gravity is zero.
+    The tilt is the angle between the directions of gravity in both base frames. The result is None
+    if the angle is within the tolerance for rotations, if the base is free, or if gravity is zero.
 
     Args:
         matched: Matched files.
@@ -377,7 +381,10 @@ def report_base_tilt(
 
 
 def _rotation_in_root(urdf: etree._Element, link: str) -> Array:
-    """Return the rotation (3, 3) from a link on fixed joints to the axes of the root link."""
+    """Return the rotation (3, 3) from the axes of a link to the axes of the root link of a URDF.
+
+    All joints between the root link and the link must be fixed.
+    """
     axes = np.eye(3)
     for joint in UrdfTree(urdf).chain(link):
         axes = joint.origin.rotation @ axes
@@ -393,11 +400,11 @@ class FilesCompared(Tabular):
         mjcf: Path of the MJCF.
         base: Name of the base.
         joints: Joints of both files, with the names of the MJCF.
-        guessed: {joint in the URDF: joint in the MJCF} of pairs that were matched by structure, or
-            by names without prefixes and suffixes.
-        only_urdf: Joints that only the URDF has, fixed at zero for the comparison.
-        only_mjcf: Joints that only the MJCF has, fixed at zero for the comparison.
-        parts: Diagnostics of parts that only one file has, with their joints; the parts were
+        guessed: {joint in the URDF: joint in the MJCF} of pairs with different names. They were
+            matched by structure, or by names without prefixes and suffixes.
+        only_urdf: Joints that only the URDF has. They were fixed at zero for the comparison.
+        only_mjcf: Joints that only the MJCF has. They were fixed at zero for the comparison.
+        parts: Diagnostics of parts that only one file has, with their joints. The parts were
             removed for the comparison.
         notes: Diagnostics of assumptions and omissions.
         differences: Differences, the most urgent first; see `Difference.rank`.
@@ -406,11 +413,11 @@ class FilesCompared(Tabular):
         residual: {quantity: relative deviation after all differences are removed}.
         explained: Fraction of the largest deviation that the differences explain.
         complete: Whether each residual is at most 1e-9.
-        mount: Diagnostic of the tilt of a fixed base in one file relative to the other; None as in
-            `report_base_tilt`.
-        objections: Reasons against agreement besides the differences: an unexplained residual, a
-            total deviation of differences within the tolerances, a missing mass of a base with
-            legs, and (if names must be equal) the tilt of a fixed base.
+        mount: Diagnostic of the tilt of a fixed base in the MJCF relative to the URDF. None if
+            `report_base_tilt` reports no tilt.
+        objections: Further reasons for which the models do not agree: an unexplained residual;
+            differences within the tolerances whose total deviation is too large; a missing mass of
+            a base with legs; and, if names must be equal, the tilt of a fixed base.
         agree: Whether the models agree within the tolerances: no difference, no joint in a single
             file only, and no objection.
         same_robot: Whether the models agree except for the conventions: frame of the base and zeros
@@ -453,7 +460,7 @@ class FilesCompared(Tabular):
 
     @property
     def main_problem(self) -> Diagnostic:
-        """Diagnostic of the problem to repair first; without a problem, that the files agree."""
+        """Diagnostic of the problem to repair first, or of the agreement if there is no problem."""
         causes, groups = self.causes, self.unexplained_differences
         if causes and causes[0].is_reported_first:
             return causes[0].diagnostic
@@ -508,13 +515,13 @@ def compare_files(
     Args:
         urdf: URDF, or a file that is converted to URDF; a path, or a model in memory.
         mjcf: MJCF, or a file that is converted to MJCF; a path, or a model in memory.
-        names: {name in the URDF: name in the MJCF} of joints or frames with different names.
+        names: {name in the URDF: name in the MJCF} of joints or frames whose names differ.
         packages: {ROS package: folder}, for mesh paths in the URDF.
         feet: Frames, as named in the MJCF, whose positions are compared; by default all frames of
             both files.
         tolerances: Tolerances of the comparison; by default for files with 5 to 6 digits.
-        strict_names: Whether different joint names, missing damping or friction in the URDF, and
-            the tilt of a fixed base are differences.
+        strict_names: If True, different joint names, missing damping or friction in the URDF, and
+            the tilt of a fixed base count as disagreement.
 
     Raises:
         ModelError: If a file cannot be read, the files cannot be matched, or the robot has no mass.
@@ -590,15 +597,15 @@ def compare_files(
 
 
 def _find_causes(*of: object) -> tuple[PatternCause, ...]:
-    """Return mistakes that cause several differences each, or a single difference of an inertia.
+    """Return mistakes in a file, each with the differences that the mistake explains.
 
     The first installed tool with a module ``causes`` finds the mistakes. Without such a tool, the
     result is empty.
 
     Args:
-        *of: Arguments of the tool's ``find_causes``: robot, tree of the MJCF in the URDF's link
-            frames, all differences, tolerances, and bodies of the MJCF whose mass is computed from
-            geoms.
+        *of: Arguments of the tool's function ``find_causes``: the robot; the tree of the MJCF in
+            the URDF's link frames; all differences; the tolerances; the bodies of the MJCF whose
+            mass is computed from geoms.
     """
     modules = (
         import_module(f"{package}.causes") for package in find_tool_modules("causes").values()
@@ -607,7 +614,7 @@ def _find_causes(*of: object) -> tuple[PatternCause, ...]:
 
 
 def _bodies_with_geom_mass(mjcf: MjcfFile) -> set[str]:
-    """Return the names of the bodies whose mass MuJoCo computes from geoms."""
+    """Return the names of the bodies of an MJCF whose mass MuJoCo computes from geoms."""
     spec = mjcf.spec
     return {geom.parent.name for geom in spec.geoms if gives_mass(spec, geom)}
 
@@ -615,8 +622,8 @@ def _bodies_with_geom_mass(mjcf: MjcfFile) -> set[str]:
 def _report_missing_base_mass(matched: Match) -> Iterator[Diagnostic]:
     """Yield a diagnostic if the MJCF lacks the mass of a base with legs.
 
-    A robot has legs if two or more joints have the name of a leg joint. Without legs, the base is
-    that of an arm and does not move, so that the mass of the base has no effect.
+    A robot has legs if two or more joints have the name of a leg joint. The base of a robot without
+    legs (an arm) does not move, so that its mass has no effect.
     """
     notes = [note for note in matched.notes if note.code == "mass-of-base-left-out"]
     legs = [name for name in matched.robot.joint_names if LEG_JOINT_NAME.search(name)]
@@ -629,7 +636,7 @@ def _compare_ground_contact(
 ) -> tuple[list[Difference], list[Diagnostic]]:
     """Compare the collision shapes of feet, unless a file was converted from another format.
 
-    ``found`` are the differences found before: those of joints and links that displace feet.
+    ``found`` contains the other differences. Feet that these differences displace are not compared.
 
     Returns:
         Differences, and messages; both empty if a file was converted.
@@ -641,12 +648,15 @@ def _compare_ground_contact(
 
 
 _DISPLACING_KINDS = ("type", "parent", "base frame", "zero", "position", "rotation", "axis")
-"""Kinds of joint differences that displace the bodies on the joint; the collision shapes of these
+"""Kinds of differences that displace the bodies on a joint. The collision shapes of displaced
 bodies are not compared."""
 
 
 def _has_mechanical_difference(differences: Iterable[Difference]) -> bool:
-    """Return True if any difference is not of a kind in `CONVENTION_KINDS` (coordinates only)."""
+    """Return True if a difference affects the robot itself.
+
+    Differences of a kind in `CONVENTION_KINDS` affect only the coordinates.
+    """
     return any(difference.kind not in CONVENTION_KINDS for difference in differences)
 
 
@@ -679,7 +689,8 @@ def _add_places(
 def _explained_fraction(explanation: Explanation) -> float:
     """Return the fraction of the largest dynamic deviation that the differences explain, 0 to 1.
 
-    The fraction is 1 - residual / deviation, with the residual after the differences are removed.
+    The fraction is 1 - residual / deviation. The residual is the deviation after all differences
+    are removed. Both numbers are the largest of all quantities.
     """
     worst, residual = (
         max(values.values()) for values in (explanation.deviations, explanation.residual)
@@ -690,7 +701,7 @@ def _explained_fraction(explanation: Explanation) -> float:
 
 
 def _report_name(urdf: str, mjcf: str) -> Difference:
-    """Return the difference of joints with different names."""
+    """Return the difference between the names of a matched joint in both files."""
     message = diagnose("joint-name-differs", subject=("joint", mjcf), urdf=urdf, mjcf=mjcf)
     return Difference("name", mjcf, urdf, mjcf, "", message, {})
 
@@ -698,9 +709,10 @@ def _report_name(urdf: str, mjcf: str) -> Difference:
 def _compare_servo_gains(
     matched: Match, urdf: UrdfFile, mjcf: MjcfFile, tolerances: Tolerances
 ) -> Iterator[Difference]:
-    """Yield the differences of servo gains, if the file in place of the URDF states gains.
+    """Yield the differences of servo gains between the two files.
 
-    A URDF has no servo gains, but a file of another format that was converted to URDF may have.
+    A URDF has no servo gains, so gains are compared only if the URDF was converted from a file of
+    another format that states gains.
     """
     if urdf.gains is None:
         return
@@ -729,8 +741,8 @@ def _compare_servo_gains(
 def _find_objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Diagnostic]:
     """Yield reasons, other than differences, for which URDF and MJCF do not agree.
 
-    Reasons: an unexplained residual, or a total deviation above the largest tolerance although all
-    differences are within the tolerances.
+    The reason is an unexplained residual. Without a residual and without mechanical differences,
+    the reason is a deviation of a quantity above the largest tolerance: small differences add up.
     """
     residual = {name: value for name, value in explanation.residual.items() if value > MAX_RESIDUAL}
     if residual:
@@ -758,6 +770,6 @@ def _find_objections(explanation: Explanation, tolerances: Tolerances) -> Iterat
 
 
 _DYNAMIC_KINDS = ("mass", "com", "inertia", "position", "rotation", "axis", "damping", "dynamics")
-"""Fields of `Tolerances` for values that affect the dynamics. If all differences between two files
-are within the tolerances, the largest of these tolerances also bounds the relative deviation of
-each dynamic quantity; above the bound the files do not agree (`_find_objections`)."""
+"""Fields of `Tolerances` for values that affect the dynamics. The largest of these tolerances is
+also the bound of the relative deviation of each dynamic quantity, if all differences between two
+files are within the tolerances. Above the bound, the files do not agree (`_find_objections`)."""

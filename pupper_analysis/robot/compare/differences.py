@@ -1,8 +1,8 @@
 """Differences between two multibody trees: detection, ranking, effects and messages.
 
-``changes_between`` yields the differences of two trees; each can be applied to the first tree.
-``RelativeError`` evaluates the effects. Messages include probable causes, such as degrees instead
-of radians.
+``changes_between`` yields the differences of two trees. Each difference can be applied to the first
+tree. ``RelativeError`` evaluates the effects. Messages include probable causes, such as degrees
+instead of radians.
 """
 
 from __future__ import annotations
@@ -56,8 +56,9 @@ SERVO_GAIN_KINDS = ("servo stiffness", "servo damping")
 """Kinds of differences in servo gains: kp, kd."""
 
 PropertyKey = tuple[str, str]
-"""Kind and element of a property of a robot, as in `Stated`. The element is for example the name of
-a joint, or of the base: ("mass", joint) is the mass of the bodies that the joint moves as one."""
+"""(kind, element) of a property of a robot, as in `Stated`. The element is for example the name of
+a joint, or of the base. ("mass", joint) is the total mass of the body that the joint moves and of
+the bodies fixed to it."""
 
 KIND_ORDER = (
     "compiler",
@@ -97,25 +98,26 @@ KIND_ORDER = (
 in this order."""
 
 CONVENTION_KINDS = ("base frame", "zero")
-"""Kinds of differences in coordinates only, for the same robot."""
+"""Kinds of differences that change only the coordinates (qpos), not the robot."""
 
 _STRUCTURE_KINDS = ("compiler", "joint", "name", "type", "parent", *CONVENTION_KINDS, "gravity")
-"""Kinds of differences that are listed first, whatever their effect."""
+"""Kinds of differences that are always listed first (`Difference.tier` 0)."""
 
 _MIN_RELATIVE_EFFECT = 1e-3
-"""Effect of a difference on the dynamics, relative to the quantity, from which the difference is
-listed before differences of limits and efforts. Chosen, not tuned."""
+"""Relative effect of a difference on a dynamic quantity [1]. A difference with this or a larger
+effect is listed before the differences of limits and efforts. Chosen, not tuned."""
 
 _MIN_RELATIVE_MASS = 0.01
-"""Relative difference of a body's mass from which the difference is listed before differences of
-limits and efforts. Chosen, not tuned."""
+"""Relative difference of a body's mass [1]. This or a larger difference is listed before the
+differences of limits and efforts. Chosen, not tuned."""
 
 _MAIN_QUANTITIES = ("mass matrix", "gravity", "foot positions", "joint positions")
-"""Quantities whose largest relative effect is the first number in `Difference.relative_effects`."""
+"""Quantities of the first number in `Difference.relative_effects`, the largest relative effect on
+them."""
 
 _RANKED_QUANTITIES = (*_MAIN_QUANTITIES, "bias forces", "forward dynamics")
-"""Quantities whose largest relative effect orders the differences of equal urgency
-(`Difference.tier`)."""
+"""Quantities for the order of differences with the same `Difference.tier`: the difference with the
+largest relative effect on one of them is the first."""
 
 
 @dataclass(frozen=True)
@@ -123,10 +125,11 @@ class Effect(Result):
     """Effect of a difference on a quantity.
 
     Attributes:
-        deviation: Largest absolute deviation that the difference causes alone.
-        relative: Deviation relative to the scale of the quantity.
-        share: Deviation relative to the deviation that all differences cause together; may exceed 1
-            if differences cancel. Infinite if that deviation is a rounding error or infinite.
+        deviation: Largest absolute deviation of the quantity, if only this difference is present.
+        relative: ``deviation``, divided by the scale of the quantity.
+        share: ``deviation``, divided by the deviation of all differences together. It may exceed 1,
+            because differences may cancel. It is infinite if the deviation of all differences is a
+            rounding error or infinite.
     """
 
     deviation: float = field(metadata={"unit": "varies"})
@@ -136,15 +139,16 @@ class Effect(Result):
 
 @dataclass(frozen=True, eq=False)
 class Stated:
-    """Values of two files for a property.
+    """Values of a property in two files.
 
     Attributes:
-        kind: Kind of the property, an entry of ``KIND_ORDER``: for example ``mass``,
-            ``lower limit`` or ``effort``; ``base frame`` and ``zero`` for conventions;
-            ``collision`` for the shapes of a foot; ``joint`` for a joint that one of two versions
-            lacks.
-        element: Name of the joint, of the frame, or of the body: the joint that moves the body, or
-            the base. For an element that only the MJCF has, the name there, or the number: ``#3``.
+        kind: Kind of the property, an entry of ``KIND_ORDER``, for example ``mass``, ``lower
+            limit`` or ``effort``. Special kinds are ``base frame`` and ``zero`` for conventions,
+            ``collision`` for the shapes of a foot, and ``joint`` for a joint that one of two
+            versions lacks.
+        element: Name of the joint or frame. A body has the name of the joint that moves it, or of
+            the base. An element that only the MJCF can contain has its name in the MJCF, or its
+            number such as ``#3``.
         urdf: Value in the URDF, in the frames of the URDF; None if the URDF has none.
         mjcf: Value in the MJCF, in the frames of the URDF; None if the MJCF has none.
         unit: Unit of both values.
@@ -175,10 +179,11 @@ class Difference(Stated, Result):
     """Property that differs between two files; for the inherited attributes see `Stated`.
 
     Attributes:
-        effects: {quantity: effect of the difference}; empty if there is none.
+        effects: {quantity: effect of the difference}; empty without an effect.
         urdf_place: File and line in the URDF; None if unknown.
         mjcf_place: File and line in the MJCF; None if unknown.
-        made_of: Links or bodies whose values form the value, if there are several.
+        made_of: Diagnostics of the links or bodies that are combined to the compared body, if there
+            are several.
     """
 
     effects: dict[str, Effect]
@@ -207,9 +212,8 @@ class Difference(Stated, Result):
     def relative_effects(self) -> tuple[float, float]:
         """Largest effects of the difference on the dynamics, as fractions of each quantity [1].
 
-        First element: the largest effect on mass matrix, gravity, and positions of joints and feet;
-        second element: the largest effect on any compared quantity. 0 without an effect. The
-        fractions are those of `effects`.
+        The first number is the largest effect on mass matrix, gravity, and positions of joints and
+        feet. The second number is the largest effect on any compared quantity. 0 means no effect.
         """
         main = [self.effects[name].relative for name in _MAIN_QUANTITIES if name in self.effects]
         all_effects = [effect.relative for effect in self.effects.values()]
@@ -231,10 +235,11 @@ class Difference(Stated, Result):
 
     @property
     def _relative_limit_difference(self) -> float:
-        """Difference between a joint's limits in URDF and MJCF, from 0 to 1; a key of the sorting.
+        """Difference between a joint's limits in URDF and MJCF, from 0 to 1; a sorting key.
 
-        A position limit is compared in full turns (hinge) or in m (slide), an effort limit relative
-        to the larger value. 1 if a file has no limit; 0 if the difference does not concern limits.
+        The unit is a full turn for the position limit of a hinge, and 1 m for a slide. The
+        difference of an effort limit is relative to the larger value. The result is 1 if a file has
+        no limit, and 0 for a difference of another kind.
         """
         if self.kind not in LIMIT_KINDS:
             return 0.0
@@ -255,7 +260,7 @@ class Difference(Stated, Result):
 
         0: structure, convention or gravity (``_STRUCTURE_KINDS``). 1: relative effect of at least
         ``_MIN_RELATIVE_EFFECT``, or relative mass difference of at least ``_MIN_RELATIVE_MASS``. 2:
-        limits and efforts. 3: others.
+        other differences of limits and efforts. 3: all others.
         """
         if self.kind in _STRUCTURE_KINDS:
             return 0
@@ -290,8 +295,9 @@ class PatternCause(Result):
     def is_reported_first(self) -> bool:
         """True if this cause is reported before all other causes.
 
-        These are effort limits of the motor instead of the joint (``gears``), which make all motor
-        utilisations wrong by the gear ratio, and missing mimic constraints (``mimics``).
+        True for missing mimic constraints (``mimics``), and for effort limits that belong to the
+        motor instead of the joint (``gears``). The latter make motor utilisations wrong by the gear
+        ratio.
         """
         return self.kind in ("gears", "mimics")
 
@@ -303,11 +309,12 @@ class Explanation(Result):
     Attributes:
         differences: Differences, the most urgent first: by tier, then by effect.
         deviations: {quantity: relative deviation between the two models}.
-        residual: {quantity: relative deviation between the URDF with all values of the MJCF, and
-            the MJCF without the elements that a URDF cannot specify}.
+        residual: {quantity: relative deviation that the differences do not explain}. It is the
+            deviation between the URDF with all values of the MJCF and the MJCF without the elements
+            that a URDF cannot specify.
         complete: Whether each residual is at most 1e-9.
-        notes: Diagnostics of values that the URDF got from the MJCF: armature, and damping and dry
-            friction that it does not specify.
+        notes: Diagnostics of values that were copied from the MJCF to the URDF: armature, and
+            damping and dry friction if the URDF does not specify them.
     """
 
     differences: tuple[Difference, ...]
@@ -319,11 +326,11 @@ class Explanation(Result):
 
 @dataclass(frozen=True, eq=False)
 class RelativeError:
-    """Deviations relative to the scale of the quantities, and to the total deviation.
+    """Computation of relative deviations between two models, for each compared quantity.
 
     Attributes:
-        one: Quantities of the first model (URDF).
-        two: Quantities of the second model (MJCF).
+        one: {quantity: values at all states} of the first model (URDF).
+        two: {quantity: values at all states} of the second model (MJCF).
     """
 
     one: Mapping[str, Array]
@@ -332,9 +339,10 @@ class RelativeError:
     def scale(self, name: str) -> float:
         """Return the number by which deviations of a quantity are divided, in its unit.
 
-        This is the largest absolute value of the first model, or of the second model if a value of
-        the first is not finite. It is at least 1e-300; for gravity and bias forces, which may be
-        nearly zero, at least 1e-3 g times the scale of the mass matrix (g = 9.81 m/s^2).
+        The scale is the largest absolute value of the first model. If a value of the first model is
+        not finite, the second model is used. The scale is at least 1e-300. For gravity and bias
+        forces, which may be nearly zero, it is at least 1e-3 g times the scale of the mass matrix
+        (g = 9.81 m/s^2).
 
         Args:
             name: Name of the quantity, for example ``mass matrix``.
@@ -365,7 +373,7 @@ class RelativeError:
     def effects(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> dict[str, Effect]:
         """Return {quantity: effect} of a change of the model, from two evaluations.
 
-        Quantities with a relative change of at most 1e-12 (rounding) are omitted.
+        Quantities that change by at most 1e-12 of their scale (rounding) are omitted.
 
         Args:
             before: {quantity: values before the change}.
@@ -383,9 +391,10 @@ class RelativeError:
 
 
 def describe_kind(kind: str) -> str:
-    """Return a short English description of a kind of check result, for example ``mass``.
+    """Return a short English description of a kind of check result, for example ``joint``.
 
-    A kind without a text of its own is described as a difference of this kind.
+    A kind that is not in ``_ABOUT_KEYS``, for example ``mass``, is described as a difference of
+    this kind.
     """
     key = _ABOUT_KEYS.get(kind, "about-difference")
     return fill_template(phrase(key, "en"), {"kind": kind}, "en")
@@ -411,7 +420,7 @@ class ModelNames:
     Attributes:
         first: Name of the first model.
         second: Name of the second model.
-        alike: Whether both have the same format, and can specify the same properties.
+        alike: Whether both models have the same format, and thus can specify the same properties.
     """
 
     first: Term
@@ -447,7 +456,7 @@ def with_names_of_models(message: Diagnostic, names: Mapping[str, Term]) -> Diag
 
 
 def number_pair(first: float, second: float, unit: str) -> dict[str, Any]:
-    """Return the values {"one": first, "two": second} of a message, numbers with their unit.
+    """Return two numbers with their unit as values of a message: {"one": first, "two": second}.
 
     A number that is not finite is replaced by the term "unlimited".
     """
@@ -455,14 +464,15 @@ def number_pair(first: float, second: float, unit: str) -> dict[str, Any]:
 
 
 MIN_FACTOR = 10.0
-"""Ratio of the MJCF's number to the URDF's number, or relative effect of a difference, above which
-a message states a factor instead of a percentage. Chosen, not tuned."""
+"""Ratio of the MJCF's number to the URDF's number above which a message states a factor ("20
+times") instead of a percentage. The same bound applies to relative effects. Chosen, not tuned."""
 
 
 def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
-    """Describe how the number of the MJCF differs from that of the URDF, for a message.
+    """Describe the ratio between the numbers of MJCF and URDF, for a message.
 
-    Ratios of 1000, 10, 1/10, 1/1000 and -1 are described as probable mistakes.
+    The ratios 1000, 10, 1/10, 1/1000 and -1 are described as probable mistakes, for example grams
+    instead of kilograms.
 
     Args:
         urdf: Number of the URDF.
@@ -490,8 +500,8 @@ def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
 def guess_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
     """Return a diagnostic if one of two values seems to be in degrees, the other in radians.
 
-    Their ratio is then 57.3 or 1/57.3, within 1 %. None for another ratio, or if the first value is
-    zero or a value is not finite.
+    The ratio of the values is then 57.3 or 1/57.3, within 1 %. The result is None for another
+    ratio, if the first value is zero, or if a value is not finite.
     """
     if urdf == 0 or not math.isfinite(urdf) or not math.isfinite(mjcf):
         return None
@@ -509,7 +519,8 @@ def guess_quaternion_order(urdf: Array, mjcf: Array) -> Diagnostic | None:
         mjcf: Rotation matrix of the MJCF, shape (3, 3), for its quaternion read as (w, x, y, z).
 
     Returns:
-        Diagnostic if both rotations agree with the other order; otherwise None.
+        Diagnostic if both rotations agree after the quaternion is read as (x, y, z, w); otherwise
+        None.
     """
     x, y, z, w = pin.Quaternion(mjcf).coeffs()
     # The numbers in the file were read as (w, x, y, z); here they are read as (x, y, z, w).
@@ -524,7 +535,7 @@ def guess_quaternion_order(urdf: Array, mjcf: Array) -> Diagnostic | None:
 
 @dataclass(frozen=True, eq=False)
 class Change(Stated):
-    """Difference between two multibody trees, which can be applied to the first.
+    """Difference between two multibody trees; `apply` applies it to the first tree.
 
     Attributes:
         felt: Whether the difference affects the dynamics.
@@ -538,7 +549,8 @@ class Change(Stated):
 
 
 ZERO_TOLERANCES = Tolerances(**{kind.name: 1e-300 for kind in fields(Tolerances)})
-"""Tolerances of nearly zero, so that only equal values are accepted."""
+"""Tolerances of 1e-300, with which practically only equal values are accepted. `Tolerances` does
+not permit zero."""
 
 
 def change_of(
@@ -554,18 +566,19 @@ def change_of(
     shown: tuple[Any, Any] | None = None,
     felt: bool = True,
 ) -> Change:
-    """Return a difference whose message contains both values.
+    """Create a difference whose message contains both values.
 
     Args:
         code: Code of the message in the catalogue.
         kind: Kind of the difference, an entry of ``KIND_ORDER``.
-        subject: Element of the message: (type, name), for example ("joint", "knee"); or None.
+        subject: Element that the message names: (type, name), for example ("joint", "knee"); or
+            None.
         values: Values of the first and of the second model.
         unit: Unit of the values.
         sides: Names of the two models in the message.
         details: Further values of the message.
-        element: Name of the element in the result, if different from that in ``subject``.
-        shown: Values in the message, if different from ``values``.
+        element: Name of the element in the result, if it differs from the name in ``subject``.
+        shown: Values in the message, if they differ from ``values``.
         felt: Whether the difference affects the dynamics.
     """
     first, second = (_format_value(value, unit) for value in shown or values)
@@ -632,10 +645,10 @@ def changes_between(
 def apply_changes(
     first: MultibodyTree, second: MultibodyTree, sides: ModelNames = FORMAT_NAMES
 ) -> MultibodyTree:
-    """Return the first tree with the second tree's value of each property that differs.
+    """Return the first tree, with each differing value replaced by the value of the second tree.
 
-    Differences of any size are included. Properties that `changes_between` does not compare, such
-    as the armature of a URDF and an MJCF, remain those of the first tree.
+    Differences of any size are included. Properties that `changes_between` does not compare are
+    unchanged, for example the armature if the trees are from a URDF and an MJCF.
     """
     patched = first
     for change in changes_between(first, second, ZERO_TOLERANCES, sides):
@@ -695,8 +708,8 @@ def _clear_rounding(value: float, scale: float) -> float:
 
 
 _ROUNDING_RTOL = 1e-9
-"""Entry of an inertia tensor, relative to the largest entry, below which a message states 0.
-Chosen, not tuned."""
+"""Entry of an inertia tensor, relative to the largest entry [1], up to which a message states 0,
+because the entry is a rounding error. Chosen, not tuned."""
 
 
 def _compare_joints(
@@ -740,7 +753,7 @@ def _compare_joint_parameters(
 ) -> Iterable[Change]:
     """Yield the differences of the scalar parameters of two joints.
 
-    Parameters that a single format supports are compared only for two versions of a file.
+    Parameters that only one format supports are compared only between files of the same format.
     """
     for attribute in TREE_ATTRIBUTES:
         kind, field, unit = attribute.kind, attribute.field, attribute.unit(one.slides)
@@ -779,11 +792,12 @@ def convention_changes(
 ) -> Iterator[tuple[Difference, MultibodyTree]]:
     """Yield each difference of base frame or joint zero between two trees, with a modified tree.
 
-    The modified tree has the difference, so that its effect can be computed.
+    The modified tree contains the difference, so that the effect of the difference can be computed.
 
     Args:
-        found: Base frame and joint zeros of one tree relative to the other. A displaced frame of a
-            fixed base is not yielded if other elements confirm it (``Conventions.shown``).
+        found: Original base frame and joint zeros of the first tree, relative to the second tree. A
+            displaced frame of a fixed base is not yielded if it is confirmed
+            (``Conventions.shown``).
         first: First tree, converted to the base frame and joint zeros of the second tree.
         sides: Names of the models.
 

@@ -3,9 +3,9 @@
 A URDF contains a tree of bodies, and damping and friction of joints. MuJoCo's smooth dynamics have
 further terms: passive forces (``qfrc_spring``, ``qfrc_damper``, ``qfrc_gravcomp``, ``qfrc_fluid``),
 inertia of tendons and actuators, and equality constraints. Each such element of a compiled model is
-listed with the array entries that must be zero to disable it. The list need not be complete
-(flexes, plugins): the callers disable the listed elements, and compare the rest with a model that
-has none.
+listed with the array entries that must be zero to disable it. The list may be incomplete (for
+example without flexes and plugins), because the callers check it: they disable the listed elements,
+and compare the remaining model with a model without such elements.
 
 Source: MuJoCo documentation, "Computation: Passive forces" and "Constraint model: Equality"; the
 arrays are those of ``mjModel``.
@@ -31,8 +31,8 @@ from pupper_analysis.robot.compare.differences import Stated
 from pupper_analysis.robot.matching.trees import Mimics, Reference
 
 Slot = tuple[str, int | slice]
-"""(array of ``mjModel``, row or slice of rows). Names of options have the prefix ``opt.``, as in
-``opt.density``."""
+"""(name of an array of ``mjModel``, row or slice of rows). The name of an option has the prefix
+``opt.``, for example ``opt.density``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +40,8 @@ class MjcfOnlyEffect(Stated):
     """Element of an MJCF that a URDF cannot specify; for the inherited attributes see `Stated`.
 
     Attributes:
-        slots: Entries that are zero if the element is disabled. Empty if the element does not
-            affect the unconstrained robot, or cannot be disabled.
+        slots: Entries of ``mjModel`` that are set to zero to disable the element. Empty if the
+            element does not affect the unconstrained robot, or cannot be disabled.
     """
 
     slots: tuple[Slot, ...] = ()
@@ -64,12 +64,12 @@ class MjcfOnlyEffect(Stated):
 def make_passive_model(model: mujoco.MjModel) -> mujoco.MjModel:
     """Return a copy of a model without contacts, limits, dry friction and commands.
 
-    Contacts, joint and tendon limits, dry friction and the forces of actuators are disabled, also
+    Contacts, joint and tendon limits, dry friction and actuator forces are disabled. This includes
     the stiffness and damping of servos (``kp``, ``kv``). The attributes ``armature`` and
-    ``damping`` of actuators, and gravity compensation through actuators, remain. Enabled DC motors
-    without a controller also remain, since their back-EMF brakes without a command. The integrator
-    is Euler, because with MuJoCo's integrator ``discrete`` the accelerations depend on the time
-    step.
+    ``damping`` of actuators remain, and so does gravity compensation through actuators. Enabled DC
+    motors without a controller remain too, since their back-EMF brakes without a command. The
+    integrator is Euler, because with MuJoCo's integrator ``discrete`` the accelerations depend on
+    the time step.
     """
     result = copy.copy(model)
     for bit in (DISABLE.mjDSBL_CONTACT, DISABLE.mjDSBL_LIMIT, DISABLE.mjDSBL_FRICTIONLOSS):
@@ -85,10 +85,10 @@ def make_passive_model(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
-    """Return True if an actuator exerts a force in a comparison with the URDF, without a command.
+    """Return True if an actuator of the passive model exerts a force without a command.
 
-    This is so for an enabled DC motor without a controller, which the back-EMF brakes. It is False
-    for servos, since `make_passive_model` disables them.
+    True for an enabled DC motor without a controller, because its back-EMF brakes. False for
+    servos, because `make_passive_model` disables them.
     """
     is_dc_motor = model.actuator_gaintype[motor] == mujoco.mjtGain.mjGAIN_DCMOTOR.value
     # Bits of the inputs: 1 and 2 are setpoints of a controller; 4, 8 and 16 are not.
@@ -122,11 +122,12 @@ _DISABLING_FLAGS = {
     "dampingpoly": (DISABLE.mjDSBL_DAMPER,),
     "frictionloss": (DISABLE.mjDSBL_FRICTIONLOSS,),
 }
-"""{attribute of an MJCF element: flags of MuJoCo, each of which disables the attribute}."""
+"""{attribute of an MJCF element: flags of MuJoCo}. If one of the flags is set, the attribute has no
+effect."""
 
 
 class NamedModel:
-    """Reference model with names, values and flags of the elements.
+    """Access to the names, values and flags of the elements of a compiled MJCF.
 
     Args:
         reference: Compiled MJCF, and element names.
@@ -168,7 +169,7 @@ class NamedModel:
         return mujoco.mj_id2name(self.names, object_type, index) or f"#{index}"
 
     def joint_name(self, joint: int) -> str:
-        """Return the name of a joint; for the base's free joint, the name of the base."""
+        """Return the name of a joint; for the free joint of the base, the name of the base."""
         if self.model.jnt_type[joint] == JointKind.FREE:
             return self.reference.base
         return self.name("joint", joint)
@@ -176,12 +177,12 @@ class NamedModel:
     def read_nonzero_values(self, prefix: str, index: int | slice, words: Sequence[str]) -> Numbers:
         """Return {attribute: value or values} of an element, without attributes that are zero.
 
-        Attributes that a flag of the MJCF disables count as zero.
+        An attribute that a flag of the MJCF disables (`_DISABLING_FLAGS`) counts as zero.
 
         Args:
             prefix: Prefix of the arrays of ``mjModel``, for example ``jnt`` for ``jnt_stiffness``.
             index: Row or rows of the element in the arrays.
-            words: Names of the arrays without prefix.
+            words: Attributes: names of the arrays without prefix.
         """
         nonzero: Numbers = {}
         for word in words:
@@ -208,9 +209,9 @@ def _make_effect(
         subject: Element of the message: (type, name).
         prefix: Prefix of the arrays of ``mjModel``, for example ``jnt``.
         index: Row or rows of the element in the arrays.
-        numbers: {array without prefix: value}: entries that are zero if the element is disabled,
-            except ``frictionloss``, which `make_passive_model` has disabled.
-        beside: {attribute: value}: further values for the message, not changed.
+        numbers: {array without prefix: value} of the entries that are set to zero to disable the
+            element. Exception: ``frictionloss``, which `make_passive_model` disables.
+        beside: {attribute: value} of further values for the message; they are not set to zero.
     """
     value = {**numbers, **(beside or {})}
     stated = [
@@ -312,7 +313,7 @@ EQUALITY = mujoco.mjtEq
 def split_mimics(
     found: Sequence[MjcfOnlyEffect], reference: Reference, mimics: Mimics, tolerance: float
 ) -> tuple[list[MjcfOnlyEffect], list[str]]:
-    """Return the joint equalities equivalent to a URDF's ``<mimic>``, and unmatched mimics.
+    """Find the joint equalities of an MJCF that are equivalent to a ``<mimic>`` of the URDF.
 
     A mimic is q = m q_leader + c. MuJoCo's polynomial uses coordinates relative to ``qpos0``: q -
     q0 = a0 + a1 (q_leader - q0_leader). Therefore m = a1 and c = a0 + q0 - a1 q0_leader.
@@ -321,11 +322,11 @@ def split_mimics(
         found: Elements that only the MJCF can specify (`mjcf_only_effects`).
         reference: The MJCF.
         mimics: Mimic joints of the URDF, with the joint names of the MJCF.
-        tolerance: Tolerance of offsets [rad, m], and of multipliers (relative, or absolute below
-            1).
+        tolerance: Tolerance of offsets [rad, m], and of multipliers [1]. The tolerance of a
+            multiplier above 1 is relative.
 
     Returns:
-        Effects that are equivalent to a mimic, and joints whose mimic has no equality.
+        Equalities that are equivalent to a mimic; joints whose mimic has no equivalent equality.
     """
     model = reference.model
     equivalent: list[MjcfOnlyEffect] = []
@@ -395,7 +396,7 @@ def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 def mjcf_only_effects(reference: Reference) -> list[MjcfOnlyEffect]:
     """Return the elements of an MJCF that act on the robot, and that a URDF cannot specify.
 
-    The kinds are those of the generators in this module, for example springs, tendons, fluid.
+    Examples are springs, tendons, a fluid and closed loops.
     """
     scene = NamedModel(reference)
     return [
