@@ -52,7 +52,9 @@ def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [701, 708])
 def test_added_servos_suit_the_time_step_of_the_file(tmp_path: Path, seed: int) -> None:
-    """At 2 ms 701's file shook on the servos that stood at 1 ms, kp 2700 and kd 130."""
+    """At the 2 ms of the file, the robot of seed 701 oscillated on the servos that held it at 1 ms
+    (kp 2700, kd 130).
+    """
     robot = pa.load_robot(write_robot(draw_robot(seed), tmp_path).mjcf)
     assert robot.published is not None
     assert robot.published.file is not None
@@ -163,10 +165,10 @@ def test_motion_after_nudges_of_the_base_decays_at_a_smaller_time_step(tmp_path:
 def test_time_step_is_reduced_if_contacts_chatter_after_nudges_of_the_base(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, alone: bool
 ) -> None:
-    """The soles of the reduced Talos chatter at 2 and 1 ms, and with feed-forward alone it rests.
+    """As for the reduced Talos, which rests only with feed-forward, and chatters at 2 and 1 ms.
 
-    Chatter at 2 and 1 ms is simulated by a stub. Without a time step that prevents chatter, the
-    first candidate is used.
+    A stub replaces the simulation of chatter. Without a time step that prevents chatter, the first
+    candidate is used.
     """
     file, chattering = tmp_path / "robot.urdf", [2e-3, 1e-3]
     file.write_text((find_model_folder("urdf") / "pupper_v3.urdf").read_text())
@@ -231,7 +233,7 @@ def test_nominal_stand_is_compared_once(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(
         self_check,
         "simulate_prediction",
-        lambda *given, **options: simulated.append(1) or simulate(*given, **options),
+        lambda *args, **options: simulated.append(1) or simulate(*args, **options),
     )
     servos = find_servos_used(robot, None, None)
     first = compare_as_published(robot, pa.solve_stand(robot), servos)

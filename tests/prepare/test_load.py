@@ -284,7 +284,7 @@ def test_base_frame_on_the_ground_is_raised_to_the_com_of_the_base(
     """
     plain = load(biped(tmp_path))
     pair = from_the_ground(biped(tmp_path), below)
-    if framed:  # what the base carries, in a frame of its own
+    if framed:  # shapes and limbs of the base are inside a <frame>
         text = pair.mjcf.read_text().replace('<geom type="box"', '<frame><geom type="box"', 1)
         text = re.sub(r"(</body>\s*</worldbody>)", r"</frame>\1", text)
         pair.mjcf.write_text(text)
@@ -329,13 +329,13 @@ def test_urdf_with_a_lying_base_is_refused_with_a_remedy(
         f'<child link="trunk"/><origin rpy="{rpy}" xyz="0 0 0"/></joint></robot>'
     )
     rewrite_file(path, ("</robot>", lying))
-    told = " ".join(map(str, report_sideways_limbs(pa.load_robot(path, fixed_base=True))))
+    message = " ".join(map(str, report_sideways_limbs(pa.load_robot(path, fixed_base=True))))
     if turn == "xx":
         with pytest.raises(PupperAnalysisError) as refused:
             pa.solve_stand(pa.load_robot(path))
-        assert told in str(refused.value)
-    assert f"its limbs end along {axis} of its base's frame" in told
-    (stated,) = re.findall('rpy="([^"]*)"', told)
+        assert message in str(refused.value)
+    assert f"its limbs end along {axis} of its base's frame" in message
+    (stated,) = re.findall('rpy="([^"]*)"', message)
     np.testing.assert_allclose([float(x) for x in stated.split()], [*np.pi / 2 * np.array(back), 0])
 
 
@@ -383,7 +383,9 @@ def test_foot_mesh_that_is_not_round_gives_a_note(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_defaults_for_the_robots_geoms_are_not_the_added_floors(tmp_path: Path) -> None:
-    """Else Cassie's feet, of condim 1, would have no friction on it."""
+    """Reference: MuJoCo's default plane. With the default of the robot's geoms, Cassie's feet of
+    condim 1 would have no friction on the floor.
+    """
     pair = quadruped(tmp_path)
     default = (
         '<default><geom contype="0" conaffinity="0" condim="1" margin="0.01" solref="0.005 1" '
@@ -453,7 +455,7 @@ def test_narrower_joint_limits_of_both_files_are_used(tmp_path: Path) -> None:
     assert max(found[name] for name in names) <= 0.6
     verify_held_stand(robot)
     assert not [note for note in load(quadruped(tmp_path)).notes if "limits" in str(note)]
-    # And where the URDF's joints turn round and round, without a <limit>, as NimbRo-OP2X's.
+    # Continuous joints of the URDF without a <limit>, as those of NimbRo-OP2X.
     text = re.sub(r'<limit lower="-1.5" [^>]*>', "", pair.urdf.read_text())
     pair.urdf.write_text(re.sub(r'(_pitch" type=)"revolute"', r'\1"continuous"', text))
     robot = load(pair)
@@ -496,7 +498,7 @@ def test_feet_behind_a_prismatic_joint_are_at_their_true_position(tmp_path: Path
 @pytest.mark.slow
 def test_base_with_three_slides_and_a_ball_joint_is_free(tmp_path: Path) -> None:
     """Reference: the same robot with a free joint. XBot-L's base is free in this way."""
-    whole = load(quadruped(tmp_path))
+    expected = load(quadruped(tmp_path))
     pair = quadruped(tmp_path)
     parts = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
     free = ("<freejoint/>", f'{parts}<joint type="ball"/>')
@@ -504,8 +506,8 @@ def test_base_with_three_slides_and_a_ball_joint_is_free(tmp_path: Path) -> None
     robot = load(pair)
     find_note(robot, "free by three slides and a ball joint")
     assert robot.floating
-    np.testing.assert_allclose(robot.home, whole.home, atol=1e-12)
-    assert robot.stand_height == pytest.approx(whole.stand_height, abs=1e-12)
+    np.testing.assert_allclose(robot.home, expected.home, atol=1e-12)
+    assert robot.stand_height == pytest.approx(expected.stand_height, abs=1e-12)
     verify_held_stand(robot)
 
 
@@ -524,7 +526,6 @@ def test_servos_that_need_feed_forward_are_used_if_no_others_hold(
     assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot)).passed
 
 
-@pytest.mark.slow
 @pytest.mark.slow
 def test_servos_with_other_torques_than_predicted_are_the_last_choice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -138,7 +138,7 @@ def test_a_tilt_of_more_than_ten_degrees_fails(tmp_path: Path, angle: float, fai
 
 @pytest.mark.slow
 def test_a_robot_that_a_weld_hoists_is_lifted_and_the_weld_is_named(tmp_path: Path) -> None:
-    """In bare MuJoCo the base ends 0.3 m higher, without tilt."""
+    """By hand: the weld holds the base 0.3 m above the keyframe, without tilt."""
     weld = '<equality><weld name="hoist" body1="trunk" relpose="0 0 -0.65 1 0 0 0"/></equality>'
     robot = load_slip(tmp_path, lambda text: text.replace("</mujoco>", f"{weld}</mujoco>"))
     own = own_run(robot)
@@ -147,15 +147,17 @@ def test_a_robot_that_a_weld_hoists_is_lifted_and_the_weld_is_named(tmp_path: Pa
     verdict = judge_nominal_stand(robot)
     assert not verdict.passed
     assert "weld-holds-it" in codes(verdict)
-    said = " ".join(str(clause.message) for clause in verdict_clauses(verdict))
-    assert "hoist" in said
-    assert "is LIFTED" in said
-    assert " s: COLLAPSES" not in said
+    messages = " ".join(str(clause.message) for clause in verdict_clauses(verdict))
+    assert "hoist" in messages
+    assert "is LIFTED" in messages
+    assert " s: COLLAPSES" not in messages
 
 
 @pytest.mark.slow
 def test_servos_that_are_too_soft_are_the_named_cause(tmp_path: Path) -> None:
-    """With 4 times the stiffness bare MuJoCo keeps the height; with the file's own it does not."""
+    """Reference: the simulations of the file with four times the stiffness, which keeps the height,
+    and with the stated stiffness, which falls.
+    """
 
     def with_gains(scale: float) -> Slip:
         return lambda text: re.sub('kp="150" kv="5"', f'kp="{10 * scale:g}" kv="{scale:g}"', text)
@@ -188,7 +190,7 @@ def test_zero_ctrl_of_torque_motors_is_no_command(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_angles_as_ctrl_of_torque_motors_are_the_named_cause(tmp_path: Path) -> None:
-    """The keyframe commands angles; in bare MuJoCo the motors take them for torques."""
+    """The keyframe commands angles, which MuJoCo's motors apply as torques."""
     motors = r"<motor \g<1>/>"
     robot = load_slip(
         tmp_path, lambda text: re.sub(r'<position (joint="[^"]*")[^>]*/>', motors, text)
@@ -256,8 +258,8 @@ def test_the_run_of_a_file_that_mujoco_refuses_names_the_missing_meshes(tmp_path
     assert own is not None
     assert own.missing == ("gone.stl",)
     verdict = judge_nominal_stand(robot)
-    said = [str(clause.message) for clause in verdict_clauses(verdict)]
-    assert any("MuJoCo refuses the file" in line and "gone.stl" in line for line in said)
+    messages = [str(clause.message) for clause in verdict_clauses(verdict)]
+    assert any("MuJoCo refuses the file" in line and "gone.stl" in line for line in messages)
     short, _ = split_verdict_lines(verdict)
     assert any("MuJoCo refuses the file" in str(line) for line in short)
 

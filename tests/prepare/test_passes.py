@@ -16,8 +16,8 @@ from pupper_analysis.stance.stand import stand_statics
 from tests.support.legged import BIPED_FEET, Pair, biped, quadruped, rewrite_file, sole_mesh
 
 
-def prepare_pair(pair: Pair, **asked: object) -> tuple[pa.Robot, list[PassRun]]:
-    return prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), LoadRequest(**asked))  # type: ignore[arg-type]
+def prepare_pair(pair: Pair, **options: object) -> tuple[pa.Robot, list[PassRun]]:
+    return prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), LoadRequest(**options))  # type: ignore[arg-type]
 
 
 def test_pass_names_are_distinct_and_files_are_unchanged(tmp_path: Path) -> None:
@@ -57,7 +57,7 @@ def test_base_without_feet_is_held_as_in_the_file(tmp_path: Path) -> None:
     (held,) = runs[-1].done
     assert (held.code, held.values["why"].code) == ("base-kept-in-the-world", "no-feet-found")
     assert "build-with-fixed-base" in {run.name for run in runs}
-    assert "find-feet" not in {run.name for run in runs}  # of a robot not to be
+    assert "find-feet" not in {run.name for run in runs}
 
 
 def test_a_requested_fixed_base_gets_no_ground(tmp_path: Path) -> None:

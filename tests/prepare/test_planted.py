@@ -45,7 +45,9 @@ def servos(words: str) -> Edit:
 def make_general_servos(
     gain: float = 1.0, bias: float = 0.0, kind: str = "fixed", *, only: str = ""
 ) -> Edit:
-    """Servos as general actuators, of another gain, or with a bias (rad), or a velocity's share."""
+    """Return the edit to general actuators with a factor of the gain, a bias [rad], and, if `kind`
+    is "affine", a gain that depends on the length.
+    """
     more = " 75 0" if kind == "affine" else ""
     law = f'gaintype="{kind}" gainprm="{150 * gain:g}{more}" biasprm="{150 * bias:g} -150 -5"'
     old = rf'<position joint="(\w*{only})" kp="150" kv="5"/>'
@@ -250,7 +252,7 @@ def is_cause_right(
 
 
 def plant_fault(folder: Path, plant: str) -> tuple[Path, Path]:
-    """Returns the URDF and the MJCF of a quadruped in which something is planted."""
+    """Return the URDF and the MJCF of a quadruped with a planted fault."""
     if plant in ODD:
         return features.write_files(folder, features.FEATURES[plant])
     pair = standing(folder)
@@ -260,7 +262,7 @@ def plant_fault(folder: Path, plant: str) -> tuple[Path, Path]:
 
 @pytest.mark.slow
 def test_correct_files_have_no_cause_of_failure(tmp_path: Path) -> None:
-    """Control of the planted faults."""
+    """Control of the planted faults: the same quadruped without a fault."""
     verdict = judge_files(*standing(tmp_path))
     assert verdict.passed, format_verdict(verdict)
     assert causes(verdict) == []
@@ -276,7 +278,9 @@ HARMLESS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("plant", [*PLANTS, *ODD])
 def test_planted_fault_is_named_as_the_cause(tmp_path: Path, plant: str) -> None:
-    """And no verdict is better than the outcome in bare MuJoCo (``truth_of``)."""
+    """Reference: bare MuJoCo, in which the file falls if a cause is required (`stands`). For `ODD`,
+    no verdict is better than the outcome in bare MuJoCo (`simulate_truth`).
+    """
     urdf, mjcf = plant_fault(tmp_path, plant)
     allowed = ODD[plant] if plant in ODD else tuple(PLANTS[plant][1].split(", "))
     verdicts: list[Verdict] = []

@@ -64,7 +64,7 @@ def test_verdict_holds_if_the_unmodified_file_stands(tmp_path: Path) -> None:
     assert published is not None
     assert not published.differs
     assert [run.feedforward for run in published.runs] == [True, False]
-    for run in published.runs:  # predicted to nine digits of the height, feet creep and all
+    for run in published.runs:  # the prediction includes the creep of the feet
         assert abs(run.height_error) < 1e-8
         assert run.torque_error < 1e-4
     assert verdict.code is VerdictCode.HOLDS
@@ -74,14 +74,16 @@ def test_verdict_holds_if_the_unmodified_file_stands(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_height_loss_excludes_the_drop_of_a_keyframe_in_the_air(tmp_path: Path) -> None:
-    """Pupper v3's own keyframe is 0.15 m above the ground, as many that are dropped from."""
+    """By hand: the CoM is 46 mm below the base. The feet are 0.15 m above the ground in the
+    keyframe, as in that of Pupper v3.
+    """
     pair = standing(tmp_path)
     force = ("<position ", '<position forcerange="-40 40" ')
     rewrite_file(pair.mjcf, ('qpos="0 0 0.35 ', 'qpos="0 0 0.5 '), force)
     own = own_run(pa.load_robot(*pair))
     assert own is not None
     assert not own.collapses
-    # Of the com, 46 mm below the base that stands at 0.35 m.
+    # Height of the CoM, 46 mm below the base, which is 0.35 m high in the stand.
     assert own.end_height == pytest.approx(0.304, abs=0.01)
     assert own.height == pytest.approx(0.307, abs=1e-3)  # at reset, less the clearance
     assert own.clearance == pytest.approx(0.15, abs=1e-3)
@@ -165,7 +167,7 @@ def test_affine_actuator_with_zero_bias_is_not_a_torque_motor(tmp_path: Path) ->
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "text"),
     [
         ("kp of one has the wrong sign", "a servo whose stiffness is negative"),
         ("kp is 0", "a servo without stiffness"),
@@ -173,14 +175,14 @@ def test_affine_actuator_with_zero_bias_is_not_a_torque_motor(tmp_path: Path) ->
         ("gear of all is -1", "unmodified MJCF, from keyframe home, 5 s: COLLAPSES"),
     ],
 )
-def test_verdict_fails_if_the_unmodified_file_falls(tmp_path: Path, name: str, said: str) -> None:
+def test_verdict_fails_if_the_unmodified_file_falls(tmp_path: Path, name: str, text: str) -> None:
     """Reference: bare MuJoCo with the unmodified file (`simulate_truth`)."""
     pair = write_slip(tmp_path, name)
     assert simulate_truth(pair.mjcf, pair.mjcf) in (Truth.FALLS, Truth.ELSEWHERE)
     verdict = verdict_of(pair)
     assert verdict.code is VerdictCode.OWN_DRIVES_FAIL
     assert not verdict.passed
-    assert said in format_verdict(verdict)
+    assert text in format_verdict(verdict)
 
 
 @pytest.mark.slow
@@ -196,7 +198,7 @@ def test_servo_with_gain_of_the_wrong_sign_is_replaced_and_named(tmp_path: Path)
         study_stance(as_is, pa.StandTask())
 
 
-# By an edit of the file that stands: (what, old, new, cause, its element, its line's beginning).
+# {cause: (old text, new text, element of the cause, text in its line or None)}
 _TIED = "<equality>\n<{}/></equality><actuator>"
 _OVERRIDE = '<option o_solref="0.05 1">\n<flag override="enable"/></option><option '
 _EXCLUDE = '<contact>\n<exclude body1="world" body2="FL_calf"/></contact><actuator>'
@@ -228,7 +230,7 @@ def test_cause_of_a_deviation_is_named_with_its_line(tmp_path: Path, cause: str)
     assert verdict.published.differs
     (found,) = verdict.published.causes
     assert (found.code, found.elements[0]) == (cause, element)
-    assert (found.line is None) == (line is None)  # of what has no name of its own
+    assert (found.line is None) == (line is None)  # unnamed elements have no line
     assert (line or "") in pair.mjcf.read_text().splitlines()[(found.line or 1) - 1]
     assert found.remaining is not None
     assert found.remaining < 0.01
@@ -256,7 +258,7 @@ def test_angles_as_commands_of_motors_fail_the_verdict(tmp_path: Path) -> None:
     pair = legged.quadruped(tmp_path, floor=True)
     own = own_run(pa.load_robot(*pair))
     assert own is not None
-    assert own.collapses  # as motors do that nobody commands
+    assert own.collapses  # motors without commands exert no torque
     assert not own.fails
     angles = " ".join(["0 0.6 -1.2"] * 4)
     rewrite_file(pair.mjcf, ('name="home"', f'name="home" ctrl="{angles}"'))
@@ -318,14 +320,14 @@ def test_a_changed_model_is_simulated_until_its_deviation_is_decided() -> None:
         (robot.mj_model, False, 5),
     ):
         published = PublishedModel.from_model(copy.copy(model), robot)
-        whole = self_check.simulate_prediction(published, robot, alone)
+        full = self_check.simulate_prediction(published, robot, alone)
         brief = self_check.simulate_prediction(published, robot, alone, until_decided=True)
-        assert whole is not None
+        assert full is not None
         assert brief is not None
-        assert whole.differs is brief.differs is differs
-        assert (whole.duration, brief.duration) == (5, seconds)
+        assert full.differs is brief.differs is differs
+        assert (full.duration, brief.duration) == (5, seconds)
         tolerance = 0.02 if seconds < 5 else 0.0
-        assert brief.torque_error == pytest.approx(whole.torque_error, abs=tolerance, rel=0)
+        assert brief.torque_error == pytest.approx(full.torque_error, abs=tolerance, rel=0)
 
 
 def write_random_robot(seed: int, folder: Path, options: str = "") -> pa.Robot:

@@ -48,11 +48,11 @@ REFUSED = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_model_that_cannot_be_simulated_is_refused_with_its_line(tmp_path: Path, case: str) -> None:
-    old, new, said = REFUSED[case]
+    old, new, message = REFUSED[case]
     pair = standing(tmp_path)
     text = rewrite_file(pair.mjcf, (old, new), count=1).read_text()
     line = next(n for n, row in enumerate(text.splitlines(), 1) if new.strip() in row)
-    with pytest.raises(pa.ModelError, match=rf"robot\.xml:{line}: .*{re.escape(said)}"):
+    with pytest.raises(pa.ModelError, match=rf"robot\.xml:{line}: .*{re.escape(message)}"):
         pa.load_robot(*pair)
 
 
@@ -71,7 +71,9 @@ def test_lower_limit_above_the_upper_limit_is_refused(tmp_path: Path, upper: str
 def test_keyframe_of_the_robot_alone_is_used_if_the_scene_has_a_free_ball(
     tmp_path: Path, first: bool
 ) -> None:
-    """The keyframe is of the robot alone: MuJoCo fills it up with zeros."""
+    """The keyframe states only the robot's coordinates, and MuJoCo appends zeros. If the ball comes
+    first, the values of the base are those of the ball, and the verdict fails.
+    """
     urdf, mjcf = pa.pupper.write_variant("heavy", tmp_path)
     ball = '<body name="ball" pos="2 0 0.1"><freejoint/><geom size="0.1"/></body>'
     begin, end = "<worldbody>", "</worldbody>"
@@ -80,7 +82,7 @@ def test_keyframe_of_the_robot_alone_is_used_if_the_scene_has_a_free_ball(
     robot = pa.load_robot(urdf=urdf, mjcf=mjcf, feet=feet)
     verdict = pa.judge_stand(robot, pa.solve_stand(robot, pa.StandTask(height=0.15)))
     assert verdict.with_feedforward == "holds"
-    assert verdict.passed is not first  # its base is where the keyframe has the ball
+    assert verdict.passed is not first
 
 
 def test_legs_that_a_file_holds_in_the_world_are_freed(tmp_path: Path) -> None:
@@ -99,8 +101,8 @@ def test_a_free_base_without_mass_is_refused_with_link_and_line(
     """MuJoCo: "mass and inertia of moving bodies must be larger than mjMINVAL"."""
     urdf = legged.quadruped(tmp_path).urdf
     trunk = '<mass value="4.0"/><inertia ixx="0.02" iyy="0.05" izz="0.06"'
-    none = '<mass value="0"/><inertia ixx="0" iyy="0" izz="0"'
-    rewrite_file(urdf, (trunk, none))
+    massless = '<mass value="0"/><inertia ixx="0" iyy="0" izz="0"'
+    rewrite_file(urdf, (trunk, massless))
     robot = pa.load_robot(urdf)
     with pytest.raises(pa.ConfigurationError, match=r"link 'trunk' \(robot.urdf:\d+\).*no mass"):
         pa.solve_stand(robot)

@@ -175,7 +175,7 @@ def test_unreachable_stance_of_four_joint_legs_is_refused(tmp_path: Path) -> Non
     task = pa.StandTask(foot_offsets={"left_tilt_link": (0.0, 0.03)})
     with pytest.raises(pa.StanceUnreachableError, match="foot_offsets"):
         pa.solve_stand(robot, task)
-    with pytest.raises(pa.StanceUnreachableError) as caught:  # as TRON 1's: it says what it lacks
+    with pytest.raises(pa.StanceUnreachableError) as caught:  # names the missing joints
         pa.solve_stand(robot, pa.StandTask(swing={"left_tilt_link": 0.05}))
     assert caught.value.possible == {}
     assert "takes a leg of six joints; that of left_tilt_link has 4" in str(caught.value)
@@ -183,14 +183,16 @@ def test_unreachable_stance_of_four_joint_legs_is_refused(tmp_path: Path) -> Non
 
 
 def test_feet_of_four_joint_legs_that_tilt_have_one_contact_point(tmp_path: Path) -> None:
-    """Yaw, roll, pitch and knee: the foot tilts as they bend."""
+    """Control: the biped with all six joints per leg. With yaw, roll, pitch and knee only, the foot
+    tilts with the leg.
+    """
     pair = fix_hinges(biped(tmp_path), "_ankle", "_tilt")
     model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
     foot = model.body("left_tilt_link").id
     assert not can_keep_sole_flat(model, foot, np.array([0.0, 0.0, -1.0]))
-    whole = tmp_path / "whole"
-    whole.mkdir()
-    model = mujoco.MjModel.from_xml_path(str(biped(whole).mjcf))
+    complete = tmp_path / "complete"
+    complete.mkdir()
+    model = mujoco.MjModel.from_xml_path(str(biped(complete).mjcf))
     assert can_keep_sole_flat(model, model.body("left_tilt_link").id, np.array([0.0, 0.0, -1.0]))
 
 

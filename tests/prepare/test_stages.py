@@ -33,9 +33,9 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     applied: list[str] = []
     run_passes = passes._run_passes
 
-    def recorded(given: tuple[passes.Pass, ...], draft: passes.Draft) -> passes.Draft:
-        applied.extend(step.name for step in given if step.deferred and step.applies(draft))
-        return run_passes(given, draft)
+    def recorded(arguments: tuple[passes.Pass, ...], draft: passes.Draft) -> passes.Draft:
+        applied.extend(step.name for step in arguments if step.deferred and step.applies(draft))
+        return run_passes(arguments, draft)
 
     monkeypatch.setattr(passes, "_run_passes", recorded)
     return applied
@@ -69,16 +69,16 @@ def test_deferred_stages_keep_the_fields_that_were_read_before(tmp_path: Path) -
     robot = pa.load_robot(*pair)
     early = {name: getattr(robot, name) for name in EARLY_NAMES}
     pin_model, nominal = robot.pin_model, robot.nominal
-    whole, _ = prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), LoadRequest())
-    assert early == {name: getattr(whole, name) for name in EARLY_NAMES}
-    assert pin_model == whole.pin_model
-    np.testing.assert_array_equal(pin_model.armature, whole.pin_model.armature)
-    np.testing.assert_array_equal(nominal, whole.nominal)
-    assert robot.stand_height == whole.stand_height
-    assert robot.fingerprint == whole.fingerprint
-    assert robot.notes == whole.notes
-    assert robot.foot_geoms == whole.foot_geoms
-    np.testing.assert_array_equal(robot.home, whole.home)
+    complete, _ = prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), LoadRequest())
+    assert early == {name: getattr(complete, name) for name in EARLY_NAMES}
+    assert pin_model == complete.pin_model
+    np.testing.assert_array_equal(pin_model.armature, complete.pin_model.armature)
+    np.testing.assert_array_equal(nominal, complete.nominal)
+    assert robot.stand_height == complete.stand_height
+    assert robot.fingerprint == complete.fingerprint
+    assert robot.notes == complete.notes
+    assert robot.foot_geoms == complete.foot_geoms
+    np.testing.assert_array_equal(robot.home, complete.home)
     assert robot.pin_model is pin_model
 
 
@@ -97,11 +97,11 @@ def test_joint_order_with_a_coupled_joint_is_final_after_loading(tmp_path: Path)
     robot = pa.load_robot(*pair, fixed_base=True)
     order = robot.joint_names
     request = LoadRequest(fixed_base=True)
-    whole, _ = prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), request)
-    assert order == whole.joint_names == robot.joint_names
+    complete, _ = prepare_robot(read_urdf(pair.urdf), read_mjcf(pair.mjcf), request)
+    assert order == complete.joint_names == robot.joint_names
     assert order.index(leader) < order.index(follower)
     np.testing.assert_array_equal(
-        robot.mj_convention.actuator_index, whole.mj_convention.actuator_index
+        robot.mj_convention.actuator_index, complete.mj_convention.actuator_index
     )
 
 
@@ -149,14 +149,14 @@ def test_servos_of_a_robot_with_coupled_joints_are_not_made_on_loading(
     stand = pa.solve_stand(robot)
     assert "add-servos" not in runs
     pair = read_pair(path)
-    whole, _ = prepare_robot(pair.urdf, pair.mjcf, LoadRequest())
-    assert order == whole.joint_names == robot.joint_names
-    assert contacts == whole.contact_points
+    complete, _ = prepare_robot(pair.urdf, pair.mjcf, LoadRequest())
+    assert order == complete.joint_names == robot.joint_names
+    assert contacts == complete.contact_points
     assert robot.closure is not None
-    assert whole.closure is not None
-    np.testing.assert_array_equal(robot.closure.dependent_joints, whole.closure.dependent_joints)
-    assert robot.mj_model.nu == whole.mj_model.nu
-    np.testing.assert_allclose(pa.solve_stand(whole).qpos, stand.qpos, rtol=0, atol=1e-9)
+    assert complete.closure is not None
+    np.testing.assert_array_equal(robot.closure.dependent_joints, complete.closure.dependent_joints)
+    assert robot.mj_model.nu == complete.mj_model.nu
+    np.testing.assert_allclose(pa.solve_stand(complete).qpos, stand.qpos, rtol=0, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -173,14 +173,14 @@ def test_changes_of_pinocchio_model_do_not_affect_deferred_stages(tmp_path: Path
 def test_pickled_and_copied_robots_are_complete(tmp_path: Path) -> None:
     """Notes and both models equal those of the original robot."""
     pair = quadruped(tmp_path)
-    whole = pa.load_robot(*pair)
+    complete = pa.load_robot(*pair)
     for robot in (
         pickle.loads(pickle.dumps(pa.load_robot(*pair))),
         copy.copy(pa.load_robot(*pair)),
     ):
-        assert robot.notes == whole.notes
-        assert robot.mj_model.nu == whole.mj_model.nu
-        assert robot.pin_model == whole.pin_model
+        assert robot.notes == complete.notes
+        assert robot.mj_model.nu == complete.mj_model.nu
+        assert robot.pin_model == complete.pin_model
 
 
 @pytest.mark.slow
@@ -201,9 +201,9 @@ def test_stands_and_statics_do_not_wait_for_servos(
     The visual meshes of the complete model have other geom ids than the model before servos.
     """
     urdf = _with_visual_meshes(tmp_path)
-    robot, whole = pa.load_robot(urdf), pa.load_robot(urdf)
-    whole.complete_stages()
-    assert whole.before_servos is whole
+    robot, complete = pa.load_robot(urdf), pa.load_robot(urdf)
+    complete.complete_stages()
+    assert complete.before_servos is complete
     runs.clear()
     if loaded_first:
         robot.complete_stages()
@@ -214,20 +214,24 @@ def test_stands_and_statics_do_not_wait_for_servos(
     posed, early_contacts = robot.before_servos, robot.contacts
     assert bool(runs) is loaded_first
     assert stand.own_robot is robot
-    expected = pa.solve_stand(whole)
+    expected = pa.solve_stand(complete)
     np.testing.assert_array_equal(stand.qpos, expected.qpos)
     np.testing.assert_array_equal(
-        statics.joint_torques, stand_statics(whole, expected).joint_torques
+        statics.joint_torques, stand_statics(complete, expected).joint_torques
     )
     np.testing.assert_array_equal(again.joint_torques, statics.joint_torques)
-    assert (efforts, passive, weight) == (whole.efforts, whole.passive_joints, whole.weight)
-    assert early_contacts == whole.contacts
-    np.testing.assert_array_equal(posed.home, whole.home)
+    assert (efforts, passive, weight) == (
+        complete.efforts,
+        complete.passive_joints,
+        complete.weight,
+    )
+    assert early_contacts == complete.contacts
+    np.testing.assert_array_equal(posed.home, complete.home)
     assert robot.mj_model.nu == robot.nu
     assert robot.before_servos is robot
     np.testing.assert_array_equal(robot.home, posed.home)
     assert len(robot.shapes) == len(posed.shapes)
-    assert {shape.geom for shape in robot.shapes} == {shape.geom for shape in whole.shapes}
+    assert {shape.geom for shape in robot.shapes} == {shape.geom for shape in complete.shapes}
 
 
 @pytest.mark.slow
@@ -308,7 +312,9 @@ def test_visual_meshes_are_converted_when_the_model_is_read(
     converted = []
     convert = meshes._convert_content
     monkeypatch.setattr(
-        meshes, "_convert_content", lambda *given: converted.append(given) or convert(*given)
+        meshes,
+        "_convert_content",
+        lambda *arguments: converted.append(arguments) or convert(*arguments),
     )
     robot = pa.load_robot(urdf)
     assert robot.pin_model.nv == 18
@@ -323,11 +329,11 @@ def test_visual_meshes_are_converted_when_the_model_is_read(
     left = [note for note in robot.notes if note.code == "visual-meshes-left"]
     assert [note.values["files"] for note in left] == [("flat.dae",)]
     pair = read_pair(urdf)
-    whole, _ = prepare_robot(pair.urdf, pair.mjcf, LoadRequest())
-    assert whole.mj_model.ngeom == model.ngeom
-    np.testing.assert_array_equal(whole.mj_model.mesh_vert, model.mesh_vert)
-    np.testing.assert_array_equal(whole.mj_model.body_mass, model.body_mass)
-    assert [note.code for note in pair.add_conversion_note(whole).notes] == [
+    complete, _ = prepare_robot(pair.urdf, pair.mjcf, LoadRequest())
+    assert complete.mj_model.ngeom == model.ngeom
+    np.testing.assert_array_equal(complete.mj_model.mesh_vert, model.mesh_vert)
+    np.testing.assert_array_equal(complete.mj_model.body_mass, model.body_mass)
+    assert [note.code for note in pair.add_conversion_note(complete).notes] == [
         note.code for note in robot.notes
     ]
 
@@ -338,17 +344,17 @@ def test_verdict_without_visual_meshes_equals_the_verdict_with_them(
 ) -> None:
     """Reference: the same robot with converted visual meshes, one of which MuJoCo refuses."""
     urdf = _with_visual_meshes(tmp_path)
-    whole = pa.load_robot(urdf)
-    expected = [note for note in whole.notes if note.code != "visual-meshes-left"]
-    assert len(expected) == len(whole.notes) - 1
+    complete = pa.load_robot(urdf)
+    expected = [note for note in complete.notes if note.code != "visual-meshes-left"]
+    assert len(expected) == len(complete.notes) - 1
     monkeypatch.setattr(meshes, "_convert_content", _refuse_conversion)
     robot = pa.load_robot(urdf, visuals=False)
     assert [*robot.notes] == expected
     for field in ("body_mass", "body_inertia", "body_ipos", "actuator_gainprm"):
         np.testing.assert_array_equal(
-            getattr(robot.mj_model, field), getattr(whole.mj_model, field)
+            getattr(robot.mj_model, field), getattr(complete.mj_model, field)
         )
-    assert list_file_remarks(robot) == list_file_remarks(whole)
+    assert list_file_remarks(robot) == list_file_remarks(complete)
 
 
 def _refuse_conversion(*_: object) -> bytes:
@@ -368,7 +374,9 @@ def test_visual_meshes_of_a_fixed_base_with_coupled_joints_are_deferred(
     converted = []
     convert = meshes._convert_content
     monkeypatch.setattr(
-        meshes, "_convert_content", lambda *given: converted.append(given) or convert(*given)
+        meshes,
+        "_convert_content",
+        lambda *arguments: converted.append(arguments) or convert(*arguments),
     )
     robot = pa.load_robot(urdf, fixed_base=True)
     order, pin_model = robot.joint_names, robot.pin_model
@@ -376,14 +384,14 @@ def test_visual_meshes_of_a_fixed_base_with_coupled_joints_are_deferred(
     statics = pa.gravity_compensation(pa.Configuration(robot, joints), contacts=())
     assert not converted
     pair = read_pair(urdf)
-    whole, _ = prepare_robot(pair.urdf, pair.mjcf, LoadRequest(fixed_base=True))
-    expected = pa.gravity_compensation(pa.Configuration(whole, joints), contacts=())
+    complete, _ = prepare_robot(pair.urdf, pair.mjcf, LoadRequest(fixed_base=True))
+    expected = pa.gravity_compensation(pa.Configuration(complete, joints), contacts=())
     assert np.abs(statics.joint_torques).max() > 0.01
     np.testing.assert_array_equal(statics.joint_torques, expected.joint_torques)
-    assert order == whole.joint_names == robot.joint_names
-    assert pin_model == whole.pin_model
-    assert robot.mj_model.ngeom == whole.mj_model.ngeom
-    np.testing.assert_array_equal(robot.mj_model.mesh_vert, whole.mj_model.mesh_vert)
+    assert order == complete.joint_names == robot.joint_names
+    assert pin_model == complete.pin_model
+    assert robot.mj_model.ngeom == complete.mj_model.ngeom
+    np.testing.assert_array_equal(robot.mj_model.mesh_vert, complete.mj_model.mesh_vert)
     np.testing.assert_array_equal(
-        robot.mj_convention.actuator_index, whole.mj_convention.actuator_index
+        robot.mj_convention.actuator_index, complete.mj_convention.actuator_index
     )

@@ -41,18 +41,18 @@ def test_keyframe_without_a_stand_is_replaced_by_a_reachable_height(
     tmp_path: Path,
 ) -> None:
     """In the keyframe the base would be 77 mm high, and legs overlap."""
-    whole = load("v3").description
+    description = load("v3").description
     straight = "1 0 0 0 " + " ".join(["0"] * 12)
     folded = "1 0 0 0 " + " ".join(["0 0 0.7", "0 0 -0.7"] * 2)
     mjcf = tmp_path / "mjcf/robot.xml"
     mjcf.parent.mkdir()
-    for part in whole.mjcf_source.parent.glob("*.xml"):
+    for part in description.mjcf_source.parent.glob("*.xml"):
         shutil.copy(part, mjcf.parent)
-    mjcf.write_text(whole.mjcf_source.read_text())
+    mjcf.write_text(description.mjcf_source.read_text())
     rewrite_file(mjcf, (straight, folded))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # meshes are not beside it
-        robot = pa.load_robot(whole.urdf_source, mjcf, feet=whole.contact_points)
+        robot = pa.load_robot(description.urdf_source, mjcf, feet=description.contact_points)
     assert pa.solve_stand(robot).task.height == robot.stand_height == pytest.approx(0.139)
     assert "start-pose-found" in {note.code for note in robot.notes}
 
@@ -82,9 +82,9 @@ def test_start_pose_allows_the_nominal_stand(
 
 @pytest.mark.slow
 def test_feet_below_axes_about_the_vertical_are_put_aside(tmp_path: Path) -> None:
-    """A leg points to its foot: wherever the base moves, if the foot is below the leg's first axis.
+    """Feet below the first, vertical axes would turn the legs by large angles as the base moves.
 
-    With the com in the centre each leg would have to turn another way, and may by 57 degrees alone.
+    The joint ranges end at 57 degrees. Reference: turns below 0.2 rad in the stand.
     """
     files = random_legged.write_robot(random_legged.ring(40040, 3, 4.0), tmp_path)
     robot = pa.load_robot(files.urdf, files.mjcf)

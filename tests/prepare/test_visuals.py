@@ -26,12 +26,12 @@ def test_mass_and_inertia_do_not_change_without_visuals() -> None:
     2 kg.
     """
     spec = mujoco.MjSpec.from_string(SPEC)
-    whole = spec.copy().compile()
+    original = spec.copy().compile()
     discard_visuals(spec)
     model = spec.copy().compile()
-    assert (whole.ngeom, model.ngeom) == (3, 2)
-    np.testing.assert_allclose(model.body_mass, whole.body_mass, rtol=1e-14)
-    np.testing.assert_allclose(model.body_inertia, whole.body_inertia, rtol=1e-12)
+    assert (original.ngeom, model.ngeom) == (3, 2)
+    np.testing.assert_allclose(model.body_mass, original.body_mass, rtol=1e-14)
+    np.testing.assert_allclose(model.body_inertia, original.body_inertia, rtol=1e-12)
     assert len(spec.geoms) == 3  # what is compiled is a copy
 
 

@@ -34,7 +34,7 @@ def bodies_of(source: str, *spec: object) -> dict[str, Body]:
 
 
 def second_moments(inertia: np.ndarray) -> np.ndarray:
-    """The integral of x x^T dm (3, 3), from the inertia tensor."""
+    """Return the integral of x x^T dm, shape (3, 3) [kg m^2], from the inertia tensor."""
     return np.trace(inertia) / 2 * np.eye(3) - inertia
 
 
@@ -61,7 +61,9 @@ def test_urdf_and_mjcf_agree_at_any_scale(
 
 
 def point_masses(body: Body) -> tuple[np.ndarray, np.ndarray]:
-    """Eight (the Gauss points of a solid box) that have the body's mass, com and inertia."""
+    """Return positions and masses of eight points with the mass, CoM and inertia of a body: the
+    Gauss points of a solid box.
+    """
     moments, axes = np.linalg.eigh(second_moments(body.inertia))
     corners = np.array(list(itertools.product((-1, 1), repeat=3)))
     points = body.com + corners * np.sqrt(moments / body.mass) @ axes.T
@@ -69,7 +71,7 @@ def point_masses(body: Body) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lump(points: np.ndarray, masses: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Mass, com and inertia of point masses, by summation."""
+    """Return mass, CoM and inertia of point masses, by summation."""
     mass = float(masses.sum())
     com = masses @ points / mass
     inertia = sum(
@@ -113,7 +115,7 @@ def test_v3_links_are_stretched_matter(source: str, first: float, second: float)
 
 
 def integrated_capsule(mass: float, radius: float, length: float) -> tuple[float, float]:
-    """Axial and lateral moment of a solid capsule about its centre, summed up disc by disc."""
+    """Return axial and lateral moment of a solid capsule about its centre, summed over discs."""
     nodes, weights = np.polynomial.legendre.leggauss(6)
     total = axial = lateral = 0.0
     half = length / 2
@@ -146,7 +148,9 @@ def test_capsule_inertia_equals_the_integral_over_discs(
 def test_scaled_skeleton_links_have_the_inertia_of_solid_capsules(
     source: str, scale: float
 ) -> None:
-    """Longer, not wider: the ends stay hemispheres, and the foot's sphere rides along."""
+    """Reference: integrals over discs, of capsules that are longer but not wider. Their ends stay
+    hemispheres; the sphere of the foot is at the lower end.
+    """
     bodies = bodies_of(source, "skeleton", scale)
     thigh_axial, thigh_lateral = integrated_capsule(0.186 * scale, 0.013, 0.08 * scale)
     calf_axial, calf_lateral = integrated_capsule(0.05 * scale, 0.011, 0.11 * scale)
@@ -175,7 +179,7 @@ def test_scaled_skeleton_links_have_the_inertia_of_solid_capsules(
 
 
 def mujoco_extent(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
-    """The bounds (2, 3) in the world of the meshes of each body."""
+    """Return the bounds of the meshes of each body, shape (2, 3) [m] in the world frame."""
     model, data = robot.mj_model, evaluate_mujoco(robot, qpos)
     extents = {}
     for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH.value):
@@ -281,6 +285,7 @@ def test_scaled_home_has_the_foot_height_of_the_base_model(base: str, scale: flo
 
 
 def test_urdf_and_mjcf_of_the_variants_have_the_same_bodies(robot: pa.Robot) -> None:
+    """Masses, CoMs and inertias of Pinocchio's model and of MuJoCo's model."""
     assert_same_bodies(pinocchio_bodies(robot), mujoco_bodies(robot), 1e-12)
 
 
@@ -311,6 +316,7 @@ def test_capsule_inertia_becomes_that_of_a_sphere_or_a_rod(mass: float, size: fl
 
 @pytest.mark.parametrize(("radius", "length"), [(0.005, 0.3), (0.05, 0.01), (0.011, 0.11)])
 def test_capsule_inertia_equals_that_of_mujoco(radius: float, length: float) -> None:
+    """Reference: principal moments of MuJoCo's compiled capsule."""
     model = mujoco.MjModel.from_xml_string(
         f"""<mujoco><worldbody><body><freejoint/>
         <geom type="capsule" size="{radius!r}" fromto="0 0 0 0 0 {length!r}" mass="0.3"/>

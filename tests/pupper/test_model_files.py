@@ -33,7 +33,9 @@ def compile_model(file: str) -> mujoco.MjModel:
 
 
 def test_feet_and_com_of_v3_at_zero_angles() -> None:
-    """The skeleton's are closed forms: ``test_variants.py``."""
+    """Reference: stated positions [m], in both engines. For the skeleton, ``test_variants.py`` has
+    closed forms.
+    """
     feet = {
         "FR": (0.06881, -0.1015, -0.11156),
         "FL": (0.06881, 0.1015, -0.11156),
@@ -361,7 +363,9 @@ def list_feet(robot: pa.Robot, joint: str) -> list[str]:
 
 
 def test_robot_equals_its_mirror_image(robot: pa.Robot) -> None:
-    """Mass matrix, gravity, CoM, feet and limits of a random configuration and of its image."""
+    """Reference: mirror symmetry, for mass matrix, gravity torques, CoM, foot positions and limits
+    at a random configuration.
+    """
     mirror, qpos = make_mirror_matrix(robot), random_state(robot)[0]
     rotation = Rotation.from_quat(qpos[3:7], scalar_first=True).as_rotvec()
     image = np.concatenate(

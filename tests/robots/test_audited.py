@@ -30,7 +30,7 @@ PLACEHOLDERS = (
     "talos_data/robots/talos_full_v2",
     "ur_description/urdf/ur3_robot",  # which has the efforts of a UR10
 )
-MEANT = (
+REAL_EFFORTS = (
     *("a1_description/urdf/a1", "go1_description/urdf/go1", "go2_description/urdf/go2"),
     *("b1_description/urdf/b1", "g1_description/urdf/g1_29dof_rev_1_0", "z1_description/urdf/z1"),
     *("anymal_b_simple_description/robots/anymal", "hyq_description/robots/hyq_no_sensors"),
@@ -39,7 +39,7 @@ MEANT = (
 )
 
 
-@pytest.mark.parametrize("name", PLACEHOLDERS + MEANT)
+@pytest.mark.parametrize("name", PLACEHOLDERS + REAL_EFFORTS)
 def test_placeholder_efforts_of_public_robots_are_found(name: str) -> None:
     """Reference: lists by hand of robots with placeholder efforts, and of robots whose efforts are
     real.
@@ -65,7 +65,7 @@ TURNS = (
 )
 
 
-@pytest.mark.parametrize("name", sorted({*BALLS, *TURNS, *MEANT}))
+@pytest.mark.parametrize("name", sorted({*BALLS, *TURNS, *REAL_EFFORTS}))
 def test_placeholder_inertias_and_ranges_of_public_robots_are_found(name: str) -> None:
     """Reference: lists by hand of robots with spherical placeholder inertias, and with ranges of
     whole turns.
@@ -92,7 +92,7 @@ def test_faults_of_one_leg_are_the_only_warnings(name: str, expected: set[str]) 
     assert {one.rule for one in result.findings if one.severity == Severity.WARNING} == expected
 
 
-FLIPPED = "com y flipped"  # by 1 to 3 cm, in shapes that do not tell
+FLIPPED = "com y flipped"  # an offset of 1 to 3 cm, in shapes that do not show the side
 LEGGED = [f"{name}_description/urdf/{name}" for name in ("a1", "go1", "go2", "b1", "laikago")]
 
 

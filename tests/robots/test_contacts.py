@@ -21,7 +21,7 @@ from tests.support.variants import load
 Contacts = Mapping[str, pa.Contact | pa.Weld]
 UP, WALL = (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0)
 EXACT, CREEPING = 1e-6, 1e-2
-"""Of torques and forces: one steep foot beside level ones creeps in MuJoCo."""
+"""Upper bounds of the relative torque and force errors. A steep foot beside level feet creeps."""
 
 
 @cache
@@ -91,7 +91,7 @@ def raise_front_foot(degrees: float) -> Callable[..., Contacts]:
 
 
 def bolt_arm(hand: str, *place: float, force: float | None = None) -> Callable[..., Contacts]:
-    """An arm that is bolted down, its hand on a table at a place."""
+    """Return contacts of an arm: a welded base, and a hand on a table at a place [m]."""
     x, y, height = place
     table = pa.Plane((0, 0, height), UP, 0.6)
     arm = {"base": pa.Weld(), hand: pa.Contact(table, (x, y, height), force=force)}
@@ -128,8 +128,8 @@ STANCES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("stance", STANCES)
 def test_stances_on_stated_contacts_hold_in_mujoco(stance: str) -> None:
-    """Contact points are on their planes within 1 nm; relative torque and force errors are below
-    the limit of the stance.
+    """Reference: MuJoCo's nudged simulation. Contact points are on their planes within 1 nm;
+    relative torque and force errors are below the limit of the stance.
     """
     name, make, within = STANCES[stance]
     of = robot(name)
@@ -150,7 +150,9 @@ def test_stances_on_stated_contacts_hold_in_mujoco(stance: str) -> None:
 
 @pytest.mark.slow
 def test_g1_hangs_back_on_a_ladder() -> None:
-    """Soles on two rungs, both hands around a third; the com is behind the heels, so they pull."""
+    """Soles are on two rungs, and both hands around a third rung. The hands pull, since the CoM is
+    behind the heels. Reference: MuJoCo's simulation.
+    """
     g1, contacts = robot("g1"), dict[str, pa.Contact | pa.Weld]()
     there = with_contacts(g1, touch_with_palms(g1))
     for palm in ("left_palm", "right_palm"):
@@ -178,10 +180,12 @@ def test_g1_hangs_back_on_a_ladder() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("pressing", [True, False])
 @pytest.mark.parametrize("stance", ["ur5, table", "go2, bolted", "go2, by a foot"])
-def test_weld_wrenches_of_public_robots_equal_a_cone_program(
+def test_torques_of_welded_public_robots_equal_a_cone_program(
     stance: str, *, pressing: bool
 ) -> None:
-    """Least torque, of forces that only press or in the cones: Clarabel, MuJoCo's Jacobians."""
+    """Reference: smallest torque by Clarabel, with MuJoCo's Jacobians and contact forces that only
+    press, or that are inside the friction cones.
+    """
     name, make, _ = STANCES[stance]
     of = robot(name)
     stand = pa.solve_stand_as_simulated(of, pa.StandTask(contacts=make(of)))
@@ -189,6 +193,6 @@ def test_weld_wrenches_of_public_robots_equal_a_cone_program(
     which = "minimum tangential" if pressing else "minimum torque"
     ours = pa.stance.stand_statics(touched, stand, distribution=which)
     _, torques = compute_least_torque(touched, stand, pressing=pressing)
-    # Where the weld can bear all, what is left is what each programme adds to be regular.
-    rounding = 1e-6 * of.total_mass * 9.81  # N m: of the weight on a lever of a metre
+    # If the weld can bear the whole load, the torques are those of the regularisation terms.
+    rounding = 1e-6 * of.total_mass * 9.81  # N m: 1e-6 of the weight at a lever of 1 m
     np.testing.assert_allclose(ours.joint_torques, torques, atol=rounding)

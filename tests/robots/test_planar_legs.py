@@ -42,7 +42,7 @@ def test_a_planar_robot_stands_with_the_com_two_micrometres_off_the_centre(tmp_p
     stand = verify_held_stand(robot)
     assert stand.task.com == "inside"
     com = pa.Configuration(robot, stand.qpos).center_of_mass()
-    # 4 of the 8.4 kg are the trunk's, whose com is 2 um aside; no leg moves sideways.
+    # The trunk has 4 of the 8.4 kg, and its CoM is 2 um aside; no leg moves sideways.
     middle = np.mean(list(stand.contact_points.values()), axis=0)
     assert com[1] - middle[1] == pytest.approx(2e-6 * 4 / robot.total_mass, rel=1e-6)
     with pytest.raises(pa.StanceUnreachableError):
@@ -51,7 +51,9 @@ def test_a_planar_robot_stands_with_the_com_two_micrometres_off_the_centre(tmp_p
 
 @pytest.mark.slow
 def test_planar_legs_stand_at_both_ends_of_the_reachable_heights(tmp_path: Path) -> None:
-    """Legs that move in a plane cannot place the CoM sideways better than rounding."""
+    """The solver reaches both ends, and refuses 1 mm above the upper end. Planar legs cannot
+    correct a lateral CoM error, not even one of rounding.
+    """
     robot = load(planar(quadruped(tmp_path)))
     heights = pa.stance.reachable_heights(robot)
     assert heights.low < 0.8 * robot.stand_height < 1.2 * robot.stand_height < heights.high
@@ -63,6 +65,7 @@ def test_planar_legs_stand_at_both_ends_of_the_reachable_heights(tmp_path: Path)
 
 @pytest.mark.slow
 def test_a_planar_robot_squats_shifts_and_lifts_a_foot(tmp_path: Path) -> None:
+    """Reference: MuJoCo's simulation of each stand."""
     robot = load(planar(quadruped(tmp_path)))
     verify_held_stand(robot, pa.StandTask(height=0.9 * robot.stand_height))
     stand = verify_held_stand(robot, pa.StandTask(offset=(0.02, 0.0)))

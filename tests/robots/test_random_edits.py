@@ -23,7 +23,7 @@ seeds: 39 edits are of 23 kinds. Edits of Go2 and Spot take six times as long as
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SEEDS)
 def test_random_edits_of_public_robots_are_reported(tmp_path: Path, name: str) -> None:
-    """The reference is the distance between two rollouts of bare MuJoCo."""
+    """Reference: distance between two rollouts of bare MuJoCo, for each edit."""
     seeds = SEEDS[name]
     found = compute_answers(file(MJCF, f"{name}/{name}.xml"), len(seeds), seeds[0], tmp_path)
     assert len(found) == len(seeds)

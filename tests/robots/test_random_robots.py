@@ -17,7 +17,7 @@ foot that leans in the start pose; and 20 others. ``tests.explore`` draws new se
 
 
 def outcome(seed: int, folder: Path) -> set[str]:
-    """Return the codes of the causes for which a stand does not hold; none if it holds."""
+    """Return the codes of the causes for which a stand does not hold; an empty set if it holds."""
     drawn = random_legged.draw_robot(seed)
     pair = random_legged.write_robot(drawn, folder)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)

@@ -11,7 +11,7 @@ a package is missing:
 environment variable ``PUPPER_ROBOTS`` names another folder. If neither exists, the tests search the
 environment's site-packages.
 
-The numbers below were read in the files by hand; HyQReal2's are the comparison's own.
+The numbers below were read in the files by hand.
 """
 
 from __future__ import annotations
@@ -117,7 +117,9 @@ def test_every_deviation_of_a_real_pair_is_explained(name: str) -> None:
 
 @pytest.mark.slow
 def test_mini_cheetah_has_the_base_of_another_robot() -> None:
-    """The URDF's base has 3.3 kg; the MJCF's 6.921 kg are the Go2's, and so is all else of it."""
+    """The base has 3.3 kg in the URDF. The inertial of the MJCF's base, with 6.921 kg, equals that
+    of the Go2.
+    """
     comparison = comparison_of("mini cheetah")
     first = comparison.differences[0]
     assert (first.kind, first.element) == ("mass", "base")
@@ -169,7 +171,7 @@ def test_old_urdf_of_mini_cheetah_has_other_thighs() -> None:
 
 @pytest.mark.slow
 def test_go1_lacks_the_hip_motors_rotors() -> None:
-    """The URDF has a rotor of 0.089 kg per motor; the MJCF put 8 into the legs, and 4 nowhere."""
+    """The URDF has a rotor of 0.089 kg per motor; the MJCF contains 8 of 12 rotors, in the legs."""
     comparison = comparison_of("go1")
     first = next(one for one in comparison.differences if one.kind == "mass")
     assert (first.element, first.mjcf) == ("base", 5.204)
@@ -272,7 +274,9 @@ def test_hyqreal2_is_matched_by_structure_and_has_other_hips() -> None:
 
 
 def convert_by_mujoco(urdf: Path, folder: Path, *, free: bool) -> Path:
-    """MuJoCo's own MJCF of a URDF, with a free joint if wanted, and the static bodies kept."""
+    """Write MuJoCo's own MJCF of a URDF without shapes, with static bodies and, if `free`, a free
+    joint.
+    """
     root = ElementTree.parse(urdf).getroot()
     for link in root.iter("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
@@ -317,7 +321,7 @@ SAME = (
 @pytest.mark.parametrize("free", [True, False], ids=["free", "fixed"])
 @pytest.mark.parametrize("name", SAME)
 def test_a_robot_agrees_with_itself(name: str, free: bool, tmp_path: Path) -> None:
-    """MuJoCo writes 6 digits, which the default tolerances pass."""
+    """Reference: MuJoCo's own MJCF of the URDF, in which MuJoCo writes six digits."""
     urdf = file(URDF, f"{name}.urdf")
     comparison = compare_models(
         urdf, convert_by_mujoco(urdf, tmp_path, free=free), configurations=1
@@ -340,9 +344,9 @@ def test_a_robot_agrees_with_itself(name: str, free: bool, tmp_path: Path) -> No
     ],
 )
 def test_a_root_link_off_the_base_is_no_difference(name: str, free: bool, tmp_path: Path) -> None:
-    """MuJoCo keeps the massless root's frame: 0.0762 m below (TIAGo Pro), or turned (Kinova).
+    """MuJoCo keeps the frame of the massless root, 0.0762 m below the base (TIAGo Pro) or rotated.
 
-    Of fixed bases, the first joint is on a link that is welded to the base, off its frame.
+    With a fixed base, the first joint is on a link that is fixed to the base with an offset.
     """
     urdf = file(URDF, f"{name}.urdf")
     comparison = compare_models(
@@ -360,7 +364,9 @@ stances = benchmark("stances")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", stances.OTHERS)
 def test_random_stands_of_other_quadrupeds(name: str) -> None:
-    """Through `load_robot`: no verdict is wrong, once both files have the URDF's inertials."""
+    """Reference: MuJoCo's simulation. No prediction for 15 random tasks is wrong, if both files
+    have the inertials of the URDF.
+    """
     for package in (MJCF, URDF):
         file(package, ".").resolve()
     folder = next(top for top in _folders() if (top / MJCF).is_dir())
@@ -374,7 +380,7 @@ def test_random_stands_of_other_quadrupeds(name: str) -> None:
 
 @pytest.mark.slow
 def test_mini_cheetah_stands_as_predicted() -> None:
-    """Reference: MuJoCo, on added servos, because the file has none."""
+    """Reference: MuJoCo's simulation, with added servos, because the file has none."""
     folder = file(MJCF, ".").parents[1]
     robot = stances.other_robot(folder, "mini-cheetah")
     assert pa.verify_stand(robot, pa.stance.solve_stand_as_simulated(robot)).passed
@@ -392,7 +398,7 @@ corpus = benchmark("corpus")
 
 
 def find_published_pair(name: str) -> tuple[Path, Path]:
-    """The files of a pair of the corpus."""
+    """Return the files of a pair of the corpus."""
     urdf, mjcf = (
         file(package, path.removeprefix(f"{package}/"))
         for path in corpus.PAIRS[name]
@@ -411,17 +417,16 @@ def test_public_pair_stands_as_published_or_with_a_cause(name: str) -> None:
     row = corpus.simulate_pair(*find_published_pair(name))
     assert row.feet == "4"
     if name == "HyQReal1":
-        said = row.stand.split("; ")  # as published, its shins carry
-        assert said[0] == "holds"
+        assert row.stand.split("; ")[0] == "holds"
         assert row.torque is not None
-        assert row.torque < 0.02  # as published: its calves carry
+        assert row.torque < 0.02  # the calves carry a part of the load in the published file
     else:
         assert "the files describe different robots" in str(row.stand)
 
 
 @pytest.mark.slow
 def test_a_humanoid_on_two_flat_feet() -> None:
-    """Without feed-forward its sag is MuJoCo's, to a per mille."""
+    """Reference: MuJoCo's simulation. Without feed-forward, the sag agrees within 0.1 %."""
     urdf, mjcf = find_published_pair("G1")
     robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
     stand = pa.stance.solve_stand_on_soft_ground(robot)
@@ -450,7 +455,7 @@ CONVERTED = {
 
 
 LOST = {"mini cheetah", "hyqreal2, on a floating joint"}
-"""Robots without their collision meshes; all else agrees, and the robots stand."""
+"""Robots whose packages lack collision meshes. Everything else agrees, and the robots stand."""
 
 
 @pytest.mark.slow

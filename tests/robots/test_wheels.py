@@ -28,9 +28,10 @@ MOTOR = '<motor joint="{leg}_roll_on" ctrlrange="-20 20"/>'
 
 
 def add_wheels(folder: Path, *legs: str, aside: float = 0.0) -> Pair:
-    """Puts wheels on the legs of a quadruped; hind legs without are taken off, in both files.
+    """Put wheels on legs of a quadruped, and remove hind legs without wheels from both files.
 
-    The trunk's com is ``aside`` (m), so that no wheel stands upright where the com is centred.
+    The trunk's CoM is ``aside`` [m] of its centre, so that no wheel is upright if the CoM is
+    centred.
     """
     pair = quadruped(folder, foot="@", keyframe="")
     urdf, mjcf = pair.urdf.read_text(), pair.mjcf.read_text()
@@ -51,8 +52,9 @@ def add_wheels(folder: Path, *legs: str, aside: float = 0.0) -> Pair:
 
 @pytest.mark.slow
 def test_wheels_touch_below_their_axles(tmp_path: Path) -> None:
-    """The contact forces pass through the axles at any wheel angle, so wheel motors have no
-    static torque."""
+    """Reference: MuJoCo. The contact forces pass through the axles at any wheel angle, so wheel
+    motors have no static torque.
+    """
     files = add_wheels(tmp_path, "FL", "FR", "RL", "RR", aside=0.004)
     robot = pa.load_robot(urdf=files.urdf, mjcf=files.mjcf)
     assert set(robot.contact_radius.values()) == {RADIUS}

@@ -19,7 +19,7 @@ from tests.support.variants import load, stand_of
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("option", "says"),
+    ("option", "words"),
     [
         ('<option impratio="10"/>', 'impratio of 10 is meant for cone="elliptic"'),
         ('<option impratio="10" cone="elliptic"/>', "a longer solref"),
@@ -27,7 +27,7 @@ from tests.support.variants import load, stand_of
     ],
 )
 def test_ground_that_pushes_in_pulses_is_named_as_a_cause(
-    option: str, says: str, tmp_path: Path
+    option: str, words: str, tmp_path: Path
 ) -> None:
     """States whose base height alternates by 2 mm, as in the simulation of a Booster K1 on a
     slope.
@@ -49,7 +49,7 @@ def test_ground_that_pushes_in_pulses_is_named_as_a_cause(
     (message,) = find_chatter(robot, drive, states, ctrl)
     assert message.code == "contacts-rattle"
     assert message.values["share"] == pytest.approx(0.5, abs=1e-3)
-    assert says in str(message)
+    assert words in str(message)
 
 
 @pytest.mark.slow

@@ -76,7 +76,9 @@ def test_a_robot_on_its_back_touches_with_its_base_and_has_fallen() -> None:
 def test_fallen_is_leaning_too_far_or_too_low(
     leaning: float, lost: float, fallen: bool, under: float
 ) -> None:
-    """As high above the ground as its base's frame may be, or as deep below."""
+    """Reference: tilt and height loss are set. `under` moves the stand and the state down alike, as
+    for a base frame below the ground.
+    """
     robot, stand = load(NAME), stand_of(NAME)
     there = stand.qpos.copy()
     upright = monitor.StandReference.from_configuration(robot, there)

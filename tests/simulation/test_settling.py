@@ -40,7 +40,7 @@ def standing() -> tuple[pa.Robot, Stand]:
 def test_settling_agrees_with_the_verification(
     standing: tuple[pa.Robot, Stand], kp: float, kd: float, feedforward: bool
 ) -> None:
-    """Held, sagging a little, falling, and shaking to pieces."""
+    """Reference: the complete verification of stands that hold, sag, fall and shake."""
     robot, stand = standing
     gains = {"kp": np.full(robot.nu, kp), "kd": np.full(robot.nu, kd)}
     seen = pa.verify_stand(robot, stand, feedforward=feedforward, **gains)
@@ -57,9 +57,9 @@ def test_settling_ends_as_soon_as_the_robot_is_at_rest(
     run = settling.simulate_commands
     step = float(robot.mj_model.opt.timestep)
 
-    def counted(*given: object) -> object:
-        simulated.append(len(given[2]) * step)  # type: ignore[arg-type]
-        return run(*given)  # type: ignore[arg-type]
+    def counted(*arguments: object) -> object:
+        simulated.append(len(arguments[2]) * step)  # type: ignore[arg-type]
+        return run(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(settling, "simulate_commands", counted)
     assert comes_to_rest(robot, stand)
@@ -77,8 +77,8 @@ def test_growing_modes_are_simulated_last_and_decide(
     confirmed: list[bool] = []
     confirm = settling.confirm_growth
 
-    def refuted(*given: Any) -> Stability:
-        found = confirm(*given)
+    def refuted(*arguments: Any) -> Stability:
+        found = confirm(*arguments)
         confirmed.append(found.is_stable_for())
         assert found.least_damped is not None
         growing = replace(found.least_damped, doubling_time=1.0)
@@ -89,8 +89,8 @@ def test_growing_modes_are_simulated_last_and_decide(
     assert confirmed == [True]
     has_left = settling._has_left_stand
 
-    def has_left_after_nudge(*given: Any) -> bool:
-        return has_left(*given) if len(given) > 2 else True
+    def has_left_after_nudge(*arguments: Any) -> bool:
+        return has_left(*arguments) if len(arguments) > 2 else True
 
     monkeypatch.setattr(settling, "_has_left_stand", has_left_after_nudge)
     assert not comes_to_rest(robot, stand)
@@ -112,8 +112,8 @@ def test_mode_of_one_difference_step_is_refuted_by_the_nudge(
     kink. Each simulation of such a mode took 2 s, for nine candidates of servo gains."""
     find, confirmed = settling.find_final_spectrum, []
 
-    def with_mode(*given: Any) -> tuple[Stability, Any]:
-        found, settled = find(*given)
+    def with_mode(*arguments: Any) -> tuple[Stability, Any]:
+        found, settled = find(*arguments)
         assert found.least_damped is not None
         mode = replace(
             found.least_damped,
@@ -185,8 +185,8 @@ def test_states_of_intervals_equal_those_of_a_single_simulation(
     model, start = held.drive.model, nudge_state(held.drive.model, held.start)
     intervals = list(simulate_in_intervals(model, start, held.ctrl, 700, 125))
     assert [len(states) for states in intervals] == [125] * 5 + [75]
-    whole = simulate_commands(model, start, np.tile(held.ctrl, (700, 1)))
-    np.testing.assert_array_equal(np.concatenate(intervals), whole)
+    single = simulate_commands(model, start, np.tile(held.ctrl, (700, 1)))
+    np.testing.assert_array_equal(np.concatenate(intervals), single)
 
 
 @pytest.mark.parametrize(

@@ -149,7 +149,7 @@ def test_shaking_is_a_failure_if_it_does_not_decay(
 
 
 def test_divergence_after_a_large_nudge_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A stub reports the divergence: v3 does not diverge."""
+    """A stub reports the divergence, since the robot does not diverge."""
     monkeypatch.setattr(trial_module.monitor, "has_diverged", lambda *_: True)
     trial = simulate_large_nudges(load("original"), stand_of("original"))
     assert (trial.survived, trial.failure, trial.time) == (False, Failure.BUCKLING, 0.0)
@@ -186,6 +186,7 @@ def test_stand_far_from_limits_fails_if_a_large_nudge_makes_it_shake(
 
 
 def test_shaking_after_a_nudge_is_reported_with_its_speed() -> None:
+    """Reference: the numbers of a trial that is set by hand."""
     trial = NudgeTrial(
         survived=False,
         failure=Failure.SHAKING,
@@ -209,7 +210,7 @@ def test_shaking_after_a_nudge_is_reported_with_its_speed() -> None:
 
 
 def test_foot_with_negligible_load_may_lift_without_failure() -> None:
-    """On unlike slopes least tangential forces leave two of four feet with all but no load."""
+    """Minimum tangential forces on unequal slopes leave two of four feet nearly unloaded."""
     robot, upset = load("v3"), {}
     for tilt in (0.0, 0.15):
         task = pa.StandTask(contacts={"FL": pa.Contact(pa.Slope(tilt))} if tilt else {})

@@ -41,7 +41,7 @@ from pupper_analysis.simulation.verdict import (
 
 
 def run(loss: float = 0.001, *, passed: bool = True, stays: bool = False) -> Any:
-    """A simulation of a stand of 0.2 m that ends so much lower."""
+    """Return a stub of a simulation whose stand of 0.2 m loses a height [m]."""
     return Stub(
         passed=passed,
         failures=() if passed else (diagnose("base-sags", height=Quantity(0.08, "m")),),
@@ -203,11 +203,13 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
 @pytest.mark.parametrize("case", CASES)
 def test_verdict_is_never_better_than_its_evidence(case: str) -> None:
     """Reference: code, result and words of each combination of simulations, written by hand."""
-    given, code, passed, said = CASES[case]
-    asked: dict[str, Any] = {"fed": run(), "alone": run(), "servos": FILE, **given}
-    verdict = judge_stance(asked.pop("fed"), asked.pop("alone"), asked.pop("servos"), **asked)
+    changes, code, passed, text = CASES[case]
+    evidence: dict[str, Any] = {"fed": run(), "alone": run(), "servos": FILE, **changes}
+    verdict = judge_stance(
+        evidence.pop("fed"), evidence.pop("alone"), evidence.pop("servos"), **evidence
+    )
     assert (verdict.code, verdict.passed) == (code, passed)
-    assert said in format_verdict(verdict)
+    assert text in format_verdict(verdict)
     if not passed:
         assert not format_verdict(verdict).startswith("HOLDS")
 
@@ -228,10 +230,10 @@ def test_verdict_of_two_conditions_is_no_better_than_that_of_each() -> None:
     cases = {name: case[:2] for name, case in CASES.items() if name != "given"} | UNKNOWNS
     for (first, code), (second, other) in combinations(cases.values(), 2):
         if not first.keys() & second.keys():
-            asked: dict[str, Any] = {"fed": run(), "alone": run(), "servos": FILE}
-            asked |= first | second
+            evidence: dict[str, Any] = {"fed": run(), "alone": run(), "servos": FILE}
+            evidence |= first | second
             verdict = judge_stance(
-                asked.pop("fed"), asked.pop("alone"), asked.pop("servos"), **asked
+                evidence.pop("fed"), evidence.pop("alone"), evidence.pop("servos"), **evidence
             )
             worst = max(order.index(code), order.index(other))
             assert order.index(verdict.code) >= worst, (code, other, verdict.code)
@@ -272,14 +274,14 @@ def test_a_file_that_collapses_is_stated_before_a_prepared_robot_that_stands(
     assert "COLLAPSES" in str(verdict_clauses(verdict)[0])
 
 
-@pytest.mark.parametrize(("unit", "said"), [("rad", "0.29 deg (knee"), ("m", "5 mm (knee")])
-def test_displacement_of_a_slide_is_in_mm(unit: str, said: str) -> None:
+@pytest.mark.parametrize(("unit", "text"), [("rad", "0.29 deg (knee"), ("m", "5 mm (knee")])
+def test_displacement_of_a_slide_is_in_mm(unit: str, text: str) -> None:
     """Reference: 0.005 rad and 0.005 m in the printed units."""
     joint = JointOff("knee", 0.005, Drive.SERVO, unit=unit)
     verdict = judge_stance(
         run(), run(), FILE, keyframe_run=replace(make_own_run(collapses=False), worst=joint)
     )
-    assert said in format_verdict(verdict)
+    assert text in format_verdict(verdict)
 
 
 def test_the_worst_check_decides_the_verdict() -> None:

@@ -49,7 +49,7 @@ def verify_briefly(name: str, feedforward: bool = True) -> pa.simulation.StandVe
 def plain_run(
     model: mujoco.MjModel, qpos: np.ndarray, ctrl: np.ndarray, duration: float
 ) -> mujoco.MjData:
-    """MuJoCo's own loop."""
+    """Return the data after MuJoCo's own loop, with evaluated contacts."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     data.ctrl[:] = ctrl
@@ -84,7 +84,7 @@ def test_stand_of_each_variant_is_verified_to_the_stated_accuracy(variant: str) 
 @pytest.mark.parametrize("name", ["original", "v3"])
 @pytest.mark.parametrize("feedforward", [True, False])
 def test_settled_state_equals_a_plain_mujoco_simulation(name: str, feedforward: bool) -> None:
-    """From a drop of 3 mm instead of a start in balance, and read off MuJoCo directly."""
+    """Reference: MuJoCo's own loop, from a drop of 3 mm instead of a start in balance."""
     robot, stand, result = load(name), stand_of(name), verify_variant(name, feedforward)
     kp = SERVOS["v3" if name == "v3" else "skeleton"][0]
     model = robot.description.mjcf.copy().compile()
@@ -99,7 +99,9 @@ def test_settled_state_equals_a_plain_mujoco_simulation(name: str, feedforward: 
 
 
 def height_on(feet: np.ndarray) -> float:
-    """Distance of the base from the plane through the feet's centres (n, 3), in base axes."""
+    """Return the distance of the base from the plane through the foot centres [m], shape (n, 3) in
+    the base frame.
+    """
     plane = np.linalg.lstsq(np.c_[np.ones(len(feet)), feet[:, :2]], feet[:, 2], rcond=None)[0]
     return float(-plane[0] / math.hypot(1, *plane[1:]))
 
@@ -175,8 +177,8 @@ def test_resting_on_the_thighs_is_a_failure() -> None:
         str(reason).startswith("leg_front_r_2 touches the ground") for reason in result.failures
     )
     assert result.base_height < 0.6 * stand_of("v3-heavy").qpos[2]
-    # It lies where nothing grows any more. At the start it is in no equilibrium: two simulations a
-    # tenth of a milliradian apart fall alike, so no mode is the cause.
+    # At the end no deviation grows. The start is no equilibrium: two simulations that differ by
+    # 0.1 mrad fall alike, so no mode is the cause.
     assert not result.stability.modes_growing_within()
     assert result.stability.refuted_modes
 
@@ -206,7 +208,7 @@ def test_recorded_motion_has_the_recorded_heights_and_ends_at_rest() -> None:
 
 
 def test_lifted_foot_is_named() -> None:
-    """A knee drawn up: the statics take four feet, the simulation finds three."""
+    """A bent knee lifts one of four feet in the simulation; the statics load all four."""
     robot, stand = load("original"), stand_of("original")
     qpos = stand.qpos.copy()
     qpos[7 + 3 * robot.contact_points.index("FL") + 2] -= 0.6
@@ -274,12 +276,12 @@ def test_servos_of_a_joint_without_motor_are_refused(tiny: pa.Robot) -> None:
 
 @pytest.mark.slow
 def test_stability_of_each_sweep_cell_equals_stand_stability() -> None:
-    """Reference: ``stand_stability`` with the gains of the cell."""
+    """Reference: ``stand_stability`` with the gains of each cell that comes to rest."""
     robot, stand = load("original"), stand_of("original")
     result = pa.simulation.sweep_gains(robot, stand, kp=[1.5, 20.0], kd=[0.2, 0.5], duration=2.0)
     for row, column in np.ndindex(2, 2):
         gains = {"kp": float(result.kp[row]), "kd": float(result.kd[column])}
-        if row:  # the others are too soft: there is no rest to be judged
+        if row:  # the servos of the first row are too soft, and the robot does not rest
             found = pa.simulation.stand_stability(
                 robot, stand, feedforward=False, integrator="implicitfast", **gains
             )
@@ -552,12 +554,12 @@ def test_height_deviation_of_a_sweep_decreases_with_stiffness() -> None:
 def test_height_deviation_of_a_sweep_is_proportional_to_the_force() -> None:
     """Reference: half the force; and no force, of which less than 5 % of the deviation remains."""
     robot, stand = load("original"), stand_of("original")
-    none, half, full = (
+    zero, half, full = (
         pa.simulation.sweep_gains(robot, stand, kp=[60], kd=[2], amplitude=force).height_deviation
         for force in (0.0, 2.0, 4.0)
     )
     np.testing.assert_allclose(full / half, 2.0, rtol=0.1)
-    assert none < 0.05 * half
+    assert zero < 0.05 * half
 
 
 @pytest.mark.slow

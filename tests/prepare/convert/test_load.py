@@ -46,7 +46,7 @@ def of_mjcf() -> pa.Robot:
 
 
 def bend_joints(robot: pa.Robot) -> np.ndarray:
-    """A configuration that no symmetry helps, with each joint by its name."""
+    """Return a configuration without symmetry, in which a joint's angle depends on its name."""
     qpos = robot.neutral()
     qpos[3:7] = np.array([0.9, 0.2, -0.3, 0.1]) / np.linalg.norm([0.9, 0.2, -0.3, 0.1])
     for index, name in enumerate(robot.joint_names):
@@ -60,7 +60,9 @@ def bend_joints(robot: pa.Robot) -> np.ndarray:
 def test_conversion_of_each_file_equals_the_original_model(
     which: str, both: pa.Robot, request: pytest.FixtureRequest
 ) -> None:
-    """Mass, CoM, inertia, axes and feet are compared in both engines."""
+    """Reference: the robot of both files: mass, CoM, gravity torques, foot positions and limits in
+    Pinocchio. `cross_check` compares Pinocchio with MuJoCo.
+    """
     one: pa.Robot = request.getfixturevalue(which)
     assert one.total_mass == pytest.approx(both.total_mass, rel=1e-12)
     assert set(one.joint_names) == set(both.joint_names)
@@ -99,7 +101,7 @@ def test_converted_model_has_the_masses_of_the_other_engine(
 
 @pytest.mark.slow
 def test_one_of_two_different_files_can_be_loaded(tmp_path: Path) -> None:
-    """Reference: total mass of the URDF alone, and of the MJCF alone."""
+    """Reference: total mass of the heavier URDF alone, and of the unchanged pair."""
     urdf, mjcf = pa.pupper.write_variant("original", tmp_path)
     heavier = tmp_path / "heavier.urdf"
     weight = re.compile(r'mass value="[0-9.]+"')
@@ -238,10 +240,10 @@ def test_missing_meshes_of_feet_are_refused_with_the_required_files(tmp_path: Pa
     rewrite_file(path, ("</link>", shape))
     with pytest.raises(pa.ConfigurationError) as refused:
         pa.solve_stand(pa.load_robot(path))
-    said = str(refused.value)
-    assert "cannot stand: no feet were found, and a mesh file is missing" in said
-    assert (said.count(mesh), said.count("--package all=DIR")) == (1, 1)
-    assert "fixed base" not in said
+    message = str(refused.value)
+    assert "cannot stand: no feet were found, and a mesh file is missing" in message
+    assert (message.count(mesh), message.count("--package all=DIR")) == (1, 1)
+    assert "fixed base" not in message
 
 
 @pytest.mark.slow
@@ -268,7 +270,9 @@ def test_scene_without_joints_is_no_robot(tmp_path: Path) -> None:
 
 
 def test_visual_shapes_with_mass_count(tmp_path: Path) -> None:
-    """As in Gym's Ant: ``inertiafromgeom`` gives mass to shapes without contacts."""
+    """Reference: masses of MuJoCo's compiled model. As in Gym's Ant, ``inertiafromgeom`` gives mass
+    to shapes without contacts.
+    """
     leg = (
         '<body pos="{0} {1} 0"><joint name="hip{2}" axis="0 1 0" range="-1 1" limited="true"/>'
         '<geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.01" contype="0" conaffinity="0"/>'

@@ -126,8 +126,8 @@ def test_archives_and_oversized_meshes_are_left_out(tmp_path: Path) -> None:
     )
     found = with_shapes(tmp_path, shapes)
     for name, why in expected.items():
-        (said,) = [text for text in map(str, found.not_converted) if name in text]
-        assert why in said
+        (message,) = [text for text in map(str, found.not_converted) if name in text]
+        assert why in message
     assert compile_file(tmp_path / "arm.xml").nmesh == 1  # box.obj
 
 
@@ -145,8 +145,8 @@ def test_each_instance_of_a_mesh_is_converted_and_counted(
             transform=trimesh.transformations.translation_matrix([number, 0, 0]),
         )
     scene.export(tmp_path / "many.glb")
-    whole = trimesh.load(io.BytesIO(convert_to_obj(tmp_path / "many.glb")), file_type="obj")
-    assert len(whole.faces) == 10 * len(BOX.faces)
+    converted = trimesh.load(io.BytesIO(convert_to_obj(tmp_path / "many.glb")), file_type="obj")
+    assert len(converted.faces) == 10 * len(BOX.faces)
     monkeypatch.setattr(meshes, "MAX_MESH_VERTICES", 9 * len(BOX.vertices))
     with pytest.raises(UnreadableError, match="vertices"):
         convert_to_obj(tmp_path / "many.glb")
@@ -178,8 +178,8 @@ def test_small_files_with_large_meshes_are_refused_before_memory_is_allocated(
 def test_instances_of_collada_nodes_are_all_converted(tmp_path: Path) -> None:
     """Reference: eight times the volume of the box [m^3]."""
     (tmp_path / "eight.dae").write_text(nest_nodes(3))
-    whole = trimesh.load(io.BytesIO(convert_to_obj(tmp_path / "eight.dae")), file_type="obj")
-    assert whole.volume == pytest.approx(8 * BOX.volume)
+    converted = trimesh.load(io.BytesIO(convert_to_obj(tmp_path / "eight.dae")), file_type="obj")
+    assert converted.volume == pytest.approx(8 * BOX.volume)
 
 
 def test_a_collada_node_that_contains_itself_is_refused(tmp_path: Path) -> None:
@@ -191,10 +191,10 @@ def test_a_collada_node_that_contains_itself_is_refused(tmp_path: Path) -> None:
 
 def test_conversion_fails_if_a_collision_mesh_is_left_out(tmp_path: Path) -> None:
     """An STL whose header states five more triangles than the file contains cannot be read."""
-    whole = BOX.export(file_type="stl")
+    stl = BOX.export(file_type="stl")
     for claimed, passes in ((len(BOX.faces), True), (len(BOX.faces) + 5, False)):
-        content = whole[:80] + struct.pack("<I", claimed) + whole[84:]
-        file = f"{claimed}.stl"  # MuJoCo keeps what it has read of a name in this second
+        content = stl[:80] + struct.pack("<I", claimed) + stl[84:]
+        file = f"{claimed}.stl"  # another name, since MuJoCo caches files of the same second
         (tmp_path / file).write_bytes(content)
         shape = format_shape("collision", f'<mesh filename="{file}"/>', "0 0 0")
         found = with_shapes(tmp_path, shape)
@@ -288,8 +288,8 @@ def test_part_that_is_instanced_in_nested_nodes_is_written_each_time(tmp_path: P
         f'<library_visual_scenes><visual_scene id="s">{scene}</visual_scene>'
         '</library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>'
     )
-    whole = trimesh.load(io.BytesIO(convert_to_obj(tmp_path / "eight.dae")), file_type="obj")
-    assert whole.volume == pytest.approx(8 * BOX.volume)
+    converted = trimesh.load(io.BytesIO(convert_to_obj(tmp_path / "eight.dae")), file_type="obj")
+    assert converted.volume == pytest.approx(8 * BOX.volume)
 
 
 def test_mesh_that_is_visual_and_collides_is_compiled_once(

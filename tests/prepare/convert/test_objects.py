@@ -42,7 +42,7 @@ ARM_MJCF = """
 
 
 def assert_equal_robots(robot: pa.Robot, expected: pa.Robot, *, atol: float = 1e-12) -> None:
-    """Compare joints, masses, limits and both engines' mass matrices and gravity torques."""
+    """Compare total mass, limits, and Pinocchio's mass matrices and gravity torques."""
     order = [robot.joint_names.index(name) for name in expected.joint_names]
     base = list(range(robot.nv - robot.nu))
     dofs = [*base, *(len(base) + index for index in order)]
@@ -104,8 +104,8 @@ def compiled_spec() -> mujoco.MjSpec:
 def test_robot_of_mujoco_object_equals_robot_of_file(
     make: Callable[[], object], from_mjcf: pa.Robot
 ) -> None:
-    """Joints, masses [kg], limits, mass matrices and gravity torques of both engines, and the
-    nominal stand within 1e-6.
+    """Total mass, limits, mass matrices and gravity torques in Pinocchio, and the nominal stand
+    within 1e-6.
     """
     robot = pa.load_robot(make())
     assert_equal_robots(robot, from_mjcf)
@@ -128,7 +128,7 @@ def test_robot_of_mujoco_object_equals_robot_of_file(
 def test_robot_of_urdf_in_memory_equals_robot_of_file(
     make: Callable[[], object], from_urdf: pa.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Joints, masses [kg], limits, mass matrices and gravity torques of both engines."""
+    """Total mass, limits, mass matrices and gravity torques in Pinocchio."""
     monkeypatch.chdir(ROOT / "urdf")
     robot = pa.load_robot(make())
     assert_equal_robots(robot, from_urdf)
@@ -142,8 +142,8 @@ def test_robot_of_pinocchio_model_equals_robot_of_file(kind: str, from_urdf: pa.
     base = () if kind == "no free flyer" else (pin.JointModelFreeFlyer(),)
     model = pin.buildModelFromUrdf(str(V3_URDF), *base)
     shapes = pin.buildGeomFromUrdf(model, str(V3_URDF), pin.GeometryType.COLLISION)
-    whole = pin.RobotWrapper(model, collision_model=shapes)
-    robot = pa.load_robot(whole) if kind == "wrapper" else pa.load_robot(model, shapes)
+    wrapper = pin.RobotWrapper(model, collision_model=shapes)
+    robot = pa.load_robot(wrapper) if kind == "wrapper" else pa.load_robot(model, shapes)
     assert_equal_robots(robot, from_urdf)
     assert robot.floating
     assert len(robot.feet) == 4
@@ -327,7 +327,7 @@ def run_get_spec(package: Path) -> mujoco.MjSpec:
 @pytest.mark.slow
 @pytest.mark.parametrize(("robot", "feet"), [("unitree_go1", 4), ("unitree_g1", 2)])
 def test_mjlab_spec_is_solved_to_stand(robot: str, feet: int) -> None:
-    """Mass and joints of MuJoCo's model of the same spec."""
+    """Reference: mass and number of degrees of freedom of MuJoCo's model of the same spec."""
     spec = run_get_spec(file(LAB, robot))
     loaded = pa.load_robot(spec)
     stand = pa.solve_stand(loaded)

@@ -90,7 +90,7 @@ def test_meshes_with_equal_names_stay_distinct(tmp_path: Path) -> None:
     mjcf.unlink()
     written = {file: file.read_bytes() for file in tmp_path.rglob("*.obj")}
     assert len(written) == 2
-    pa.convert_model(path, mjcf)  # meshes of our own are written anew
+    pa.convert_model(path, mjcf)  # own meshes are written again
     assert {file: file.read_bytes() for file in written} == written
     next(iter(written)).write_text("# another's\nv 0 0 0\n")
     with pytest.raises(pa.OutputError):
@@ -261,8 +261,8 @@ def test_shapes_of_size_zero_are_left_out_with_a_note(tmp_path: Path) -> None:
     marker = '<visual><geometry><box size="0 0 0"/></geometry></visual></link>'
     output, result = convert_file(_write_changed(tmp_path, ("</link>", marker)), "marked.xml")
     compile_file(output)
-    said = " ".join(map(str, (*result.notes, *result.not_converted)))
-    assert "size 0 0 0 was left out" in said
+    messages = " ".join(map(str, (*result.notes, *result.not_converted)))
+    assert "size 0 0 0 was left out" in messages
 
 
 @pytest.mark.slow
@@ -296,7 +296,7 @@ def test_shapes_of_massless_links_touch_at_the_height_of_the_foot(tmp_path: Path
 
 @pytest.mark.slow
 def test_a_base_that_floats_in_the_link_world(tmp_path: Path) -> None:
-    """As Centauro's: the link is the world itself, and no body that moves."""
+    """As in Centauro's URDF, the root link is the world, and not a moving body."""
     floating = (
         '<link name="world"/><joint name="reference" type="floating"><parent link="world"/>'
         '<child link="trunk"/><origin xyz="0 0 0.9"/></joint></robot>'

@@ -47,7 +47,9 @@ def without_mass(urdf: Path, link: str) -> None:
 
 
 def test_repair_finds_the_mass_across_fixed_links(tmp_path: Path) -> None:
-    """As on ANYmal C: the camera hangs on a mount, that on a link without mass, beside the mass."""
+    """As on ANYmal C: the camera is fixed to a massless mount, and the mount to a massless frame,
+    to which a mass of 6 kg is fixed as well. Reference: dynamics of the URDF in Pinocchio.
+    """
     parts = arm()
     parts["frame"] = make_fixed_part("frame", "rod", FLAT)
     parts["mount"] = make_fixed_part("mount", "frame", FLAT)
@@ -91,7 +93,7 @@ def test_invalid_inertia_of_a_moving_link_is_repaired_on_request(tmp_path: Path)
     assert {d.kind for d in found.comparison.differences} == {"inertia"}
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    # MuJoCo's principal axes span what the URDF's tensor does.
+    # MuJoCo's principal axes diagonalise the tensor of the URDF.
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, model.body("boom").iquat)
     turn = turn.reshape(3, 3)
@@ -154,7 +156,7 @@ def test_repair_of_one_body_permits_no_difference_of_another(
 
 @pytest.mark.parametrize("seed", range(20))
 def test_repaired_moments_are_possible_and_nearest(seed: int) -> None:
-    """No possible moments among many random ones are nearer."""
+    """Reference: 20,000 random moments, none of which is valid and nearer."""
     random = np.random.default_rng(seed)
     moments = np.sort(10.0 ** random.uniform(-6, 0, 3))
     moments[2] += moments[0] + moments[1]

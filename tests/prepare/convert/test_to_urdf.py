@@ -110,7 +110,7 @@ def test_extracted_robot_keeps_all_its_elements(tmp_path: Path) -> None:
     for body in ("left", "left_end"):
         model = with_one_robot(file, body).model
         assert [model.joint(index).name for index in range(model.njnt)] == ["left_1", "left_2"]
-        # Its own actuators and its part of the keyframe, in their order.
+        # Actuators and keyframe values of this robot, in the order of the file.
         joints = [model.joint(index).name for index in model.actuator_trnid[:, 0]]
         assert joints == ["left_2", "left_1"]
         np.testing.assert_array_equal(model.key_qpos, [[0.1, 0.2]])
@@ -200,7 +200,7 @@ def test_contact_parameters_and_options_that_a_urdf_cannot_state_are_listed(
 
 @pytest.mark.slow
 def test_linear_equality_of_joints_becomes_a_mimic(tmp_path: Path) -> None:
-    """second = 0.1 - 2 first."""
+    """Reference: second = 0.1 - 2 first."""
     (joint,), left = convert_equality(
         tmp_path, '<joint joint1="second" joint2="first" polycoef="0.1 -2 0 0 0"/>'
     )

@@ -31,7 +31,7 @@ MOTOR = ("gainprm", "biasprm", "forcerange", "forcelimited", "ctrllimited", "gea
 
 
 def write_random_quadruped(folder: Path, seed: int) -> Path:
-    """A quadruped of random masses and feet, every second one's feet round meshes."""
+    """Write a quadruped with random masses and foot radii; odd seeds have round meshes as feet."""
     random = np.random.default_rng(seed)
     text = write_standing_urdf(folder).read_text()
 
@@ -59,13 +59,15 @@ def load_both(urdf: Path, folder: Path) -> tuple[pa.Robot, mujoco.MjModel, Path]
 
 
 def list_touching_geoms(model: mujoco.MjModel) -> list[int]:
-    """The geoms that touch, by body and place in it: names may differ."""
+    """Return the colliding geoms, sorted by body name and index; names of geoms may differ."""
     touch = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
     return sorted(touch, key=lambda geom: (model.body(model.geom_bodyid[geom]).name, geom))
 
 
 def assert_equal_worlds(memory: mujoco.MjModel, file: mujoco.MjModel) -> None:
-    """Assert that options and colliding geoms of two models are equal to the last bit."""
+    """Assert that options and contact parameters of two models are equal to the last bit, and
+    servos and keyframes within 1e-9.
+    """
     for name in OPTIONS:
         np.testing.assert_array_equal(
             getattr(memory.opt, name), getattr(file.opt, name), err_msg=name
@@ -114,16 +116,18 @@ def test_converted_urdf_has_the_verdicts_of_its_source(seed: int, tmp_path: Path
 
 @pytest.mark.slow
 def test_each_added_element_has_a_reason(tmp_path: Path) -> None:
-    """A servo per joint, one floor and one keyframe; each reason is a note of the robot as well."""
+    """A servo per joint, one floor and one keyframe. The reasons are notes of the robot as well;
+    one note states all servos.
+    """
     robot = pa.load_robot(write_random_quadruped(tmp_path, 70201))
     added = robot.description.added
     kinds = [type(each) for each in added]
     assert kinds.count(Servo) == robot.nu
     assert kinds.count(Floor) == kinds.count(StartKeyframe) == 1
-    said = {each.reason.code for each in added}
-    assert {"ground-added", "contacts-made-to-hold", "servos-made", "start-pose-found"} <= said
+    reasons = {each.reason.code for each in added}
+    assert {"ground-added", "contacts-made-to-hold", "servos-made", "start-pose-found"} <= reasons
     messages = {note.code for note in robot.notes}
-    assert said - {"servos-made"} <= messages
+    assert reasons - {"servos-made"} <= messages
     assert "servos-added" in messages
 
 
