@@ -27,7 +27,9 @@ from tests.support.variants import load
 @pytest.mark.slow
 @pytest.mark.parametrize("name", pa.VARIANTS)
 def test_every_variant_is_as_predicted_and_verified_if_its_file_stands(name: str) -> None:
-    """In bare MuJoCo the file of v3-long-leg sinks onto its shanks, tilted by 16 deg."""
+    """References: MuJoCo's residual, and simulation of the stand. In bare MuJoCo the file of
+    v3-long-leg sinks onto its shanks, tilted by 16 deg.
+    """
     analysis = pa.analyze_variant(pa.load_variant(name))
     assert analysis.verified is (name != "v3-long-leg"), analysis.failures
     assert analysis.stand.foot_error < 1e-9
@@ -72,7 +74,9 @@ def test_motion_of_a_prismatic_joint_is_a_direction_or_oblique(
 
 
 def test_leg_jacobian_of_a_planar_leg() -> None:
-    """Straight down, a leg of length l moves its foot by l in x per pitch: and not along itself."""
+    """Closed form of a straight leg: a pitch joint moves the foot along -x by its distance
+    to the foot, the roll joint along y by the leg length, and no joint along z.
+    """
     robot = pa.load_variant("original")
     jacobians = compute_leg_jacobians(pa.Configuration(robot, robot.neutral()))
     expected = np.array([[0, -0.19, -0.11], [0.19, 0, 0], [0, 0, 0]])

@@ -203,11 +203,11 @@ def test_height_figure_marks_the_first_contact_of_a_robot_that_fails(
     )
     FIGURES["heights.png"]([analysis], Path("unused.png"))
     (axes,) = panels(figures[0])
-    said = " ".join(text.get_text() for text in axes.texts)
+    shown = " ".join(text.get_text() for text in axes.texts)
     time = min(contact.values["time"].value for contact in contacts)  # type: ignore[union-attr]
-    assert f"touch the ground at {time:.2f} s" in said
+    assert f"touch the ground at {time:.2f} s" in shown
     assert contacts[0].subject is not None
-    assert contacts[0].subject.name in said
+    assert contacts[0].subject.name in shown
 
 
 def test_heat_map_states_each_deviation_on_one_scale_and_marks_falls(

@@ -24,7 +24,7 @@ BACKGROUND = np.array([0xEE, 0xF1, 0xF5]) / 255
 
 
 def pixels(path: Path) -> np.ndarray:
-    """The colours (height, width, 3), of a picture with something in it."""
+    """Return the colours, shape (height, width, 3), of a PNG that is not of one colour."""
     assert path.read_bytes().startswith(b"\x89PNG")
     image = np.asarray(imread(path))[..., :3]
     assert (np.abs(image - image[0, 0]).max(axis=-1) > 0.05).mean() > 0.02
@@ -64,7 +64,7 @@ def test_robots_are_rendered_side_by_side(tmp_path: Path) -> None:
     image = pixels(picture.path)
     assert image.shape[1] == WIDTH
     for tile in np.split(image, 3, axis=1):
-        # A robot in the middle, whose yellow shell is seen, and nothing at the tile's edges.
+        # A robot with a yellow shell in the middle, and background at the edges of the tile.
         share = 1 - is_background(tile).mean()
         assert 0.2 < share < 0.8
         yellow = (tile[..., 0] > 0.6) & (tile[..., 2] < 0.4)
@@ -89,7 +89,7 @@ def test_line_drawing_has_the_projection_of_the_rendered_picture(name: str, tmp_
 
 @pytest.mark.slow
 def test_heavier_torso_is_marked_by_a_dark_block(tmp_path: Path) -> None:
-    """The upper half of the heavy variant's tile has dark pixels, that of the original has none."""
+    """The top 30 % of the heavy variant's tile has dark pixels, that of the original has none."""
     picture = render_with_opengl(pairs("original", "heavy"), tmp_path / "a.png", width=2 * WIDTH)
     original, heavy = np.split(pixels(picture.path), 2, axis=1)
     top = len(original) * 3 // 10  # above the hips' motors
@@ -211,10 +211,10 @@ def test_osmesa_is_tried_after_egl_and_lines_are_drawn_at_last(
     """Both backends fail as PyOpenGL does without its libraries; environment variables are
     restored.
     """
-    tried = []
+    backends = []
 
     def fail(backend: str, tiles: Any) -> Any:
-        tried.append(backend)
+        backends.append(backend)
         os.environ["PYOPENGL_PLATFORM"] = backend
         raise AttributeError("'NoneType' object has no attribute 'glGetError'")
 
@@ -225,7 +225,7 @@ def test_osmesa_is_tried_after_egl_and_lines_are_drawn_at_last(
     monkeypatch.setattr(render.platform, "system", lambda: "Linux")
     monkeypatch.setattr(render, "_render_with", fail)
     picture = render.render_variants(pairs("original"), tmp_path / "a.png", width=WIDTH)
-    assert tried == ["egl", "osmesa"]
+    assert backends == ["egl", "osmesa"]
     assert picture.method == "lines"
     assert picture.note is not None
     assert "glGetError" in picture.note
