@@ -1,4 +1,4 @@
-"""The command `audit`: refusals of invalid input."""
+"""The command `audit`: printed findings, exit status, and refusals of invalid input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Audits of robots in memory: the findings of the file, without lines."""
+"""Audits of robots in memory: the rules of the file, and findings without lines."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ URDF, MJCF = ROOT / "urdf" / "pupper_v3.urdf", ROOT / "mjcf" / "pupper_v3.xml"
 
 
 @pytest.mark.slow
-def test_findings_of_a_spec_are_those_of_its_file() -> None:
+def test_spec_is_audited_by_all_rules_of_its_file_without_lines() -> None:
+    """A negative damping in the spec is found."""
     spec = mujoco.MjSpec.from_file(str(MJCF))
     spec.joint("leg_front_r_1").damping = [-1.0, 0.0, 0.0]
     audit = pa.audit_model(spec)

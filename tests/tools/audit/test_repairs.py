@@ -210,7 +210,7 @@ def test_lost_inertial_is_copied_from_the_mirrored_link(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("wrong", ["FL", "FR", "RL", "RR"])
 def test_lost_shape_is_named_on_the_leg_that_deviates(wrong: str, tmp_path: Path) -> None:
-    """The calf has its foot's sphere left. The other three legs show which of the pair is wrong."""
+    """The calf keeps the sphere of its foot. Three equal legs show which calf deviates."""
     text = URDF.read_text()
     start = text.index(f'<link name="{wrong}_calf">')
     calf = text[start : text.index("</link>", start)]
