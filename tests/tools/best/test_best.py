@@ -76,7 +76,7 @@ def neighbours(robot: pa.Robot, found: pa.analysis.BestStance, count: int) -> li
 
 
 def check_kept(robot: pa.Robot, found: pa.analysis.BestStance) -> None:
-    """It is a stance of the space: in reach, inside all bounds, balanced."""
+    """Assert that the stance is in reach, inside all bounds, and balanced."""
     assert found.stand.foot_error < 1e-9
     joints = found.stand.joint_positions(robot)
     assert (joints >= robot.lower_limits - 1e-9).all()
@@ -172,12 +172,12 @@ def test_best_stance_for_an_offset_payload_carries_more_than_its_neighbours() ->
     found.run()
     small = SmallPayload(robot, find_place(robot, point), model_with_servos(robot).kp)
 
-    def carried(stand: pa.Stand) -> float:
+    def find_payload(stand: pa.Stand) -> float:
         rows = small.compute_rows(stand)
         return 0.0 if rows is None else largest_feasible_mass(rows)
 
-    best = carried(found.best.stand)
-    assert best > 2 * carried(found.space.nominal)
+    best = find_payload(found.best.stand)
+    assert best > 2 * find_payload(found.space.nominal)
     shares, random = Subspace(found.space, found.best.coordinates, np.eye(14)), None
     random, allowed = np.random.default_rng(4), 0
     for scale in np.geomspace(1e-3, 0.1, 30):
@@ -186,7 +186,7 @@ def test_best_stance_for_an_offset_payload_carries_more_than_its_neighbours() ->
         )
         stance = found.evaluate(place)
         if stance is not None and stance.allowed:
-            assert carried(stance.stand) < 1.005 * best
+            assert find_payload(stance.stand) < 1.005 * best
             allowed += 1
     assert allowed >= 5
 
@@ -214,7 +214,7 @@ def test_asymmetric_stance_is_optimised_over_all_free_parameters() -> None:
     assert not StanceSpace(robot, task).is_symmetric
     assert StanceSpace(robot, pa.StandTask()).is_symmetric
     assert found.stand.stance_feet == tuple(foot for foot in robot.contact_points if foot != "FL")
-    # From one start; the whole search ends at 0.49 of it.
+    # Search from one start; the complete search reaches 0.49 of the nominal value.
     assert found.value < 0.85 * found.nominal_value
     assert found.coordinates["y"] < -0.005
     assert com_margin(robot, found.stand) >= 0.01
@@ -231,7 +231,7 @@ def test_best_stance_keeps_the_fixed_part_of_the_task() -> None:
     )
     found = best_stance(robot, task=task)
     assert found.value < found.nominal_value
-    assert found.stand.task.com == "centre"  # which is where it is if nothing is said
+    assert found.stand.task.com == "centre"  # the default
     free = {"com": None, "height": None, "roll": 0.05, "pitch": 0.0, "yaw": 0.0, "offset": None}
     assert replace(found.stand.task, foot_offsets={}, **free) == task
     np.testing.assert_allclose(found.stand.foot_targets["FL"][:2], (0.07, 0.10))
@@ -271,20 +271,20 @@ def test_next_best_stance_is_returned_if_the_best_does_not_hold(
     monkeypatch: pytest.MonkeyPatch, few_samples: None
 ) -> None:
     """Three stances are simulated, with increasing motor utilisation; the third holds."""
-    tried: list[float] = []
+    utilisations: list[float] = []
 
     def fail_twice(robot: pa.Robot, stand: pa.Stand, **_: object) -> SimpleNamespace:
         statics = stand_statics(robot, solve_stand_as_simulated(robot, stand))
-        tried.append(float(statics.motor_utilisation.max()))
-        return SimpleNamespace(passed=len(tried) == 3)
+        utilisations.append(float(statics.motor_utilisation.max()))
+        return SimpleNamespace(passed=len(utilisations) == 3)
 
     monkeypatch.setattr(best, "study_stance", fail_twice)
     study = best.study_best(load("v3"), Objective.UTILISATION, pa.StandTask())
     assert study.passed
-    assert len(tried) == 3
-    assert tried == sorted(tried)
-    assert study.best.value == pytest.approx(tried[2])
-    assert tried[0] < study.best.value
+    assert len(utilisations) == 3
+    assert utilisations == sorted(utilisations)
+    assert study.best.value == pytest.approx(utilisations[2])
+    assert utilisations[0] < study.best.value
 
 
 @pytest.mark.slow

@@ -32,7 +32,10 @@ def test_settled_pose_is_unstable_at_the_buckling_load(
     point: tuple[float, float, float],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Substituted twice, as the depths under the load change the configuration."""
+    """Reference: sign of the stiffness of the steady state at 98 % and 102 % of the limit.
+
+    The limit is substituted four times, since the depths under load change the configuration.
+    """
     robot = load(name)
     stand = pa.solve_stand(robot, task)
     feet = np.mean(list(stand.contact_points.values()), axis=0)
@@ -44,7 +47,7 @@ def test_settled_pose_is_unstable_at_the_buckling_load(
         _, sunk = solve_loaded_stand(robot, task, mass, place)
         monkeypatch.setattr(
             first_order, "SMALL_PAYLOAD_RATIO", mass / robot.total_mass
-        )  # as stiff as under it
+        )  # stiffness under the payload
         rows = SmallPayload(robot, place, kp).compute_rows(sunk)
         assert rows is not None
         mass = largest_feasible_mass(rows[:1])
@@ -53,7 +56,7 @@ def test_settled_pose_is_unstable_at_the_buckling_load(
         heavy, held = solve_loaded_stand(robot, task, share * mass, place)
         try:
             signs.append(np.sign(pa.steady_state(heavy, held, feedforward=True).stiffness))
-        except pa.NoEquilibriumError:  # it is gone before a step of the search ends there
+        except pa.NoEquilibriumError:  # no equilibrium: beyond the buckling load
             signs.append(-1.0)
     assert signs == [1, -1]
 
