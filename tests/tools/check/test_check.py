@@ -209,11 +209,11 @@ def test_resolved_remark_is_stale_until_the_baseline_is_updated(folder: Path) ->
     change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.2"')
     result = run(folder)
     assert result.returncode == 0
-    said = "stale\ncrosscheck of hopper: mass of knee: it does not occur any more"
-    assert f"{said}; --update-baseline takes it out" in result.stdout
+    message = "stale\ncrosscheck of hopper: mass of knee: it does not occur any more"
+    assert f"{message}; --update-baseline takes it out" in result.stdout
     assert "::notice file=" in run(folder, "--format", "github").stdout
     result = run(folder, "--update-baseline")
-    assert f"{said}; it was taken out" in result.stdout
+    assert f"{message}; it was taken out" in result.stdout
     assert read_baseline(folder / BASELINE).entries == ()
     assert "stale" not in run(folder).stdout
 

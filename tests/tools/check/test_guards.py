@@ -34,7 +34,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "deploy.yaml").write_text(DEPLOY)
     (tmp_path / "pupper-analysis.toml").write_text(CONFIG)
     (tmp_path / "pupper-analysis-baseline.txt").write_text("")
-    assert run(tmp_path, "--update-baseline").returncode == 0  # what the audit says of v3
+    assert run(tmp_path, "--update-baseline").returncode == 0  # accepts the findings of the audit
     return tmp_path
 
 
