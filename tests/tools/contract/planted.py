@@ -26,7 +26,7 @@ LISTS = {"default angle": "default_joint_pos", "kp": "kps", "kd": "kds",
 
 @dataclass(frozen=True)
 class Robot:
-    """What sources state of a robot.
+    """Numbers of a robot that sources state.
 
     Attributes:
         urdf: Its model.
@@ -174,9 +174,9 @@ _METADATA = {"default angle": "default_joint_pos", "kp": "joint_stiffness",
 
 
 def _onnx(robot: Robot, path: Path) -> Lines:
-    said = {word: ",".join(str(robot.numbers[quantity][joint]) for joint in robot.order)
+    metadata = {word: ",".join(str(robot.numbers[quantity][joint]) for joint in robot.order)
             for quantity, word in _METADATA.items()}  # fmt: skip
-    path.write_bytes(onnx(joint_names=",".join(robot.order), **said))
+    path.write_bytes(onnx(joint_names=",".join(robot.order), **metadata))
     return {}
 
 

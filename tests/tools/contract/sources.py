@@ -198,10 +198,10 @@ def value(name: str, *sizes: int) -> bytes:
 
 def onnx(**metadata: str) -> bytes:
     """Returns a model of Protocol Buffers with an opset and metadata, as ONNX has them."""
-    said = b"\x08\x07"  # ir_version, a varint
+    model = b"\x08\x07"  # ir_version, a varint
     for key, text in metadata.items():
-        said += field(14, field(1, key) + field(2, text))
-    return said
+        model += field(14, field(1, key) + field(2, text))
+    return model
 
 
 ONNX = {

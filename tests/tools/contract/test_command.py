@@ -44,10 +44,10 @@ def test_invalid_source_is_refused_in_one_line(tmp_path: Path, name: str) -> Non
     """
     text, problem = BAD[name]
     (tmp_path / name).write_text(text)
-    said = run(tmp_path, URDF, tmp_path / name)
-    assert said.returncode == 2
-    assert problem in said.stderr
-    assert len(said.stderr.strip().splitlines()) == 1
+    result = run(tmp_path, URDF, tmp_path / name)
+    assert result.returncode == 2
+    assert problem in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "made").exists()
 
 
@@ -57,9 +57,11 @@ def test_github_annotations_name_both_lines(tmp_path: Path) -> None:
     sources["deploy.yaml"].write_text(
         text.replace(format_list([5.0] * 12), format_list([9.0] * 12))
     )
-    said = run(tmp_path, URDF, sources["gym_cfg.py"], sources["deploy.yaml"], "--format", "sarif")
-    assert said.returncode == 1
-    results = json.loads(said.stdout)["runs"][0]["results"]
+    completed = run(
+        tmp_path, URDF, sources["gym_cfg.py"], sources["deploy.yaml"], "--format", "sarif"
+    )
+    assert completed.returncode == 1
+    results = json.loads(completed.stdout)["runs"][0]["results"]
     places = [result["locations"][0]["physicalLocation"] for result in results]
     names = {place["artifactLocation"]["uri"].rpartition("/")[2] for place in places}
     assert names == {"gym_cfg.py", "deploy.yaml"}
@@ -72,7 +74,7 @@ def test_paths_are_shown_relative_to_the_working_folder(tmp_path: Path) -> None:
     text = sources["deploy.yaml"].read_text()
     kd = format_list([0.25] * 12)
     sources["deploy.yaml"].write_text(text.replace(kd, format_list([0.1] * 11 + [0.2]), 1))
-    said = run(tmp_path, URDF, "training/mjlab_cfg.py", "deploy.yaml")
-    assert "   training/mjlab_cfg.py:11   deploy.yaml:5" in said.stdout.splitlines()
-    assert "   deploy.yaml:5" in said.stdout.splitlines()
-    assert str(tmp_path) not in said.stdout
+    result = run(tmp_path, URDF, "training/mjlab_cfg.py", "deploy.yaml")
+    assert "   training/mjlab_cfg.py:11   deploy.yaml:5" in result.stdout.splitlines()
+    assert "   deploy.yaml:5" in result.stdout.splitlines()
+    assert str(tmp_path) not in result.stdout

@@ -133,8 +133,8 @@ def test_number_of_network_actions_is_compared_with_other_sources(
     gym.write_text(gym.read_text() + "    class env:\n        num_actions = 12\n")
     found = contract(gym, network)
     assert found.findings == ()
-    said = {fact.quantity: fact.value for fact in found.facts if fact.source == network.name}
-    assert said == {"actions": 12, "observed numbers": 36}
+    stated = {fact.quantity: fact.value for fact in found.facts if fact.source == network.name}
+    assert stated == {"actions": 12, "observed numbers": 36}
     gym.write_text(gym.read_text().replace("num_actions = 12", "num_actions = 10"))
     (finding,) = contract(gym, network).findings
     assert (finding.kind, finding.values) == ("actions", (10, 12))
@@ -155,9 +155,11 @@ def test_joints_of_other_names_are_matched_by_structure(
     deploy.write_text(deploy.read_text().replace(format_list(JOINTS), format_list(names.values())))
     found = read_contract(MJCF, urdf, deploy, stand=False)
     assert any(note.code == "contract-matched" for note in found.notes)
-    said = {(fact.source, fact.joint) for fact in found.facts if fact.quantity in ("effort", "kp")}
-    assert said >= {("numbered.urdf", joint) for joint in JOINTS}
-    assert said >= {("config.yaml:walker", joint) for joint in JOINTS}
+    stated = {
+        (fact.source, fact.joint) for fact in found.facts if fact.quantity in ("effort", "kp")
+    }
+    assert stated >= {("numbered.urdf", joint) for joint in JOINTS}
+    assert stated >= {("config.yaml:walker", joint) for joint in JOINTS}
     assert {finding.kind for finding in found.findings} == {"kd"}  # 0.25 deployed, 0.1 in the MJCF
     (order,) = {source.order for source in found.sources if source.name == "config.yaml:walker"}
     assert order == tuple(JOINTS)
@@ -283,9 +285,11 @@ def test_deployment_of_unitree_rl_gym_is_read_and_compared(sources: dict[str, Pa
     path = sources["deploy.yaml"].with_name("go.yaml")
     path.write_text(UNITREE_GYM)
     assert contract(sources["gym_cfg.py"], path).findings == ()
-    said = {fact.quantity: fact.value for fact in contract(path).facts if fact.source == path.name}
-    assert {"time step", "decimation", "policy step", "observation ang_vel"} <= set(said)
-    assert said["policy step"] == pytest.approx(0.02)
+    stated = {
+        fact.quantity: fact.value for fact in contract(path).facts if fact.source == path.name
+    }
+    assert {"time step", "decimation", "policy step", "observation ang_vel"} <= set(stated)
+    assert stated["policy step"] == pytest.approx(0.02)
     changed = UNITREE_GYM.replace("control_decimation: 4", "control_decimation: 10")
     path.write_text(changed.replace("action_scale: 0.75", "action_scale: 0.25"))
     scale, step = sorted(contract(sources["gym_cfg.py"], path).findings, key=lambda one: one.kind)
@@ -408,9 +412,9 @@ def test_duplicate_yaml_key_is_refused_and_merged_keys_are_read(
     path.write_text(f"gains: &gains {{{kd}}}\n<<: *gains\n{text.replace(kd, '')}")
     found = contract(sources["gym_cfg.py"], path)
     assert found.findings == ()
-    said = {fact.joint: fact.value for fact in found.facts
+    stated = {fact.joint: fact.value for fact in found.facts
             if fact.source == path.name and fact.quantity == "kd"}  # fmt: skip
-    assert said == dict.fromkeys(JOINTS, 0.25)
+    assert stated == dict.fromkeys(JOINTS, 0.25)
 
 
 @pytest.mark.parametrize(
@@ -525,6 +529,7 @@ def test_motor_limits_are_compared_with_the_urdf(sources: dict[str, Path]) -> No
 
 
 def test_an_observation_in_another_joint_order_is_a_finding(sources: dict[str, Path]) -> None:
+    """Reference: the joint names of the deployment, with both back legs exchanged."""
     text = sources["config.yaml"].read_text()
     swapped = [*JOINTS[:6], *JOINTS[9:], *JOINTS[6:9]]
     sources["config.yaml"].write_text(text.replace(format_list(JOINTS), format_list(swapped)))

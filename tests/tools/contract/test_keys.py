@@ -392,8 +392,8 @@ def test_origin_of_each_number_is_stated(tmp_path: Path) -> None:
             '    cfg.actions["joint_pos"].scale = SCALE\n', ""
         )
     )
-    whole = read_contract(MJCF, sources["mjlab_cfg.py"], stand=False)
-    scales = {f.joint: f for f in whole.facts if f.quantity == "action scale"}
+    without_scale = read_contract(MJCF, sources["mjlab_cfg.py"], stand=False)
+    scales = {f.joint: f for f in without_scale.facts if f.quantity == "action scale"}
     assert {(f.value, f.origin, f.basis) for f in scales.values()} == {
         (1.0, "default", "mjlab 1.6")
     }

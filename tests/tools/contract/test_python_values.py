@@ -12,20 +12,20 @@ from pupper_analysis.tools.contract.facts import LocatedValue
 from pupper_analysis.tools.contract.python_values import Evaluator
 
 
-def worked_out(tmp_path: Path, text: str) -> LocatedValue:
+def evaluate_x(tmp_path: Path, text: str) -> LocatedValue:
     """Return the evaluated name ``x`` of a module."""
     path = tmp_path / "settings.py"
     path.write_text(text)
     return Evaluator().load_module(path)["x"]
 
 
-def plain(node: LocatedValue) -> object:
+def to_plain(node: LocatedValue) -> object:
     """Return a value without its places; of an unknown value, its text in brackets."""
     value = node.value
     if isinstance(value, list):
-        return [plain(one) for one in value]
+        return [to_plain(one) for one in value]
     if isinstance(value, dict):
-        return {key: plain(one) for key, one in value.items()}
+        return {key: to_plain(one) for key, one in value.items()}
     return value if value is None or isinstance(value, bool | int | float | str) else f"<{value}>"
 
 
@@ -87,8 +87,8 @@ KNOWN = {
 
 @pytest.mark.parametrize("case", KNOWN)
 def test_python_expressions_evaluate_to_the_values_of_python(tmp_path: Path, case: str) -> None:
-    text, wanted = KNOWN[case]
-    assert plain(worked_out(tmp_path, text)) == wanted
+    text, expected = KNOWN[case]
+    assert to_plain(evaluate_x(tmp_path, text)) == expected
 
 
 LOST = {
@@ -154,12 +154,12 @@ LOST = {
 
 @pytest.mark.parametrize("case", LOST)
 def test_unsupported_python_expressions_are_kept_as_text(tmp_path: Path, case: str) -> None:
-    text, wanted = LOST[case]
-    assert plain(worked_out(tmp_path, text)) == wanted
+    text, expected = LOST[case]
+    assert to_plain(evaluate_x(tmp_path, text)) == expected
 
 
 def test_number_of_decimals_equals_the_source_text(tmp_path: Path) -> None:
     """A form feed is no end of a line, as Python counts them."""
-    assert worked_out(tmp_path, "y = 1\n\x0c\nx = 2.50\n").decimals == 2
-    assert worked_out(tmp_path, "x = 0xef\n").decimals == 0
-    assert worked_out(tmp_path, "x = 1_0.25e1\n").decimals == 1
+    assert evaluate_x(tmp_path, "y = 1\n\x0c\nx = 2.50\n").decimals == 2
+    assert evaluate_x(tmp_path, "x = 0xef\n").decimals == 0
+    assert evaluate_x(tmp_path, "x = 1_0.25e1\n").decimals == 1
