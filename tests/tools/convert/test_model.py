@@ -545,12 +545,12 @@ def test_requested_armature_is_written_at_the_named_joints(tmp_path: Path) -> No
     urdf = write_standing_urdf(tmp_path)
     sizes = {"knee": 0.02, "roll": 0.01}
     legs = ("FL", "FR", "RL", "RR")
-    given = {f"{leg}_{name}": size for leg in legs for name, size in sizes.items()}
-    mjcf, found = convert_file(urdf, "quad.xml", armature=given)
+    requested = {f"{leg}_{name}": size for leg in legs for name, size in sizes.items()}
+    mjcf, found = convert_file(urdf, "quad.xml", armature=requested)
     assert found.passed, found.failures
     model = compile_file(mjcf)
     armature = {model.joint(i).name: model.dof_armature[i + 5] for i in range(1, 13)}
-    assert armature == {**dict.fromkeys(armature, 0.0), **given}
+    assert armature == {**dict.fromkeys(armature, 0.0), **requested}
 
 
 @pytest.mark.slow
@@ -593,9 +593,9 @@ def test_losses_without_a_message_are_found(tmp_path: Path) -> None:
     done = pa.convert_model(ROOT / "mjcf/pupper_v3.xml", tmp_path / "b.urdf")
     back = pa.convert_model(tmp_path / "b.urdf", tmp_path / "b.xml")
     before, after = of_mjcf(ROOT / "mjcf/pupper_v3.xml"), of_mjcf(tmp_path / "b.xml")
-    said = " ".join(map(str, (*done.not_converted, *back.notes))).lower()
-    assert "condim" in silent_losses(before, after, said.replace("condim", ""))
-    assert "condim" not in silent_losses(before, after, said)
+    messages = " ".join(map(str, (*done.not_converted, *back.notes))).lower()
+    assert "condim" in silent_losses(before, after, messages.replace("condim", ""))
+    assert "condim" not in silent_losses(before, after, messages)
 
 
 @pytest.mark.slow
@@ -640,6 +640,7 @@ def test_mjcf_is_not_converted_to_a_file_named_xml(tmp_path: Path) -> None:
 def test_inertia_that_mujoco_refuses_is_added_to_the_parent_of_a_fixed_link(
     tmp_path: Path,
 ) -> None:
+    """References: sum of the two masses [kg], and Pinocchio's dynamics of the URDF."""
     parts = arm()
     parts["tip"] = Part(
         "tip", "rod", "glue", "fixed", (0.1, 0.02, 0.0), mass=0.3, com=(0.05, 0.0, 0.0),
