@@ -47,7 +47,7 @@ def with_euler(text: str, order: str, compiler: str) -> str:
 
     def euler(match: re.Match[str]) -> str:
         quaternion = [float(word) for word in match[1].split()]
-        # MuJoCo's small letters are axes that turn along, scipy's are fixed ones.
+        # Lower-case letters are rotating axes in MuJoCo, and fixed axes in SciPy.
         angles = Rotation.from_quat(quaternion, scalar_first=True).as_euler(order.swapcase())
         return f'euler="{numbers(angles)}"'
 
@@ -178,11 +178,11 @@ def test_causes_are_ordered_by_their_effect(tmp_path: Path) -> None:
     tenfold = {"mass": 10 * thigh.mass, "inertia": tuple(10 * np.array(thigh.inertia))}
     limit = change_part(change_part(quadruped(), "thigh0", **tenfold), "shank3", lower=-2.51)
     heavy = change_part(limit, "base", mass=9 * quadruped()["base"].mass)
-    for mjcf, said in ((limit, "mass and inertia of thigh0"), (heavy, "link base: mass")):
+    for mjcf, first_cause in ((limit, "mass and inertia of thigh0"), (heavy, "link base: mass")):
         comparison = compare_files(pair(tmp_path, mjcf))
         assert len(comparison.causes) == 1
         assert len(comparison.unexplained_differences) > 0
-        assert format_headline(comparison).startswith(f"DISAGREE: {said}")
+        assert format_headline(comparison).startswith(f"DISAGREE: {first_cause}")
 
 
 def test_base_of_another_robot_is_one_cause(tmp_path: Path) -> None:
@@ -298,7 +298,7 @@ def test_efforts_stated_before_the_gear_are_the_first_cause(tmp_path: Path) -> N
     """As Cassie's: 4.5 N m in the URDF and at ctrl, 112.5 N m at the joint."""
     mjcf = change_part(
         quadruped(), "base", mass=7.0
-    )  # a kilogram goes before efforts, but not first
+    )  # one more difference, which is less than the cause
     text = add_gears(mjcf_text(mjcf), (25, 16) * 4)
     comparison = compare_files(write(tmp_path, urdf_text(quadruped()), text))
     line = get_headline(write(tmp_path, urdf_text(quadruped()), text))
@@ -309,7 +309,7 @@ def test_efforts_stated_before_the_gear_are_the_first_cause(tmp_path: Path) -> N
 
 
 def test_efforts_that_no_gear_explains(tmp_path: Path) -> None:
-    """The MJCF's forces are the joints' already: the URDF's are wrong, or another motor's."""
+    """All efforts differ by a factor of 1.7, without gears and with gears of 25."""
     mjcf = {
         name: replace(part, effort=1.7 * part.effort) if part.joint else part
         for name, part in quadruped().items()

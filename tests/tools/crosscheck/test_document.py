@@ -1,4 +1,4 @@
-"""Printed comparisons: the first cause first, equal differences in groups, and no text cut off."""
+"""Printed and annotated comparisons: the first cause first, equal differences in groups."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_annotations_name_unmatched_and_guessed_joints(tmp_path: Path) -> None:
 def test_unexplained_deviation_is_the_verdict(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without a difference to name, the verdict still is not AGREE, in every format."""
+    """Without a difference to name, neither the verdict nor the annotations are AGREE."""
     monkeypatch.setattr(extras, "of_joints", lambda _: iter(()))
     text = mjcf_text(quadruped())
     text = text.replace('<joint name="hip0"', '<joint name="hip0" stiffness="20"')

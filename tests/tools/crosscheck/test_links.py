@@ -207,16 +207,16 @@ def test_folded_body_of_two_boxes_equals_mujocos_body() -> None:
         x, y, z = np.square(half)
         return TreeBody(mass, np.array(place), np.diag([y + z, x + z, x + y]) * mass / 3)
 
-    both = combine_bodies(
+    combined = combine_bodies(
         box(2.0, (0.1, 0.2, 0.3), (0.0, 0.0, 0.0)), box(3.0, (0.05, 0.1, 0.02), (0.4, -0.1, 0.2))
     )
-    assert both.mass == pytest.approx(model.body_mass[1])
-    assert both.com == pytest.approx(model.body_ipos[1])
+    assert combined.mass == pytest.approx(model.body_mass[1])
+    assert combined.com == pytest.approx(model.body_ipos[1])
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, model.body_iquat[1])
     turn = turn.reshape(3, 3)
-    assert both.inertia == pytest.approx(turn @ np.diag(model.body_inertia[1]) @ turn.T)
-    assert compute_moments(both)[0] == 5.0
+    assert combined.inertia == pytest.approx(turn @ np.diag(model.body_inertia[1]) @ turn.T)
+    assert compute_moments(combined)[0] == 5.0
 
 
 def test_names_are_grouped_by_common_pattern() -> None:
