@@ -228,8 +228,8 @@ def test_changed_and_removed_mimic_are_reported_with_their_values(tmp_path: Path
     assert "(hip0, 2, 0.1) in the old file, (hip0, 3, 0.1) in the new file" in (
         diff.changes[0].message
     )
-    gone = pa.diff_models(*write_both(tmp_path, old, text, "urdf"))
-    assert (gone.changes[0].kind, gone.changes[0].new) == ("mimic", None)
+    removed = pa.diff_models(*write_both(tmp_path, old, text, "urdf"))
+    assert (removed.changes[0].kind, removed.changes[0].new) == ("mimic", None)
     assert pa.diff_models(*write_both(tmp_path, old, old, "urdf")).same
 
 
@@ -237,7 +237,7 @@ def test_changed_and_removed_mimic_are_reported_with_their_values(tmp_path: Path
 
 
 def test_gravity_torques_equal_the_pendulum_in_closed_form(tmp_path: Path) -> None:
-    """m g l |sin q| at the greatest of the positions that are tried, for old and new alike."""
+    """Closed form m g l |sin q|, the largest value at the evaluated positions."""
     old, new = pendulum(), pendulum(mass=3.0, com=(0.0, 0.0, -0.7))
     diff = diff_of(tmp_path, old, new, "urdf")
     one, two = diff.torques["swing"]
@@ -253,7 +253,7 @@ def test_gravity_torques_equal_the_pendulum_in_closed_form(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("name", ["v3", "original"])
 def test_behaviour_is_that_of_configurations(name: str) -> None:
-    """MuJoCo's of the tree is Pinocchio's of the file, in the public convention."""
+    """Reference: Pinocchio's `Configuration` of the file; MuJoCo evaluates the tree."""
     robot = load(name)
     tree, _ = kinematic_trees(robot)
     trial = RandomStates(tree)
@@ -610,7 +610,7 @@ def test_renamed_joint_is_a_change_and_its_values_are_compared(tmp_path: Path, k
 
 
 def test_longer_leg_changes_the_torque_of_its_hip_only(tmp_path: Path) -> None:
-    """The shank is further from the hip; the knee and other legs hold what they held."""
+    """The torques of the knee and of another leg do not depend on the length of the thigh."""
     longer = change_part(ROBOT, "shank1", position=(0.0, 0.16, -0.4))
     diff = diff_of(tmp_path, ROBOT, longer, "urdf")
     for joint in ("knee1", "hip2"):

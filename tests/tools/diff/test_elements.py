@@ -50,9 +50,9 @@ def test_edit_is_reported_at_its_line_with_its_effect_in_mujoco(tmp_path: Path, 
     codes = {message.code for message in messages}
     assert ("simulation-changes" in codes) is (name in FELT)
     assert (codes == {"simulation-unchanged"}) is (name in HARMLESS)
-    # The height that all of it tells together is the one that bare MuJoCo has.
-    whole = [one for one in diff.combined or messages if one.code == "simulation-changes"]
-    for one in whole:
+    # Reference of the common effect of all changes: the height in bare MuJoCo.
+    combined = [one for one in diff.combined or messages if one.code == "simulation-changes"]
+    for one in combined:
         stated = [one.values["higher"], one.values["lower"], one.values["falls"]]
         (height,) = [value.value for value in stated if value is not None] or [0.0]
         rise = rest_height(after) - rest_height(before)
@@ -205,8 +205,8 @@ def test_a_flag_of_the_compiler_is_the_first_change(tmp_path: Path, flag: str) -
     old.write_text(text)
     word = flag.partition("=")[0]
     stated = 'angle="radian"' if word == "angle" else 'angle="radian"/'
-    given = flag if word == "angle" else f'angle="radian" {flag}/'
-    new.write_text(text.replace(stated, given))
+    changed = flag if word == "angle" else f'angle="radian" {flag}/'
+    new.write_text(text.replace(stated, changed))
     first, *others = pa.diff_models(old, new).changes
     assert (first.kind, first.element) == ("compiler", word)
     assert first.new_place.endswith("new.xml:2")

@@ -25,7 +25,10 @@ def test_random_edits_of_v3_are_reported(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_random_structural_edits_are_reported(tmp_path: Path) -> None:
-    """Classes, the compiler, memory, keyframes, parts that are included, attached or repeated."""
+    """Classes, the compiler, memory, keyframes, parts that are included, attached or repeated.
+
+    Reference: distance between two rollouts of bare MuJoCo.
+    """
     (tmp_path / "drawn").mkdir()
     source = write_robot(draw_robot(44), tmp_path / "drawn").mjcf
     found = compute_answers(source, 10, 0, tmp_path, structure=True)
