@@ -33,7 +33,7 @@ JOINTS = ("knee", "hip")
 TIME = 0.005 * np.arange(240)
 POSITION = np.column_stack([0.4 * np.sin(5 * TIME), 0.1 + 0.3 * np.sin(7 * TIME)])
 EFFORT = np.column_stack([2 * np.cos(5 * TIME), 3 * np.cos(7 * TIME)])
-STARTED, LATE = 1_700_000_000, 0.002  # s: of stamps; by so much recording is later
+STARTED, LATE = 1_700_000_000, 0.002  # [s]: start of the stamps; delay of the recording
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 POINT = "trajectory_msgs/JointTrajectoryPoint"
@@ -46,9 +46,9 @@ STORE.register(
 
 
 def stamp(moment: float) -> Any:
-    whole = STARTED + int(moment)
+    seconds = STARTED + int(moment)
     header, clock = STORE.types["std_msgs/msg/Header"], STORE.types["builtin_interfaces/msg/Time"]
-    return header(clock(whole, round(1e9 * (moment - int(moment)))), "")
+    return header(clock(seconds, round(1e9 * (moment - int(moment)))), "")
 
 
 def state(names: Sequence[str], position: Any, effort: Any = (), moment: float = 0.0) -> Any:
@@ -125,7 +125,9 @@ NAMED = JOINTS[::-1]
 def test_states_are_read_and_a_command_holds_until_the_next(
     tmp_path: Path, plugin: StoragePlugin
 ) -> None:
-    """Commands have no stamps: all are at when they were recorded, states 2 ms late."""
+    """Commands have no stamps, so that their time of recording counts; states are recorded 2 ms
+    after their stamps.
+    """
     path = bag(tmp_path, [*states(), *commands()], plugin)
     found = read_log(path, joints=NAMED)
     assert found.joints == JOINTS
@@ -141,7 +143,7 @@ def test_states_are_read_and_a_command_holds_until_the_next(
 
 
 def test_lost_messages_leave_gaps_in_the_log(tmp_path: Path) -> None:
-    """The hip's messages are others, half as many and later, and some are lost."""
+    """The hip has its own messages: half as many, 1 ms later, and ten of them are lost."""
     messages: list[Message] = []
     for row, now in enumerate(TIME.tolist()):
         messages.append(("/joint_states", STATE, now, state(["knee"], POSITION[row, :1],
@@ -172,9 +174,9 @@ def test_several_topics_require_a_choice(tmp_path: Path) -> None:
     with pytest.raises(MeasurementError) as refused:
         read_log(path)
     assert refused.value.cause.code == "topics-of-one-kind"
-    asked = read_log(path, topics={"state": "/joint_states", "command": "/sim/joint_states"})
-    assert asked.command[-1] == pytest.approx([9, 9])
-    assert asked.position == pytest.approx(POSITION)
+    chosen = read_log(path, topics={"state": "/joint_states", "command": "/sim/joint_states"})
+    assert chosen.command[-1] == pytest.approx([9, 9])
+    assert chosen.position == pytest.approx(POSITION)
     for wrong in ({"state": "/tf"}, {"torque": "/joint_states"}):
         with pytest.raises(ConfigurationError):
             read_log(path, topics=wrong)
@@ -207,9 +209,9 @@ def test_state_of_a_controller_contains_command_and_position(tmp_path: Path, dri
     assert found.command == pytest.approx(POSITION + 0.01)
 
 
-def _points(folder: Path) -> Path:
-    whole = trajectory(0.0, [0, 0], [1, 1])
-    return bag(folder, [*states(), ("/trajectory", TRAJECTORY, 0.0, whole)])
+def _write_trajectory_of_points(folder: Path) -> Path:
+    points = trajectory(0.0, [0, 0], [1, 1])
+    return bag(folder, [*states(), ("/trajectory", TRAJECTORY, 0.0, points)])
 
 
 def _write_backwards(folder: Path) -> Path:
@@ -218,7 +220,7 @@ def _write_backwards(folder: Path) -> Path:
     return bag(folder, messages)
 
 
-def _of_nothing(folder: Path) -> Path:
+def _write_without_states(folder: Path) -> Path:
     return bag(folder, [("/numbers", ARRAY, 0.0, array([1.0]))])
 
 
@@ -228,7 +230,7 @@ def _write_broken(folder: Path, name: str = "broken.mcap") -> Path:
     return path
 
 
-def _pipe(folder: Path) -> Path:
+def _make_pipe(folder: Path) -> Path:
     os.mkfifo(folder / "pipe.bag")
     return folder / "pipe.bag"
 
@@ -237,12 +239,12 @@ def _pipe(folder: Path) -> Path:
     ("make", "code"),
     [
         (_write_backwards, "stamps-go-back"),
-        (_points, "trajectory-of-points"),
-        (_of_nothing, "bag-without-states"),
+        (_write_trajectory_of_points, "trajectory-of-points"),
+        (_write_without_states, "bag-without-states"),
         (_write_broken, "no-bag"),
         (lambda folder: _write_broken(folder, "empty.db3"), "no-bag"),
         (lambda folder: folder / "none.mcap", "no-such-file"),
-        (_pipe, "file-not-regular"),
+        (_make_pipe, "file-not-regular"),
     ],
 )
 def test_invalid_bag_is_refused_in_one_line(
@@ -254,7 +256,7 @@ def test_invalid_bag_is_refused_in_one_line(
     assert "\n" not in str(refused.value)
 
 
-def _of_ros1(folder: Path) -> Path:
+def _write_ros1(folder: Path) -> Path:
     store = get_typestore(Stores.ROS1_NOETIC)
     writer = rosbag1.Writer(folder / "ros1.bag")
     header = store.types["std_msgs/msg/Header"]
@@ -271,7 +273,7 @@ def _of_ros1(folder: Path) -> Path:
 
 
 def test_a_bag_of_ros_1_is_read(tmp_path: Path) -> None:
-    time, kinds = bags.read_bag(_of_ros1(tmp_path), {}, ())
+    time, kinds = bags.read_bag(_write_ros1(tmp_path), {}, ())
     np.testing.assert_allclose(time, TIME, atol=1e-6)
     np.testing.assert_array_equal(kinds["position"]["hip"], POSITION[:, 1])
 

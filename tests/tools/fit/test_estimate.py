@@ -165,7 +165,7 @@ def test_first_moments_convert_to_masses_and_coms_and_back() -> None:
     assert moments.from_parameters(given.stated) == pytest.approx(given.stated)
     # m c = m c0 + m0 (y - c0): at twice the mass the same coordinate is half as far off.
     assert x[1] * x[0] == pytest.approx(x[1] * 0.1 + 2.0 * (y[0] - 0.1))
-    # Of a lamp whose mass is known there is nothing to turn.
+    # The mass of the lamp is no parameter, so that its coordinates are unchanged.
     assert y[3:] == pytest.approx(x[3:])
     step = 1e-6
     jacobian = np.column_stack(

@@ -86,11 +86,11 @@ def test_repeated_time_is_refused_as_repeated(tmp_path: Path) -> None:
 
 
 def test_log_is_reordered_to_the_robot_and_unknown_joints_are_refused() -> None:
-    placed = log().order_joints(arm())
-    assert placed.joints == arm().joint_names
+    ordered = log().order_joints(arm())
+    assert ordered.joints == arm().joint_names
     elbow = arm().joint_names.index("elbow")
-    assert (placed.position[:, elbow] == log().position[:, 1]).all()
-    assert np.isnan(placed.position[:, arm().joint_names.index("a_turn")]).all()
+    assert (ordered.position[:, elbow] == log().position[:, 1]).all()
+    assert np.isnan(ordered.position[:, arm().joint_names.index("a_turn")]).all()
     with pytest.raises(UnknownNameError):
         replace(log(), joints=("shoulder", "wrist")).order_joints(arm())
 
@@ -150,9 +150,9 @@ def test_soft_servo_that_holds_is_not_reported_as_swapped(offset: float) -> None
     time = 0.005 * np.arange(1000)
     way = np.minimum(time / 1.5, 1.0) - 0.5 * np.clip((time - 2) / 3, 0, 1)
     command, done = 1.5 * np.sin(way * np.pi / 2), [0.0]
-    for asked in command[1:]:  # as much of it as gravity leaves; friction holds within 0.1 rad
-        wanted = 0.4 * asked
-        done.append(min(max(done[-1], wanted - 0.1), wanted + 0.1))
+    for target in command[1:]:  # as much of it as gravity leaves; friction holds within 0.1 rad
+        free = 0.4 * target
+        done.append(min(max(done[-1], free - 0.1), free + 0.1))
     position = np.array(done) + offset
     good = Log("lift", time, ("elbow",), command[:, None], position[:, None])
     inspect_log(arm(), good)
@@ -187,5 +187,5 @@ def test_a_joint_whose_position_precedes_its_command_is_reported() -> None:
     command, position = good.command.copy(), good.position.copy()
     command[:, 0], position[:, 0] = good.position[:, 0], good.command[:, 0]
     found = inspect_log(arm(), replace(good, command=command, position=position))
-    (told,) = [one for one in found if one.code == "position-leads-command"]
-    assert told.values["joints"] == ("shoulder",)
+    (finding,) = [one for one in found if one.code == "position-leads-command"]
+    assert finding.values["joints"] == ("shoulder",)

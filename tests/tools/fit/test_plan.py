@@ -28,7 +28,7 @@ from pupper_analysis.tools.study.parameters import scale_robot
 
 
 def test_the_chosen_make_the_determinant_largest() -> None:
-    """Against all ways to choose: of 12 measurements 4."""
+    """Reference: largest log-determinant of all choices of 4 from 12 measurements, within 2 %."""
     rng = np.random.default_rng(3)
     rows = rng.normal(size=(12, 2, 5)) * rng.uniform(0.2, 2, size=(12, 1, 5))
     each = [row.T @ row for row in rows]
@@ -50,7 +50,7 @@ def test_number_of_rare_stands_is_bounded() -> None:
     """
     rng = np.random.default_rng(3)
     rows = rng.normal(size=(12, 2, 5))
-    rows[:6] *= 10  # which tell most
+    rows[:6] *= 10  # the most informative
     each, rare = [one.T @ one for one in rows], [True] * 6 + [False] * 6
     assert sum(place < 6 for place in choose_stands(each, np.eye(5), 6)) > 4
     assert sum(place < 6 for place in choose_stands(each, np.eye(5), 6, rare, 2)) == 2
@@ -125,10 +125,10 @@ def test_com_uncertainty_equals_that_of_robots_drawn_from_the_priors(
     places = coms + np.einsum("bij,nbj->nbi", axes, offsets)
     found = np.einsum("nb,nbi->ni", weights, places) / weights.sum(axis=1)[:, None]
     for one in range(3):
-        asked = {f"mass:{link}": factors[one, at] for at, link in enumerate(links)}
+        requested = {f"mass:{link}": factors[one, at] for at, link in enumerate(links)}
         for at, link in enumerate(links):
-            asked |= {f"com_{axis}:{link}": offsets[one, at, i] for i, axis in enumerate("xyz")}
-        drawn = Configuration(scale_robot(robot, asked), robot.make_qpos(robot.nominal))
+            requested |= {f"com_{axis}:{link}": offsets[one, at, i] for i, axis in enumerate("xyz")}
+        drawn = Configuration(scale_robot(robot, requested), robot.make_qpos(robot.nominal))
         assert found[one] == pytest.approx(drawn.center_of_mass(), abs=1e-12)
     aside = np.std(found, axis=0)[:2].max()
     # A twentieth: what 2000 draws leave, and that heavier robots' coms are not linear in masses.
@@ -140,7 +140,9 @@ def test_com_uncertainty_equals_that_of_robots_drawn_from_the_priors(
 def test_plan_keeps_margins_from_limits_and_other_links(
     variant: str,
 ) -> None:
-    """Joints keep three standard deviations of the encoder offset; links half of the distance."""
+    """Joints keep three standard deviations of the encoder offset from their limits; links are more
+    than 1 mm apart.
+    """
     robot = load_variant(variant)
     priors = [parse_prior("offset=2deg"), parse_prior("com=5mm")]
     found = RandomStands(robot, np.random.default_rng(0), None, priors).draw_stands(6)

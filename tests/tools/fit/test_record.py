@@ -282,10 +282,10 @@ class Faulty(SimulatedRobot):
         return self.last
 
     def send(self, command: Array) -> None:
-        wanted = command.copy()
+        obeyed = command.copy()
         if self.sent and self.now() >= self.stuck:
-            wanted[5] = self.sent[-1][5]
-        super().send(wanted)
+            obeyed[5] = self.sent[-1][5]
+        super().send(obeyed)
 
     def wait(self, seconds: float) -> None:
         before = self.now()
@@ -341,8 +341,8 @@ def test_recording_holds_on_a_fault_and_resumes_later(
     assert len(rows) == (1 + taken if taken else 0)
     # What was commanded last is commanded again, and nothing else.
     np.testing.assert_array_equal(one.sent[-1], one.sent[-2])
-    whole = SimulatedRobot(robot, 3)
-    later = record_stands(robot, plan, path, whole, whole)
+    sound_robot = SimulatedRobot(robot, 3)
+    later = record_stands(robot, plan, path, sound_robot, sound_robot)
     assert later.existing_stands == found.recorded_stands
     assert later.recorded_stands == found.missing_stands
     assert later.complete

@@ -84,10 +84,10 @@ def test_masses_and_coms_equal_pinocchio_in_joint_frames(name: str) -> None:
     at, by = robot.mj_convention.qvel_index, robot.pin_convention.v_index
     q, v = robot.pin_convention.q(state[0]), np.empty(by_pin.nv)
     v[by] = state[1]
-    wanted = pin.crba(by_pin, by_pin.createData(), q)
-    wanted = np.triu(wanted) + np.triu(wanted, 1).T  # with armature
+    expected = pin.crba(by_pin, by_pin.createData(), q)
+    expected = np.triu(expected) + np.triu(expected, 1).T  # with armature
     bias = pin.nonLinearEffects(by_pin, by_pin.createData(), q, v)
-    assert mass_matrix[np.ix_(at, at)] == pytest.approx(wanted[np.ix_(by, by)], abs=1e-9)
+    assert mass_matrix[np.ix_(at, at)] == pytest.approx(expected[np.ix_(by, by)], abs=1e-9)
     assert data.qfrc_bias[at] == pytest.approx(bias[by], abs=1e-9)
 
 
@@ -112,16 +112,16 @@ def test_prediction_equals_stepwise_mujoco_with_delay_and_offsets() -> None:
     simulator.set_parameters(model, x)
     model.opt.timestep, model.opt.integrator = step, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     offset = np.array([given.get_value(x, "offset", name, "", 0.0) for name in robot.joint_names])
-    data, seen = mujoco.MjData(model), []
+    data, positions = mujoco.MjData(model), []
     robot.mj_convention.set_state(data, run.start[0] - offset, run.start[1])
     for tick in range(round(run.time[-1] / step)):
         if tick % 40 == 0:
-            seen.append(data.qpos[robot.mj_convention.qpos_index] + offset)
+            positions.append(data.qpos[robot.mj_convention.qpos_index] + offset)
         sample = max(int((tick * step - x[-1]) / 0.005 + 1e-9), 0)
         data.ctrl[:] = run.command[sample] - offset  # in actuator order, of gear 1
         mujoco.mj_step(model, data)
     late = 50  # samples: until how it began is forgotten
-    assert found[late : len(seen)] == pytest.approx(np.array(seen)[late:], abs=2e-4)
+    assert found[late : len(positions)] == pytest.approx(np.array(positions)[late:], abs=2e-4)
     assert np.ptp(found[late:, 0]) > 0.2
 
 
@@ -137,22 +137,22 @@ def test_lag_equals_stepwise_simulation_of_slow_motors() -> None:
     model = copy.copy(simulator.bodies.model)
     simulator.set_parameters(model, np.zeros(3))
     model.opt.timestep, model.opt.integrator = step, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    data, seen, kp = mujoco.MjData(model), [], simulator.drive.kp
+    data, positions, kp = mujoco.MjData(model), [], simulator.drive.kp
     at, dofs = robot.mj_convention.qpos_index, robot.mj_convention.qvel_index
     robot.mj_convention.set_state(data, *run.start)
     torque = kp * (run.command[0] - run.start[0])
     for tick in range(round(run.time[-1] / step)):
         if tick % 40 == 0:
-            seen.append(data.qpos[at].copy())
+            positions.append(data.qpos[at].copy())
         data.ctrl[:] = run.command[tick // 40]
-        asked = kp * (data.ctrl - data.qpos[at])
-        torque += (asked - torque) * (1 - np.exp(-step / lag))
-        data.qfrc_applied[dofs] = torque - asked
+        commanded = kp * (data.ctrl - data.qpos[at])
+        torque += (commanded - torque) * (1 - np.exp(-step / lag))
+        data.qfrc_applied[dofs] = torque - commanded
         mujoco.mj_step(model, data)
-    late = np.array(seen)[50:]
+    late = np.array(positions)[50:]
     vectors = np.array([[lag, lag, lag], [lag, lag, 0], [0, 0, lag], [0, 0, 0]])
     off = [
-        np.abs(one[50 : len(seen)] - late).max()
+        np.abs(one[50 : len(positions)] - late).max()
         for one in simulator.predict_positions(run, vectors)
     ]
     assert off[0] < 1e-4
@@ -165,12 +165,12 @@ def test_smoothed_commands_equal_a_first_order_lag() -> None:
     command = np.random.default_rng(2).normal(size=(6, 2))
     for lag in (0.3, 1.7):
         followed, means = command[0].copy(), []
-        for asked in command:
-            parts = asked + (followed - asked) * np.exp(
+        for target in command:
+            parts = target + (followed - target) * np.exp(
                 -(np.arange(1000)[:, None] + 0.5) / 1e3 / lag
             )
             means.append(parts.mean(axis=0))
-            followed = asked + (followed - asked) * np.exp(-1 / lag)
+            followed = target + (followed - target) * np.exp(-1 / lag)
         np.testing.assert_allclose(_apply_lag(command, lag), means, atol=1e-6)
     np.testing.assert_array_equal(_apply_lag(command, 0.0), command)
 
@@ -188,15 +188,17 @@ def test_rollout_derivatives_equal_finite_differences_across_limbs() -> None:
     (run,) = split_runs(log, robot.home, 0.0)
     simulator, moments = Simulator(robot, drive, given, 0.005), MomentCoordinates(given)
     here, y = simulator.predict_positions(run, [x])[0], moments.from_parameters(x)
-    whole = np.zeros((*here.shape, len(given)))
+    derivatives = np.zeros((*here.shape, len(given)))
     for number, (places, rates) in differentiate_motion(simulator, moments, run, y).items():
-        whole[:, np.array(simulator.groups[number][0])[:, None], places] = rates
+        derivatives[:, np.array(simulator.groups[number][0])[:, None], places] = rates
     for place in range(0, len(given), 2):  # of every other: they are many
         one = given.parameters[place]
         change = 1e-2 * one.width * np.eye(len(given))[place]
         there = simulator.predict_positions(run, [moments.to_parameters(y + change)])[0]
-        wanted = (there - here) / (1e-2 * one.width)
-        assert whole[:, :, place] == pytest.approx(wanted, abs=1e-6 * (1 + np.abs(wanted).max()))
+        expected = (there - here) / (1e-2 * one.width)
+        assert derivatives[:, :, place] == pytest.approx(
+            expected, abs=1e-6 * (1 + np.abs(expected).max())
+        )
 
 
 @pytest.mark.parametrize("kinds", [("armature",), ("damping",), ("damping", "armature")])
@@ -218,14 +220,14 @@ def test_derivative_by_the_lag_does_not_need_damping_and_armature(kinds: tuple[s
     x = np.append(given.stated[:-1], lag)
     change = 1e-4 * np.eye(len(x))[-1]
     low, high = simulator.predict_positions(run, [x - change, x + change])
-    wanted = (high - low)[:, 0] / 2e-4
+    expected = (high - low)[:, 0] / 2e-4
     derivatives = differentiate_motion(simulator, MomentCoordinates(given), run, x)
     indices, rates = next(
         found for number, found in derivatives.items() if 0 in simulator.groups[number][0]
     )
     (group,) = (joints for joints, _ in simulator.groups if 0 in joints)
     found = rates[:, group.index(0), indices.tolist().index(len(x) - 1)]
-    assert found == pytest.approx(wanted, abs=0.05 * np.abs(wanted).max())
+    assert found == pytest.approx(expected, abs=0.05 * np.abs(expected).max())
 
 
 @pytest.mark.slow
@@ -285,14 +287,14 @@ def test_runs_are_split_at_clock_jumps_and_gaps_are_kept() -> None:
 
 
 def test_correlated_noise_gives_the_true_uncertainty_of_sums() -> None:
-    """Sums over 400 series of the noise, by how they scatter."""
+    """Reference: covariance of weighted sums of 400 simulated series."""
     random, weights = np.random.default_rng(5), np.column_stack([np.ones(200), np.arange(200.0)])
     kicks, series = 1e-3 * random.normal(size=(300, 400)), np.zeros((300, 400))
     for at, kick in enumerate(kicks):
         series[at] = 0.8 * series[at - 1] - 0.2 * series[at - 2] + kick
-    whole = np.concatenate(series.T[:20])
-    whole[300] = np.nan
-    found = SeriesNoise.fit_autoregression([whole])
+    samples = np.concatenate(series.T[:20])
+    samples[300] = np.nan
+    found = SeriesNoise.fit_autoregression([samples])
     assert found.coefficients[:2] == pytest.approx([0.8, -0.2], abs=0.05)
     assert found.innovation == pytest.approx(1e-3, rel=0.03)
     assert found.long_run_std == pytest.approx(1e-3 / 0.4, rel=0.1)

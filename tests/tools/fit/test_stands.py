@@ -126,7 +126,7 @@ def predict_readings(robot: Robot, planted: Robot, count: int, seed: int = 5) ->
 
 
 def join_stands(one: MeasuredStands, other: MeasuredStands, **values: object) -> MeasuredStands:
-    """The stands of both."""
+    """Return the stands of two measurements as one measurement."""
     arrays = {
         name: np.concatenate([getattr(one, name), getattr(other, name)])
         for name in ("command", "position", "heading")
@@ -212,7 +212,9 @@ def check_slopes(residual: Callable[[Array], Array], columns: Array, places: Ite
 
 @pytest.mark.slow
 def test_stand_derivatives_equal_finite_differences(robot: Robot, stands: MeasuredStands) -> None:
-    """Of a mass on a calf, 30 deg about the vertical, on a slope; and forces balance the mass."""
+    """Reference: central differences, with a mass on a calf, a heading of 0.5 rad and a slope; and
+    Pinocchio's gravity of a robot that has the mass.
+    """
     link, joint = "leg_front_l_3", robot.joint_names.index("leg_front_l_3")
     loads = np.tile([0.4, 0.01, 0.02, -0.06], (len(stands), 1))
     turned = replace(stands, heading=np.full(len(stands), 0.5), added={link: loads})
@@ -248,11 +250,11 @@ def test_stand_derivatives_equal_finite_differences(robot: Robot, stands: Measur
         [c * down[0] + s * down[1], c * down[1] - s * down[0], down[2]]
     )
     q = robot.structure.convention.unit_q(pose.qpos)
-    whole = robot.structure.sort_columns(
+    gravity = robot.structure.sort_columns(
         pin.computeGeneralizedGravity(heavier, heavier.createData(), q)[None]
     )[0]
     forces = system._regressor.evaluate(pose, numbers)[0]
-    np.testing.assert_allclose(forces, whole, atol=1e-9)
+    np.testing.assert_allclose(forces, gravity, atol=1e-9)
     bare = system._regressor.evaluate(pose, system._make_values(x))[0]
     assert abs((forces - bare)[6 + joint]) > 1e-3
 
@@ -266,9 +268,9 @@ def test_masses_and_kp_that_are_all_too_small_explain_no_more(
     If all are 10 % smaller, the noise of the feet must be smaller as well.
     """
     kp = np.array([list_position_servos(robot)[name][0] for name in robot.joint_names])
-    none = np.zeros(robot.nu)
+    no_friction = np.zeros(robot.nu)
     table = ParameterTable(apply_priors(list_parameters(robot, stands, kp)))
-    system = StandEquations(robot, stands, table, kp, none, StandNoise(encoder=4e-4))
+    system = StandEquations(robot, stands, table, kp, no_friction, StandNoise(encoder=4e-4))
     found, messages = [], []
     for scale in (1.0, 0.9):
         x = table.stated.copy()
@@ -312,7 +314,7 @@ def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: Measured
 
 
 def compute_com(one: Robot) -> Array:
-    """By Pinocchio, in the base's frame, at the nominal joint positions."""
+    """Return Pinocchio's CoM in the base frame at the nominal joint positions [m]."""
     model = one.structure.model
     q = one.structure.convention.unit_q(one.make_qpos(one.nominal))
     return pin.centerOfMass(model, model.createData(), q) - q[:3]
@@ -343,7 +345,7 @@ def test_com_uncertainty_follows_from_one_parameter(
 def test_the_whole_com_is_that_of_the_planted_robot(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
-    """By Pinocchio's own centre of mass."""
+    """Reference: Pinocchio's CoM [m] of the planted robot."""
     fit = fit_stands(robot, stands, weight=planted.total_mass)
 
     found, truth = np.array([one.mean for one in fit.com]), compute_com(planted)
@@ -371,9 +373,9 @@ def test_one_sided_friction_under_a_known_mass_stays_within_intervals(
     assert fit.kp_factor.low < 1.0 < fit.kp_factor.high
     (settled,) = (estimate for estimate in fit.estimates if estimate.kind == "settling")
     assert settled.low < 0.8 < settled.high
-    none = fit_stands(robot, stands, weight=planted.total_mass, priors=["settling=0"])
-    assert none.kp_factor is not None
-    assert none.kp_factor.low > 1.1
+    without = fit_stands(robot, stands, weight=planted.total_mass, priors=["settling=0"])
+    assert without.kp_factor is not None
+    assert without.kp_factor.low > 1.1
 
 
 @pytest.mark.slow
@@ -419,8 +421,8 @@ def test_kp_is_right_and_friction_is_named_for_joints_held_by_friction(
     assert fit.kp_over_mass.low < true < fit.kp_over_mass.high
     (found,) = (one for one in fit.estimates if one.kind == "deadband")
     assert found.low < -band.mean() < found.high < 0
-    (said,) = (failure for failure in fit.failures if failure.code == "torques-off")
-    assert said.values["times"] == pytest.approx(times, rel=0.4)
+    (finding,) = (failure for failure in fit.failures if failure.code == "torques-off")
+    assert finding.values["times"] == pytest.approx(times, rel=0.4)
 
 
 def test_friction_share_of_the_load_equals_mujoco(robot: Robot, stands: MeasuredStands) -> None:
@@ -448,13 +450,15 @@ def test_doubled_weight_is_reported_as_far_from_the_file(
 ) -> None:
     """No residual and no single parameter shows the doubled weight."""
     fit = fit_stands(robot, stands, weight=2 * planted.total_mass)
-    (said,) = fit.failures
-    assert said.code == "scale-far-from-the-file"
+    (finding,) = fit.failures
+    assert finding.code == "scale-far-from-the-file"
     (load,) = (
         estimate.mean for estimate in fit.estimates if estimate.kind == "load"
     )  # takes up a little of it
-    assert said.values["kp"] / (1 + load) == pytest.approx(2.0, rel=0.05)
-    assert said.values["mass"] == pytest.approx(2 * planted.total_mass / robot.total_mass, rel=0.01)
+    assert finding.values["kp"] / (1 + load) == pytest.approx(2.0, rel=0.05)
+    assert finding.values["mass"] == pytest.approx(
+        2 * planted.total_mass / robot.total_mass, rel=0.01
+    )
     widened = fit_stands(
         robot, stands, weight=2 * planted.total_mass, priors=["mass=200%", "kp=200%"]
     )
@@ -487,15 +491,15 @@ def test_known_mass_determines_kp_and_contradicts_a_wrong_scale(
     # Weighed before a pack of a fifth was put on: nothing else shows it, and kp are right.
     packed = fit_stands(robot, with_mass, weight=planted.total_mass / 1.2)
     assert packed.explained
-    (said,) = (note for note in packed.diagnostics if note.code == "more-stands-there")
-    assert 5 < said.values["load"] < 20  # it is drawn to nothing by what was known before
+    (finding,) = (note for note in packed.diagnostics if note.code == "more-stands-there")
+    assert 5 < finding.values["load"] < 20  # it is drawn to nothing by what was known before
     assert packed.kp_factor is not None
     assert packed.kp_factor.low < 1 < packed.kp_factor.high
     wrong = fit_stands(robot, with_mass, weight=planted.total_mass / 1.5)
-    said = next(
+    finding = next(
         failure for failure in wrong.failures if failure.code == "known-mass-contradicts-the-scale"
     )
-    assert said.values["load"] == pytest.approx(50, abs=15)
+    assert finding.values["load"] == pytest.approx(50, abs=15)
     # Half of what was put on: kp would be half.
     loads = with_mass.added[robot.base] * [0.5, 1, 1, 1]
     half = fit_stands(robot, replace(with_mass, added={robot.base: loads}))
@@ -516,9 +520,9 @@ def test_rotated_stands_distinguish_slope_from_com(robot: Robot, planted: Robot)
         runs.append(predict_readings(robot, tilted, 6, seed=7 + way))
     heading = np.repeat([0.0, math.pi], [len(run) for run in runs])
     fit = fit_stands(robot, join_stands(*runs, heading=heading), priors=["kp=0"])
-    (said,) = (failure for failure in fit.failures if failure.code == "ground-slopes")
-    assert said.values["axis"] == "x"
-    assert said.values["slope"].value == pytest.approx(slope, rel=0.3)
+    (finding,) = (failure for failure in fit.failures if failure.code == "ground-slopes")
+    assert finding.values["axis"] == "x"
+    assert finding.values["slope"].value == pytest.approx(slope, rel=0.3)
     (along,) = (estimate for estimate in fit.estimates if estimate.name == "slope.x floor")
     assert along.mean > 0
 
@@ -546,12 +550,12 @@ def test_exchanged_plugs_and_wrong_signs_are_named(
         some, command=signs * some.command[:, order], position=signs * some.position[:, order]
     )
     try:
-        said = fit_stands(robot, exchanged, priors=["kp=0"]).failures[0]
+        finding = fit_stands(robot, exchanged, priors=["kp=0"]).failures[0]
     except MeasurementError as error:
-        said = error.cause
-    assert said.code == codes[0]
-    joints = [*said.values.get("joints", ()), *said.values.get("others", ())]
-    joints = joints or [said.values["joint"]]
+        finding = error.cause
+    assert finding.code == codes[0]
+    joints = [*finding.values.get("joints", ()), *finding.values.get("others", ())]
+    joints = joints or [finding.values["joint"]]
     assert sorted(joints) == sorted(robot.joint_names[joint] for joint in wrong)
 
 
@@ -580,13 +584,13 @@ def test_plugs_are_not_doubted_if_an_exchange_explains_less(
     """Exchanged plugs are reported only if the evidence for the exchange is larger than without."""
     explains = cast("Fit", SimpleNamespace(explained=True))
 
-    def doubted(other: float) -> bool:
+    def is_exchange_found(other: float) -> bool:
         def evidence(given: MeasuredStands) -> float:
             return 0.0 if given is stands else other
 
         return find_wiring(robot, stands, evidence, lambda _: explains) is not None
 
-    assert [doubted(one) for one in (-1.0, 1.0, -math.inf)] == [False, True, False]
+    assert [is_exchange_found(one) for one in (-1.0, 1.0, -math.inf)] == [False, True, False]
 
 
 @pytest.mark.slow
@@ -601,10 +605,13 @@ def test_outlier_is_named_with_its_stand_and_joint(
     values = getattr(stands, what).copy()
     values[stand, joint] += off
     fit = fit_stands(robot, replace(stands, **{what: values}), priors=["kp=0"])
-    (said,) = (failure for failure in fit.failures if failure.code == "reading-contradicted")
-    assert (said.values["stand"], said.values["joint"]) == (str(stand), robot.joint_names[joint])
+    (finding,) = (failure for failure in fit.failures if failure.code == "reading-contradicted")
+    assert (finding.values["stand"], finding.values["joint"]) == (
+        str(stand),
+        robot.joint_names[joint],
+    )
     # A servo that is asked for less than its position shows is read too far by so much.
-    assert said.values["off"].value == pytest.approx(abs(off), rel=0.15)
+    assert finding.values["off"].value == pytest.approx(abs(off), rel=0.15)
     worst = fit.joint_residuals[0]
     assert (worst.stand, worst.joint) == (str(stand), robot.joint_names[joint])
     assert worst.residual == pytest.approx(abs(off), abs=2 * worst.residual / worst.deviations)
@@ -628,15 +635,15 @@ def test_outlier_threshold_uses_the_smaller_of_expected_and_found_noise(
     """If the friction of the file is not trusted, the expected friction is 20 times larger."""
     known = _StandProblem.from_stands(robot, stands, [], None, None, None)
     for own, friction in ((known, 1.0), (replace(known, friction=known.friction / 10), 20.0)):
-        asked, usual = [], own.noise
+        noises, usual = [], own.noise
 
-        def by(noise: StandNoise, asked: list[StandNoise] = asked) -> tuple[Posterior, float]:
-            asked.append(noise)
+        def by(noise: StandNoise, noises: list[StandNoise] = noises) -> tuple[Posterior, float]:
+            noises.append(noise)
             raise FitError(diagnose("fit-does-not-converge", steps=1))
 
         found = StandNoise(usual.encoder, 40 * usual.moment, usual.flatness / 3, 2 * friction)
         assert not list(own._find_contradicted_reading(own.make_equations()[0], found, 0.0, by))
-        (one,) = asked
+        (one,) = noises
         assert one.friction == pytest.approx(friction, rel=0.05)
         assert (one.moment, one.flatness) == (usual.moment, usual.flatness / 3)
 
@@ -683,8 +690,8 @@ def test_stand_with_a_loaded_swing_foot_is_left_out_with_a_note(
     """Reference: planted total mass [kg], from the other stands."""
     wrong = replace(stands, swing=(("FR",), *stands.swing[1:]))
     fit = fit_stands(robot, wrong, priors=["kp=0"])
-    (said,) = (note for note in fit.diagnostics if note.code == "stand-left-out")
-    assert "stand 0: foot FR is in swing, but its computed height" in str(said)
+    (finding,) = (note for note in fit.diagnostics if note.code == "stand-left-out")
+    assert "stand 0: foot FR is in swing, but its computed height" in str(finding)
     assert fit.stands == len(stands) - 1
     assert fit.explained
     assert fit.total_mass.low < planted.total_mass < fit.total_mass.high
@@ -804,7 +811,7 @@ def test_scale_is_unbiased_if_only_ratios_are_determined() -> None:
     assert plain.mean[0] < 0.96
 
 
-# ---------------------- What ground and IMU are not as was said is told by all signs of it together
+# ----------------- Deviations of ground, soles, legs and scale are judged from all their components
 
 
 WIDTH = math.radians(0.2)
@@ -879,9 +886,9 @@ def test_equal_length_error_of_all_legs_is_found_from_part_tolerances() -> None:
     assert not list(check_surroundings(make_posterior(legs(0.05), 1 + off, noise * width / 0.05)))
     load, mass = Parameter("load", "scale", "", 0.0, 0.06), Parameter("added", "a", "", 1.0, 0.005)
     off = make_posterior((load, mass), np.array([0.4, 1.0]), 0.5)
-    (said,) = check_surroundings(off)
-    assert said.code == "known-mass-contradicts-the-scale"
-    assert said.values["load"] == pytest.approx(40)
+    (finding,) = check_surroundings(off)
+    assert finding.code == "known-mass-contradicts-the-scale"
+    assert finding.values["load"] == pytest.approx(40)
     assert not list(check_surroundings(make_posterior((load,), np.array([0.4]), 0.5)))
 
 
@@ -905,15 +912,15 @@ def test_expected_friction_limits_the_stated_friction(
     known = make_posterior((servos,), np.array([-band * stuck * 1.01]), 0.01 / servos.width * 1e-3)
     known = replace(known, rows=100, chi2=100.0)
     found = StandNoise(1e-4, friction=random)
-    said = check_residuals(known, found, StandNoise(1e-4, friction=typed), stuck)
-    assert ("torques-off" in [one.code for one in said]) == named
+    messages = check_residuals(known, found, StandNoise(1e-4, friction=typed), stuck)
+    assert ("torques-off" in [one.code for one in messages]) == named
 
 
 def test_unknown_load_is_reported_with_the_scale(robot: Robot) -> None:
     """It takes a part of a wrong weight: of kp and masses alone less is left to surprise."""
     load, mass = Parameter("load", "scale", "", 0.0, 0.08), Parameter("added", "a", "", 1.0, 0.005)
-    (said,) = check_scale(robot, make_posterior((load,), np.array([-0.4]), 0.5))
-    assert said.code == "scale-far-from-the-file"
+    (finding,) = check_scale(robot, make_posterior((load,), np.array([-0.4]), 0.5))
+    assert finding.code == "scale-far-from-the-file"
     assert not list(check_scale(robot, make_posterior((load,), np.array([-0.2]), 0.5)))
     assert not list(check_scale(robot, make_posterior((load,), np.array([-0.4]), 0.5), level=False))
     assert not list(check_scale(robot, make_posterior((load, mass), np.array([-0.4, 1.0]), 0.5)))
