@@ -40,8 +40,8 @@ def test_payload_that_fails_in_mujoco_is_a_finding() -> None:
     shaking = replace(held.payload_trial, passed=False, failures=(why,))
     for trial, lines in ((held.payload_trial, 0), (shaking, 1), (None, 0)):
         document = hold_document(replace(held, payload_trial=trial))
-        said = [line for line in document.findings if "FAILS in MuJoCo" in str(line)]
-        assert len(said) == lines
+        failing = [line for line in document.findings if "FAILS in MuJoCo" in str(line)]
+        assert len(failing) == lines
 
 
 def test_no_motor_is_closest_to_its_limit_beside_one_without_torque() -> None:

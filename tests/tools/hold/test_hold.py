@@ -30,7 +30,7 @@ ANGLES = tuple(POSTURE.values())  # of the closed forms
 
 
 def test_torques_sag_and_tool_position_equal_the_closed_form() -> None:
-    """Of both engines, of servos by joint, and simulated."""
+    """References: closed forms of `by_hand`, MuJoCo's load, and simulations with the servos."""
     robot = arm()
     held = pa.hold_posture(robot, POSTURE)
     wanted = by_hand.holding_torques(*ANGLES)
@@ -54,7 +54,9 @@ def test_torques_sag_and_tool_position_equal_the_closed_form() -> None:
     assert held.tool_sag == pytest.approx(moved, abs=1e-12)
     assert moved[2] < -5e-3
     assert held.sagging.joint_positions == pytest.approx(held.settled.qpos, abs=1e-6)
-    own = held.verdict.keyframe_run  # its file's servos, told the angles alone, sag as far
+    own = (
+        held.verdict.keyframe_run
+    )  # servos of the file, commanded with the angles only, sag by the same amount
     assert own is not None
     assert own.worst is not None
     sag = held.settled.qpos - held.posture.qpos
@@ -90,7 +92,7 @@ def test_omitted_joints_are_at_mid_range_or_in_the_keyframe(tmp_path: Path) -> N
 
 
 def test_a_tool_may_be_a_link_or_a_site() -> None:
-    """At the same place, whichever file has it."""
+    """Reference: central differences of the tool position."""
     config = Configuration(arm(), find_posture(arm(), POSTURE).qpos)
     for name in ("tip", "hand", "fore"):
         tool = find_tool(arm(), name)
@@ -108,7 +110,9 @@ def test_a_tool_may_be_a_link_or_a_site() -> None:
 
 
 def test_posture_fails_if_motors_are_too_weak(tmp_path: Path) -> None:
-    """And parts that touch, and servos too soft to hold an arm up."""
+    """References: closed-form elbow torque, 2 % above and below the effort limit. With
+    half of this torque as the limit, there is no equilibrium without feed-forward.
+    """
     needs = abs(by_hand.holding_torques(0.0, 0.0, 0.5, 0.1)["elbow"])
     posture = {"a_turn": 0.0, "shoulder": 0.0, "elbow": 0.5, "b_slide": 0.1}
     for share, holds in ((1.02, True), (0.98, False)):
@@ -205,7 +209,9 @@ def test_any_mass_is_held_without_gravity(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_welded_base_gives_the_results_of_a_fixed_base(tmp_path: Path) -> None:
-    """A light one shook on MuJoCo's soft weld, and a loop ended in a traceback."""
+    """Reference: the held posture of the robot with a fixed base. The base has 20 g, and the robot
+    has a closed loop.
+    """
     (tmp_path / "bars.xml").write_text(FOUR_BARS.replace('mass="1"', 'mass=".02"'))
     robot = pa.load_robot(tmp_path / "bars.xml")
     held = pa.hold_posture(robot, {"crank": 0.3}, tool="rod")

@@ -65,18 +65,20 @@ def test_no_random_posture_exceeds_the_worst_torque() -> None:
 
 
 @pytest.mark.parametrize("what", ["stiffness", "gravcomp"])
-def test_worst_postures_include_springs_and_gravcomp(what: str, tmp_path: Path) -> None:
-    """The second is gravity on lighter links; and the worst posture is a sample's, or worse."""
+def test_worst_postures_include_springs_and_gravcomp(effect: str, tmp_path: Path) -> None:
+    """References: spring torque and reduced gravity in closed form, MuJoCo's load, and random
+    postures, none of which needs more torque.
+    """
     spring = 'name="elbow" type="hinge"', 'name="elbow" type="hinge" stiffness="3" springref="1"'
     lighter = '<body name="fore"', '<body name="fore" gravcomp="0.7"'
     robot = load_arm(
-        tmp_path, mjcf=by_hand.MJCF.replace(*(spring if what == "stiffness" else lighter))
+        tmp_path, mjcf=by_hand.MJCF.replace(*(spring if effect == "stiffness" else lighter))
     )
     posture = find_posture(robot, POSTURE)
     held = Configuration(robot, posture.qpos).static_load()
     assert load_by_mujoco(robot, posture.qpos) == pytest.approx(held, abs=1e-12)
     relief = 3 * (1.0 - POSTURE["elbow"])
-    if what == "gravcomp":
+    if effect == "gravcomp":
         ahead = math.cos(POSTURE["shoulder"] + POSTURE["elbow"])
         relief = -0.7 * G * MASSES["fore"] * by_hand.CENTRES["fore"] * ahead
     plain = by_hand.holding_torques(*POSTURE.values())["elbow"]
@@ -354,7 +356,7 @@ def test_smallest_payload_of_postures_is_the_smallest_mass_whatever_its_joint() 
 
 
 def test_hold_reports_the_completed_searches_of_the_motors() -> None:
-    """The number of parts is that of the motors whose torque depends on the posture."""
+    """There is at most one search per motor; `done` counts all searches but the last."""
     robot = load("v3", fixed_base=True)
     posture = find_posture(robot)
     with observe_progress() as clock:

@@ -80,10 +80,10 @@ def test_arm_verdict_includes_the_mujoco_import(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("gravity", ["0 0 -1.62", "0 0 0"])
 def test_gravity_that_is_not_the_earths_stands_in_the_verdict(tmp_path: Path, gravity: str) -> None:
-    """Without it motors hold any mass: true, and not of a robot on the ground."""
+    """Without gravity the motors hold any mass, which is not true on the ground."""
     _, mjcf = features.write_files(tmp_path, features.make_option_edit(f'gravity="{gravity}"'))
-    said = format_verdict(hold_posture(pa.load_robot(mjcf, fixed_base=True)).verdict)
-    assert f"gravity is taken from the MJCF: ({gravity.replace(' ', ', ')}) m/s^2" in said
+    text = format_verdict(hold_posture(pa.load_robot(mjcf, fixed_base=True)).verdict)
+    assert f"gravity is taken from the MJCF: ({gravity.replace(' ', ', ')}) m/s^2" in text
 
 
 def judge_posture(urdf: Path, mjcf: Path) -> Verdict:
@@ -112,6 +112,6 @@ ODD = {
 @pytest.mark.slow
 @pytest.mark.parametrize("feature", ODD)
 def test_planted_fault_of_an_arm_is_named(tmp_path: Path, feature: str) -> None:
-    """The first reported causes are those of `ODD`; see `right`."""
+    """The first reported causes are those of `ODD`; see `is_cause_right`."""
     urdf, mjcf = arm_features.files(tmp_path, arm_features.FEATURES[feature])
     assert is_cause_right(urdf, mjcf, ODD[feature], judge_posture)

@@ -76,7 +76,7 @@ def test_remote_access_requires_the_token() -> None:
             get_code(access.find_refusal("/", headers | more | {"Cookie": f"{TOKEN_COOKIE}=x"}))
             == "token-missing"
         )
-    assert access.find_refusal("/assets/index.js", headers) is None  # viser's, and nobody's secret
+    assert access.find_refusal("/assets/index.js", headers) is None  # a public file of viser
     evil = headers | SOCKET | {"Origin": "http://evil.example"}
     assert get_code(access.find_refusal(f"/?token={access.token}", evil)) == "another-page-asks"
 
@@ -119,9 +119,9 @@ def send_request(address: str, **headers: str) -> tuple[int, str]:
 
 def test_server_refuses_other_host_names(page: Page) -> None:
     assert send_request(page.address)[0] == 200
-    status, said = send_request(page.address, Host="evil.example")
+    status, body = send_request(page.address, Host="evil.example")
     assert status == 403
-    assert "the address that the program printed" in said
+    assert "the address that the program printed" in body
 
 
 def test_remote_page_requires_its_token() -> None:
@@ -139,7 +139,7 @@ def test_remote_page_requires_its_token() -> None:
 
 
 async def _talk(address: str, *messages: Any, origin: str | None = None) -> list[bytes]:
-    """Sends messages as viser's page does, after the camera's; returns what comes until then."""
+    """Send messages as viser's page does, and return the messages received within 1 s."""
     where = address.replace("http", "ws")
     host = urlsplit(address).netloc
     async with websockets.connect(

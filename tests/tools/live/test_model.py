@@ -286,12 +286,12 @@ def test_page_starts_with_a_stance_file(tmp_path: Path) -> None:
     """A file saved by the page is read again; a requirement without a slider is refused."""
     file = tmp_path / "stance.toml"
     file.write_text(write_stance_file(RICH))
-    begun = read_stance(file)
-    assert begun.task() == RICH.task()
-    assert begun.place == RICH.place
+    loaded = read_stance(file)
+    assert loaded.task() == RICH.task()
+    assert loaded.place == RICH.place
     file.write_text("payload = 0.5\npayload-at = '0,0,5cm'\nkp = 20\nheight = '12cm'\n")
-    asked: dict[str, Any] = {"payload": 0.5, "payload_at": (0.0, 0.0, 50.0), "kp": 20.0}
-    assert read_stance(file) == State(height=120.0, **asked)
+    stated: dict[str, Any] = {"payload": 0.5, "payload_at": (0.0, 0.0, 50.0), "kp": 20.0}
+    assert read_stance(file) == State(height=120.0, **stated)
     file.write_text("com = '1cm,0'\n")
     with pytest.raises(pa.ConfigurationError, match="com"):
         read_stance(file)
@@ -334,10 +334,10 @@ def test_overloaded_motors_give_no_passing_verdict() -> None:
     assert judged is not None
     assert (judged.code, judged.passed) == (VerdictCode.OVERLOADED, False)
     assert judged.overloaded_motors == tuple(over)
-    said = render_panel(live_stance_document(found, None, judged), ENGLISH)
-    assert 'class="good"' not in said
-    assert "OVERLOADED" in said
-    assert all(name in said for name in over)
+    panel = render_panel(live_stance_document(found, None, judged), ENGLISH)
+    assert 'class="good"' not in panel
+    assert "OVERLOADED" in panel
+    assert all(name in panel for name in over)
     usual = model_of().solve_state(State())
     sound = predict_stance_verdict(usual, closely=True)
     assert sound is not None
@@ -405,6 +405,7 @@ def test_shapes_have_their_volumes(name: str, size: tuple[float, ...], expected:
 
 
 def test_drawn_shapes_equal_those_of_mujoco() -> None:
+    """References: bodies with visible geoms, and a vertex of MuJoCo's mesh in its body's frame."""
     pytest.importorskip("trimesh")
     model = load("v3").mj_model
     parts = make_body_meshes(model)
@@ -472,6 +473,7 @@ def test_invalid_input_is_refused_in_one_line(
 
 
 def test_force_arrows_start_at_the_contact_along_the_force() -> None:
+    """Reference: contact point [m] and force [N] of the input."""
     point, force = np.array([0.1, 0.2, 0.0]), np.array([1.0, -2.0, 8.0])
     ((begin, end),) = make_force_arrows(load("v3"), [DrawnForce("FL", point, force)])
     np.testing.assert_array_equal(begin, point)

@@ -41,7 +41,7 @@ def test_unresponsive_browser_does_not_delay_closing(page: Page) -> None:
         ):
             await asyncio.sleep(0.05)
             assert server.is_alive()
-            page.close()  # the browser's loop stands still meanwhile: it does not say goodbye
+            page.close()  # the browser's loop is blocked meanwhile, so that it sends no close frame
             assert not server.is_alive()
 
     asyncio.run(sleep_while_it_closes())
@@ -52,7 +52,7 @@ def test_connection_after_closing_gets_no_session(
 ) -> None:
     """viser queues connections, which Python processes at exit."""
     made: list[Any] = []
-    monkeypatch.setattr(page, "_make_session", lambda *asked: made.append(asked))
+    monkeypatch.setattr(page, "_make_session", lambda *arguments: made.append(arguments))
     page.close()
     page._on_connect(object())
     assert made == []

@@ -78,7 +78,7 @@ class Open:
 
 
 def end(session: Any) -> None:
-    """Closes a session; its threads have to end."""
+    """Close a session, and assert that its threads end."""
     session.close()
     for thread in session.threads:
         thread.join(PATIENCE)
@@ -133,7 +133,7 @@ def test_pending_result_is_marked(page: Open, monkeypatch: pytest.MonkeyPatch) -
     page.ask(State(pitch=4.0))
     wait_for(lambda: page.shows(State(pitch=4.0)), "it is not solved")
     assert "being worked out" in page.numbers
-    # Meanwhile the stance changes: what is found then is of none that is shown.
+    # Meanwhile the stance changes, so that the delayed steady state must not be shown.
     page.ask(State(pitch=5.0))
     wait_for(lambda: page.shows(State(pitch=5.0)), "it waits for the sag")
     go_on.set()
@@ -211,6 +211,7 @@ def move(control: Any, value: object) -> None:
 
 @pytest.mark.slow
 def test_each_foot_can_be_lifted_or_put_on_a_step(page: Open) -> None:
+    """Reference: torques [N m] of the Python functions for the same task."""
     controls = page.controls
     for foot, height in (("FL", 12.0), ("RR", 30.0)):
         move(controls.foot, foot)
@@ -238,9 +239,9 @@ def test_typed_value_beyond_a_slider_is_kept(page: Open) -> None:
     move(payload, 12.0)
     assert payload.max == payload.value == 12.0  # else the browser cuts it off
     move(page.controls.sliders["roll"], 2.0)
-    asked = State(payload=12.0, roll=2.0)
-    assert page.controls.state == asked
-    wait_for(lambda: page.shows(asked), "not shown")
+    typed = State(payload=12.0, roll=2.0)
+    assert page.controls.state == typed
+    wait_for(lambda: page.shows(typed), "not shown")
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
@@ -302,20 +303,20 @@ def test_contacts_are_typed_drawn_moved_and_copied(page: Open) -> None:
         move(controls.sliders["contact"], value)
     slope = pa.Slope(math.radians(20), math.pi / 2)
     table = pa.Plane((0, 0, 0.03), (0, 0, 1), 0.7)
-    wanted = {"FR": pa.Contact(slope), "RL": pa.Contact(table)}
+    expected = {"FR": pa.Contact(slope), "RL": pa.Contact(table)}
     for foot, contact in controls.state.contacts.items():
-        assert contact.plane.parameter == pytest.approx(wanted[foot].plane.parameter, rel=1e-12)
-        assert contact == wanted[foot].with_plane_parameter(contact.plane.parameter)
+        assert contact.plane.parameter == pytest.approx(expected[foot].plane.parameter, rel=1e-12)
+        assert contact == expected[foot].with_plane_parameter(contact.plane.parameter)
     assert controls.contacts.value.startswith("FR=slope:20deg,uphill=90deg\n")
     state = controls.state
     wait_for(lambda: page.shows(state), "not shown")
     answer, _ = page.session.get_shown_stance()
     assert answer is not None
     assert answer.stand is not None
-    seen = [node for name, node in page.session._scene._nodes.items() if name.startswith("steps/")]
-    tops = [n.position[2] + n.dimensions[2] / 2 for n in seen if n.wxyz[0] == pytest.approx(1.0)]
+    drawn = [node for name, node in page.session._scene._nodes.items() if name.startswith("steps/")]
+    tops = [n.position[2] + n.dimensions[2] / 2 for n in drawn if n.wxyz[0] == pytest.approx(1.0)]
     assert tops == [pytest.approx(0.03, abs=1e-9)]
-    assert len(seen) == 2
+    assert len(drawn) == 2
     file = write_stance_file(state)
     assert tomllib.loads(file)["contact"] == {of: str(one) for of, one in state.contacts.items()}
     move(controls.foot, "FL")  # on the ground: nothing to move
@@ -328,8 +329,8 @@ def test_contacts_are_typed_drawn_moved_and_copied(page: Open) -> None:
     move(controls.contacts, f"{bar},grip=60N")
     wait_for(lambda: page.shows(controls.state), "not shown")
     assert str(controls.state.contacts["FL"]) == f"{bar},grip=60.0N".removeprefix("FL=")
-    seen = {name: node for name, node in page.session._scene._nodes.items() if "steps/" in name}
-    (rod,) = (node for node in seen.values() if node.visible)
+    drawn = {name: node for name, node in page.session._scene._nodes.items() if "steps/" in name}
+    (rod,) = (node for node in drawn.values() if node.visible)
     assert rod.radius == pytest.approx(0.01)
 
 

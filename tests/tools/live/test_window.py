@@ -153,17 +153,17 @@ def test_window_starts_from_home_and_reports_the_headless_result(
 ) -> None:
     from mujoco import viewer as mujoco_viewer
 
-    begun: list[float] = []
+    heights: list[float] = []
 
     def launch(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        begun.append(float(data.qpos[2]))
+        heights.append(float(data.qpos[2]))
         for _ in range(100):
             mujoco.mj_step(model, data)
 
     monkeypatch.setattr(display, "check_display", lambda: None)
     monkeypatch.setattr(mujoco_viewer, "launch", launch)
     assert viewer.drop_and_report(load("v3"), headless=False)
-    assert begun == [dropped.height[0]]
+    assert heights == [dropped.height[0]]
     assert f"base height {1e3 * dropped.height[-1]:.0f} mm, " in capsys.readouterr().out
 
 
@@ -174,14 +174,14 @@ def test_fixed_robot_stays_at_its_slider_positions(monkeypatch: pytest.MonkeyPat
     moved: list[float] = []
 
     def launch(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        begun = data.qpos.copy()
+        start = data.qpos.copy()
         for _ in range(500):
             mujoco.mj_step(model, data)
-        moved.append(float(np.abs(data.qpos - begun).max()))
+        moved.append(float(np.abs(data.qpos - start).max()))
         data.ctrl[0] += 0.1
         for _ in range(2000):
             mujoco.mj_step(model, data)
-        moved.append(float(data.qpos[0] - begun[0]))
+        moved.append(float(data.qpos[0] - start[0]))
 
     monkeypatch.setattr(display, "check_display", lambda: None)
     monkeypatch.setattr(mujoco_viewer, "launch", launch)

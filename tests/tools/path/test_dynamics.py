@@ -73,15 +73,17 @@ def test_damping_and_dry_friction_equal_mujoco(name: str, speed: float) -> None:
     config = pa.Configuration(robot, stand.qpos, qvel)
     bare = config.mass_matrix() @ qacc + config.bias_forces()
     taken = joint_resistance(robot, qvel, qacc)
-    wanted = mujoco_inverse(robot, stand.qpos, qvel, qacc) - bare
-    np.testing.assert_allclose(taken, wanted, atol=1e-12)
+    expected = mujoco_inverse(robot, stand.qpos, qvel, qacc) - bare
+    np.testing.assert_allclose(taken, expected, atol=1e-12)
     if speed > 1:
         assert (taken[6:] * qvel[6:] > 0).all()  # against the motion
 
 
 @pytest.mark.parametrize("name", ["original", "heavy", "v3"])
 def test_zero_moment_point_two_ways(name: str) -> None:
-    """From the rate of momentum, and as the centre of the contact forces' pressure."""
+    """References: Pinocchio's rate of the centroidal momentum, and the centre of pressure of the
+    contact forces.
+    """
     robot, stand = load(name), stand_of(name)
     qvel, qacc = motion(name, 1)
     config = pa.Configuration(robot, stand.qpos, qvel)
@@ -197,8 +199,8 @@ def test_fixed_base_carries_all_of_the_load() -> None:
     qpos, qvel, qacc = generator.normal(size=(3, robot.nu))
     found = inverse_dynamics(pa.Configuration(robot, qpos, qvel), qacc, resistance=False)
     config = pa.Configuration(robot, qpos, qvel)
-    wanted = config.mass_matrix() @ qacc + config.bias_forces()
-    np.testing.assert_allclose(found.joint_torques, wanted, atol=1e-12)
+    expected = config.mass_matrix() @ qacc + config.bias_forces()
+    np.testing.assert_allclose(found.joint_torques, expected, atol=1e-12)
     assert found.zmp_margin is None
 
 
@@ -221,6 +223,7 @@ def test_spinning_foot_has_only_torsional_friction() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_inverse_dynamics_at_rest_equals_the_gravity_compensation(name: str) -> None:
+    """Reference: `gravity_compensation` with minimum tangential forces."""
     robot, stand = load(name), stand_of(name)
     config = pa.Configuration(robot, stand.qpos)
     found = inverse_dynamics(config, np.zeros(robot.nv))

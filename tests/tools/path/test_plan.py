@@ -92,7 +92,7 @@ def test_every_sample_is_a_stand_in_balance(name: str, kind: str, rolling: bool)
             remainder -= jacobian.T @ np.array(wrench)
         remainder[6:] -= path.torques[index]
         np.testing.assert_allclose(remainder, 0, atol=1e-8)
-    # At the stances it is what was asked.
+    # At the stances, the path equals the requested stands.
     per_leg = (len(path.time) - 1) // (len(tasks) - 1)
     for number, (task, stand) in enumerate(zip(tasks, path.stances, strict=True)):
         there = path.qpos[number * per_leg]
@@ -144,7 +144,7 @@ def test_a_path_rests_in_every_stance_and_is_smooth_between(kind: str) -> None:
 
 @pytest.mark.slow
 def test_torques_are_continuous_if_a_foot_is_unloaded() -> None:
-    """From sample to sample they change half as much at twice the rate."""
+    """Twice the sampling rate reduces the largest change per sample to less than 60 %."""
     jumps = []
     for rate in (60.0, 120.0):
         path = stance_path(load("original"), stances("original", "lift"), 3.0, rate=rate)
@@ -156,7 +156,9 @@ def test_torques_are_continuous_if_a_foot_is_unloaded() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("v3", "circle"), ("original", "lift")])
 def test_velocity_and_acceleration_are_derivatives(name: str, kind: str) -> None:
-    """Of a spline of order 7 through qpos, leg by leg: at the stances the jerk is not smooth."""
+    """Reference: derivatives of a spline of degree 7 through qpos, one spline per segment,
+    since the jerk is not smooth at the stances.
+    """
     robot, legs = load(name), len(stances(name, kind)) - 1
     path = stance_path(robot, stances(name, kind), float(legs), rate=40.0, rolling=False)
     inner = slice(5, -5)  # where a spline is good
@@ -164,10 +166,10 @@ def test_velocity_and_acceleration_are_derivatives(name: str, kind: str) -> None
         part = slice(40 * leg, 40 * leg + 41)
         spline = make_interp_spline(path.time[part], path.qpos[part], k=7)
         for order, table in ((1, path.qvel), (2, path.qacc)):
-            found, wanted = spline(path.time[part], order)[inner], table[part][inner]
+            found, expected = spline(path.time[part], order)[inner], table[part][inner]
             scale = np.abs(table).max()
-            np.testing.assert_allclose(wanted[:, :3], found[:, :3], atol=1e-6 * scale)
-            np.testing.assert_allclose(wanted[:, 6:], found[:, 7:], atol=1e-6 * scale)
+            np.testing.assert_allclose(expected[:, :3], found[:, :3], atol=1e-6 * scale)
+            np.testing.assert_allclose(expected[:, 6:], found[:, 7:], atol=1e-6 * scale)
         # The base's angular velocity in its own axes, from the quaternion's derivative.
         rate = spline(path.time[part], 1)[inner, 3:7]
         for quaternion, change, qvel in zip(
@@ -214,6 +216,7 @@ def test_a_foot_is_unloaded_before_it_lifts() -> None:
 
 @pytest.mark.slow
 def test_a_lifted_foot_may_land_elsewhere_and_on_a_slope() -> None:
+    """References: the requested offset of 10 mm, and tracking in MuJoCo."""
     robot, ground = load("v3"), pa.Ground(slope=0.05, uphill=0.5)
     moved = [
         pa.StandTask(com=t.com, swing=t.swing, ground=ground, foot_offsets={"FL": (place, 0.0)})
@@ -249,8 +252,8 @@ def test_csv_contains_time_positions_and_torques_of_a_path(tmp_path: Path) -> No
     units = [f"q {name} (rad)" for name in names] + [f"tau {name} (N m)" for name in names]
     assert header == ["time (s)", *units]
     table = np.array(rows, dtype=float)
-    wanted = np.column_stack([path.time, path.joint_positions(), path.torques])
-    np.testing.assert_array_equal(table, wanted)
+    expected = np.column_stack([path.time, path.joint_positions(), path.torques])
+    np.testing.assert_array_equal(table, expected)
     with pytest.raises(pa.OutputError):
         path.to_csv(tmp_path / "new" / "path.csv" / "path.csv")
 
@@ -349,6 +352,7 @@ def test_paths_keep_the_margin_of_the_com() -> None:
 
 
 def test_feet_of_a_squat_roll_by_radius_times_angle() -> None:
+    """Closed form: displacement of the centre [m] = radius times rotation of the foot [rad]."""
     robot, path = load("original"), path_of("original", "squat")
     top, low = (pa.Configuration(robot, path.qpos[i]) for i in (0, (len(path.time) - 1) // 2))
     for foot, frame in robot.contact_frames.items():

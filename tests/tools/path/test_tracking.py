@@ -29,7 +29,7 @@ from tests.support.repository import benchmark
 from tests.support.variants import load, stand_of
 from tests.tools.path.test_plan import path_of, stances
 
-# What MuJoCo makes of them, with a margin of about a half: joint (rad), height (m), base (rad).
+# Deviations measured in MuJoCo, plus about 50 %: joint [rad], height [m], base [rad].
 # v3's servos are soft (5 N m/rad), and a foot that rolls has no grip left: it creeps.
 BOUNDS = {
     ("v3", "squat"): (0.01, 1.0e-3, 0.01),
@@ -81,7 +81,7 @@ def test_torques_in_motion_are_confirmed_at_any_speed(name: str, seconds: float)
 
 @pytest.mark.slow
 def test_time_step_of_tracking_is_reduced_for_an_inexact_integrator() -> None:
-    """The skeleton's 4 ms, implicit, are good for standing, and not for a fast path."""
+    """The skeleton's implicit steps of 4 ms suffice for a stand, not for a fast path."""
     robot = load("original")
     path = stance_path(robot, stances("original", "sway"), 3.0, rate=50)
     fine, coarse = track_path(robot, path), track_path(robot, path, timestep=4e-3)
@@ -94,7 +94,10 @@ def test_time_step_of_tracking_is_reduced_for_an_inexact_integrator() -> None:
 
 @pytest.mark.slow
 def test_time_step_of_tracking_suits_the_damping_of_the_servos() -> None:
-    """13 N m s/rad made half of the inertia of A1's knees: its fastest squat lost the ground."""
+    """Reference: time step times kd over the smallest joint inertia, by MuJoCo's mass matrix.
+
+    For A1, with 13 N m s/rad, the ratio was one half, and the fastest squat lost the ground.
+    """
     robot, share = load("original"), []
     path = stance_path(robot, [pa.StandTask(), pa.StandTask(height=0.98 * robot.stand_height)], 0.4)
     matrix = np.zeros((robot.nv, robot.nv))
@@ -213,7 +216,7 @@ def test_tangential_and_rolling_friction_share_one_cone() -> None:
     up = path.forces[..., 2]
     parts = [np.linalg.norm(path.forces[..., :2], axis=-1) / slide, path.moments[..., 2] / spin]
     parts.append(np.linalg.norm(path.moments[..., :2], axis=-1) / roll)
-    # The push is that of the round before (`inverse_dynamics`).
+    # The tangential force is that of the previous iteration (`inverse_dynamics`).
     assert (np.linalg.norm(parts, axis=0) / up).max() < 1.05
     assert (parts[0] / up).max() > 0.7
 

@@ -32,8 +32,10 @@ def test_continuous_payload_equals_the_payload_at_that_effort(
 def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """Reference: `payload_limit` with the same task, point and gains."""
     path = tmp_path / "all.json"
-    asked = ("--payload-at", "1cm,0,0.08", "--kp", "30", "--kd", "1", "--yaw", "0.1")
-    status, out, err = run_command(capfd, "payload", "-v", "original", *asked, "--json", str(path))
+    options = ("--payload-at", "1cm,0,0.08", "--kp", "30", "--kd", "1", "--yaw", "0.1")
+    status, out, err = run_command(
+        capfd, "payload", "-v", "original", *options, "--json", str(path)
+    )
     assert status == 0, err
     content = json.loads(path.read_text())
     assert content["point"] == [0.01, 0.0, 0.08]

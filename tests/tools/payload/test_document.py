@@ -13,8 +13,10 @@ from tests.support.stubs import ADDED_SERVOS_TEXT, judge_added_servos, make_payl
 def test_motors_without_a_limit_are_named() -> None:
     text = " ".join(print_words(payload_document(make_payload_result("hip", "knee"))))
     assert text.startswith("UNKNOWN stub")
-    said = "Motors whose torque limit no file states, which these bounds leave out: 2 (hip, knee)."
-    assert said in text
+    sentence = (
+        "Motors whose torque limit no file states, which these bounds leave out: 2 (hip, knee)."
+    )
+    assert sentence in text
     assert "all else allows 1.23 kg, with which the motors must give up to 2 N m (knee)" in text
     assert "Motors whose" not in " ".join(print_words(payload_document(make_payload_result())))
 

@@ -17,20 +17,20 @@ from tests.support.variants import load, stand_of
 
 def test_each_nudge_is_simulated_from_the_stand_that_is_judged() -> None:
     """Reference: qpos of the loaded stand, for all twelve nudges."""
-    robot, stand, seen = load("v3"), stand_of("v3"), []
+    robot, stand, all_starts = load("v3"), stand_of("v3"), []
 
     def watched(model: object, workers: object, starts: np.ndarray, control: np.ndarray) -> object:
-        seen.append(starts)
+        all_starts.append(starts)
         return roll_out(model, workers, starts, control)  # type: ignore[arg-type]
 
     roll_out = payload.roll_out
     with mock.patch.object(payload, "roll_out", watched):
         trial = simulate_payload(robot, stand, 2.0, (0.05, 0.0, 0.05), duration=2)
-    assert trial.nudges == len(seen[0]) == 12
+    assert trial.nudges == len(all_starts[0]) == 12
     loaded = pa.robot.with_payload(robot, 2.0, (0.05, 0.0, 0.05))
     held = pa.stance.solve_stand_as_simulated(loaded, pa.StandTask())
     places = 1 + robot.mj_convention.qpos_index
-    np.testing.assert_allclose(seen[0][:, places], np.tile(held.qpos, (12, 1)), atol=1e-6)
+    np.testing.assert_allclose(all_starts[0][:, places], np.tile(held.qpos, (12, 1)), atol=1e-6)
     assert held.qpos[0] < stand.qpos[0] - 0.01  # the base moved from under the load
 
 
@@ -46,7 +46,7 @@ def test_unstable_load_is_refused_despite_dry_friction() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("impratio", "failure"), [(30.0, None), (1.0, payload.Failure.SLIDING)])
 def test_creep_is_no_slide(impratio: float, failure: payload.Failure | None) -> None:
-    """With a quarter of their friction feet creep by 7 mm, as MuJoCo's is viscous; or by 0.2 m."""
+    """On a slope of 15 deg the feet creep by 7 mm with an impratio of 30, and by 0.2 m with 1."""
     robot = with_options(load("v3"), cone="elliptic", impratio=impratio)
     task = pa.StandTask(ground=pa.Ground(np.radians(15.0)))
     trial = simulate_payload(robot, task, 1.0, (0.0, 0.0, 0.05), duration=9)

@@ -275,15 +275,15 @@ def test_early_termination_does_not_change_the_outcome(name: str) -> None:
         robot, stand, found.directions, duration=3.0, kp=None, kd=None, feedforward=True,
         integrator=None,
     )  # fmt: skip
-    tried = np.repeat(np.arange(4), 3)
+    directions = np.repeat(np.arange(4), 3)
     impulses = (found.impulses[:, None] * [0.5, 1.0, 1.05]).ravel()
-    early, whole = (
-        bench.simulate_until_decided(tried, impulses),
-        bench.simulate_fully(tried, impulses),
+    early, complete = (
+        bench.simulate_until_decided(directions, impulses),
+        bench.simulate_fully(directions, impulses),
     )
-    assert [one is None for one in early] == [one is None for one in whole]
-    assert None in whole
-    assert any(whole)
+    assert [one is None for one in early] == [one is None for one in complete]
+    assert None in complete
+    assert any(complete)
 
 
 @pytest.mark.slow
@@ -295,19 +295,19 @@ def test_moving_robot_is_simulated_on_until_it_rests_or_falls() -> None:
     robot, stand = load("v3-long-leg"), pa.stance.solve_stand_as_simulated(load("v3-long-leg"))
     known: Any = SimpleNamespace(stays=True, failures=())
     impulses = np.array([1.0, 1.3, 1.45, 1.5, 1.59])
-    tried = np.zeros(len(impulses), dtype=np.int64)
-    short, whole = (
+    directions = np.zeros(len(impulses), dtype=np.int64)
+    short, complete = (
         make_push_bench(robot, stand, np.zeros(1), duration=duration, verification=known, **options)
         for duration in (2.0, 6.0)
     )
-    ends = list(short.simulate_pushes(tried, impulses))
+    ends = list(short.simulate_pushes(directions, impulses))
     assert all(
         "not-at-rest" in {end.code for end in short._find_end_failures(states)} for states in ends
     )
-    outcomes = whole.simulate_fully(tried, impulses)
+    outcomes = complete.simulate_fully(directions, impulses)
     assert [failure is None for failure in outcomes] == [True] * 4 + [False]
     for simulate in (short.simulate_fully, short.simulate_until_decided):
-        assert simulate(tried, impulses) == outcomes
+        assert simulate(directions, impulses) == outcomes
     for states, failure in zip(ends, outcomes, strict=True):
         last = short.find_failure(short.extend_until_rest(states))
         assert (last is None) == (failure is None)
@@ -340,7 +340,10 @@ def test_pushed_stand_equals_the_reported_stand() -> None:
 
 
 def test_the_motion_is_that_of_a_force_on_the_base() -> None:
-    """Stepped by hand: 0.3 N s in 20 ms to the left of a base that is yawed."""
+    """A push of 0.3 N s to the left of a base that is yawed by 0.3 rad moves the base to its left.
+
+    Reference: MuJoCo's position of the body's CoM for the point of the force.
+    """
     robot = load("v3")
     stand = pa.solve_stand(robot, pa.StandTask(yaw=0.3))
     trial = pa.simulation.simulate_push(robot, stand, 0.3, math.pi / 2, duration=2.0)

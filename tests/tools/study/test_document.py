@@ -25,7 +25,7 @@ from tests.support.html_page import Page, read_text
 from tests.support.repository import ROOT
 
 VARY = {"leg_scale": [0.8, 1.0, 1.2], "kp": [5.0, 10.0], "height": [0.12, 0.15, 0.5]}
-ASKED = ["peak_utilisation", "servo_sag", "com_margin", "stands"]
+METRICS = ["peak_utilisation", "servo_sag", "com_margin", "stands"]
 
 
 @cache
@@ -33,13 +33,13 @@ def outcome() -> pa.study.StudyOutcome:
     """Return the outcome of 18 designs, a third of which are out of reach."""
     import tempfile
 
-    study = pa.Study("v3", VARY, ASKED)
+    study = pa.Study("v3", VARY, METRICS)
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as thread:
         study.run(folder, executor=thread)
         return pa.study.study_outcome(study, folder, minimise=["peak_utilisation", "servo_sag"])
 
 
-# What came of it
+# The outcome
 
 
 @pytest.mark.slow
@@ -77,9 +77,9 @@ def test_main_effects_on_a_full_grid_equal_the_closed_form(tmp_path: Path) -> No
     table = pd.DataFrame({"a": a, "b": b, "y": a + 2 * a * b})
     shares = compute_main_effects(table, ("a", "b"), "y", sampled=False)
     # By hand: y = (a + 2 a b), means over b: 2 a; over a: 1/2 + b; variances of the axes are 1/6.
-    whole = float(table["y"].var(ddof=0))
-    assert shares == pytest.approx({"a": 4 / 6 / whole, "b": 1 / 6 / whole}, rel=1e-12)
-    assert 1 - sum(shares.values()) == pytest.approx(4 / 36 / whole, rel=1e-12)
+    variance = float(table["y"].var(ddof=0))
+    assert shares == pytest.approx({"a": 4 / 6 / variance, "b": 1 / 6 / variance}, rel=1e-12)
+    assert 1 - sum(shares.values()) == pytest.approx(4 / 36 / variance, rel=1e-12)
     study = pa.Study("v3", {"kp": [4.0, 8.0], "leg_scale": [0.9, 1.1]}, ["servo_sag"])
     found = study_with(tmp_path, study)
     (sag,) = found.measured
@@ -230,8 +230,8 @@ def test_study_command_writes_its_report(tmp_path: Path) -> None:
     assert refused.returncode == 2
     assert "no 'leg'; it has servo_sag, peak_utilisation, leg_scale, kp" in refused.stderr
     assert not (tmp_path / "out").exists()
-    asked = ("--maximise", "leg_scale", "--minimise", "servo_sag")
-    done = answer(*options, *asked, "--report", "r.html", folder=tmp_path)
+    objectives = ("--maximise", "leg_scale", "--minimise", "servo_sag")
+    done = answer(*options, *objectives, "--report", "r.html", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     page = Page((tmp_path / "r.html").read_text())
     assert any("servo_sag (min), leg_scale (max)" in title for title in page.tables())

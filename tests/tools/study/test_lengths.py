@@ -23,7 +23,7 @@ from tests.support.variants import load
 
 
 def test_a_stretched_box_is_the_longer_box() -> None:
-    """MuJoCo integrates both: a box of twice the length, turned, at a distance, of one density."""
+    """Reference: MuJoCo's mass and inertia of a rotated box of twice the length."""
 
     def weighed(half_length: float) -> mujoco.MjModel:
         return mujoco.MjModel.from_xml_string(

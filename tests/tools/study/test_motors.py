@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -147,8 +148,10 @@ def test_question_about_the_lightest_motors_is_a_short_file() -> None:
     assert [item.text for item in study.requirements][-1] == "time_until_hot > 600"
 
 
-def test_code_of_a_motor_follows_its_numbers_only() -> None:
-    assert encode_motor(OTHER) == encode_motor(OTHER)
+def test_code_of_a_motor_follows_its_name_and_numbers() -> None:
+    """A motor with another source and equal numbers has the same code."""
+    assert encode_motor(replace(OTHER, source="data sheet")) == encode_motor(OTHER)
+    assert encode_motor(replace(OTHER, kp=9.0)) != encode_motor(OTHER)
     assert encode_motor(PRESENT) != encode_motor(OTHER)
     assert encode_motor(OTHER) == int(encode_motor(OTHER)) < 2**53
 

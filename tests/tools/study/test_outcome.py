@@ -35,8 +35,8 @@ def test_pareto_front_dominates_all_other_designs() -> None:
     def beats(one: np.ndarray, other: np.ndarray) -> bool:
         return bool((signs * one <= signs * other).all() and (one != other).any())
 
-    whole = table.dropna().to_numpy()
-    expected = [row for row in whole if not any(beats(other, row) for other in whole)]
+    complete = table.dropna().to_numpy()
+    expected = [row for row in complete if not any(beats(other, row) for other in complete)]
     assert sorted(map(tuple, front.to_numpy())) == sorted(map(tuple, expected))
     assert list(front["a"]) == sorted(front["a"])
     assert 3 < len(front) < 100
@@ -125,9 +125,9 @@ def test_recorded_diagnostics_render_in_each_language() -> None:
         moved=Vector((0.0, 1.5, 0.0), "m"),
         asked=Vector((0.0, 0.0, 0.0), "m"),
     )
-    said = diagnose("problem", problem=Phrase("height 1 m", "高度 1 m"))
-    whole = diagnose("argument-not-valid", field="f", problem=within)
-    for kept in (missed, within, one, said, whole):
+    phrase = diagnose("problem", problem=Phrase("height 1 m", "高度 1 m"))
+    nested = diagnose("argument-not-valid", field="f", problem=within)
+    for kept in (missed, within, one, phrase, nested):
         again = from_record(json.loads(json.dumps(to_record(kept))))
         assert again == kept
         assert (again.text("en"), again.text("zh")) == (kept.text("en"), kept.text("zh"))

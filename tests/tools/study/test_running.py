@@ -468,9 +468,9 @@ def test_a_damaged_shard_and_a_strange_folder_are_named(tmp_path: Path, threads:
         (tmp_path / "study.json").write_text(json.dumps({"format": 1} | values))
         with pytest.raises(pa.StudyError, match="does not contain the request"):
             pa.read_study(tmp_path)
-    asked = {"vary": {"kp": [5, 6]}, "measure": ["total_mass"], "robot": "v3"}
+    request = {"vary": {"kp": [5, 6]}, "measure": ["total_mass"], "robot": "v3"}
     for seed in ({}, {"seed": "x"}, {"seed": None}):
-        values = {"digest": "a", "study": asked | seed}
+        values = {"digest": "a", "study": request | seed}
         (tmp_path / "study.json").write_text(json.dumps({"format": 1} | values))
         with pytest.raises(pa.StudyError, match="seed"):
             pa.read_study(tmp_path)

@@ -229,7 +229,10 @@ def test_factors_change_both_models_equally() -> None:
 @pytest.mark.parametrize("name", ["v3", "original"])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_coms_move_in_both_files_alike(name: str, axis: int) -> None:
-    """By m g R d, in a tilted pose: gravity's torques of both engines, and in closed form."""
+    """Closed form, in a tilted pose: the weight of the link acts at a CoM that is displaced by R d.
+
+    Both engines must have this change of the gravity torques.
+    """
     before = load(name)
     shin = before.joint_names[2]
     for joint in ("", shin):
@@ -261,7 +264,7 @@ def test_coms_move_in_both_files_alike(name: str, axis: int) -> None:
 
 
 def compute_bias(robot: pa.Robot, qpos: np.ndarray) -> np.ndarray:
-    """MuJoCo's own gravity torques, in the public order."""
+    """Return MuJoCo's bias forces at rest in public coordinates."""
     data = mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_forward(robot.mj_model, data)
@@ -273,11 +276,11 @@ def test_predictions_use_changed_gains_and_friction() -> None:
     robot, stand = load("v3"), stand_of("v3")
     other = with_gains(robot, 8.0, 0.3, {"kp:*_3": 1.5})
     kp = np.array([12.0 if name.endswith("_3") else 8.0 for name in robot.joint_names])
-    asked = pa.steady_state(robot, stand, kp=kp).base_height
-    assert pa.steady_state(other, stand).base_height == asked
+    expected = pa.steady_state(robot, stand, kp=kp).base_height
+    assert pa.steady_state(other, stand).base_height == expected
     slope = pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(slope=0.1)))  # built anew for it
-    asked = pa.steady_state(robot, slope, kp=kp).base_height
-    assert pa.steady_state(other, slope).base_height == pytest.approx(asked, rel=1e-12)
+    expected = pa.steady_state(robot, slope, kp=kp).base_height
+    assert pa.steady_state(other, slope).base_height == pytest.approx(expected, rel=1e-12)
     slippery = with_ground_friction(robot, 0.3)
     assert {contact.sliding_friction for contact in slippery.contacts.values()} == {0.3}
     steep = pa.solve_stand(slippery, pa.StandTask(ground=pa.Ground(slope=0.4)))
@@ -361,6 +364,7 @@ def test_design_fails_if_its_unmodified_file_falls(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_simulated_metrics_equal_the_direct_calls() -> None:
+    """Reference: the public function of each metric."""
     robot, stand = load("v3"), stand_of("v3")
     held = pa.stance.solve_stand_as_simulated(robot)  # as `push` and `stand` have it
     design = DesignBuilder(study({"kp": [5.0]}).source, pa.StandTask(), (0, 0, 0)).design({})

@@ -24,7 +24,7 @@ from tests.support.robots import mjcf_text, quadruped, urdf_text
 TAG = re.compile(r"<([a-z]+)((?:\s+[\w]+=\"[^\"]*\")*)\s*/?>")
 ATTRIBUTE = re.compile(r"(\w+)=\"([^\"]*)\"")
 MODELS = [*pa.VARIANTS, "quadruped"]
-MANY = 30
+MUTATION_COUNT = 30
 """Number of undone mutations per model."""
 LAYOUTS = ("original", "v3", "long-leg", "quadruped")
 """Published files of both bases, one derived variant, and a pair without includes. All derived
@@ -107,7 +107,7 @@ def turn_quaternion(choose: random.Random, values: list[float]) -> list[float]:
     ]
 
 
-def one_scaled(choose: random.Random, values: list[float]) -> list[float]:
+def scale_one_number(choose: random.Random, values: list[float]) -> list[float]:
     index = choose.choice([place for place, value in enumerate(values) if value])
     factor = 1 + choose.uniform(0.01, 0.05)
     return [value * (factor if place == index else 1) for place, value in enumerate(values)]
@@ -134,8 +134,8 @@ KINDS: dict[str, list[tuple[str, str, Change]]] = {
     ".xml": [
         ("inertial", "mass", scale_numbers),
         ("inertial", "pos", shift_number),
-        ("inertial", "fullinertia", one_scaled),
-        ("inertial", "diaginertia", one_scaled),
+        ("inertial", "fullinertia", scale_one_number),
+        ("inertial", "diaginertia", scale_one_number),
         ("inertial", "quat", turn_quaternion),
         ("body", "pos", shift_number),
         ("joint", "range", limits),
@@ -193,7 +193,7 @@ def mutate_attribute(pair: Pair, choose: random.Random) -> Mutated | None:
         at = place.end(2)
         return Mutated(file, f'{text[:at]} {attribute}="{words}"{text[at:]}')
     values = [float(word) for word in stated[attribute].split()]
-    if not any(values) and change in (scale_numbers, one_scaled):
+    if not any(values) and change in (scale_numbers, scale_one_number):
         return None
     words = " ".join(repr(value) for value in change(choose, values))
     span = re.compile(rf'\s{attribute}="([^"]*)"').search(text, place.start(2))
@@ -231,12 +231,12 @@ def restore_by_sync(pair: Pair, seed: int) -> str | None:
         if not sync.differences:
             assert after[mutation.file] == mutation.text
             return None  # nobody would notice, as a turn of a sphere
-        said = f"{seed}: {mutation.file.name}: {sync.to_json()}"
-        assert sync.agree, said
+        description = f"{seed}: {mutation.file.name}: {sync.to_json()}"
+        assert sync.agree, description
         assert not sync.not_mended
-        assert sync.written == (str(mutation.file),), said
+        assert sync.written == (str(mutation.file),), description
         count = changed_attributes(mutation.text, after[mutation.file])
-        assert count == len(sync.edits) == 1, said
+        assert count == len(sync.edits) == 1, description
         assert all(after[file] == good[file] for file in good if file != mutation.file)
         return f"{mutation.file.suffix} {sync.edits[0].attribute}"
     finally:
@@ -258,7 +258,7 @@ def test_many_mutations_are_undone(model: str, folder: Path) -> None:
     pair = write_model(model, folder / model)
     done: list[str] = []
     seed = 1000 * MODELS.index(model)  # not the same choices for all
-    while len(done) < MANY:
+    while len(done) < MUTATION_COUNT:
         seed += 1
         found = restore_by_sync(pair, seed)
         done += [found] if found is not None else []

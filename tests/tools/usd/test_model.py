@@ -25,7 +25,9 @@ def model(path: Path) -> UsdModel:
 
 
 def test_every_convention_gives_the_drives_of_the_urdf(tmp_path: Path) -> None:
-    """All else is compared in both engines: see ``test_reader``."""
+    """References: gains, damping and friction of the URDF. ``test_reader`` compares all other
+    numbers in both engines.
+    """
     mine = model(usd.write(tmp_path))
     hip, spring = mine.edges["hip"].numbers, mine.edges["spring"].numbers
     assert hip["damping"] == pytest.approx(0.1, rel=1e-9)

@@ -133,7 +133,7 @@ def test_unread_usd_actuators_give_a_note(tmp_path: Path) -> None:
 
 
 def test_values_missing_in_the_usd_are_no_difference(tmp_path: Path) -> None:
-    """No drive, no friction: not zero, and no difference but for who is strict."""
+    """Missing numbers are not zero; they are a difference only with ``strict_names``."""
     changes = (
         ("float drive:angular:physics:maxForce = 120000000\n", ""),
         ("float newton:friction = 500000\n", ""),
@@ -220,7 +220,7 @@ def test_usd_can_replace_urdf_or_mjcf_in_a_comparison(tmp_path: Path) -> None:
 
 
 def test_frames_of_urdf_links_are_at_their_joints(tmp_path: Path) -> None:
-    """A joint may be anywhere on a USD's body: of a URDF's link it is the origin."""
+    """A joint may be anywhere on a body of a USD; in a URDF, it is the origin of the link."""
     moved = (
         ("localPos0 = (10, 20, 0)", "localPos0 = (10, 20, -3)"),
         ("localPos1 = (0, 0, 0)", "localPos1 = (0, 0, -3)"),
@@ -261,7 +261,7 @@ def mjcf_of(path: Path, kp: float, kd: float) -> Path:
 
 
 KP, KD = 0.5 * 180 / math.pi, 0.005 * 180 / math.pi
-"""N m/rad, N m s/rad: what the USD states per degree, in g and cm."""
+"""Gains of the USD [N m/rad, N m s/rad]; the file states them per degree, in g and cm."""
 
 
 @pytest.mark.parametrize(

@@ -50,9 +50,9 @@ def test_an_unstated_com_is_not_at_the_origin(tmp_path: Path) -> None:
 
 
 def test_every_rule_of_usd_has_a_test() -> None:
-    own = {name for name, rule in RULES.items() if rule.formats == ("usd",)}
-    assert own <= set(CHECKS)
-    assert own <= set(SLIPS)
+    usd_rules = {name for name, rule in RULES.items() if rule.formats == ("usd",)}
+    assert usd_rules <= set(CHECKS)
+    assert usd_rules <= set(SLIPS)
 
 
 def test_radians_among_degrees_are_found(tmp_path: Path) -> None:

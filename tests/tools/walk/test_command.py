@@ -55,8 +55,8 @@ def test_walk_reports_audit_errors(capfd: pytest.CaptureFixture[str], tmp_path: 
     words = ("walk", str(urdf), "--policy", str(policy), "--command", "0,0,0", "--seconds", "3")
     for more in ((), ("--vary", "strength", "--seeds", "1")):
         _, out, err = run_command(capfd, *words, *more, "-v")
-        said = "files with defects (audit lists them): the inertia of link 'leg_front_r_1'"
-        assert said in out, err
+        expected = "files with defects (audit lists them): the inertia of link 'leg_front_r_1'"
+        assert expected in out, err
 
 
 def test_invalid_input_is_refused_in_one_line(
