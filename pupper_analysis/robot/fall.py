@@ -3,7 +3,7 @@
 Heights are those of the robot's centre of mass (CoM) above the ground that carries it. The height
 of the base frame is not used, because a file may place that frame anywhere.
 
-Each reference is taken at reset, before the motion that is judged. The initial height is the CoM
+Each reference value is measured at reset, before the judged motion. The initial height is the CoM
 height above the ground at reset, minus the clearance of the robot's lowest point at reset.
 """
 
@@ -26,9 +26,10 @@ FALLEN_TILT = 0.5
 fallen over. Chosen, not tuned."""
 
 MAX_HEIGHT_LOSS_RATIO = 0.3
-"""Largest accepted change of the CoM height, upward or downward, relative to the initial height;
-with a larger change the robot has sunk or risen. Servo sag is a tenth of the height
-(Pupper v3 at kp 5: 9 %), and a robot on its shanks is half as high as before."""
+"""Largest accepted change of the CoM height, upward or downward, relative to the initial height
+[1]. With a larger change, the robot has sunk or risen. The value lies between two cases: servo sag
+is a tenth of the height (Pupper v3 at kp 5: 9 %), and a robot on its shanks is half as high as
+before."""
 
 
 def tilt_between(first: Array, second: Array) -> float:
@@ -45,65 +46,65 @@ def tilt_between(first: Array, second: Array) -> float:
 
 
 MAX_KEYFRAME_DURATION = 5.0
-"""Simulated time of a run from a keyframe [s]. Within this time a drop by centimetres has ended,
-and slow failures have become visible (a knee without torque: 2 cm/s after 2 s)."""
+"""Simulated time of a run from a keyframe [s]; the time of a file with short time steps may be
+shorter (`keyframe_duration`). After this time, a drop by centimetres has ended, and slow failures
+are visible (a knee without torque: 2 cm/s after 2 s)."""
 
 _MAX_KEYFRAME_STEPS = 5000
-"""Number of time steps of a run from a keyframe above which the simulated time is shortened, but
-not below `_MIN_KEYFRAME_DURATION`. This number bounds the computing time of files with short time
-steps. Chosen, not tuned."""
+"""Maximum number of time steps of a run from a keyframe. If a file has short time steps, the
+simulated time is shortened to this number, but not below `_MIN_KEYFRAME_DURATION`. This bounds the
+computing time. Chosen, not tuned."""
 
 _MIN_KEYFRAME_DURATION = 2.0
 """Lower bound of the simulated time of a run from a keyframe [s]: a robot that topples lies on the
 ground by then."""
 
 MAX_TRAVEL_RATIO = 1.0
-"""Horizontal travel of the CoM, relative to the CoM height, above which a robot has moved away.
-Chosen, not tuned: on planted feet, a robot would fall before. (Sideways gravity moves it by 20 m in
-2 s.)"""
+"""Horizontal travel of the CoM, relative to the initial CoM height [1], above which a robot has
+moved away. Chosen, not tuned: on planted feet, a robot would fall earlier. (Sideways gravity moves
+it by 20 m in 2 s.)"""
 
 NUDGE_SPEED = 1e-3
-"""Largest component of a nudge, a change of the velocities [m/s, rad/s]. Unstable equilibria were
-found that survive changes of 1e-9 and fall after changes of 1e-7; stable stands return after
-1e-2."""
+"""Largest component of a nudge, a small change of the velocities [m/s, rad/s]. The nudge must be
+large enough for unstable equilibria, some of which survive changes of 1e-9 and fall after changes
+of 1e-7. Stable stands return even after 1e-2."""
 
 MAX_CLEARANCE = 5.0
 """Longest vertical distance (m) over which the ground below a robot is searched. Chosen, not tuned:
 a free fall over 5 m takes 1 s."""
 
 _MAX_RUN_DISTANCE = 1e-4
-"""Largest difference of a coordinate [m, rad] between two runs from one keyframe with different
-nudges, halfway through the runs. Up to this difference the second or third run counts as equal to
-the first, and ends. If a nudge upsets a robot by the end of a run, the difference grows
-exponentially from about 1e-4 to `FALLEN_TILT`, and exceeds 1e-3 halfway. The velocities must also
-be equal, within `NUDGE_SPEED`."""
+"""Largest difference of a coordinate [m, rad] between two runs from one keyframe, halfway through
+the runs, with which both runs count as equal. The second or third run then ends. The velocities
+must also be equal, within `NUDGE_SPEED`. If a nudge upsets a robot by the end of a run, the
+difference grows exponentially from about 1e-4 to `FALLEN_TILT`, so that it exceeds 1e-3 halfway."""
 
 _SEARCH_MARGIN = 0.05
-"""Longest downward step of the search for the ground below a robot, and contact margin of the
-collision queries in this search (m). Chosen, not tuned."""
+"""Longest downward step [m] of the search for the ground below a robot (`initial_height`). Also the
+contact margin of the collision queries in this search. Chosen, not tuned."""
 
 _CONTACT_DISTANCE = 1e-6
-"""Distance between robot and ground (m) below which the search for the ground below a robot ends.
-Chosen, not tuned."""
+"""Distance between robot and ground [m] below which the search for the ground (`initial_height`)
+ends. Chosen, not tuned."""
 
 _MIN_UPWARD_NORMAL = 0.1
-"""Lower bound of the vertical component of a contact's unit normal, for the contact to count as
-ground in the search below a robot. The normal of a wall has a smaller component. Chosen, not tuned.
+"""Vertical component of a contact's unit normal [1] above which the contact counts as ground in the
+search below a robot. The normal of a wall has a smaller component. Chosen, not tuned.
 """
 
 
 _RESET_WARNINGS = slice(
     mujoco.mjtWarning.mjWARN_BADQPOS.value, mujoco.mjtWarning.mjWARN_BADQACC.value + 1
 )
-"""MuJoCo's warnings about numbers that are not finite or too large, after which MuJoCo resets the
-state: BADQPOS, BADQVEL and BADQACC."""
+"""MuJoCo's warnings BADQPOS, BADQVEL and BADQACC: numbers of the state are not finite or too large.
+MuJoCo resets the state after such a warning."""
 
 
 def nudge_velocity(model: mujoco.MjModel) -> Array:
     """Return a nudge: pseudo-random velocities of base and joints, shape (nv,) [m/s, rad/s].
 
-    The absolute values are at most ``NUDGE_SPEED``. The vector is random, so that no mode is left
-    out by symmetry. Its seed is constant, so that results are repeatable.
+    The largest absolute value is ``NUDGE_SPEED`` or less. The vector is random, so that it excites
+    all modes in spite of symmetry. Its seed is constant, so that results are repeatable.
     """
     nudge = np.random.default_rng(0).uniform(-1.0, 1.0, model.nv)
     return np.asarray(NUDGE_SPEED * nudge / np.abs(nudge).max(initial=0.5))
@@ -112,7 +113,7 @@ def nudge_velocity(model: mujoco.MjModel) -> Array:
 def keyframe_duration(model: mujoco.MjModel) -> float:
     """Return the simulated time [s] of a run from a keyframe, from 2 to 5 s.
 
-    The time is that of `_MAX_KEYFRAME_STEPS` time steps, within these bounds.
+    Within these bounds, it is the time of `_MAX_KEYFRAME_STEPS` time steps.
     """
     affordable = _MAX_KEYFRAME_STEPS * float(model.opt.timestep)
     return min(MAX_KEYFRAME_DURATION, max(_MIN_KEYFRAME_DURATION, affordable))
@@ -125,7 +126,7 @@ class BodyMotion:
     Attributes:
         duration: Simulated time (s).
         height: CoM height above the ground at reset, minus ``clearance`` (m).
-        end_height: CoM height at the end above the ground of the start (m).
+        end_height: CoM height at the end above the ground height at reset (m).
         lean: Tilt of the base at the end relative to reset (rad); a yaw about the world's z axis
             has no effect (`tilt_between`).
         away: Horizontal distance of the CoM at the end from the CoM at reset (m).
@@ -133,8 +134,8 @@ class BodyMotion:
             large, or stopped with an error.
         clearance: Vertical distance by which the robot could move downward to the ground at reset
             (m); negative if the robot penetrates the ground; 0 if no ground was found.
-        lies: Whether the robot ends on the base or hips, or on bodies of which none is the end of a
-            limb. Then the drop by ``clearance`` counts as lost height.
+        lies: Whether the robot ends on its base or hips, or no limb end touches the ground although
+            other bodies do. If True, the drop by ``clearance`` counts as lost height.
     """
 
     duration: float = field(metadata={"unit": "s"})
@@ -177,20 +178,21 @@ def simulate_keyframe(
 ) -> tuple[BodyMotion, mujoco.MjData]:
     """Simulate a state for ``keyframe_duration``, up to three times, to test if the robot stays.
 
-    The runs start with a nudge, with the opposite nudge, and without a nudge. The result is the
-    first run in which the robot collapses; if there is none, the run with the first nudge. Two
-    signs are needed because a robot may end in a pose from which it falls to one side only.
+    The first run starts with a nudge, the second with the opposite nudge, the third without a
+    nudge. The result is the first run in which the robot collapses. If there is no such run, the
+    result is the first run. Two signs are needed, because a robot may fall to one side only.
 
-    The second and third run end halfway if they are then equal to the first run, within
-    `_MAX_RUN_DISTANCE`, and the model has no activations. Such a run counts as one in which the
-    robot does not collapse, like the first run.
+    If the state halfway through the second or third run equals that of the first run, within
+    `_MAX_RUN_DISTANCE`, the run ends there without a collapse. Models with actuator activations are
+    always simulated to the end.
 
     Args:
         model: MuJoCo model.
         start: State with commands; not changed.
         base: Body index of the base.
-        ground: Height of the ground [m], if no geom of the ground is found below the robot.
-        advance: Advances a state by a time [s], in place. The time is a multiple of the time step.
+        ground: Height of the ground [m] that is assumed if no ground is found below the robot.
+        advance: Function that simulates a state for a time [s], in place. The time is a multiple of
+            the time step.
 
     Returns:
         Motion of the robot, and the state at the end.
@@ -227,9 +229,10 @@ def simulate_keyframe(
 def _are_equal_states(
     model: mujoco.MjModel, first: tuple[Array, Array], second: tuple[Array, Array]
 ) -> bool:
-    """Return True if two states, qpos and qvel, are equal within `_MAX_RUN_DISTANCE`.
+    """Return True if two states (qpos, qvel) are nearly equal.
 
-    The limit of the velocities is `NUDGE_SPEED`. False for values that are not finite.
+    The coordinates must be equal within `_MAX_RUN_DISTANCE`, the velocities within `NUDGE_SPEED`.
+    False for values that are not finite.
     """
     distance = np.empty(model.nv)
     mujoco.mj_differentiatePos(model, distance, 1.0, first[0], second[0])
@@ -251,10 +254,10 @@ def simulate_held_keyframe(
     Args:
         model: MuJoCo model.
         start: State with commands; not changed.
-        advance: Advances a state by a time [s], in place.
+        advance: Function that simulates a state for a time [s], in place.
 
     Returns:
-        Motion of the robot, in which heights, distance and tilt are 0, and the state at the end.
+        Motion of the robot; state at the end. In the motion, heights, distance and tilt are 0.
     """
     data, seconds = copy.copy(start), keyframe_duration(model)
     data.qvel[:] += nudge_velocity(model)
@@ -269,7 +272,8 @@ def simulate_held_keyframe(
 def was_reset_by_mujoco(data: mujoco.MjData) -> bool:
     """Return True if MuJoCo has reset the state: numbers were not finite, or too large.
 
-    MuJoCo's warning counters are evaluated: the time alone does not show a reset in the first step.
+    MuJoCo's warning counters are evaluated, because the simulation time does not show a reset in
+    the first step.
     """
     return bool(count_resets(data).any())
 
@@ -307,7 +311,8 @@ def measure_motion(
         end: State at the end of the simulation.
         base: Body index of the base.
         seconds: Simulated time [s].
-        initial: CoM height, clearance and ground height at reset, from `initial_height`.
+        initial: CoM height, clearance and ground height at reset, from the function
+            `initial_height`.
     """
     first, last = (_copy_with_kinematics(model, data) for data in (start, end))
     there, here = first.subtree_com[base], last.subtree_com[base]
@@ -344,13 +349,14 @@ def initial_height(
 ) -> InitialHeight:
     """Measure CoM height, clearance and ground height at reset; nothing is simulated.
 
-    The clearance is the vertical distance by which the robot can move downward to the ground. In a
-    copy of the state, the robot is moved downward in steps until a distance is below
-    ``_CONTACT_DISTANCE``. The length of a step is ``min(distance / normal_z)`` over the contacts
-    with fixed geoms that MuJoCo finds within ``_SEARCH_MARGIN``, and whose unit normal has a
-    vertical component above ``_MIN_UPWARD_NORMAL``. The step is at most ``_SEARCH_MARGIN``, also
-    without such a contact; it penetrates no convex geom. The clearance is 0 if no ground is found
-    within ``MAX_CLEARANCE``.
+    The clearance is the vertical distance by which the robot can move downward to the ground.
+
+    Method: in a copy of the state, the robot is moved downward in steps, until its distance from
+    the ground is below ``_CONTACT_DISTANCE``. MuJoCo finds the contacts with fixed geoms within
+    ``_SEARCH_MARGIN``. Contacts count if the vertical component ``normal_z`` of the unit normal
+    exceeds ``_MIN_UPWARD_NORMAL``. The step is ``min(distance / normal_z)`` over these contacts,
+    and at most ``_SEARCH_MARGIN``. Such a step penetrates no convex geom. The clearance is 0 if no
+    ground is found within ``MAX_CLEARANCE``.
 
     Args:
         model: MuJoCo model. The option ``o_margin`` and the flag ``override`` are changed during
@@ -407,7 +413,7 @@ def _distance_above_ground(
 
 
 def _find_world_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.bool_]:
-    """Return a mask of the contacts that act between a body and bodies fixed to the world."""
+    """Return a mask of the contacts that exert forces and involve a body fixed to the world."""
     bodies = model.body_weldid[list_contact_bodies(model, data)]
     return np.asarray((bodies == 0).any(axis=1)) & find_acting_contacts(data)
 
@@ -424,8 +430,8 @@ def _find_touching_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> set[int
 def _lies_on_trunk(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> bool:
     """Return True if the robot lies on its trunk instead of standing on its feet.
 
-    Either the base or a child of the base with children (hip) touches the world, or bodies touch
-    the world, but no limb end is among them. ``base`` is the id of the base body.
+    True if the base or a hip (child of the base with children) touches the world. Also true if
+    bodies touch the world, but no limb end does. ``base`` is the id of the base body.
     """
     own, above = int(model.body_weldid[base]), model.body_weldid[model.body_parentid]
     moving = [body for body in range(1, model.nbody) if model.body_weldid[body] == body]
@@ -446,11 +452,11 @@ def has_collapsed(leaning: float, lost: float, away: float, size: float) -> bool
     Also True if tilt, height loss or distance is NaN, as after a divergence.
 
     Args:
-        leaning: Tilt of the base relative to the start [rad]; limit ``FALLEN_TILT``.
-        lost: Height loss of the CoM [m], negative if it rises; limit ``MAX_HEIGHT_LOSS_RATIO``
-            times ``size``, in both directions.
-        away: Horizontal distance of the CoM from the start [m]; limit ``MAX_TRAVEL_RATIO`` times
-            ``size``.
+        leaning: Tilt of the base relative to the start [rad]. The limit is ``FALLEN_TILT``.
+        lost: Height loss of the CoM [m], negative if the CoM rises. The limit of the absolute value
+            is ``MAX_HEIGHT_LOSS_RATIO`` times ``size``.
+        away: Horizontal distance of the CoM from the start [m]. The limit is ``MAX_TRAVEL_RATIO``
+            times ``size``.
         size: Initial height of the CoM above the ground [m].
     """
     upright = abs(lost) <= MAX_HEIGHT_LOSS_RATIO * size and leaning <= FALLEN_TILT

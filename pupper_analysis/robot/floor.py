@@ -1,7 +1,7 @@
 """Ground plane of an MJCF: search, levelling, and disabling of its contacts.
 
-Functions that change a spec do so in place. Prepared robots have a level floor at z = 0: a tilted
-or raised floor is levelled, and a missing floor is added; for exceptions see `level_ground`.
+The functions modify a spec in place. Prepared robots have a level floor at z = 0: a tilted or
+raised floor is replaced, and a missing floor is added. For exceptions see `level_ground`.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, silence_mujoco
 from pupper_analysis.models.spec_tree import SpecTree
 
 _LEVEL_ATOL = 1e-9
-"""Tolerance with which a floor counts as level at z = 0 and is not changed: distance from z = 0
-[m], and x and y components of the quaternion. In the compiled model: 1 - cos(tilt). Chosen, not
-tuned."""
+"""Tolerance with which a floor counts as level at z = 0, and is not changed. In a spec, it applies
+to the distance from z = 0 [m], and to the x and y components of the quaternion. In a compiled
+model, it applies to the height [m] and to 1 - cos(tilt). Chosen, not tuned."""
 
 
 def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
     """Return the floor: a plane of the world body; None if there is none.
 
-    The first plane that can touch something is preferred to planes whose contacts are disabled.
+    It is the first plane with enabled contacts, or the first plane if all contacts are disabled.
     """
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     planes = [geom for geom in spec.worldbody.geoms if geom.type == plane]
@@ -37,9 +37,9 @@ def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
 
 
 def merge_planes(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> None:
-    """Replace other planes of the world body as ground by the floor, in place.
+    """Make the floor the only plane of the world body that collides, in place.
 
-    The floor gets the contact bits of these planes, and their contacts are disabled.
+    The contact bits of all other planes are added to those of the floor, and are then cleared.
     """
     for geom in spec.worldbody.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_PLANE and geom != floor:
@@ -66,7 +66,10 @@ def disable_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
 
 
 def rotate_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
-    """Set the orientation of a floor to a quaternion (w, x, y, z), which replaces other forms."""
+    """Set the orientation of a floor to a quaternion (w, x, y, z).
+
+    The quaternion replaces other forms, such as Euler angles.
+    """
     floor.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     floor.quat = quat
 
@@ -74,11 +77,11 @@ def rotate_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
 def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     """Make the ground of an MJCF a level plane at z = 0 in the world, in place.
 
-    A floor on another fixed body is moved to the world, a tilted, higher or lower floor is replaced
-    by a level floor at z = 0, and a missing floor is added. Contacts of other fixed geoms (stairs,
-    tables, walls), except planes at z = 0, are disabled, because slopes and steps are part of the
-    task. If no plane can collide, the first plane of the world body stays unchanged as the floor.
-    Parameters of a ``<pair>`` with the floor are moved to the other geom.
+    A tilted, higher or lower floor is replaced by a level floor at z = 0 of the world. So is a
+    floor on another fixed body. A missing floor is added. Contacts of other fixed geoms (stairs,
+    tables, walls) are disabled, because slopes and steps are part of the task. Planes at z = 0 are
+    excepted. If no plane can collide, the first plane of the world body is the floor, and is not
+    changed. Parameters of a ``<pair>`` with the floor are moved to the other geom.
 
     Returns:
         Diagnostics of the changes.
@@ -106,7 +109,10 @@ def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
 
 
 def is_fixed(body: mujoco.MjsBody | None) -> bool:
-    """Return True if neither a body nor any of its ancestors has joints or is a mocap body."""
+    """Return True if a body is fixed to the world.
+
+    Neither the body nor an ancestor may have joints or be a mocap body.
+    """
     while body is not None and body.name != "world":
         if body.joints or body.mocap:
             return False
@@ -130,12 +136,12 @@ def _level_floor(
 ) -> tuple[mujoco.MjsGeom, list[Diagnostic]]:
     """Return the floor; if no plane is level at z = 0, replace one plane by a level plane.
 
-    The replaced plane is the first that is level at another height, or the first if none is level.
-    The list ``floors`` is reordered so that the result is the first element.
+    The replaced plane is the first level plane at another height. If no plane is level, it is the
+    first plane. The list ``floors`` is reordered, so that the result is its first element.
 
     Returns:
-        The floor, and a diagnostic with the tilt and height of the replaced plane. There is no
-        diagnostic if neither differs.
+        The floor; a diagnostic with the tilt and height of the replaced plane, if one of them was
+        not zero.
     """
     level_index = next((i for i, floor in enumerate(floors) if _is_level_at_zero(floor)), None)
     if level_index is not None:
@@ -166,9 +172,9 @@ def _level_floor(
 def _compiled_planes(
     spec: mujoco.MjSpec, planes: list[mujoco.MjsGeom]
 ) -> tuple[list[float], list[float]]:
-    """Return cosines of the tilt of n planes, and heights above the world's origin [m].
+    """Return two lists: cosines of the tilts of n planes, and their heights above z = 0 [m].
 
-    Two lists of n numbers, computed from the compiled model.
+    They are computed from the compiled model. The height is that of the plane's origin.
     """
     numbers = [next(i for i, geom in enumerate(spec.geoms) if geom == one) for one in planes]
     copied = spec.copy()

@@ -34,21 +34,23 @@ Point = tuple[float, float]
 
 
 _DEFAULT_ANGLE = 0.0
-"""Default of slope and uphill direction [rad]. The constructor skips its checks if both fields are
-this object (``is``, not ``==``) and there are no steps: level ground is the usual case."""
+"""Default of slope and uphill direction [rad]. If both fields are this object (``is``, not ``==``),
+and there are no steps, the constructor skips its checks. This saves time, because level ground is
+the usual case."""
 
 
 class Step(NamedTuple):
     """Box or bar under a foot, for MuJoCo's model.
 
     Attributes:
-        centre: Centre (3,) [m] in the world. The top of the box of a pit is the bottom of the pit.
+        centre: Centre (3,) [m] in the world. For a pit, the top face of the box is the bottom of
+            the pit.
         half: Half sizes (3,) [m].
-        rotation: Rotation matrix (3, 3). The third axis is the normal of the top, or the axis of a
-            bar.
-        round: Whether the step is a bar: a cylinder within these sizes.
-        height: Height [m] above the plane of the ground; negative for a pit, 0 for a plane or bar
-            of its own that is not on a step.
+        rotation: Rotation matrix (3, 3) to world axes. The third column is the normal of the top
+            face, or the axis of a bar.
+        round: Whether the step is a bar: a cylinder that fits into the box of these half sizes.
+        height: Height [m] of the top above the plane of the ground, negative for a pit. 0 for a
+            separate plane or bar under a foot that is not on a step.
     """
 
     centre: Array
@@ -75,7 +77,7 @@ class Ground:
 
     Attributes:
         slope: Angle to the horizontal (rad), in [0, pi/2).
-        uphill: Direction of steepest ascent, as an angle about z from x (rad).
+        uphill: Direction of steepest ascent: angle about the world's z axis, from the x axis (rad).
         heights: {foot: height of the step under the foot, above the plane (m)}.
     """
 
@@ -107,7 +109,7 @@ class Ground:
         return self._planes
 
     def with_planes(self, planes: Mapping[str, Plane]) -> Ground:
-        """Return a copy of the ground in which some feet touch planes of their own.
+        """Return a copy of the ground in which some feet touch separate planes.
 
         Args:
             planes: {foot: plane that the foot touches instead of the ground}; replaces all earlier
@@ -125,8 +127,8 @@ class Ground:
 
         Returns:
             Kind of the surface (wall, table, ceiling, plane, bar or step) and the foot, such as
-            "wall of left_palm". None if the foot is in neither ``planes`` nor ``heights``: it is on
-            the floor.
+            "wall of left_palm". None for a foot on the floor, which is in neither ``planes`` nor
+            ``heights``.
         """
         if foot in self._planes:
             plane = self._planes[foot]
@@ -138,8 +140,8 @@ class Ground:
         """Return the unit normal of the ground under a foot, shape (3,), in the world frame.
 
         Args:
-            foot: Foot. If the foot has a plane of its own, the normal of this plane is returned;
-                otherwise, and by default, the normal of the sloped ground.
+            foot: Foot. If the foot has a separate plane (``planes``), the result is the normal of
+                this plane. Otherwise, and by default, it is the normal of the sloped ground.
         """
         if foot is not None and foot in self._planes:
             return np.array(self._planes[foot].normal)
@@ -149,16 +151,16 @@ class Ground:
         """Return the shortest rotation (3, 3) that aligns z with the normal under a foot.
 
         Args:
-            foot: Foot. If the foot has a plane of its own, the normal of this plane is used;
-                otherwise, and by default, the normal of the sloped ground.
+            foot: Foot. If the foot has a separate plane (``planes``), the normal of this plane is
+                used. Otherwise, and by default, the normal of the sloped ground is used.
         """
         return _align_z_with(self.normal(foot))
 
     def ground_point(self, foot: str, centre: Array) -> Array:
         """Return the ground point (3,) [m] for the centre (3,) [m] of a foot, in the world frame.
 
-        If the foot has a plane of its own, this is the nearest point of the plane. Otherwise, it is
-        the point of the ground or step vertically below the centre.
+        If the foot has a separate plane (``planes``), the result is the nearest point of this
+        plane. Otherwise, it is the point of the ground or step vertically below the centre.
         """
         if foot in self._planes:
             return self._planes[foot].project(centre)
@@ -167,18 +169,17 @@ class Ground:
 
     @check_arguments
     def steps(self, places: Mapping[str, Array]) -> dict[str, Step]:
-        """Return {foot: box or cylinder} for feet on a step, or on a plane or bar of their own.
+        """Return {foot: box or cylinder} for feet on a step, or on a separate plane or bar.
 
-        A box extends ``STEP_HALF_WIDTH`` beyond the contact points of the foot. For a step of
-        height h > 0, the box stands on the ground. For h < 0 (a pit), the top of the box is the
-        bottom of the pit at height h, and the thickness of the box is -h times the cosine of the
-        slope. The box below a plane of its own is half as thick as wide. Feet without a contact
-        point in ``places``, and feet on a step of height 0 without a plane of their own, are
-        omitted.
+        A box extends ``STEP_HALF_WIDTH`` beyond the contact points of the foot. The box of a step
+        with height h > 0 stands on the ground. For h < 0 (a pit), the top of the box is the bottom
+        of the pit at height h. The thickness of both boxes is abs(h) times the cosine of the slope.
+        The box below a separate plane is half as thick as wide. A foot is omitted if it has no
+        contact point in ``places``, or if its step has the height 0 and it has no separate plane.
 
         Args:
-            places: {contact point: centre (3,) [m]}; the points of a flat foot are ``foot/1``,
-                ``foot/2`` ...
+            places: {contact point: sphere centre (3,) [m] in the world frame}. The contact points
+                of a flat foot are named ``foot/1``, ``foot/2`` ...
         """
         steps = {}
         for foot in dict.fromkeys((*self.heights, *self._planes)):
@@ -209,16 +210,15 @@ class Ground:
         return steps
 
     def foot_ground_point(self, foot: str, centres: Array) -> tuple[Array, float]:
-        """Return the ground point of a foot with several contact spheres, and the foot's radius.
+        """Return the ground point, and the radius, of a foot with several contact spheres.
 
         Args:
             foot: Foot.
             centres: Sphere centres, shape (n, 3) [m], in the world frame.
 
         Returns:
-            ``ground_point`` of the mean sphere centre: the point vertically below it, or the
-            nearest point of the foot's own plane, shape (3,) [m], in the world frame; and the
-            largest distance [m] of a sphere centre from the mean.
+            Result of ``ground_point`` for the mean sphere centre, shape (3,) [m], in the world
+            frame; largest distance [m] of a sphere centre from the mean.
         """
         centre = centres.mean(axis=0)
         reach = float(np.linalg.norm(centres - centre, axis=1).max())
@@ -238,7 +238,7 @@ class Ground:
     def centre(self, foot: str, place: Point | Array, radius: float) -> Array:
         """Return the centre (3,) [m] of a foot's sphere that touches the sloped ground or a step.
 
-        Separate planes of feet are not considered.
+        Separate planes of feet (``planes``) are not considered.
 
         Args:
             foot: Foot, which may be on a step.
@@ -271,8 +271,8 @@ def _check_slope(name: str, value: float) -> float:
 
 _BAR_LENGTH_FACTOR = 3.0
 """Half length of the cylinder that represents a bar in MuJoCo's model, relative to the half width
-of a box for the same foot (reach of the contact points plus ``STEP_HALF_WIDTH``). Chosen, not
-tuned: a foot must not reach the end of the bar."""
+of a box for the same foot [1]. That half width is the reach of the contact points plus
+``STEP_HALF_WIDTH``. Chosen, not tuned: a foot must not reach the end of the bar."""
 
 STEP_HALF_WIDTH = 0.03
 """Distance [m] by which the box of a step extends along its top beyond the contact points of its

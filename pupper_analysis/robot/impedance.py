@@ -21,23 +21,25 @@ _NUM_EQUATIONS = {
     mujoco.mjtEq.mjEQ_CONNECT.value: 3,
     mujoco.mjtEq.mjEQ_WELD.value: 6,
 }
-"""{type of an equality constraint: number of its scalar equations}, if the impedance depends on the
-norm of all its violations. For other types each equation has its own impedance."""
+"""{type of an equality constraint: number of its scalar equations}. The equations of these types
+share one impedance, which depends on the norm of their violations. In other types, each equation
+has its own impedance."""
 
 _DEFAULT_REFERENCE = (0.02, 1.0)
 """Time constant [s] and damping ratio of MuJoCo's mj_defaultSolRefImp."""
 
 _NUM_BISECTIONS = 60
-"""Number of bisections of the violation of a soft constraint under a force, if its stiffness rises
-with the violation. Derived: 60 halvings reach double precision."""
+"""Number of bisections that solve the violation of a soft constraint under a force. Bisection is
+used if the stiffness rises with the violation. Derived: 60 halvings reach double precision."""
 
 _MAX_ITERATIONS = 1000
-"""Maximum number of fixed-point iterations for the violation of a soft constraint under a force, if
-its stiffness falls with the violation. Chosen, not tuned."""
+"""Maximum number of fixed-point iterations that solve the violation of a soft constraint under a
+force. The iteration is used if the stiffness falls with the violation. Chosen, not tuned."""
 
 _VIOLATION_RTOL = 1e-14
-"""Relative change per iteration at which the fixed-point iteration for the violation of a soft
-constraint under a force ends: rounding level. Chosen, not tuned."""
+"""Relative change of the violation in an iteration [1] at or below which the fixed-point iteration
+for the violation of a soft constraint ends. The value is near the rounding error of double
+precision. Chosen, not tuned."""
 
 
 def clip_solimp(solimp: Iterable[float]) -> tuple[float, ...]:
@@ -54,15 +56,16 @@ def clip_solimp(solimp: Iterable[float]) -> tuple[float, ...]:
 
 
 def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
-    """Return the solref that MuJoCo uses: the default if exactly one value is positive.
+    """Return the solref that MuJoCo uses: its default if exactly one of both values is positive.
 
-    Two positive values are time constant and damping ratio; otherwise, the values are negative
-    stiffness and damping.
+    Two positive values are time constant and damping ratio. Two other values are the negative
+    stiffness and the negative damping.
 
     Source: getsolparam in MuJoCo's ``engine_core_constraint.c``, which prints a warning.
 
     Returns:
-        Time constant [s]; damping ratio [1]. Or, neither positive: -stiffness; -damping.
+        Time constant [s] and damping ratio [1] if both are positive; otherwise -stiffness and
+        -damping.
     """
     first, second = (float(value) for value in solref)
     return (first, second) if (first > 0) == (second > 0) else _DEFAULT_REFERENCE
@@ -71,8 +74,8 @@ def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
 def solimp_impedance(solimp: tuple[float, ...], violation: float) -> tuple[float, float]:
     """Return the impedance d of a constraint, and its derivative by abs(violation) [1/m, 1/rad].
 
-    d changes from dmin at zero to dmax at ``width``; for a ``width`` of zero or less, d is the mean
-    of both.
+    d changes from dmin at zero violation to dmax at the violation ``width``. If ``width`` is zero
+    or less, d is the mean of dmin and dmax.
 
     Source: MuJoCo documentation, "Computation: Solver parameters"; ``engine_core_constraint.c``.
 
@@ -100,13 +103,13 @@ def solimp_impedance(solimp: tuple[float, ...], violation: float) -> tuple[float
 class EqualityCompliance:
     """Compliance of a model's equality constraints at a configuration, for any violation.
 
-    At rest a constraint with violation x has the force k d^2 x / ((1 - d) A), with the impedance d
-    at ``abs(x)``; A and k do not depend on x.
+    At rest, a constraint with violation x has the force k d^2 x / ((1 - d) A). d is the impedance
+    at ``abs(x)``. A (MuJoCo's ``diagApprox``) and k (stiffness from ``solref``) do not depend on x.
 
     Args:
         model: MuJoCo model.
-        data: Data in which all constraint rows belong to equality constraints; not referenced
-            afterwards.
+        data: Data in which all constraint rows belong to equality constraints. The object keeps no
+            reference to the data.
     """
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -126,16 +129,16 @@ class EqualityCompliance:
     def current_compliance(self) -> Array:
         """Return the compliance of each of m scalar constraint equations, at its present violation.
 
-        The violations are those in the ``data`` passed to the constructor. Shape (m,) [m/N,
-        rad/(N m)]: violation / constraint force.
+        The compliance is violation / constraint force, shape (m,) [m/N, rad/(N m)]. The present
+        violations are those in the ``data`` of the constructor.
         """
         return self._compliance.copy()
 
     def max_compliance(self) -> Array:
-        """Return the maximum over all violations of the compliance of each equation, shape (m,).
+        """Return the largest possible compliance of each equation, shape (m,) [m/N, rad/(N m)].
 
-        The unit is m/N, or rad/(N m) for an angle. The compliance of a MuJoCo equality constraint
-        depends on its violation (``solimp``).
+        The compliance of a MuJoCo equality constraint depends on its violation (``solimp``). The
+        result is the maximum over all violations.
         """
         compliance = self._base_compliance.copy()
         for rows, solimp in self._row_groups:
@@ -161,9 +164,9 @@ class EqualityCompliance:
 def _solve_violation(solimp: tuple[float, ...], force: float) -> float:
     """Return the smallest violation x [m, rad] that satisfies x = ``force`` (1 - d(x)) / d(x)^2.
 
-    d is the impedance, ``force`` [m, rad] the constraint force times the compliance at which
-    (1 - d) / d^2 is 1. If the stiffness falls with the violation, a fixed-point iteration rises to
-    the smallest solution; otherwise the solution is bisected.
+    d is the impedance. ``force`` is the constraint force times the compliance for (1 - d) / d^2 =
+    1, so that its unit is m or rad. If the stiffness falls with the violation, a fixed-point
+    iteration rises to the smallest solution. Otherwise the solution is bisected.
     """
     low, high = (force * _compliance_factor(solimp, opening) for opening in (0.0, solimp[2]))
     if low < high:
