@@ -29,8 +29,8 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
 OBLIQUE_MOTIONS = ("oblique", "oblique slide")
-"""Motion types of hinges and slides whose axis is more than 1 degree from each world axis (see
-`joint_motions`)."""
+"""Motion types of a hinge, and of a slide, whose axis is more than 1 degree from each world axis
+(see `joint_motions`)."""
 
 
 def joint_motions(robot: Robot) -> dict[str, str]:
@@ -40,8 +40,9 @@ def joint_motions(robot: Robot) -> dict[str, str]:
     origin; a fixed base has the pose of the MJCF.
 
     Returns:
-        {joint: motion}: ``roll``, ``pitch`` or ``yaw`` for a hinge about x, y or z, ``along x``
-        etc. for a slide, and ``oblique`` or ``oblique slide`` for axes in other directions.
+        {joint: motion}. The motion of a hinge about x, y or z is ``roll``, ``pitch`` or ``yaw``.
+        The motion of a slide is ``along x``, ``along y`` or ``along z``. For axes in other
+        directions, the motion is ``oblique`` (hinge) or ``oblique slide``.
     """
     zero_configuration = Configuration(robot, robot.neutral())
     return {
@@ -53,15 +54,15 @@ def joint_motions(robot: Robot) -> dict[str, str]:
 def is_slide(robot: Robot, joint: str) -> bool:
     """Return True if a joint is a slide.
 
-    The model without postponed servos (`Robot.before_servos`) is read, so that the servos need not
-    be tuned.
+    The function does not trigger the postponed preparation of the robot, such as servo tuning (see
+    `Robot.before_servos`).
     """
     model = robot.before_servos.mj_model
     return bool(model.jnt_type[model.joint(joint).id] == JointKind.SLIDE)
 
 
 def _classify_motion(axis: Array, *, is_slide: bool) -> str:
-    """Return the motion type of a joint axis (3,): oblique if no world axis is within 1 degree."""
+    """Return the motion type of an axis (3,): ``oblique`` if no world axis is within 1 degree."""
     direction = int(np.argmax(np.abs(axis)))
     aligned = abs(axis[direction]) > np.cos(np.radians(1.0))
     if is_slide:
@@ -70,7 +71,7 @@ def _classify_motion(axis: Array, *, is_slide: bool) -> str:
 
 
 def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:
-    """Return the joints that move a contact point relative to the base, from the base outwards.
+    """Return the joints that move a contact point relative to the base, in order from the base.
 
     Args:
         robot: The robot.
@@ -88,12 +89,12 @@ def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:
 
 
 _LIMIT_ATOL = 1e-6
-"""Distance beyond a joint limit [rad, m] with which a position requested by the user is accepted,
-because users enter rounded values. Chosen, not tuned."""
+"""Tolerance of joint limits [rad, m]. A position requested by the user is accepted if it exceeds a
+limit by up to this value, because users enter rounded values. Chosen, not tuned."""
 
 
 def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, float]:
-    """Resolve the names of a posture, and check the joints; return {joint: position [rad, m]}.
+    """Convert a requested posture to {joint: position [rad, m]}, and check the joints.
 
     Args:
         robot: The robot.
@@ -102,8 +103,8 @@ def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, 
 
     Raises:
         UnknownNameError: If a pattern matches no joint; the message lists the joints.
-        ConfigurationError: If a joint carries a foot, or a position is not valid. Also if a joint
-            is part of a loop or coupling, and the posture does not contain all such joints, or does
+        ConfigurationError: If a position is not valid, or if a joint moves a foot. If a joint is
+            part of a loop or coupling, and the posture lacks a joint of a loop or coupling, or does
             not close the loops.
     """
     placed = named_positions(robot, posture, "posture") if posture else {}
@@ -117,18 +118,19 @@ def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, 
 
 
 _MAX_POSTURE_VIOLATION = 1e-6
-"""Largest constraint violation [rad, m] with which a requested posture closes loops and couplings:
-positions are entered with up to six decimals."""
+"""Largest constraint violation [rad, m] with which a requested posture counts as closing its loops
+and couplings. A posture with a larger violation is refused. Users enter positions with up to six
+decimals."""
 
 
 def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the joints of all loops and couplings that a posture determines.
+    """Return the joints of loops and couplings whose positions a posture may determine.
 
     ``placed`` is the posture, {joint: position [rad or m]}.
 
-    Joints that move a foot are omitted, because the stance determines their positions. The result
-    is empty if the posture omits a joint of a loop or coupling, or violates a constraint by more
-    than `_MAX_POSTURE_VIOLATION`.
+    Joints that move a foot are omitted, because the stance determines their positions. The posture
+    must contain all joints of loops and couplings, and violate no constraint by more than
+    `_MAX_POSTURE_VIOLATION`. Otherwise the result is empty.
     """
     closure = robot.closure
     assert closure is not None
@@ -174,7 +176,7 @@ def _foot_joints(robot: Robot) -> set[str]:
 def named_positions(
     robot: Robot, joints: Mapping[str, float], argument: str = "joints"
 ) -> dict[str, Position]:
-    """Expand patterns of joint names; return {joint: position with its unit}.
+    """Expand patterns of joint names, and return {joint: position with its unit}.
 
     Args:
         robot: The robot.
@@ -229,17 +231,17 @@ def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
 
 
 _KEYFRAME_ROUNDING = 1e-3
-"""Distance of a keyframe's joint position beyond the joint limit [rad, m] that is attributed to
-rounding to a few digits. Below this distance, the limit replaces the position. A keyframe with a
-larger distance becomes the default posture only if the caller names the keyframe. Chosen, not
-tuned."""
+"""Distance of a keyframe's joint position beyond the joint limit [rad, m] that is attributed to the
+rounding of numbers in files. If the distance is smaller, the limit replaces the position. A
+keyframe with a larger distance is the default posture only if the caller names the keyframe.
+Chosen, not tuned."""
 
 
 def joint_ranges(robot: Robot) -> Array:
-    """Return lower and upper limits that both files permit, shape (nu, 2) [rad, m].
+    """Return the ranges of the joint positions that both files permit, shape (nu, 2) [rad, m].
 
-    Infinite if neither file limits a joint. If the ranges of the files do not overlap, both ends
-    are the larger lower limit.
+    Columns: lower limit, upper limit; infinite if neither file limits the joint. If the ranges of
+    the files do not overlap, both limits are the larger of the two lower limits.
     """
     model = robot.mj_model
     joints = [model.joint(name).id for name in robot.joint_names]
@@ -253,20 +255,21 @@ def joint_ranges(robot: Robot) -> Array:
 
 
 def default_positions(robot: Robot, keyframe: str | None = None) -> tuple[Array, str | None]:
-    """Return the default posture of a robot with a fixed base, and the keyframe.
+    """Return the default posture of a robot with a fixed base, and the name of its keyframe.
 
-    The posture is the keyframe ``home``, or else the first keyframe, if the positions are within
-    the joint ranges; excesses below `_KEYFRAME_ROUNDING` are clipped. Otherwise each joint is at
-    the middle of the range; a joint with an infinite limit is at zero, or at the limit that is
-    nearest to zero. Loops are not closed.
+    The posture is the keyframe ``home``, otherwise the first keyframe. Its positions must be within
+    the joint ranges; excesses below `_KEYFRAME_ROUNDING` are clipped. Without such a keyframe, each
+    joint is at the middle of its range. A joint with an infinite limit is then at the position of
+    its range that is nearest to zero. Loops are not closed.
 
     Args:
         robot: Robot with a fixed base.
-        keyframe: Name of a keyframe of the MJCF, which is used even outside of the joint ranges.
+        keyframe: Name of a keyframe of the MJCF. This keyframe is used even if it is outside of the
+            joint ranges.
 
     Returns:
-        Joint positions in actuator order, shape (nu,) [rad, m], and the name of the keyframe; None
-        instead of a name if the middle of the ranges is used.
+        Joint positions in actuator order, shape (nu,) [rad, m]; name of the keyframe, None if no
+        keyframe is used.
 
     Raises:
         UnknownNameError: If there is no such keyframe.
@@ -335,7 +338,7 @@ def get_joint_units(robot: Robot, joint: str) -> JointUnits:
 def check_motor_joints(robot: Robot, joints: Iterable[str], argument: str) -> None:
     """Raise a ConfigurationError if a rotary motor is assigned to a slide.
 
-    The torque of a motor becomes the force of a slide by the lead of a screw, which no file states.
+    The force of a slide would depend on the lead of a screw, which no file states.
 
     Args:
         robot: Robot.
@@ -348,7 +351,7 @@ def check_motor_joints(robot: Robot, joints: Iterable[str], argument: str) -> No
 
 
 def get_common_units(robot: Robot, joints: Iterable[str]) -> JointUnits:
-    """Return the units of values of several joints together (`combine_joint_units`)."""
+    """Return the units for values of several joints; both units for hinges and slides together."""
     return combine_joint_units(get_joint_units(robot, joint) for joint in joints)
 
 

@@ -1,7 +1,7 @@
 """Planes, slopes and bars that a robot touches, and contacts and welds on these.
 
-Each ``Contact`` is formatted in the syntax of the command line, in which the error messages print
-it.
+The text of a ``Contact`` (``str``, ``format``) has the syntax of the command line. Error messages
+contain this text.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ Position3 = tuple[float, float, float]
 """Point or vector (x, y, z)."""
 
 MAX_FRICTION = 1e6
-"""Maximum friction coefficient that is accepted. Larger values are physically equivalent. Chosen,
-not tuned."""
+"""Largest accepted friction coefficient [1]. A larger value is refused; it would have no other
+physical effect. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
 class Plane:
-    """Plane in the world: a wall, a table, one side of a roof.
+    """Plane in the world, for example a wall, a table, or one side of a roof.
 
     Attributes:
         point: Point (x, y, z) on the plane (m).
-        normal: Unit normal (x, y, z), towards the robot; normalised on construction.
-        friction: Friction coefficient; that of the ground by default.
+        normal: Normal (x, y, z) towards the robot; the constructor divides it by its norm.
+        friction: Friction coefficient. Default: the coefficient of the ground.
     """
 
     point: Position3 = field(metadata={"unit": "m"})
@@ -48,20 +48,20 @@ class Plane:
 
     @property
     def kind(self) -> str:
-        """Key of ``PLANE_NORMALS`` (wall, table or ceiling); "" for another normal."""
+        """Kind of this plane: wall, table or ceiling (``PLANE_NORMALS``); "" for another normal."""
         return next((name for name, out in PLANE_NORMALS.items() if out == self.normal), "")
 
     @property
     def _parameter_sign(self) -> float:
-        """Factor (1 or -1) that converts the offset n . p along the normal n to ``parameter``."""
+        """Factor (1 or -1) between the offset n . p along the normal n and ``parameter``."""
         return sum(self.normal) if self.kind else 1.0
 
     @property
     def parameter(self) -> float:
-        """Coordinate [m] that determines the position (x of a wall, z of a table or ceiling).
+        """Coordinate [m] that positions this plane: x of a wall, z of a table or ceiling.
 
-        For another plane, the offset n . p of the plane along its unit normal n, with p a point on
-        the plane: positive if the normal points away from the world origin.
+        For another plane, it is the offset n . p, with the unit normal n and a point p of the
+        plane. It is positive if the normal points away from the world origin.
         """
         offset = math.fsum(a * b for a, b in zip(self.point, self.normal, strict=True))
         return self._parameter_sign * offset
@@ -80,15 +80,15 @@ class Plane:
         return nearest
 
     def contact_plane(self, _point: Position3) -> Plane:
-        """Return this plane unchanged; the point is ignored, because the plane has a position.
+        """Return this plane unchanged; the argument is ignored.
 
-        `Slope.contact_plane` and `Bar.contact_plane` use the point, so all three have the same
+        `Slope.contact_plane` and `Bar.contact_plane` require a point. This method has the same
         signature.
         """
         return self
 
     def with_parameter(self, number: float) -> Plane:
-        """Return the parallel plane with another ``parameter`` (coordinate or offset) [m]."""
+        """Return the parallel plane with ``number`` [m] as ``parameter`` (coordinate or offset)."""
         offset, displacement = (
             self._parameter_sign * number,
             self._parameter_sign * (number - self.parameter),
@@ -102,12 +102,13 @@ class Plane:
 
 @dataclass(frozen=True)
 class Slope:
-    """Inclined plane under a contact, through the contact's place on the ground or on a step.
+    """Inclined plane under a contact; it contains the contact's position on the ground or step.
 
     Attributes:
-        angle: Angle to the horizontal (rad), from 0 (floor) to pi (ceiling); the ``parameter``.
-        uphill: Direction of steepest ascent, as an angle about z from x (rad).
-        friction: Friction coefficient; that of the ground by default.
+        angle: Angle to the horizontal (rad), from 0 (floor) to pi (ceiling). It is the
+            ``parameter``.
+        uphill: Direction of steepest ascent: angle about the world's z axis, from the x axis (rad).
+        friction: Friction coefficient. Default: the coefficient of the ground.
     """
 
     angle: float = field(metadata={"unit": "rad"})
@@ -140,15 +141,15 @@ class Slope:
 
 @dataclass(frozen=True)
 class Bar:
-    """Round bar in the world, such as a rung; with a radius of a millimetre, an edge.
+    """Round bar in the world, such as a rung. A radius of a millimetre represents an edge.
 
-    A contact touches the bar in the tangent plane.
+    A contact with the bar is a contact with its tangent plane (`contact_plane`).
 
     Attributes:
-        point: Point (x, y, z) on the axis (m); z is the ``parameter``.
-        direction: Unit vector (x, y, z) along the axis; normalised on construction.
+        point: Point (x, y, z) on the axis (m). Its z is the ``parameter``.
+        direction: Vector (x, y, z) along the axis; the constructor divides it by its norm.
         radius: Radius (m).
-        friction: Friction coefficient; that of the ground by default.
+        friction: Friction coefficient. Default: the coefficient of the ground.
     """
 
     point: Position3 = field(metadata={"unit": "m"})
@@ -177,9 +178,9 @@ class Bar:
     def point_above(self, x: float, y: float) -> Position3:
         """Return a point (x, y, z) [m] above this bar, near a horizontal position (x, y) [m].
 
-        The start is the point of the bar's axis that is nearest to (x, y) in the horizontal plane.
-        The result is displaced from the start upward, perpendicular to the axis. The displacement
-        is 1 m times the cosine of the bar's inclination.
+        In the horizontal plane, one point of the bar's axis is nearest to (x, y). The result is
+        displaced from this point upward, perpendicular to the axis. The displacement is 1 m times
+        the cosine of the bar's inclination.
         """
         along = np.array(self.direction)
         level = along[:2] @ along[:2]
@@ -189,7 +190,7 @@ class Bar:
         return _check_position("place", result)
 
     def contact_plane(self, point: Position3) -> Tangent:
-        """Return the tangent plane at the point of the bar nearest to a point (x, y, z) [m].
+        """Return the tangent plane at the point of the bar nearest to ``point`` (x, y, z) [m].
 
         Raises:
             ConfigurationError: If the point is on the axis, up to rounding.
@@ -217,30 +218,32 @@ class Tangent(Plane):
 
 
 _AXIS_ATOL = 1e-9
-"""Distance [m] from the axis of a bar up to which a point counts as on the axis: such a point has
-no nearest point on the bar. Chosen, not tuned."""
+"""Distance [m] from the axis of a bar up to which a point counts as on the axis. A point on the
+axis is refused, because it has no unique nearest point on the bar. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
 class Contact:
     """Contact of a foot, or of another part of the robot (a hand), with a plane or a bar.
 
-    A foot touches with the collision geometry. A hand touches with a massless sphere at a point of
-    its link, which collides with that plane only. A sole (foot with several contact points) can
-    neither touch a bar nor grip.
+    A foot touches with its collision geometry. A hand touches with a massless sphere at a point of
+    its link. This sphere collides only with the plane of the contact. A sole (foot with several
+    contact points) can neither touch a bar nor grip.
 
     Attributes:
         plane: Plane, slope or bar.
-        force: Prescribed normal force (N). By default, the force follows from balance; beside a
-            ``Weld``, which balances any force, from minimum motor torque.
-        place: Point (x, y, z) (m), projected to the plane. By default, the nominal position of the
-            foot, or the position of the hand with the joints at home.
+        force: Prescribed normal force (N). By default, the force follows from balance. If the robot
+            also has a ``Weld``, balance permits any force, and the force follows from minimum motor
+            torque.
+        place: Point (x, y, z) in the world (m), which is projected to the plane. By default, the
+            nominal position of the foot, or the position of the hand with the joints at home.
         offset: Centre (x, y, z) of the contact sphere in the frame of the hand's link (m).
-        radius: Radius of the contact sphere (m). By default, that of the largest sphere inside the
-            hand's shapes, or 1 cm outside of all shapes.
-        grip: Maximum force (N) of a grip in any direction, such as of a hand around a rung: the
-            centre of the sphere is fixed, and the hand may rotate about it. By default, there is no
-            grip, and the contact is unilateral.
+        radius: Radius of the contact sphere of a hand (m). By default, the radius of the largest
+            sphere inside a shape of the hand. If the centre is outside of all shapes, the default
+            is 1 cm.
+        grip: Maximum force (N) of a grip in any direction, for example of a hand around a rung. The
+            grip fixes the centre of the sphere; the hand may rotate about it. By default, the
+            contact is unilateral, without grip.
     """
 
     plane: Plane | Slope | Bar
@@ -282,8 +285,8 @@ class Contact:
     def parameters(self) -> tuple[float, ...]:
         """Numbers that position the plane or bar of this contact.
 
-        x, y, z of a point of a bar [m]; otherwise one number, the ``parameter`` of a plane [m] or
-        the angle of a slope [rad]. The search for the nearest reachable stand may change them.
+        For a bar, x, y, z of its point [m]. For a slope, its angle [rad]. For another plane, its
+        ``parameter`` [m]. The search for the nearest reachable stand may change these numbers.
         """
         return self.plane.point if isinstance(self.plane, Bar) else (self.plane.parameter,)
 
@@ -309,16 +312,18 @@ class Contact:
         return replace(self, plane=self.plane.with_parameter(number))
 
     def __str__(self) -> str:
-        """Return the text on the command line with all digits: ``wall:0.4m,mu=0.6``.
+        """Return this contact in the syntax of the command line, for example ``wall:0.4m,mu=0.6``.
 
-        A contact that is read from the text is equivalent; its unit vectors may differ by rounding.
+        The text has all digits. Reading the text gives an equivalent contact; its unit vectors may
+        differ by rounding.
         """
         return format(self)
 
     def __format__(self, spec: str) -> str:
-        """Return the text on the command line, in mm and deg with a number format such as ``.4g``.
+        """Return this contact in the syntax of the command line, with formatted numbers.
 
-        Without format, the numbers are exact, in SI units or degrees.
+        With a number format ``spec`` such as ``.4g``, the units are mm and deg. If ``spec`` is
+        empty, all digits are written, in SI units or degrees.
         """
         write, plane = _make_formatter(spec), self.plane
         if isinstance(plane, Slope):
@@ -343,13 +348,14 @@ class Contact:
 class Weld:
     """Part of the robot that is fixed to the world, and can bear any wrench.
 
-    The base has the pose in the task, and a foot its position in the stand. Of another part, a
-    point is fixed at ``place``. The orientation is that in the stand.
+    The weld fixes the base at its pose in the task, and a foot at its position in the stand. Of
+    another part, the weld fixes the point ``offset`` at the position ``place``. The orientation of
+    a part is its orientation in the stand.
 
     Attributes:
-        place: Position (x, y, z) of the point of another part (m); by default with the joints at
-            home.
-        offset: Point (x, y, z) of another part in the frame of the link (m).
+        place: Position (x, y, z) in the world of the fixed point of another part (m). By default,
+            the position with the joints at home.
+        offset: Fixed point (x, y, z) of another part, in the frame of its link (m).
     """
 
     plane: ClassVar[None] = None
@@ -376,19 +382,23 @@ class Weld:
         return replace(self, place=_check_position("place", numbers))
 
     def __str__(self) -> str:
-        """Return the text on the command line with all digits: ``weld,offset=0.0m/0.0m/0.1m``."""
+        """Return this weld in the syntax of the command line: ``weld,offset=0.0m/0.0m/0.1m``."""
         return format(self)
 
     def __format__(self, spec: str) -> str:
-        """Return the text on the command line, in mm with a format such as ``.4g``; or exact."""
+        """Return this weld in the syntax of the command line, with formatted numbers.
+
+        With a number format such as ``.4g``, lengths are in mm. If ``spec`` is empty, all digits
+        are written, in m.
+        """
         return ",".join(["weld", *_format_placement(self, _make_formatter(spec))])
 
 
 def _make_formatter(spec: str) -> Callable[..., str]:
     """Return a function that formats numbers with their unit.
 
-    With a number format such as ``.4g``, lengths are in mm and angles in deg; without (""), lengths
-    are in m, and all texts are exact.
+    If ``spec`` is a number format such as ``.4g``, lengths are in mm, and angles in deg. If it is
+    empty, lengths are in m, and all digits are written.
     """
 
     def write(values: Sequence[float], unit: str, by: str = "/") -> str:
@@ -403,9 +413,9 @@ def _make_formatter(spec: str) -> Callable[..., str]:
 
 
 def _format_exact_angle(angle: float) -> str:
-    """Return a text of an angle [rad] from which exactly this angle is read.
+    """Return a text that is read as exactly this angle [rad].
 
-    The shortest such text in degrees; if there is none, radians.
+    It is the shortest such text in degrees. If there is none, the text is in radians.
     """
     candidates = (f"{math.degrees(angle):.{digits}g}" for digits in range(3, 18))
     radians_per_degree = UNIT_FACTORS["angle"]["deg"]
@@ -427,7 +437,9 @@ def _format_placement(contact: Contact | Weld, write: Callable[..., str]) -> Ite
 
 
 def contact_of(data: Any) -> Contact | Weld:
-    """Return a contact or weld from plain data, such as JSON, or the object itself.
+    """Convert plain data, for example from JSON, to a contact or weld.
+
+    A contact or weld is returned unchanged.
 
     Raises:
         ConfigurationError: If the data are not valid.
@@ -518,7 +530,7 @@ def _check_friction(name: str, value: float | None) -> float | None:
 
 
 def _check_direction(name: str, value: Any) -> Position3:
-    """Return a vector (x, y, z), divided by its norm.
+    """Return a vector (x, y, z) divided by its norm.
 
     Raises:
         ConfigurationError: If the vector is zero or not valid.

@@ -1,7 +1,7 @@
 """``Robot``: Pinocchio's model of the URDF, MuJoCo's of the MJCF, and the maps between both.
 
-Also: effort limits from both files, and a pool of objects that are expensive to create for a robot.
-The effort limit of a joint is the smallest in both files.
+The module also resolves the effort limits from both files: the smallest limit of a joint counts. It
+contains a pool of objects that are expensive to create for a robot (`borrow`).
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ values. Chosen, not tuned."""
 
 
 _NO_STATEMENTS: Mapping[str, EffortStatement] = MappingProxyType({})
-"""Default of the argument ``null`` of `efforts_of`, an empty mapping: the MJCF has no joint with an
-empty force range."""
+"""Default of the argument ``null`` of `efforts_of`: no joint has an empty force range in the
+MJCF."""
 
 
 def efforts_of(
@@ -68,10 +68,10 @@ def efforts_of(
         pin_model: Pinocchio's model of the URDF.
         convention: Coordinate maps of Pinocchio's model.
         joint_names: Names of the joints.
-        original_limits: {joint: requested limit, or limit of the motor that a servo replaced}. If
-            the limit of both models is equal, the original limit is returned, because it states its
-            source.
-        null: {joint: statement of the MJCF}, for joints whose force range in the MJCF is empty.
+        original_limits: {joint: requested limit, or limit of a motor that was replaced by a servo}.
+            If such a limit equals the limit from the models, the result contains the original
+            limit, because it states its source.
+        null: {joint: empty force range that the MJCF states}; MuJoCo ignores such a range.
     """
     urdf, limits = pin_model.effortLimit.take(convention.v_index).tolist(), []
     actuators_by_joint = group_actuators_by_joint(mj_model)
@@ -137,8 +137,8 @@ _T = TypeVar("_T")
 
 
 _LIMIT_FIELDS = ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit")
-"""Fields of Pinocchio's model that may be infinite. Pinocchio serialises infinity, but cannot read
-it."""
+"""Fields of Pinocchio's model that may be infinite. A pickled robot contains these fields
+separately, because Pinocchio writes infinite values, but cannot read them."""
 
 _CACHED_ATTRIBUTES = (
     "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "fixed_parts",
@@ -152,11 +152,11 @@ class PublishedFile:
     """Published MJCF or URDF of a robot, which verdicts also simulate.
 
     Attributes:
-        file: MJCF. None for a URDF without MJCF, and if the robot was loaded without changes.
+        file: MJCF. None if there is only a URDF, or if the robot was loaded without changes.
         keyframe: Requested keyframe; None if none was requested.
-        imported: URDF without MJCF, for MuJoCo's importer; None otherwise.
+        imported: URDF for MuJoCo's importer, if there is no MJCF; None otherwise.
         options: (name, value) of the requested MuJoCo options, which replace those of the file.
-        loaded: Robot as loaded from the file, if the robot with this record was changed later; None
+        loaded: Robot as loaded from the file, if the robot was changed after loading; None
             otherwise.
     """
 
@@ -172,30 +172,30 @@ class PublishedFile:
         return self.file is None and self.imported is None
 
     def for_modified_copy(self, robot: Robot) -> PublishedFile:
-        """Return the record for a modified copy of a robot: ``loaded`` is the unmodified robot.
+        """Return the published file of a modified copy of a robot, with the unmodified robot.
 
         Args:
-            robot: Robot before the modification; stored as ``loaded`` at the first modification.
-                At later modifications, this record is returned unchanged.
+            robot: Robot before the modification. The first modification stores it as ``loaded``. At
+                later modifications, this object is returned unchanged.
         """
         return self if self.loaded is not None else replace(self, loaded=robot)
 
 
 @dataclass(frozen=True)
 class Touching:
-    """Changes of a robot for a contact of a task.
+    """Properties of a robot's part that a contact of a task determines.
 
     Attributes:
-        friction: Friction coefficient; None for that of the ground.
+        friction: Friction coefficient; None for the coefficient of the ground.
         offset: Centre (x, y, z) [m] of the contact sphere of a hand, in the frame of the hand; None
             for a foot.
-        radius: Radius [m] of the sphere; None for the largest sphere inside the shapes of the hand,
-            or 1 cm outside of all shapes.
+        radius: Radius [m] of the contact sphere. None: the radius of the largest sphere inside a
+            shape of the hand, or 1 cm if the centre is outside of all shapes.
         force: Prescribed normal force [N]; None if it follows from balance.
-        is_fixed: Whether the part is fixed to the world by a weld or grip, and does not collide
+        is_fixed: Whether a weld or grip fixes the part to the world. The part then does not collide
             with fixed bodies.
-        grip: Maximum force [N] of a grip, which fixes a point and permits rotation; None for a
-            contact or weld.
+        grip: Maximum force [N] of a grip; None for a contact or weld. A grip fixes a point and
+            permits rotation.
     """
 
     friction: float | None = None
@@ -216,8 +216,8 @@ def with_task_friction(
     Args:
         contacts: {contact point: parameters} on the ground.
         feet: {foot: contact points}.
-        touching: {foot or hand: contact of the task}; without ``friction`` in a contact, the
-            parameters of the ground remain.
+        touching: {foot or hand: contact of the task}. If a contact has no ``friction``, the
+            friction of the ground remains.
     """
     changed = {
         point: replace(contacts[point], friction=(mu, mu, *contacts[point].friction[2:]))
@@ -233,15 +233,15 @@ def _make_none() -> None:
 
 
 _DEFERRED_STAGES = "_deferred_stages"
-"""Name of the instance attribute that holds a function: it runs the preparation steps that a robot
-postpones to its first use (servo tuning, rest pose, visual meshes); see `defer_stages`."""
+"""Name of the instance attribute with a function that runs the postponed preparation steps: servo
+tuning, rest pose and visual meshes; see `defer_stages`."""
 
 _BEFORE_SERVOS = "_before_servos"
-"""Name of the instance attribute that holds `Robot.before_servos`, or a function that returns the
-robot in its start pose, from which `Robot.before_servos` is made at the first use."""
+"""Name of the instance attribute for `Robot.before_servos`. Until the first use of this property,
+the attribute contains a function that returns the robot in its start pose."""
 
 _stages_lock = Lock()
-"""Guards the replacement of the fields that the postponed preparation steps compute."""
+"""Lock for the replacement of the fields that the postponed preparation steps compute."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,32 +257,37 @@ class Robot(EngineModels):
         base: Name of the base link (URDF).
         mj_base: Name of the base body (MJCF).
         joint_names: Joints in actuator order.
-        contact_points: Contact points of feet and hands; keys of dictionaries of contact forces. A
-            spherical foot has a single contact point with the name of the foot.
-        feet: {foot or hand: contact points}, hands last; a flat foot has several on the same body.
+        contact_points: Names of the contact points of feet and hands, used as keys of dictionaries.
+            A spherical foot has a single contact point with the name of the foot.
+        feet: {foot or hand: contact points}, hands last. A flat foot has several contact points on
+            the same body.
         contact_frames: {contact point: frame in the URDF}.
         contact_places: {contact point: (body id in ``mj_model``, centre (3,) [m] of the sphere in
             the frame of the body)}.
         foot_geoms: {geom id of ``mj_model``: foot}.
         contact_radius: {contact point: radius [m] of its sphere}; 0 for the corner of a sole.
-        contacts: {contact point: effective parameters of the contact with the ground, or with the
-            friction of a plane in ``touching``}; empty if the MJCF has no ground plane.
+        contacts: {contact point: effective parameters of the contact with the ground}. If
+            ``touching`` contains a friction coefficient, it replaces the friction of the ground.
+            Empty if the MJCF has no ground plane.
         home: Configuration (nq,) of the keyframe ``home``, of the first keyframe, or of qpos0.
         nominal: Joint positions (nu,) [rad, m] at which the feet have the nominal horizontal
             positions.
-        stand_height: Height [m] of the base above the ground in the nominal stand. Without feet 0,
-            or half the extent of a robot whose fixed base a task welds.
+        stand_height: Height [m] of the base above the ground in the nominal stand. Without feet, it
+            is 0; exception: if a task welds a base that the file fixes, it is half the extent of
+            the robot.
         imu: Frame with gyro and accelerometer; None if there is none.
         pin_convention: Coordinate maps of Pinocchio's model.
         mj_convention: Coordinate maps of MuJoCo's model.
-        fingerprint: Name, and hash of the URDF's joint names, kinematics, inertias and position
-            limits, and of the contact points; identifies the robot of a stand. A copy with a
-            payload, the ground of a task, or contacts of a task keeps the fingerprint.
+        fingerprint: Text that identifies the robot of a stand: the name and a hash. The hash covers
+            the URDF's joint names, kinematics, inertias and position limits, and the contact
+            points. A copy with a payload, the ground of a task, or contacts of a task keeps the
+            fingerprint.
         notes: Diagnostics of assumptions, additions and errors in the files.
         published: Published file, which verdicts simulate; None if there is none.
-        touching: {foot or hand: changes for a contact of a task}; see ``robot.touching``.
-        bare: Robot without the changes in ``touching``; None if there are none, or the robot was
-            changed later.
+        touching: {foot, hand or other part: properties for a contact of a task}; see the module
+            ``robot.touching``.
+        bare: Robot before it got the contacts in ``touching``. None without such contacts, or if
+            the robot was changed afterwards.
     """
 
     name: str
@@ -317,7 +322,7 @@ class Robot(EngineModels):
     if not TYPE_CHECKING:  # mypy would accept any attribute name
 
         def __getattr__(self, name: str) -> Any:
-            """Run the postponed preparation steps if a field that needs the steps is read."""
+            """Run the postponed preparation steps if a field that they compute is read."""
             if name in _FIELD_NAMES:
                 self.complete_stages()
             if name in vars(self):
@@ -329,8 +334,8 @@ class Robot(EngineModels):
 
         The steps are servo tuning, rest pose and visual meshes; see `defer_stages`. The method has
         no effect if the steps have been run. If several threads need the steps at the same time,
-        each thread runs the steps, and the first result is used: waiting for another thread could
-        block both.
+        each thread runs the steps, and the first result is used. A thread does not wait for another
+        thread, because this could block both.
 
         Raises:
             ModelError: If MuJoCo refuses the robot with the additions of these steps.
@@ -349,10 +354,10 @@ class Robot(EngineModels):
     def before_servos(self) -> Robot:
         """Robot for kinematics and statics, without the postponed servo tuning and visual meshes.
 
-        Servos change neither configurations nor torques at rest. The robot has the start pose, the
-        collision shapes, the contacts and the effort limits of this robot; its MuJoCo model lacks
-        the postponed servos and visual meshes. This robot itself, if nothing is postponed, or if
-        `defer_stages` got no function ``pose``.
+        Servos change neither configurations nor torques at rest. The result has the start pose, the
+        collision shapes, the contacts and the effort limits of this robot. Its MuJoCo model lacks
+        the postponed servos and visual meshes. The result is this robot itself if nothing is
+        postponed, or if `defer_stages` was called without ``pose``.
         """
         found: Robot | Callable[[], Robot] | None = vars(self).get(_BEFORE_SERVOS)
         if found is None or isinstance(found, Robot):
@@ -368,7 +373,7 @@ class Robot(EngineModels):
 
     @property
     def passive_joints(self) -> tuple[str, ...]:
-        """Joints that no motor drives (`Description.passive_joints`)."""
+        """Names of the joints that no motor drives (`Description.passive_joints`)."""
         return self.before_servos.description.passive_joints
 
     def __repr__(self) -> str:
@@ -415,8 +420,8 @@ class Robot(EngineModels):
     def hands(self) -> tuple[str, ...]:
         """Names of the parts in ``feet`` that a task uses as hands.
 
-        A hand has a massless contact sphere, with which it touches its plane; the sphere of a
-        welded or gripping hand does not collide.
+        A hand touches its plane with a massless contact sphere. The sphere of a welded or gripping
+        hand does not collide.
         """
         touching = self.touching.items()
         return tuple(
@@ -427,10 +432,10 @@ class Robot(EngineModels):
 
     @cached_property
     def fixed_parts(self) -> Mapping[str, str | None]:
-        """``{welded or gripping part: its first contact point}``; a task fixes them in the world.
+        """Parts that a task fixes in the world, ``{welded or gripping part: first contact point}``.
 
-        The part is a foot, a link or the base. The gripping parts (``grips``) follow the welded
-        parts. The contact point is None for a part without one, such as the base.
+        A part is a foot, a link or the base. The welded parts precede the gripping parts
+        (``grips``). The value is None for a part without a contact point, such as the base.
         """
         welded = (
             name
@@ -451,7 +456,7 @@ class Robot(EngineModels):
 
     @property
     def is_welded(self) -> bool:
-        """True if a part is welded to the world, so that balance does not depend on the CoM.
+        """True if a part is welded to the world, so that balance permits any CoM position.
 
         A grip is no weld: it permits rotation, and its force is limited.
         """
@@ -473,9 +478,10 @@ class Robot(EngineModels):
 
     @property
     def bearing_points(self) -> tuple[str, ...]:
-        """Contact points that can bear contact forces (not those of welded or gripping parts).
+        """Contact points that can bear contact forces.
 
-        Empty for a robot with a fixed base.
+        Contact points of welded or gripping parts are excluded. The result is empty for a robot
+        with a fixed base.
         """
         if not self.floating:
             return ()
@@ -488,8 +494,8 @@ class Robot(EngineModels):
     def base_height(self) -> float:
         """Default height [m] of the origin of a free base above the world's origin.
 
-        The height in the stand of the default `StandTask`; for a robot without feet other than
-        hands, the height in ``home``; for a fixed base 0.
+        It is the height in the stand of the default `StandTask` (``stand_height``). For a robot
+        without feet, it is the height in ``home``. For a fixed base, it is 0.
         """
         if not self.floating:
             return 0.0
@@ -527,14 +533,14 @@ class Robot(EngineModels):
 
     @property
     def usual_weight(self) -> float:
-        """Weight [N], or the weight on Earth if gravity is zero; a scale for relative errors."""
+        """Weight [N], or weight on Earth if gravity is zero; the scale of relative errors."""
         return self.weight or self.total_mass * EARTH_GRAVITY
 
     @cached_property
     def structure(self) -> Structure:
-        """Pinocchio model with the indices of joints, links and contact points; cached.
+        """Pinocchio model in public coordinates, and indices of joints, links and contact points.
 
-        Every `Configuration` of the robot uses this object.
+        It is computed once. Every `Configuration` of the robot uses this object.
         """
         return Structure(self.pin_model, self.pin_convention, self.joint_names, self.contact_frames)
 
@@ -575,14 +581,14 @@ class Robot(EngineModels):
         return {}
 
     def compute_once(self, make: Callable[..., _T], *given: Hashable) -> _T:
-        """Return the result of a function of the robot; cached for the lifetime of the robot.
+        """Return ``make(robot, *given)``; the result is cached for the lifetime of the robot.
 
-        The result must not reference the robot, because the reference cycle would delay the release
+        The result must not reference the robot, because a reference cycle would delay the release
         of memory.
 
         Args:
-            make: Function of the robot and ``given``.
-            given: Further arguments; hashable.
+            make: Function of the robot and of the arguments ``given``.
+            given: Further arguments of ``make``; hashable.
         """
         key = make, *given
         if key not in self._cache:
@@ -610,7 +616,8 @@ class Robot(EngineModels):
     def efforts(self) -> tuple[EffortLimit, ...]:
         """Effort limit of each joint from both files, with the source, in actuator order.
 
-        If a model was converted, the source is in the given file if it states the same limit.
+        If one file was converted from the other, the source is in the original file, if that file
+        states the same limit.
         """
         robot = self.before_servos
         limits = efforts_of(
@@ -638,8 +645,8 @@ class Robot(EngineModels):
     def effort_limits(self) -> Array:
         """Effort (nu,) [N m, N] that each joint can exert in both directions; inf without a limit.
 
-        The value is min(-lower, upper) of the joint's effort range from both files (`efforts`), or
-        0 if that number is below ``MIN_EFFORT``, for example if the range has a single sign.
+        The value is min(-lower, upper) of the joint's effort range (`effort_ranges`). It is 0 if
+        that number is below ``MIN_EFFORT``, for example if the range contains a single sign.
         """
         limits = np.array([limit.symmetric_torque for limit in self.efforts], dtype=float)
         limits.flags.writeable = False
@@ -649,7 +656,8 @@ class Robot(EngineModels):
     def velocity_limits(self) -> Array:
         """Velocity limits (nu,) [rad/s, m/s] of the URDF.
 
-        Infinite if the URDF states none; 0 if the URDF states 0 or less: a joint that may not move.
+        Infinite if the URDF states no limit. 0 if the URDF states 0 or less: the joint may not
+        move.
         """
         limits = np.array(self.pin_model.velocityLimit[self.pin_convention.v_index])
         found: Array = np.maximum(limits, 0.0)
@@ -660,7 +668,7 @@ class Robot(EngineModels):
 
         Args:
             values: Vector, shape (pin_model.nq,) [rad, m].
-            unbounded: Value for continuous joints, which have no limit in Pinocchio's model.
+            unbounded: Value for continuous joints, for which Pinocchio's model has no limit.
         """
         limits = np.array(values[self.pin_convention.q_index])
         limits[self.pin_convention.unbounded] = unbounded
@@ -682,7 +690,7 @@ class Robot(EngineModels):
     def check_tree(self, what: str) -> None:
         """Raise an error if the robot has closed loops or couplings, or a part fixed by a task.
 
-        A task fixes a part to the world by a weld, or by a grip, which permits rotation.
+        A task fixes a part to the world by a weld or a grip.
 
         Args:
             what: Name of the requested analysis, which does not support such robots, for the
@@ -711,16 +719,16 @@ class Robot(EngineModels):
     def check_bodies(self) -> None:
         """Raise an error if a moving body has a negative mass or moment of inertia.
 
-        A negative moment within rounding is accepted. A robot that passes is checked once.
+        A negative moment within rounding is accepted. A robot that has passed is not checked again.
 
         Raises:
-            ModelError: If a mass or moment is negative; the message contains the joint, except for
-                a free base.
+            ModelError: If a mass or moment is negative. The message contains the name of the joint
+                that moves the body, except for a free base.
         """
         self.compute_once(_check_bodies)
 
     def check_foot(self, foot: str) -> str:
-        """Return the name of a contact point, if the point exists.
+        """Return the name of a contact point, after a check that the point exists.
 
         Raises:
             UnknownNameError: If there is no such contact point; the message lists the existing
@@ -752,9 +760,9 @@ class Robot(EngineModels):
         raise UnknownNameError(self.name, "foot", point, self.contact_points)
 
     def feet_with(self, points: Iterable[str]) -> tuple[str, ...]:
-        """Return the feet that have at least one of the contact points ``points``.
+        """Return the feet of the contact points ``points``.
 
-        Other names in ``points``, such as those of welds, are ignored.
+        Names in ``points`` that are no contact points of feet, such as names of welds, are ignored.
 
         Raises:
             ConfigurationError: If ``points`` is a text or no iterable.
@@ -837,15 +845,16 @@ def defer_stages(
     """Return a robot whose remaining preparation steps run at the first use of their results.
 
     The steps are servo tuning, rest pose and visual meshes. Fields in `_EARLY_FIELDS` are copied
-    from ``robot``. All other fields are copied from the completed robot: the first access to such a
-    field, pickling, and copying run ``complete``, once unless several threads need such a field at
-    the same time.
+    from ``robot``. All other fields are copied from the completed robot. The first access to such a
+    field runs ``complete``, and so do pickling and copying. ``complete`` runs once, unless several
+    threads need such a field at the same time.
 
     Args:
         robot: Robot before the remaining steps.
         complete: Function that runs the remaining steps, and returns the completed robot.
-        pose: Function that returns the robot in its start pose, without the postponed steps, for
-            stands and statics (`Robot.before_servos`). None: stands wait for all steps.
+        pose: Function that returns the robot in its start pose, without the postponed steps. It is
+            used for stands and statics (`Robot.before_servos`). If None, stands run all steps
+            first.
     """
     deferred = object.__new__(Robot)
     vars(deferred).update({name: vars(robot)[name] for name in _EARLY_FIELDS})
@@ -860,8 +869,8 @@ def defer_stages(
 def acts_at_rest(model: mujoco.MjModel) -> bool:
     """Return True if the model may have passive forces at zero velocity.
 
-    Sources: springs of joints and tendons, gravity compensation, wind in a fluid, flexible bodies,
-    plugins of bodies.
+    Possible sources are springs of joints and tendons, gravity compensation, wind in a fluid,
+    flexible bodies, and plugins of bodies.
     """
     arrays = ("jnt_stiffness", "jnt_stiffnesspoly", "tendon_stiffness", "tendon_stiffnesspoly")
     return (
@@ -874,7 +883,8 @@ def acts_at_rest(model: mujoco.MjModel) -> bool:
 
 _NEGATIVE_MOMENT_RTOL = 1e-6
 """Largest magnitude of a negative moment of inertia that is attributed to rounding, relative to the
-largest moment of the body; a body with a larger magnitude is refused. Chosen, not tuned."""
+largest moment of the body [1]. If the magnitude is larger, the body is refused. Chosen, not
+tuned."""
 
 
 def _check_bodies(robot: Robot) -> None:
@@ -897,23 +907,25 @@ def _check_bodies(robot: Robot) -> None:
 
 
 _MAX_POOL_SIZE = 8
-"""Largest number of unused objects (for example MuJoCo data) in the pool of all robots; the least
-recently used are dropped. Chosen, not tuned."""
+"""Maximum number of unused objects (for example MuJoCo data) in the pool of all robots. If there
+are more, the least recently used object is dropped. Chosen, not tuned."""
 
 _pool: list[tuple[Robot, object, Any]] = []
-"""(robot, constructor, object) of unused objects. The pool is global, because a reference from the
-robot to an object that references the robot would delay the release of memory."""
+"""(robot, function that created the object, unused object), for all robots (`borrow`). The pool is
+not an attribute of the robot: an object may reference its robot, and such a reference cycle would
+delay the release of memory."""
 
 _pool_lock = Lock()
-"""Guards `_pool`: a single thread at a time takes objects from the pool or returns objects."""
+"""Lock of `_pool`: only one thread at a time may take objects from the pool or return objects."""
 
 
 @contextmanager
 def borrow(robot: Robot, make: Callable[[Robot], _T]) -> Iterator[_T]:
     """Context manager: borrow an object of a robot from a pool, for exclusive use. Thread-safe.
 
-    The object is created by ``make`` if the pool contains none for this robot and function. At the
-    end of the context, the object returns to the pool of the `_MAX_POOL_SIZE` last used objects.
+    If the pool contains no object for this robot and this function, ``make`` creates it. At the end
+    of the context, the object returns to the pool. The pool keeps the `_MAX_POOL_SIZE` last used
+    objects.
 
     Args:
         robot: The robot.

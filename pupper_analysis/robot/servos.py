@@ -1,8 +1,8 @@
 """Position servos of a robot's MuJoCo model: gains, commands, and models with other gains.
 
 A servo exerts tau = clip(kp (ctrl / gear - q) - kd qvel, +- limit) at the joint.
-`model_with_servos` returns a copy of the model with requested gains; `resolve_servo_gains` returns
-the gains without a model; `with_options` returns a robot with other MuJoCo options.
+`model_with_servos` returns a copy of the model with requested gains. `resolve_servo_gains` returns
+only the gains. `with_options` returns a robot with other MuJoCo options.
 """
 
 from __future__ import annotations
@@ -47,8 +47,9 @@ _CONVERGING_DYNAMICS = (
     mujoco.mjtDyn.mjDYN_FILTER.value,
     mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
 )
-"""Types of actuator dynamics (``dyntype``) with which, if the command is constant, the input of the
-force law equals the command or converges to it. Only such an actuator can be a position servo."""
+"""Types of actuator dynamics (``dyntype``) without dynamics, or with a filter. If the command is
+constant, the input of the force law equals the command or converges to it. Only an actuator with
+these types can be a position servo."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +72,15 @@ class Servos:
 
     @property
     def is_implicit(self) -> bool:
-        """True for an implicit integrator, whose damping acts on the velocity after the step."""
+        """True for an implicit integrator: damping depends on the velocity after the time step."""
         return self.integrator.startswith("implicit")
 
     def command(self, robot: Robot, positions: Array, torques: Array | None = None) -> Array:
         """Compute MuJoCo's ctrl for joint positions with feed-forward torques.
 
-        All other position servos, for example on tendons or beside another actuator of a joint, are
-        commanded not to exert a force (`make_neutral_commands`). Other actuators are commanded 0.
+        The command of a joint servo is gear * (position + torque / kp). Some models have further
+        position servos, for example on tendons, or a second actuator of a joint. They are commanded
+        to exert no force (`make_neutral_commands`). All other actuators are commanded 0.
 
         Args:
             robot: Robot with n joints (``robot.nu``).
@@ -106,9 +108,9 @@ class Servos:
 def make_position_commands(robot: Robot, positions: Array) -> Array:
     """Compute the ctrl (model.nu,) with which the servos of the robot's model hold joint positions.
 
-    Motors that are no position servos are commanded 0. Position servos that are not the servo of a
-    joint, for example on tendons, are commanded not to exert a force. Joints without motor are
-    allowed, unlike in `model_with_servos`.
+    Motors that are no position servos are commanded 0. Further position servos, for example on
+    tendons, are commanded to exert no force. Joints without motor are permitted, unlike in
+    `model_with_servos`.
 
     Args:
         robot: Robot.
@@ -126,15 +128,15 @@ def make_position_commands(robot: Robot, positions: Array) -> Array:
 
 
 def make_neutral_commands(model: mujoco.MjModel, qpos: Array, known: NDArray[np.int64]) -> Array:
-    """Compute the ctrl (model.nu,) with which position servos exert no force at rest.
+    """Compute the ctrl (model.nu,) with which further position servos exert no force at rest.
 
-    This applies to all servos that are not in ``known``, such as on tendons and sites. The ctrl of
-    all other actuators is 0.
+    These are all position servos that are not in ``known``, for example on tendons and sites. The
+    ctrl of all other actuators is 0.
 
     Args:
         model: MuJoCo model.
         qpos: Configuration, shape (model.nq,).
-        known: Ids of actuators that are commanded otherwise.
+        known: Ids of the actuators that the caller commands.
     """
     others, ctrl = _find_other_servos(model, known), np.zeros(model.nu)
     if others.size:
@@ -161,7 +163,7 @@ def compute_command_lead(torques: Array, kp: Array) -> Array:
     """Compute the command offset of feed-forward torques, torque / kp; 0 for joints with kp = 0.
 
     Args:
-        torques: Shape (..., nu) [N m, N].
+        torques: Feed-forward torques, shape (..., nu) [N m, N].
         kp: Stiffness, shape (nu,) [N m/rad, N/m].
 
     Returns:
@@ -177,9 +179,10 @@ def model_with_servos(
     kd: ArrayLike | None = None,
     integrator: str | None = None,
 ) -> Servos:
-    """Return position servos for the robot: a copy of its MuJoCo model, and the gains.
+    """Create position servos for the robot, in a copy of its MuJoCo model.
 
-    The model contains the servos. Their force ranges are narrowed to the robot's effort limits.
+    The force ranges of the servos are narrowed to the robot's effort limits. If kp or kd is given,
+    motors are converted to position servos.
 
     Args:
         robot: Robot.
@@ -213,10 +216,11 @@ def model_with_servos(
 def write_position_servos(
     model: mujoco.MjModel, actuators: NDArray[np.int64], kp: ArrayLike, kd: ArrayLike
 ) -> None:
-    """Make actuators position servos without filter, in place; gears and ranges are kept.
+    """Convert actuators to position servos without filter, in place; gears and ranges are kept.
 
-    The activation states of removed filters remain in the model (``na``), but belong to no
-    actuator: the force of an actuator with activation states does not depend on its control.
+    The activation states of removed filters remain in the model (``na``), but are no longer
+    assigned to an actuator. Otherwise the forces would depend on these states instead of the
+    controls.
 
     Args:
         model: MuJoCo model.
@@ -245,8 +249,8 @@ class Gains:
         kp: Stiffness at the joints, shape (nu,) [N m/rad, N/m].
         kd: Damping at the joints, shape (nu,) [N m s/rad, N s/m].
         gear: Actuator length per joint position, shape (nu,); 1 for dependent joints.
-        servo: Mask, shape (nu,): the motor is a position servo in the robot's model, or the joint
-            is dependent.
+        servo: Mask, shape (nu,): True if the joint's motor is a position servo in the robot's
+            model, or if the joint is dependent.
     """
 
     kp: Array
@@ -260,10 +264,10 @@ def _narrow_force_ranges(
 ) -> None:
     """Narrow the force ranges of actuators to the effort limits of their joints, in place.
 
-    MuJoCo does not bound a servo by the effort of a URDF, or by the ctrlrange that a motor had. The
-    bounds of an actuator are the efforts divided by the gear. Each end of an existing force range
-    is replaced if the new end is narrower. A range with an infinite bound, or for a gear of 0, is
-    not written.
+    MuJoCo itself does not bound a servo by the effort of a URDF, or by the former ctrlrange of a
+    motor. The new bounds of an actuator are the effort limits divided by the gear. A new bound
+    replaces a bound of the force range only if it is narrower. A range is not written if a bound is
+    infinite, or the gear is 0.
 
     Args:
         model: The model that is changed.
@@ -287,12 +291,12 @@ def _narrow_force_ranges(
 
 
 MAX_GAIN = 1e9
-"""Largest accepted kp [N m/rad, N/m] and kd [N m s/rad, N s/m]. Chosen: far above the gains of
-machines, and small enough that simulations do not overflow."""
+"""Largest accepted kp [N m/rad, N/m] and kd [N m s/rad, N s/m]; larger gains are refused. Chosen:
+far above the gains of real machines, but small enough that simulations do not overflow."""
 
 MIN_STIFFNESS = 1e-9
-"""Smallest accepted kp [N m/rad, N/m] of a motor. Commands contain the quotient torque / kp, which
-would overflow for much smaller values. Chosen, not tuned."""
+"""Smallest accepted kp [N m/rad, N/m] of a motor; smaller values are refused. Commands contain the
+quotient torque / kp, which would overflow for much smaller values. Chosen, not tuned."""
 
 
 def resolve_servo_gains(
@@ -302,8 +306,10 @@ def resolve_servo_gains(
 
     Args:
         robot: Robot.
-        kp: Stiffness [N m/rad, N/m], scalar or shape (nu,). Default: that of the MJCF's servos.
-        kd: Damping [N m s/rad, N s/m], scalar or shape (nu,). Default: that of the MJCF's servos.
+        kp: Stiffness at the joints [N m/rad, N/m], scalar or shape (nu,). Default: the stiffness of
+            the MJCF's servos.
+        kd: Damping at the joints [N m s/rad, N s/m], scalar or shape (nu,). Default: the damping of
+            the MJCF's servos.
 
     Returns:
         Gains of each joint; 0 for the dependent joints of loops and couplings.
@@ -344,11 +350,11 @@ def resolve_servo_gains(
 
 
 def command_ranges(robot: Robot) -> Array:
-    """Return the ranges of servo commands, shape (nu, 2) [rad, m].
+    """Return the range of the servo command of each joint, shape (nu, 2) [rad, m].
 
     MuJoCo clips the command of a servo to the ``ctrlrange``, unless the MJCF disables the flag
-    ``clampctrl``. The range is infinite for a servo that MuJoCo does not clip, a torque motor that
-    is driven as a servo, and a joint without motor.
+    ``clampctrl``. The range is infinite if MuJoCo does not clip the command, if the motor is no
+    position servo in the MJCF, and for a joint without motor.
     """
     model, actuators = robot.mj_model, robot.mj_convention.actuator_index
     ranges = np.tile((-math.inf, math.inf), (robot.nu, 1))
@@ -383,7 +389,7 @@ def list_position_servos(robot: Robot) -> dict[str, tuple[float, float]]:
 def find_servos_used(
     robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
 ) -> ServosUsed:
-    """Return the servos that a result depends on: source, smallest and largest gains.
+    """Return source, smallest gains and largest gains of the servos that a result depends on.
 
     Args:
         robot: Robot.
@@ -423,9 +429,9 @@ def _read_actuator_gains(
 
     Gain and damping are at the joint [N m/rad, N m s/rad; N/m, N s/m].
 
-    An actuator with a constant force, or with an integrated or delayed command, is no position
-    servo: the ctrl is not a joint position. Neither is an actuator whose gain is not positive, or
-    differs from the stiffness of its bias.
+    The ctrl of a position servo is a joint position. An actuator with a constant force, or with an
+    integrated or delayed command, is therefore no position servo. An actuator is no position servo
+    either if its gain is not positive, or differs from the stiffness in its bias.
     """
     gear = read_gears(model, actuators)
     gain = model.actuator_gainprm[actuators, 0] * gear**2
@@ -471,12 +477,14 @@ def _find_option_value(option: str, name: str, known: Mapping[str, Any]) -> int:
 
 
 MIN_TIMESTEP = 5e-5
-"""Smallest accepted time step of an option [s]. Measured: a stand of Pupper v3 takes 6 s of
-processor time with 1e-4 s, and 45 s with 1e-5 s. Public files specify 5e-4 s or more."""
+"""Smallest accepted time step that a user may request [s]; smaller values are refused. Measured: a
+stand of Pupper v3 takes 6 s of processor time with 1e-4 s, and 45 s with 1e-5 s. Public files
+specify 5e-4 s or more."""
 
 MAX_IMPRATIO = 1e5
-"""Largest accepted ``impratio`` of an option. Measured: contacts of Pupper v3 chatter with 1e6, and
-`payload` takes 79 s; with 1e5 it takes 7 s. Public files specify 100 or less."""
+"""Largest ``impratio`` [1] that a user may request; larger values are refused. Measured: contacts
+of Pupper v3 chatter with 1e6, and `payload` takes 79 s; with 1e5 it takes 7 s. Public files specify
+100 or less."""
 
 
 def with_options(
@@ -488,14 +496,14 @@ def with_options(
 ) -> Robot:
     """Return a robot with other MuJoCo options; ``robot`` itself if all arguments are None.
 
-    A time step, and a cone or ``impratio``, are reported in the notes. Simulations of the
-    unmodified file use the options as well.
+    Notes report a requested time step, cone or ``impratio``. Simulations of the published file use
+    the requested options as well.
 
     Args:
         robot: Robot.
         integrator: ``Euler``, ``implicitfast``, ``implicit`` or ``RK4``.
         cone: Form of the friction cones: ``elliptic`` or ``pyramidal``.
-        impratio: Ratio between the stiffness of friction and of the normal force; with a larger
+        impratio: MuJoCo's ratio between frictional and normal impedance of contacts. With a larger
             ratio, contacts slip more slowly under tangential force. At most `MAX_IMPRATIO`.
         timestep: Time step [s], between `MIN_TIMESTEP` and 0.1.
 
