@@ -32,7 +32,7 @@ QPOS = {
 
 
 def draw_foot_goals(name: str, seed: int) -> tuple[pa.Robot, np.ndarray, dict[str, np.ndarray]]:
-    """Feet at places that random joint positions take them to, so that all are in reach."""
+    """Return foot positions at random joint positions, so that all feet are in reach."""
     robot = load(name)
     qpos = QPOS[name].copy()
     qpos[3:7] /= np.linalg.norm(qpos[3:7])

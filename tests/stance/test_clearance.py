@@ -24,7 +24,7 @@ FAR = 10.0  # m
 
 
 def shapes_of(robot: pa.Robot, body: int) -> list[int]:
-    """The geoms of a body that touch things, but for the foot_geoms."""
+    """Return the colliding geoms of a body."""
     model = robot.mj_model
     return [
         geom
@@ -39,7 +39,7 @@ def distance(model: mujoco.MjModel, data: mujoco.MjData, one: int, two: int) -> 
 
 
 def ground_distances(robot: pa.Robot, qpos: np.ndarray) -> Iterator[float]:
-    """MuJoCo's distances between all that is not a foot, and floor and steps."""
+    """Yield MuJoCo's distances between geoms other than feet, and floor and steps."""
     model, data = robot.mj_model, evaluate_mujoco(robot, qpos)
     for body in range(1, model.nbody):
         for part in shapes_of(robot, body):
@@ -81,7 +81,7 @@ def test_lowest_part_above_slope_and_steps_equals_mujoco(name: str) -> None:
         found = shapes.find_lowest_part(shapes.move_to(qpos), ground, feet, {})
         expected = min(ground_distances(there, qpos))
         assert found is not None
-        if expected > 0:  # of shapes in each other the two libraries give other depths
+        if expected > 0:  # the two libraries define the depth of a penetration differently
             seen += 1
             assert found.distance == pytest.approx(expected, abs=1e-5)
         else:

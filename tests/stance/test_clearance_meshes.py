@@ -150,7 +150,7 @@ def pair_of(model: mujoco.MjModel, one: int, two: int) -> frozenset[int]:
 
 
 def list_neighbours(robot: pa.Robot) -> set[frozenset[int]]:
-    """Pairs of bodies that are one, parent and child, or overlap at home."""
+    """Return pairs of bodies that are equal, parent and child, or overlap in the home pose."""
     model, data = robot.mj_model, evaluate_mujoco(robot, robot.home)
     found = set()
     for one, two in itertools.combinations(list_collidable_geoms(model), 2):

@@ -20,7 +20,9 @@ from tests.support.variants import NAMES, load
 
 
 def margin_of(robot: pa.Robot, stand: pa.Stand) -> float:
-    """By MuJoCo's com of the MJCF and SciPy's convex hull: sides are (a, b, c), negative inside."""
+    """Return the CoM margin [m] by MuJoCo's CoM and SciPy's convex hull, whose sides (a, b, c) are
+    negative inside.
+    """
     com = evaluate_mujoco(robot, stand.qpos).body(robot.mj_base).subtree_com
     sides = ConvexHull([point[:2] for point in stand.contact_points.values()]).equations
     return -float((sides @ [*com[:2], 1.0]).max())
@@ -108,9 +110,9 @@ def test_required_com_margin_is_met_in_another_ik_branch() -> None:
     robot = load("v3")
     task = pa.StandTask(height=0.15, yaw=-0.48, offset=(-0.017, 0.0))
     usual = pa.solve_stand(robot, task)
-    asked = replace(task, com_margin=usual.com_margin + 2e-3)
-    other = pa.solve_stand(robot, asked)
-    assert margin_of(robot, other) >= asked.com_margin - 1e-9
+    requested = replace(task, com_margin=usual.com_margin + 2e-3)
+    other = pa.solve_stand(robot, requested)
+    assert margin_of(robot, other) >= requested.com_margin - 1e-9
     assert np.abs(other.qpos[7:] - usual.qpos[7:]).max() > 0.5
 
 

@@ -69,7 +69,7 @@ def test_constraint_jacobians_equal_finite_differences(com: str | tuple[float, f
     velocity = random.normal(size=robot.nv)
     seen = set()
     for one in make_constraints(shapes, goal):
-        if one.is_presatisfied:  # every configuration that is tried fulfils it
+        if one.is_presatisfied:  # fulfilled by each configuration of the search
             continue
         ends = [
             one.residual(goal, shapes.move_to(integrate_motion(robot, qpos, velocity, time)))
@@ -88,7 +88,7 @@ def test_elastic_jacobian_equals_the_finite_difference_of_the_residuals() -> Non
     elastic = StanceProgram(ClearanceShapes(robot), make_goal(robot, TASK, {}), demands)
     random = np.random.default_rng(1)
     x = elastic._make_start(pa.solve_stand(robot).qpos, None)
-    free = elastic._high > elastic._low  # margins and lifts become no more
+    free = elastic._high > elastic._low  # variables with equal bounds are fixed
     x += free * random.uniform(0.01, 0.05, len(x))
     way = free * random.normal(size=len(x))
     ends = [elastic._residuals(x + step * way) for step in (1e-6, -1e-6)]

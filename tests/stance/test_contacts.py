@@ -125,7 +125,7 @@ def test_mujoco_holds_a_stand_with_a_hand_on_a_table(
     assert found.predicted_forces[HAND][2] > 5.0  # N
     assert found.mujoco_residual < 1e-9
     alone = pa.verify_stand(armed, stand, integrator="implicitfast", feedforward=False)
-    sag = pa.steady_state(armed, stand, seconds=4.5)  # in the middle of what is measured
+    sag = pa.steady_state(armed, stand, seconds=4.5)  # the middle of the measured interval
     assert sag.height_loss == pytest.approx(alone.height_loss, rel=1e-3)
     assert sag.contact_sag == pytest.approx(alone.contact_sag, rel=1e-3)
     for foot, force in alone.foot_forces.items():
@@ -133,7 +133,7 @@ def test_mujoco_holds_a_stand_with_a_hand_on_a_table(
 
 
 def contact_rows(robot: pa.Robot, stand: pa.Stand) -> tuple[mujoco.MjData, list[np.ndarray]]:
-    """MuJoCo's data at a stand, and its Jacobians (3, nv) of the contact points."""
+    """Return MuJoCo's data at a stand, and its Jacobians of the contact points, shape (3, nv)."""
     model = robot.mj_model
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, stand.qpos)
@@ -166,7 +166,9 @@ def in_mujoco(robot: pa.Robot, stand: pa.Stand) -> tuple[np.ndarray, np.ndarray,
 
 
 def least_torque(robot: pa.Robot, stand: pa.Stand) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """The forces of least squared torque, by Clarabel on MuJoCo's Jacobians, and the torques."""
+    """Return the forces of smallest squared torque, by Clarabel on MuJoCo's Jacobians, and the
+    torques.
+    """
     (pushed, load, cones), points = in_mujoco(robot, stand), list(stand.stance_feet)
     size = 3 * len(points)
     settings = clarabel.DefaultSettings()
@@ -238,10 +240,10 @@ def test_maximum_hand_force_equals_an_independent_cone_program(
 
     def peak(force: float) -> float:
         stated = pa.Contact(wall.plane, wall.place, force=force)
-        asked = pa.solve_stand(robot, pa.StandTask(contacts={HAND: stated}))
+        pressed = pa.solve_stand(robot, pa.StandTask(contacts={HAND: stated}))
         return float(
             pa.stance.stand_statics(
-                robot, asked, distribution="min-max torque"
+                robot, pressed, distribution="min-max torque"
             ).motor_utilisation.max()
         )
 
@@ -287,7 +289,7 @@ def test_hand_is_a_massless_ball_that_touches_only_its_plane(armed: pa.Robot) ->
     robot = with_contacts(armed, task.contacts)
     assert robot.hands == (HAND,)
     assert robot.contact_points == (*armed.contact_points, HAND)
-    assert robot.contact_radius[HAND] == pytest.approx(0.025, abs=1e-9)  # what the hand is
+    assert robot.contact_radius[HAND] == pytest.approx(0.025, abs=1e-9)  # radius of the hand
     assert robot.notes[-1].code == "hand-touches-by-ball"
     assert "ball of 25 mm" in str(robot.notes[-1])
     assert robot.total_mass == armed.total_mass
@@ -546,7 +548,7 @@ FOOT = pa.Contact(pa.Plane((0, 0, 0.02), (0, 0, 1)))
 
 
 def solve_balanced_stand(of: pa.Robot, **task: Any) -> pa.Stand:
-    """Returns a stand that is in reach and in balance."""
+    """Return a stand; raise an error if it is out of reach or not in balance."""
     stand = pa.solve_stand(of, pa.StandTask(**task))
     pa.stance.stand_statics(of, stand)
     return stand
@@ -557,7 +559,7 @@ def hand_on(what: object, **more: Any) -> dict[str, pa.Contact]:
 
 
 def grip_of(of: pa.Robot, grip: float) -> pa.Stand:
-    """With the com where another grip has it, as that goes first."""
+    """Return the stand of a strong grip with another grip force; raise an error without balance."""
     strong = pa.solve_stand(of, grip_bar(of, beyond=0.02))
     contacts = grip_bar(of, grip, beyond=0.02).contacts
     stand = replace(strong, task=replace(strong.task, contacts=contacts))
@@ -570,14 +572,14 @@ def make_slopes(friction: float) -> dict[str, pa.Contact]:
     return dict.fromkeys(load("v3").feet, pa.Contact(pa.Plane((0, 0, 0), way, friction)))
 
 
-def given(name: str) -> Callable[[Any], pa.Contact]:
+def read_nearest(name: str) -> Callable[[Any], pa.Contact]:
     """Return a function that reads the nearest reachable contact from an error, and parses its
     printed text.
     """
 
     def read(error: Any) -> pa.Contact:
         limits = error.limits["contacts"]["contacts"]
-        assert limits.get("RL_calf", FOOT) == FOOT  # it need not give, and is not named
+        assert limits.get("RL_calf", FOOT) == FOOT  # not relaxed
         text = f"{limits[name]:.7g}"
         assert f"{name}={text}" in str(error).partition("Possible")[2]
         return parse_contact("contact", text, "")  # type: ignore[return-value]
@@ -598,7 +600,7 @@ def needed_on_slope(error: Any) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "ask", "asked", "limit", "step", "holds"),
+    ("name", "ask", "requested", "limit", "step", "holds"),
     [
         pytest.param(
             "armed",
@@ -606,7 +608,7 @@ def needed_on_slope(error: Any) -> float:
                 of, contacts=hand_on(pa.Plane((x, 0, 0), (-1, 0, 0), 0.6))
             ),
             0.9,
-            lambda error: given(HAND)(error).plane.parameter,
+            lambda error: read_nearest(HAND)(error).plane.parameter,
             5e-4,
             True,
             id="a wall out of reach",
@@ -617,7 +619,7 @@ def needed_on_slope(error: Any) -> float:
                 of, contacts=hand_on(pa.Plane((0, 0, z), (0, 0, 1)))
             ),
             0.9,
-            lambda error: given(HAND)(error).plane.parameter,
+            lambda error: read_nearest(HAND)(error).plane.parameter,
             5e-4,
             True,
             id="a table out of reach",
@@ -628,7 +630,7 @@ def needed_on_slope(error: Any) -> float:
                 of, contacts=hand_on(pa.Plane((0.9, 0, 0), (-0.8, 0, 0.6)).with_parameter(d))
             ),
             -0.72,
-            lambda error: given(HAND)(error).plane.parameter,
+            lambda error: read_nearest(HAND)(error).plane.parameter,
             5e-4,
             False,
             id="a slanted plane out of reach",
@@ -639,7 +641,7 @@ def needed_on_slope(error: Any) -> float:
                 of, contacts=hand_on(pa.Bar((x, 0, 0.5), (0, 1, 0), 0.01), grip=30.0)
             ),
             0.9,
-            lambda error: given(HAND)(error).plane.point[0],
+            lambda error: read_nearest(HAND)(error).plane.point[0],
             5e-4,
             False,
             id="a rung out of reach",
@@ -648,7 +650,7 @@ def needed_on_slope(error: Any) -> float:
             "armed",
             lambda of, x: pa.solve_stand(of, pa.StandTask(contacts={HAND: pa.Weld((x, 0.0, 0.5))})),
             1.2,
-            lambda error: given(HAND)(error).place[0],
+            lambda error: read_nearest(HAND)(error).place[0],
             5e-4,
             False,
             id="a weld out of reach",
@@ -663,7 +665,7 @@ def needed_on_slope(error: Any) -> float:
                 },
             ),
             (0.1, -0.1),
-            lambda error: [given(foot)(error).plane.parameter for foot in ("FL", "FR")],
+            lambda error: [read_nearest(foot)(error).plane.parameter for foot in ("FL", "FR")],
             1e-3,
             True,
             id="tables that contradict",
@@ -731,7 +733,7 @@ def needed_on_slope(error: Any) -> float:
     ],
 )
 def test_limit_stated_by_a_refusal_is_accepted_and_exact(
-    armed: pa.Robot, name: str, ask: Any, asked: Any, limit: Any, step: float, *, holds: bool
+    armed: pa.Robot, name: str, ask: Any, requested: Any, limit: Any, step: float, *, holds: bool
 ) -> None:
     """The stated limit is solved; the limit plus ``step`` is refused.
 
@@ -740,9 +742,9 @@ def test_limit_stated_by_a_refusal_is_accepted_and_exact(
     """
     robot = armed if name == "armed" else load(name)
     with pytest.raises(pa.PupperAnalysisError) as caught:
-        ask(robot, asked)
+        ask(robot, requested)
     assert "\n" not in str(caught.value)
-    there, wanted = np.array(limit(caught.value)), np.array(asked)
+    there, wanted = np.array(limit(caught.value)), np.array(requested)
     stand = ask(robot, there.tolist())
     if holds:
         simulated = pa.solve_stand_as_simulated(robot, stand.task)

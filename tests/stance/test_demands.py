@@ -131,24 +131,24 @@ def test_demands_are_described_with_units() -> None:
 def test_round_outward_moves_away_from_the_request_by_one_digit() -> None:
     """Reference: values rounded by hand; rounding twice changes nothing."""
     robot = load("v3")  # which stands at 0.1315 m
-    asked = pa.StandTask(
+    requested_task = pa.StandTask(
         height=0.25, roll=0.8, pitch=-0.8, swing={"FL": 0.1}, joint_margin=0.8, com_margin=0.02
     )
     task = replace(
-        asked, height=0.19247, roll=0.33651, pitch=-0.12345, swing={"FL": 0.00123456},
+        requested_task, height=0.19247, roll=0.33651, pitch=-0.12345, swing={"FL": 0.00123456},
         joint_margin=0.4003,
     )  # fmt: skip
     demands = ("height", "roll", "pitch", "swing", "joint_margin", "com_margin")
-    near = round_outward(robot, task, asked, demands)
+    near = round_outward(robot, task, requested_task, demands)
     assert near.height == 0.1924
-    low = replace(asked, height=0.05)
+    low = replace(requested_task, height=0.05)
     assert round_outward(robot, replace(low, height=0.10013), low, ["height"]).height == 0.1002
     assert math.degrees(near.roll) == pytest.approx(19.28)  # 19.2806
     assert math.degrees(near.pitch) == pytest.approx(-7.07)  # -7.0732
     assert near.swing["FL"] == pytest.approx(0.001234)
     assert near.joint_margin <= task.joint_margin
-    assert near.com_margin == 0.02  # it gives nothing
-    assert round_outward(robot, near, asked, demands) == near
+    assert near.com_margin == 0.02  # not relaxed
+    assert round_outward(robot, near, requested_task, demands) == near
 
 
 @pytest.mark.slow
@@ -212,12 +212,12 @@ def test_limit_with_the_com_in_a_corner_of_its_margin_is_exact() -> None:
     of 1.1e-9 m in this region must not lead to a refusal at 20.2 mm.
     """
     robot = load("long-leg")
-    asked = (-0.004224475907640465, 0.023015633521621552)
+    requested_task = (-0.004224475907640465, 0.023015633521621552)
     task = pa.StandTask(
         height=0.18910681117390918,
         roll=-0.28802833981860326,
         pitch=-0.12839206449277496,
-        foot_offsets={"RL": asked},
+        foot_offsets={"RL": requested_task},
         ground=pa.Ground(slope=0.2940132075147636, uphill=1.8174623854748546),
         com="inside",
         com_margin=0.02045218504679281,
@@ -225,12 +225,12 @@ def test_limit_with_the_com_in_a_corner_of_its_margin_is_exact() -> None:
     with pytest.raises(pa.StanceUnreachableError) as refusal:
         pa.solve_stand(robot, task)
     limit = refusal.value.limits["foot_offsets"]["foot_offsets"]["RL"]
-    given = np.abs(np.subtract(limit, asked)).sum()
-    straight = (1 - 0.928) * np.abs(asked).sum()  # in x and y by the same share
-    assert straight / 2 < given < straight + 2e-4  # each is rounded by up to 0.1 mm
+    relaxed = np.abs(np.subtract(limit, requested_task)).sum()
+    straight = (1 - 0.928) * np.abs(requested_task).sum()  # in x and y by the same share
+    assert straight / 2 < relaxed < straight + 2e-4  # x and y are rounded by up to 0.1 mm
     reached = 0
     for share in np.linspace(0.86, 0.926, 12):
-        place = {"RL": (share * asked[0], share * asked[1])}
+        place = {"RL": (share * requested_task[0], share * requested_task[1])}
         reached += pa.solve_stand(robot, replace(task, foot_offsets=place), explain=False).solved
     assert reached == 12
 

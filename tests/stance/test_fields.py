@@ -21,7 +21,7 @@ NUMBERS = {"length": 0.0123, "angle": math.radians(7.5), "position": 0.1309}
 
 
 def choose_value(field: Field) -> Any:
-    """A value of a field that is not the usual one."""
+    """Return a value of a field that differs from the default."""
     if field.kind == "contact":
         return {"FL": pa.Contact(pa.Plane((0.0123, 0, 0), (-1, 0, 0), 0.5))}
     one = (0.0123, -0.0345) if field.axes or field.choices else NUMBERS[field.kind]
@@ -63,7 +63,7 @@ def test_field_table_contains_each_field_of_task_and_ground() -> None:
     """Reference: the fields of the dataclasses, and their defaults."""
     of = {"task": pa.StandTask, "ground": pa.Ground}
     for part, kind in of.items():
-        # A part, a start, and what contacts make of the ground.
+        # Fields without an entry: the ground itself, the initial guess, and the planes of contacts.
         own = {one.name for one in fields(kind)} - {"ground", "ik_seed", "_planes"}
         assert own == {field.name for field in FIELDS.values() if field.part == part}
     usual = pa.StandTask().values()
@@ -78,14 +78,14 @@ def test_each_field_appears_in_task_json_and_text(field: Field) -> None:
     content = json.loads(to_json(task))
     found = (content if field.part == "task" else content[field.part])[field.name]
     assert found == json.loads(to_json(choose_value(field)))
-    if field.name == "uphill":  # it is said of a slope
+    if field.name == "uphill":  # only the text of a slope states it
         task = task.with_values({"slope": 0.1})
-    said, plain = task_text(task), task_text(pa.StandTask())
-    assert said.en != plain.en
-    assert re.search("[\u4e00-\u9fff]", said.zh)
+    text, plain = task_text(task), task_text(pa.StandTask())
+    assert text.en != plain.en
+    assert re.search("[\u4e00-\u9fff]", text.zh)
     number = re.compile(r"-?\d+\.?\d*")
-    assert number.findall(said.zh) == number.findall(said.en)
-    assert str(task) == said.en
+    assert number.findall(text.zh) == number.findall(text.en)
+    assert str(task) == text.en
 
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
@@ -128,8 +128,8 @@ def test_each_field_is_an_option_with_the_same_value(field: Field) -> None:
     context = command.make_context("stand", [f"--{field.option}", format_typed(field)])
     typed = {name: context.params[name] for name in OPTION_FIELDS}
     assert is_near(make_task(typed).values()[field.name], choose_value(field))
-    unasked = command.make_context("stand", [])
-    assert make_task({name: unasked.params[name] for name in OPTION_FIELDS}) == pa.StandTask()
+    default = command.make_context("stand", [])
+    assert make_task({name: default.params[name] for name in OPTION_FIELDS}) == pa.StandTask()
 
 
 ON_PAGE: dict[str, Any] = {
@@ -204,6 +204,6 @@ def test_examples_of_options_are_in_mm_or_degrees() -> None:
 def test_text_of_a_task_states_a_requested_position_of_the_com() -> None:
     assert "com" not in str(pa.StandTask(com="centre", com_margin=0.01))
     for margin in (0.0, 0.01):
-        said = f"CoM in the support polygon (margin >= {1e3 * margin:.0f} mm)"
-        assert said in str(pa.StandTask(com="inside", com_margin=margin))
+        expected = f"CoM in the support polygon (margin >= {1e3 * margin:.0f} mm)"
+        assert expected in str(pa.StandTask(com="inside", com_margin=margin))
     assert "CoM at (10, 20) mm" in str(pa.StandTask(com=(0.01, 0.02)))

@@ -47,15 +47,15 @@ def test_kinematics_equal_those_of_a_configuration(name: str, fixed: bool) -> No
 
 
 def test_constraint_slack_is_the_smallest_of_all_margins() -> None:
-    """Of the CoM margin, ground clearance and self-clearance, each minus the required value."""
+    """By hand: ground clearance and self-clearance, each minus the required value."""
     stand = stand_of("v3")
     ground = stand.ground_clearance
     assert ground is not None
     near = replace(ground, distance=0.03)
 
     def slack(**changes: object) -> float:
-        asked = {"ground_clearance": 0.04, "self_clearance": 0.05}
-        return replace(stand, task=replace(stand.task, **asked), **changes).constraint_slack  # type: ignore[arg-type]
+        required = {"ground_clearance": 0.04, "self_clearance": 0.05}
+        return replace(stand, task=replace(stand.task, **required), **changes).constraint_slack  # type: ignore[arg-type]
 
     assert slack(ground_clearance=near, self_clearance=None) == pytest.approx(0.03 - 0.04)
     assert slack(ground_clearance=ground, self_clearance=near) == pytest.approx(0.03 - 0.05)

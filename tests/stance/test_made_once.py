@@ -19,7 +19,7 @@ from tests.support.variants import NAMES, load, stand_of
 
 
 def tasks(robot: pa.Robot) -> list[pa.StandTask]:
-    """Goals that differ in all that PlaCo's tasks are aimed at."""
+    """Return tasks that differ in each target of PlaCo's tasks."""
     return [
         pa.StandTask(),
         pa.StandTask(height=0.93 * robot.stand_height, roll=0.05, pitch=-0.04, yaw=0.1),
@@ -147,9 +147,9 @@ def test_statics_are_computed_once_per_stand_robot_and_distribution(
     """Reference: the number of calls of the balance."""
     robot, found = load("v3"), []
 
-    def counted(*given: object, **named: object) -> pa.statics.GravityCompensation:
+    def counted(*arguments: object, **named: object) -> pa.statics.GravityCompensation:
         found.append(named["distribution"])
-        return balance_load(*given, **named)  # type: ignore[arg-type]
+        return balance_load(*arguments, **named)  # type: ignore[arg-type]
 
     monkeypatch.setattr("pupper_analysis.stance.stand.balance_load", counted)
     stand = pa.solve_stand(robot, pa.StandTask(height=0.11))

@@ -40,7 +40,7 @@ def test_posture_of_a_tail_is_kept_and_changes_the_foot_forces(tmp_path: Path) -
         assert pa.verify_stand(robot, stand, duration=2.0, nudged=0.0).torque_error < 2e-2
         forces[position] = pa.stance.stand_statics(robot, stand).joint_torques[index]
     assert abs(forces[-0.45] - forces[0.4]) > 1e-3
-    # Nothing of it is left in the next stand, nor is it where a margin gives way.
+    # The next stand does not depend on the posture; a refusal does not relax the posture.
     assert abs(pa.solve_stand(robot).joint_positions(robot)[index]) < 0.1
     with pytest.raises(pa.StanceUnreachableError) as refused:
         pa.solve_stand(robot, pa.StandTask(height=5 * robot.stand_height, posture={tail: 0.3}))
@@ -49,14 +49,14 @@ def test_posture_of_a_tail_is_kept_and_changes_the_foot_forces(tmp_path: Path) -
     assert nearest.joint_positions(robot)[index] == pytest.approx(0.3, abs=1e-9)
     assert tail not in refused.value.at_limit
     leg = next(name for name in robot.joint_names if name != tail)
-    for wrong, said in (
+    for wrong, message in (
         ({leg: 0.1}, "carries a foot"),
         ({tail: 2.0}, "outside"),
         ({"x": 0.0}, tail),
     ):
-        with pytest.raises((pa.ConfigurationError, pa.UnknownNameError), match=said):
+        with pytest.raises((pa.ConfigurationError, pa.UnknownNameError), match=message):
             pa.solve_stand(robot, pa.StandTask(posture=wrong))
-    # On a path it goes evenly from one place to the next.
+    # On a path, the joint moves monotonically between both positions.
     tasks = [pa.StandTask(posture={tail: -0.2}), pa.StandTask(posture={"*wag*": 0.4})]
     path = pa.stance.stance_path(robot, tasks, 2.0)
     angles, rates = path.qpos[:, 7 + index], path.qvel[:, 6 + index]
@@ -67,7 +67,7 @@ def test_posture_of_a_tail_is_kept_and_changes_the_foot_forces(tmp_path: Path) -
 
 
 def test_weld_that_forces_a_joint_out_of_its_range_is_named(tmp_path: Path) -> None:
-    """As the file is built the elbow is straight, and its range begins at 0.2 rad."""
+    """The elbow is straight at the zero angles of the file, and its range begins at 0.2 rad."""
     files = tmp_path / "arm.urdf", tmp_path / "arm.xml"
     weld = '<equality><weld name="bolt" body1="world" body2="hand"/></equality></mujoco>'
     texts = arm.URDF, arm.MJCF.replace("</mujoco>", weld)

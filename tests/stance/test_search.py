@@ -53,7 +53,7 @@ TASKS = {
 
 
 def mujoco_feet(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
-    """The feet's centres by MuJoCo's kinematics of the MJCF."""
+    """Return the centres of the feet [m] by MuJoCo's kinematics."""
     data = mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_kinematics(robot.mj_model, data)
@@ -106,12 +106,12 @@ def test_stand_satisfies_the_requested_task(name: str, kind: str) -> None:
 def test_refusal_names_the_blocking_demand_and_its_limit() -> None:
     """References: stands at the printed limits are solved, and 1 % beyond are refused."""
     robot = load("v3")
-    asked = {"height": 0.16, "roll": 0.4}
+    requested = {"height": 0.16, "roll": 0.4}
     with pytest.raises(pa.StanceUnreachableError) as caught:
-        pa.solve_stand(robot, pa.StandTask(**asked))
+        pa.solve_stand(robot, pa.StandTask(**requested))
     error = caught.value
     assert set(error.possible) == {"height", "roll"}
-    # What it says is possible is so as it is printed, and 1 % more is not.
+    # The printed limits are solved, and 1 % more is not.
     roll = math.radians(float(str(error.possible["roll"]).split()[1]))
     height = float(str(error.possible["height"]).split()[1]) / 1000
     assert error.limits == {"roll": {"roll": roll}, "height": {"height": height}}
@@ -221,7 +221,7 @@ def test_contact_sag_off_the_centre_equals_mujocos_at_the_base(offset: tuple[flo
     run = pa.verify_stand(robot, stand, kp=200.0, kd=2.0, duration=3.0, nudged=0)
     forces = pose.contact_forces.items()
     depths = [GroundLaw.of_contact(robot, foot).depth(force[2]) for foot, force in forces]
-    assert np.ptp(depths) > 1e-3  # read at the feet's centre it would be elsewhere
+    assert np.ptp(depths) > 1e-3  # so the loss at the centre of the feet differs
     assert abs(pose.servo_sag) < 2e-5
     assert abs(run.servo_sag) < 2e-5
     assert pose.contact_sag == pytest.approx(run.contact_sag, abs=2e-5)

@@ -30,7 +30,9 @@ def slopes(angle: float, uphill: dict[str, float]) -> Contacts:
 
 
 def make_side_slopes(degrees: float, *, roof: bool) -> Contacts:
-    """Left and right feet on two planes that rise towards the middle (a roof), or away from it."""
+    """Return contacts of left and right feet on two planes that rise towards the middle (a roof),
+    or away from the middle.
+    """
     inwards = {"FL": RIGHT, "RL": RIGHT, "FR": LEFT, "RR": LEFT}
     return slopes(
         math.radians(degrees), {foot: turn if roof else -turn for foot, turn in inwards.items()}
@@ -79,7 +81,7 @@ def test_foot_on_its_own_plane_touches_at_the_given_place() -> None:
     np.testing.assert_allclose(centre, (0.14 - radius, -0.09, 0.05), atol=1e-9)
     assert stand.task.contacts == wall
     ground = stand.task.ground
-    assert ground == step  # what its planes are, its contacts say
+    assert ground == step  # the planes belong to the contacts
     assert ground.planes["FR"].point == pytest.approx((0.14, -0.09, 0.05), abs=1e-15)
     assert not pa.StandTask(ground=ground).ground.planes
     # A hand on a wall lifts no base.
@@ -111,7 +113,7 @@ def test_equal_planes_of_all_feet_are_equivalent_to_a_slope() -> None:
 
 @pytest.mark.slow
 def test_sag_between_two_planes_equals_mujoco() -> None:
-    """Pinned feet in a gutter, in which gravity presses the feet against both planes."""
+    """Reference: MuJoCo's simulation without feed-forward, in a gutter."""
     robot = load("v3")
     stand = pa.solve_stand_as_simulated(
         robot, pa.StandTask(contacts=make_side_slopes(20, roof=False))
@@ -175,7 +177,9 @@ def search_region(
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_com_region_on_slopes_equals_a_linear_program(seed: int) -> None:
-    """Cones of 24 edges are within 0.9 % of round ones; corners are of 48 sides, from inside."""
+    """Reference: a linear program for each of 60 CoM positions. Its friction pyramids have 24
+    edges, within 0.9 % of round cones.
+    """
     random = np.random.default_rng(seed)
     count, friction = 4, 0.5
     points = np.column_stack([random.uniform(-0.2, 0.2, (count, 2)), random.uniform(0, 0.1, count)])
@@ -203,7 +207,6 @@ def test_support_corners_on_one_plane_do_not_depend_on_friction() -> None:
 def test_parallel_slopes_beyond_the_friction_angle_are_refused() -> None:
     """No leg can press against another: the friction angle is the limit."""
     robot = load("v3")
-    # Four parallel planes: no leg can press against another.
     task = pa.StandTask(contacts=slopes(1.2, dict.fromkeys(robot.feet, 0.0)))
     stand = pa.solve_stand(robot, task)
     with pytest.raises(pa.StaticsInfeasibleError, match="friction"):

@@ -39,13 +39,13 @@ def test_simulation_confirms_the_stand_predicted_on_soft_ground(name: str, what:
     stand = solve_stand_on_soft_ground(robot, TASKS[what])
     assert max(stand.foot_error, stand.height_error, stand.com_error) < 1e-9
     run = pa.verify_stand(robot, stand)
-    # The tallest of the soft ones buckles on three legs, and falls 40 s after a nudge.
+    # v3-long-leg buckles on three legs, and falls 40 s after a nudge.
     buckles = (name, what) == ("v3-long-leg", "three legs")
     assert run.stability.is_stable_for() is not buckles
     assert run.passed is not buckles, run.failures
     assert run.torque_error < 0.3 * FORCE_TOLERANCE
     assert run.force_error < 0.3 * FORCE_TOLERANCE
-    if not stand.task.ground.slope:  # where it slides down as a whole
+    if not stand.task.ground.slope:  # on a slope, the robot slides down
         assert abs(run.height_loss) < 5e-6
 
 
@@ -54,7 +54,9 @@ def test_simulation_confirms_the_stand_predicted_on_soft_ground(name: str, what:
 def test_the_stand_on_soft_ground_is_the_equilibrium_that_feedforward_holds(
     name: str, what: str
 ) -> None:
-    """By Newton's iteration on the soft ground, from the stand's torques."""
+    """Reference: `steady_state`, Newton's iteration on the soft ground with the torques of the
+    stand.
+    """
     robot = load(name)
     stand = solve_stand_on_soft_ground(robot, TASKS[what])
     pose = pa.steady_state(robot, stand, feedforward=True)
@@ -76,12 +78,12 @@ def test_fitted_plane_of_random_corner_depths_has_the_same_force_and_moments() -
 
     lifted = 0
     for _ in range(60):
-        given = np.maximum(0.0, random.normal(2e-4, 4e-4, 4))
-        if not given.any():
+        depths = np.maximum(0.0, random.normal(2e-4, 4e-4, 4))
+        if not depths.any():
             continue
-        found = _fit_plane(corners, [law] * 4, given.tolist())
+        found = _fit_plane(corners, [law] * 4, depths.tolist())
         lifted += bool((found < -law.margin).any())
-        np.testing.assert_allclose(load_of(found), load_of(given), atol=1e-10 * load_of(given)[0])
+        np.testing.assert_allclose(load_of(found), load_of(depths), atol=1e-10 * load_of(depths)[0])
     assert lifted > 10
 
 

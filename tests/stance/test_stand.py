@@ -34,7 +34,7 @@ HEIGHTS = {
 
 
 def check(robot: pa.Robot, stand: pa.Stand, task: pa.StandTask) -> None:
-    """By MuJoCo's kinematics of the MJCF, and by Pinocchio's of the URDF."""
+    """Assert that a stand satisfies its task, by MuJoCo's kinematics and by Pinocchio's."""
     rotation = Rotation.from_euler("ZYX", [task.yaw, task.pitch, task.roll]).as_matrix()
     mj, config = evaluate_mujoco(robot, stand.qpos), pa.Configuration(robot, stand.qpos)
     start = evaluate_mujoco(robot, robot.neutral())
@@ -57,10 +57,12 @@ def check(robot: pa.Robot, stand: pa.Stand, task: pa.StandTask) -> None:
 
 
 def test_skeletons_stand_by_hand() -> None:
-    """Its com is over the feet's centre; hips 0.14 m above the feet: the law of cosines."""
+    """Closed form: the law of cosines, with hips 0.14 m above the feet and the CoM above their
+    centre.
+    """
     robot, stand = load("original"), stand_of("original")
     angles = stand.joint_positions(robot).reshape(4, 3)
-    forward = stand.qpos[0]  # of the base against the feet: so far is each hip ahead of its foot
+    forward = stand.qpos[0]  # horizontal distance of each hip from its foot
     leg = math.hypot(0.14, forward)
     knee = math.acos((0.08**2 + 0.11**2 - leg**2) / (2 * 0.08 * 0.11))
     np.testing.assert_allclose(angles[:, 2], knee - math.pi, atol=1e-9)

@@ -18,7 +18,7 @@ ROUNDING = 1e-12
 
 
 def wave(robot: pa.Robot, count: int, size: float = 1.0) -> list[pa.StandTask]:
-    """Tasks that change smoothly, with height, turn, a foot and the slope in play."""
+    """Return tasks whose height, orientation, foot offset and slope change smoothly."""
     phases = 2 * np.pi * np.linspace(0, 1, count)
     return [
         pa.StandTask(

@@ -217,11 +217,11 @@ def test_welded_stand_falls_in_mujoco_without_the_weld() -> None:
 
 
 @pytest.mark.parametrize("pressing", [True, False])
-def test_weld_wrenches_equal_an_independent_cone_program(
+def test_forces_beside_welds_equal_an_independent_cone_program(
     arm: pa.Robot, armed: pa.Robot, *, pressing: bool
 ) -> None:
-    """Compare joint torques [N m] and contact forces [N] with Clarabel's optimum on MuJoCo's
-    Jacobians.
+    """Reference: Clarabel's optimum on MuJoCo's Jacobians, for joint torques [N m] and, if forces
+    only press, contact forces [N].
     """
     for robot, task in (
         (load("v3"), pa.StandTask(contacts=BOLTED)),
@@ -301,8 +301,9 @@ def test_grip_balances_the_horizontal_force_of_a_foot_on_a_slope(armed: pa.Robot
 
 @pytest.mark.parametrize("strength", [30.0, 4.0])
 def test_grip_force_equals_an_independent_cone_program(armed: pa.Robot, strength: float) -> None:
-    """Forces as equal as may be, feet only pressing and the grip in its ball, by Clarabel on
-    MuJoCo's Jacobians; with 4 N the grip is used up."""
+    """Reference: smallest sum of squared forces, by Clarabel on MuJoCo's Jacobians. Feet only
+    press, and the grip force is limited; with 4 N, the grip is at its limit.
+    """
     beyond = 0.02 if strength > 10 else -0.01
     stand = pa.solve_stand_as_simulated(armed, grip_bar(armed, strength, beyond))
     robot = stand.check(armed)
@@ -421,7 +422,9 @@ def test_contact_has_the_stated_normal_force_in_mujoco(arm: pa.Robot, armed: pa.
 
 
 def test_stated_hand_force_shifts_the_com_region(armed: pa.Robot) -> None:
-    """Feet of a mass m bear m g - F: their polygon, drawn to the hand by the share F / m g."""
+    """Closed form: the feet bear m g - F, so that their polygon is contracted towards the hand by
+    the share F / (m g).
+    """
     force = 5.0
     pressed = {"hand": pa.Contact(HAND["hand"].plane, force=force)}
     stand = pa.solve_stand(armed, pa.StandTask(contacts=pressed))
@@ -451,7 +454,7 @@ def test_sag_of_a_welded_robot_equals_the_simulation(arm: pa.Robot) -> None:
     ):
         stand = pa.solve_stand_as_simulated(robot, task)
         alone = pa.verify_stand(robot, stand, integrator="implicitfast", feedforward=False)
-        sag = pa.steady_state(robot, stand, seconds=4.5)  # in the middle of what is measured
+        sag = pa.steady_state(robot, stand, seconds=4.5)  # the middle of the measured interval
         way = np.abs(sag.qpos[7:] - stand.qpos[7:]).max()
         assert way > 1e-3
         np.testing.assert_allclose(
@@ -506,7 +509,7 @@ def test_welds_are_equal_after_text_and_json_round_trips() -> None:
 
 
 @pytest.mark.parametrize(
-    ("contacts", "said"),
+    ("contacts", "message"),
     [
         ({"base": pa.Weld(), "trunk": pa.Weld()}, "move as one body"),
         ({"base": pa.Weld(offset=(0, 0, 0.1))}, "leave out offset"),
@@ -521,9 +524,9 @@ def test_welds_are_equal_after_text_and_json_round_trips() -> None:
     ],
 )
 def test_welds_that_make_no_sense_are_refused(
-    armed: pa.Robot, contacts: dict[str, pa.Contact | pa.Weld], said: str
+    armed: pa.Robot, contacts: dict[str, pa.Contact | pa.Weld], message: str
 ) -> None:
-    with pytest.raises(pa.PupperAnalysisError, match=said) as refused:
+    with pytest.raises(pa.PupperAnalysisError, match=message) as refused:
         pa.solve_stand(armed, pa.StandTask(contacts=contacts))
     assert "\n" not in str(refused.value)
 
@@ -543,7 +546,7 @@ def test_weld_of_a_base_without_body_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("welded", "asked"),
+    ("welded", "requests"),
     [
         (("FR",), {"height": 0.3}),
         (("base",), {"height": 0.3}),
@@ -552,14 +555,14 @@ def test_weld_of_a_base_without_body_is_refused(tmp_path: Path) -> None:
     ],
 )
 def test_a_welded_stance_out_of_reach_is_refused_with_a_reachable_one(
-    welded: tuple[str, ...], asked: dict[str, float]
+    welded: tuple[str, ...], requests: dict[str, float]
 ) -> None:
     """With a weld and the CoM inside, no constraint was left, and the search raised ValueError.
 
     Reference: the stance that the refusal proposes is solved.
     """
     robot = load("v3")
-    task = pa.StandTask(com="inside", contacts=dict.fromkeys(welded, pa.Weld()), **asked)
+    task = pa.StandTask(com="inside", contacts=dict.fromkeys(welded, pa.Weld()), **requests)
     with pytest.raises(pa.StanceUnreachableError) as refused:
         pa.solve_stand(robot, task)
     limits = refused.value.limits

@@ -51,7 +51,7 @@ def test_arm_reaches_points_that_its_closed_form_confirms() -> None:
 
 
 def test_preferred_joints_select_the_nearest_posture_of_a_redundant_arm() -> None:
-    """Three coordinates of four joints; SciPy minimises the distance on the closed form."""
+    """Reference: SciPy's minimum of the distance, with the closed form of the tip as constraint."""
     robot = by_hand.arm()
     goal = by_hand.tip_position(0.4, -0.9, 1.3, 0.1)
     preferred = {"a_turn": 0.0, "shoulder": -0.7, "elbow": 1.0, "b_slide": 0.05}
@@ -246,7 +246,7 @@ def test_weld_and_wall_of_a_stand_stay_in_place() -> None:
 
 
 def test_posture_near_a_stand_moves_no_joint_without_need() -> None:
-    """The base is at its target already, so that the posture is the stand, with any soft weight."""
+    """Reference: the stand, in which the base is already at its target."""
     robot, stand = load("v3"), stand_of("v3")
     posture = pa.solve_posture(robot, [PositionTask(robot.base, stand.qpos[:3])], start=stand)
     np.testing.assert_allclose(posture.qpos, stand.qpos, atol=1e-9)

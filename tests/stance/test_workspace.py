@@ -27,7 +27,7 @@ def is_reached(robot: pa.Robot, task: pa.StandTask) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "long-leg"])
-def test_limits_are_tight_in_every_direction(name: str) -> None:
+def test_limits_of_rotations_are_tight_and_symmetric(name: str) -> None:
     """Reference: the solver reaches each limit angle, and not 1 mrad beyond.
 
     By symmetry the limits of roll, yaw and y are opposite within 2e-3 rad or m.
@@ -125,7 +125,9 @@ def test_base_shift_ends_at_the_com_margin(task: dict[str, object]) -> None:
 
 
 def test_highest_stand_has_straight_legs() -> None:
-    """Closed form: 0.19 m of leg, of which the base's shift of 5 mm takes little, and 0.018 m."""
+    """Closed form: a leg of 0.19 m, slightly inclined by the base offset of 5 mm, and a radius of
+    0.018 m.
+    """
     robot = load("original")
     heights = reachable_heights(robot)
     assert heights.high == pytest.approx(0.208, abs=3e-4)
@@ -141,13 +143,13 @@ def test_highest_stand_has_straight_legs() -> None:
 def test_search_for_a_limit_ends_at_the_sufficient_distance() -> None:
     """Reference: the limits without a sufficient distance."""
     robot = load("original")
-    start, whole = pa.solve_stand(robot), base_workspace(robot).intervals
+    start, complete = pa.solve_stand(robot), base_workspace(robot).intervals
     for direction, enough in (("pitch", 0.3), ("roll", 0.45), ("height", 0.02)):
         begin = float(getattr(start.task, direction))
         found = find_interval(robot, start, direction, enough)
         for limit, end, side in (
-            (found.low, whole[direction].low, -1.0),
-            (found.high, whole[direction].high, 1.0),
+            (found.low, complete[direction].low, -1.0),
+            (found.high, complete[direction].high, 1.0),
         ):
             if side * (end - begin) < enough:
                 assert limit == pytest.approx(end, abs=1e-9)

@@ -48,7 +48,7 @@ def test_reused_wrapper_gives_the_results_of_a_new_one(monkeypatch: pytest.Monke
     for robot in designs():
         solver._wrapper_pool.clear()
         expected.append(stands(robot))
-    assert len(solver._wrapper_pool) == 1  # of one structure, the payload's too
+    assert len(solver._wrapper_pool) == 1  # all robots have one structure, also with payload
     found = [stands(robot) for robot in reversed(designs())]
     assert found[::-1] == expected
 
@@ -75,7 +75,7 @@ def test_wrapper_is_loaded_once_per_structure(monkeypatch: pytest.MonkeyPatch) -
 
 
 def measure_resident_memory() -> int:
-    """Bytes of this process that are in memory and in use: the allocator gives the others back."""
+    """Return the resident memory of this process [bytes], after the allocator has freed pages."""
     ctypes.CDLL("libc.so.6").malloc_trim(0)
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * 4096

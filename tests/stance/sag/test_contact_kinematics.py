@@ -21,7 +21,7 @@ from tests.support.variants import NAMES, load, stand_of
 
 
 def differences(function: Callable[[np.ndarray], np.ndarray], size: int, step: float) -> np.ndarray:
-    """Columns of central differences, of the fourth order."""
+    """Return the derivative of a function by central differences of fourth order, by column."""
     columns = []
     for direction in np.eye(size):
         far, near = (
@@ -39,7 +39,7 @@ def differences(function: Callable[[np.ndarray], np.ndarray], size: int, step: f
 def test_derivative_is_that_of_the_residual(
     name: str, feet: Literal["pinned", "sliding"], slope: float
 ) -> None:
-    """Away from the equilibrium, with feet that have turned, and a slope."""
+    """Reference: central differences away from the equilibrium, with rotated feet and a slope."""
     robot, rng = load(name), np.random.default_rng(5)
     stand = stand_of(name)
     if slope:
@@ -79,7 +79,7 @@ def test_depth_equals_the_root_of_the_ground_law() -> None:
         expected = optimize.brentq(lambda x, law=law, f=force: law.force(x) - f, 0, bound)
         assert law.depth(force) == pytest.approx(expected, rel=1e-9, abs=1e-11)
         assert law.force(law.depth(force)) == pytest.approx(force, rel=1e-12)
-    # Where the impedance falls with the depth, a foot sinks by more than twice the first guess.
+    # If the impedance decreases with the depth, the depth is above twice the first guess.
     law = GroundLaw(1e3, 1.0, (0.95, 0.05, 1e-3, 0.5, 2.0), 1.0, 1.0)
     assert law.force(law.depth(10.0)) == pytest.approx(10.0, rel=1e-12)
     assert law.depth(10.0) > 2 * 10.0 / law.normal_stiffness(0.0)
@@ -90,14 +90,14 @@ def test_two_points_of_a_sole_cannot_part() -> None:
     places = {"a/1": (0.1, 0.0, 0.0), "a/2": (-0.1, 0.0, 0.0), "b": (0.0, 0.3, 0.0)}
     anchors = {name: Anchor(np.array(place), np.eye(3)) for name, place in places.items()}
     soles = {"a/1": "a", "a/2": "a", "b": "b"}
-    whole = rigid_slips(anchors, soles, dict.fromkeys(places, np.eye(3)))
-    assert whole is not None
+    projection = rigid_slips(anchors, soles, dict.fromkeys(places, np.eye(3)))
+    assert projection is not None
     for slips, left in (
         ([(1, 0), (-1, 0), (2, 3)], [(0, 0), (0, 0), (2, 3)]),
-        ([(1, 2), (1, 2), (0, 0)], [(1, 2), (1, 2), (0, 0)]),  # along
-        ([(0, 1), (0, -1), (0, 0)], [(0, 1), (0, -1), (0, 0)]),  # turning
+        ([(1, 2), (1, 2), (0, 0)], [(1, 2), (1, 2), (0, 0)]),  # translation
+        ([(0, 1), (0, -1), (0, 0)], [(0, 1), (0, -1), (0, 0)]),  # rotation
     ):
-        np.testing.assert_allclose(np.tensordot(whole, np.array(slips), 2), left, atol=1e-12)
+        np.testing.assert_allclose(np.tensordot(projection, np.array(slips), 2), left, atol=1e-12)
 
 
 def test_points_of_different_feet_slip_freely() -> None:

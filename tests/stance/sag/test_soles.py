@@ -82,7 +82,7 @@ def test_steady_state_of_irregular_bipeds_equals_mujoco_at_rest_and_in_creep(
     """
     robot, random = load_biped(seed), np.random.default_rng(seed)
     weight = robot.total_mass * 9.81
-    looked_at = 0
+    compared = 0
     for _ in range(4):
         height = float(random.uniform(0.88, 1.0))
         pitch, roll = random.uniform(-0.06, 0.06), random.uniform(-0.04, 0.04)
@@ -98,8 +98,8 @@ def test_steady_state_of_irregular_bipeds_equals_mujoco_at_rest_and_in_creep(
             continue
         found = bare_height(robot, stand, kp, pose.qpos, 1e-3)
         assert found == pytest.approx(crept.base_height, abs=1e-3 * robot.stand_height)
-        looked_at += 1
-    assert looked_at
+        compared += 1
+    assert compared
 
 
 @pytest.mark.slow

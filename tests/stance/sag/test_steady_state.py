@@ -1,4 +1,4 @@
-"""The predicted sag, each number two ways: against differences, balances, MuJoCo, simulations."""
+"""The predicted sag, compared with finite differences, force balances, and MuJoCo's simulations."""
 
 import math
 from collections.abc import Callable
@@ -112,7 +112,7 @@ def test_steady_states_on_slopes_steps_and_three_legs_equal_the_simulation(
     name: str, what: str
 ) -> None:
     """Reference: simulations without feed-forward, in which the feet creep."""
-    # Its own servos let v3's lifted foot down to the ground.
+    # On its own servos, v3 sinks until the lifted foot touches the ground.
     kp, kd = (20.0, 0.5) if name == "v3" else (None, None)
     robot, stand = load(name), pa.solve_stand(load(name), ANYWHERE[what])
     pose = steady_state(robot, stand, kp=kp, seconds=4.5)
@@ -127,8 +127,10 @@ def test_steady_states_on_slopes_steps_and_three_legs_equal_the_simulation(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["heavy", "v3"])
-def test_creep_in_time(name: str) -> None:
-    """Sliding down a slope, and towards the sliding equilibrium on the level."""
+def test_creep_over_time_equals_the_simulation(name: str) -> None:
+    """Reference: simulations of 2 and 8 s on a slope. On level ground, the height approaches that
+    of the sliding equilibrium.
+    """
     robot = load(name)
     stand = pa.solve_stand(robot, ANYWHERE["slope"])
     for seconds in (2.0, 8.0):
@@ -176,9 +178,9 @@ def test_reported_slip_margin_agrees_with_simulation(name: str) -> None:
 
 
 def lift_foot(name: str, foot: str, height: float, **task: object) -> pa.Stand:
-    """A stand with the com 10 mm inside the triangle of the other feet."""
-    asked = pa.StandTask(swing={foot: height}, com="inside", com_margin=0.01, **task)
-    return pa.solve_stand(load(name), asked)
+    """Return a stand with a lifted foot and the CoM 10 mm inside the triangle of the other feet."""
+    requested = pa.StandTask(swing={foot: height}, com="inside", com_margin=0.01, **task)
+    return pa.solve_stand(load(name), requested)
 
 
 LANDING = [
@@ -259,11 +261,13 @@ def test_minimum_stiffness_keeps_a_swing_foot_off_the_ground() -> None:
 
 @pytest.mark.slow
 def test_steady_state_exists_for_each_stiffness_above_the_minimum() -> None:
-    """A long step on the way to rest may end on another branch; MuJoCo stands with all of these."""
+    """A long step of the continuation may end on another branch. Reference: MuJoCo's height after
+    12 s with the smallest of these values, 0.1004 m.
+    """
     robot, stand = load("v3"), stand_of("v3")
     found = [steady_state(robot, stand, kp=kp) for kp in np.arange(2.30, 2.72, 0.02)]
     assert all(one.stable for one in found)
-    # What is wrong with some is only where creep takes them later: a knee comes to the ground.
+    # Failures are those of later creep only, in which a knee reaches the ground.
     assert not any(one.failures for one in found if math.isinf(one.lasts))
     lasting = [one.lasts for one in found]
     assert lasting == sorted(lasting)
@@ -284,7 +288,7 @@ def test_steady_state_fails_if_creep_ends_the_equilibrium() -> None:
     assert pose.lasts == pytest.approx(6.0, abs=1.0)
     assert len(pose.failures) == 1
     heights = {}
-    for noslip in (0, 20):  # with that solver nothing creeps
+    for noslip in (0, 20):  # contacts do not creep with the no-slip solver
 
         def grip(model: mujoco.MjModel, noslip: int = noslip) -> None:
             model.opt.noslip_iterations = noslip
@@ -321,14 +325,16 @@ def test_simulation_collapses_below_the_minimum_stiffness(
         for share in (1.05, 0.9)
     )  # fmt: skip
     assert above.passed
-    if feet == "pinned":  # feet that creep take their time to where they slide
+    if feet == "pinned":  # creeping feet reach the sliding equilibrium later
         loss = steady_state(robot, stand, kp=1.05 * kp).height_loss
         assert loss == pytest.approx(above.height_loss, abs=2e-4)
     assert any(one.code == "body-touches-ground" for one in below.failures)
 
 
 def test_instability_is_reported() -> None:
-    """At full feed-forward the stand is an equilibrium with any kp; with a low one, no stable."""
+    """With full feed-forward, the stand is an equilibrium with any kp, and unstable with a low kp.
+    Reference: a simulation of 20 s, in which the robot falls over.
+    """
     robot, stand = load("original"), stand_of("original")
     pose = steady_state(robot, stand, kp=0.1, feedforward=True)
     assert not pose.stable
@@ -355,7 +361,7 @@ def test_steady_state_refuses_invalid_arguments() -> None:
     robot, stand = load("v3"), stand_of("v3")
     slope = pa.solve_stand(robot, pa.StandTask(pitch=-0.1, ground=pa.Ground(0.1)))
     no_grip = {one: replace(of, friction=(0.0,) * 5) for one, of in robot.contacts.items()}
-    for given, on, asked, said in (
+    for argument, at_stand, options, message in (
         (robot, stand, {"feet": "glued"}, "feet"),
         (load("v3", fixed_base=True), stand, {}, "robot"),
         (robot, slope, {"feet": "sliding"}, "slope"),
@@ -365,8 +371,8 @@ def test_steady_state_refuses_invalid_arguments() -> None:
         (robot, stand, {"kp": -1}, "kp"),
         (replace(robot, contacts=no_grip), stand, {}, "no friction"),
     ):
-        with pytest.raises(pa.ConfigurationError, match=said):
-            steady_state(given, on, **asked)  # type: ignore[arg-type]
+        with pytest.raises(pa.ConfigurationError, match=message):
+            steady_state(argument, at_stand, **options)  # type: ignore[arg-type]
     for tolerance in (0.0, 1.0, -0.1, np.nan):
         with pytest.raises(pa.ConfigurationError, match="tolerance"):
             minimum_stiffness(robot, stand, tolerance=tolerance)
@@ -465,7 +471,7 @@ def test_foot_force_begins_at_zero_if_a_lifted_foot_just_touches() -> None:
     def pose(height: float) -> settle.SteadyState:
         return steady_state(robot, lift_foot("v3", "RR", height), kp=4.0)
 
-    low, high = 0.006, 0.03  # it touches; it does not
+    low, high = 0.006, 0.03  # with and without contact
     assert "RR" in pose(low).stance_feet
     assert "RR" not in pose(high).stance_feet
     while high - low > 1e-6:
