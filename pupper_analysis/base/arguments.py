@@ -119,7 +119,7 @@ def _contains_boolean(values: object) -> bool:
     if isinstance(values, list | tuple):
         return any(map(_contains_boolean, values))
     if isinstance(values, np.ndarray):
-        return values.dtype.kind == "b"
+        return bool(values.dtype.kind == "b")
     return isinstance(values, _BOOLEAN_TYPES)
 
 

@@ -292,6 +292,19 @@ def test_lists_have_the_order_of_the_names_in_the_file_whatever_their_key(
     assert ("contract-order-of-key" in codes) is not is_stated
 
 
+@pytest.mark.parametrize("name", ["gains.hip", "gains.Hip"])
+def test_key_of_the_user_matches_capital_letters_of_a_file(tmp_path: Path, name: str) -> None:
+    """The file states kp = 7 N m/rad under `Hip`, the model 5: the number was not compared."""
+    path = tmp_path / "own.yaml"
+    path.write_text(f"joint_names: {format_list(JOINTS)}\ngains: {{Hip: 7.0}}\n")
+    (tmp_path / "pupper-analysis.toml").write_text(
+        f'[[contract.key]]\nquantity = "kp"\nnames = ["{name}"]\njoints = [".*"]\n'
+    )
+    found = read_contract(MJCF, path, stand=False)
+    assert set(values(found, "own.yaml", "kp").values()) == {7.0}
+    assert not found.passed
+
+
 def test_two_orders_of_names_under_unknown_keys_are_not_used(tmp_path: Path) -> None:
     """Nothing states which of the orders is that of the lists."""
     path = tmp_path / "own.yaml"

@@ -7,7 +7,7 @@ nested tables (`_split_document`). Other readers use `read_table` for tables in 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -63,10 +63,13 @@ class _View:
     def get(self, *path: str) -> LocatedValue:
         """Return the value of a path of keys in the first table that has it.
 
-        Without such a table, the node has the value None and the place of the first table.
+        If no table has the exact keys, letters of any case match. Without a match, the node has the
+        value None and the place of the first table.
         """
-        found = (table.get(*path) for table in self.tables)
-        return next((node for node in found if node.is_present), LocatedValue(None, self.place))
+        exact = (table.get(*path) for table in self.tables)
+        similar = (_get_in_any_case(table, path) for table in self.tables)
+        found = (node for node in (*exact, *similar) if node.is_present)
+        return next(found, LocatedValue(None, self.place))
 
     def find_first(self, names: str) -> LocatedValue:
         """Return the value of the first key that is present for a concept (`KEY_ALIASES`).
@@ -110,6 +113,14 @@ class _View:
             first[key].is_present and second[key].is_present and first[key] is not second[key]
             for key in first.keys() & second.keys()
         )
+
+
+def _get_in_any_case(node: LocatedValue, path: Iterable[str]) -> LocatedValue:
+    """Return the value of a path of keys, whose letters may have another case in the table."""
+    for key in path:
+        names = {name.lower(): name for name in node.table}
+        node = node.get(names.get(key.lower(), key))
+    return node
 
 
 def _lower_keys(node: LocatedValue) -> LocatedValue:
