@@ -273,8 +273,7 @@ class Robot(EngineModels):
         nominal: Joint positions (nu,) [rad, m] at which the feet have the nominal horizontal
             positions.
         stand_height: Height [m] of the base above the ground in the nominal stand. Without feet, it
-            is 0; exception: if a task welds a base that the file fixes, it is half the extent of
-            the robot.
+            is 0; exception: if a task welds a fixed base, it is half the extent of the robot.
         imu: Frame with gyro and accelerometer; None if there is none.
         pin_convention: Coordinate maps of Pinocchio's model.
         mj_convention: Coordinate maps of MuJoCo's model.

@@ -23,7 +23,7 @@ from pupper_analysis.robot.structure import Structure
 
 @dataclass(frozen=True, eq=False)
 class CarriedShape:
-    """Collision geom, and the link that carries the geom.
+    """Collision geom of the robot, and the URDF link with which it moves.
 
     Attributes:
         geom: Id of the geom in ``mj_model``.
@@ -53,11 +53,11 @@ def shapes_of(
 ) -> tuple[CarriedShape, ...]:
     """Return the collision shapes of the robot's bodies, including feet, in order of the geom ids.
 
-    The shapes of a fixed base are included. If the base of the MJCF is the world body, these are
-    all shapes that are fixed in the world, except planes and height fields.
+    The shapes of a fixed base are included. If the base of the MJCF is the world body, its shapes
+    are all shapes that are fixed in the world, except planes and height fields.
 
-    The pose of a shape in the frame of its link is computed with all joint positions zero, for
-    which the link poses of both models agree.
+    The pose of a shape in the frame of its link is computed with all joint positions zero. In this
+    configuration, the link poses of both models agree.
 
     Args:
         model: MuJoCo's model of the MJCF.
@@ -111,9 +111,10 @@ def shapes_of(
 
 
 def _is_part_of_base(model: mujoco.MjModel, geom: int, base: int) -> bool:
-    """Return True if a geom that is fixed in the world is on the fixed base or on its descendants.
+    """Return True if a geom that is fixed in the world is part of the robot's fixed base.
 
-    If ``base`` is the world body, planes and height fields are parts of the surroundings.
+    The geom must belong to the body ``base`` or to a descendant. If ``base`` is the world body,
+    planes and height fields are excluded: they are parts of the surroundings.
     """
     body = int(model.geom_bodyid[geom])
     while body not in (base, 0):
@@ -132,8 +133,8 @@ class _LinkFinder:
         neutral: Configuration with all joints at zero, shape (nq,).
 
     Attributes:
-        joints: {moving body: joint that moves the body}; the joint of the base is "". A fixed base
-            is represented by the world body, 0.
+        joints: {id of a moving body: joint that moves the body}. The joint of the base is "". A
+            fixed base has the id of the world body, 0.
     """
 
     def __init__(
@@ -159,12 +160,13 @@ class _LinkFinder:
     def link(self, body: str, moving: int) -> tuple[str, pin.SE3]:
         """Return the link of the URDF that corresponds to a body of the MJCF, and its world pose.
 
-        The pose is that with all joint positions zero. The link has the name of the body if such a
-        link moves with the same joint; otherwise it is the first link that this joint moves.
+        The pose is evaluated with all joint positions zero. If a link with the name of the body
+        moves with the same joint, it is this link. Otherwise it is the first link that this joint
+        moves.
 
         Args:
             body: Name of the body.
-            moving: Id of the body with a joint (or the base) to which the body is fixed, possibly
+            moving: Id of the moving body (or base) to which the body is fixed. It may be the body
                 itself.
         """
         first_link = self._first_link_by_joint[self.joints[moving]]

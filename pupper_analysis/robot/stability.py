@@ -1,9 +1,9 @@
 """Spectrum of a MuJoCo step at a state, with contacts, servos and integrator.
 
-`step_stability` returns the modes that grow. Such a mode is a hypothesis: the linearisation is
-valid for motions of micrometres only if a foot carries almost no load, and it depends on the
-finite-difference step if a joint has dry friction. ``simulation.growth`` tests the hypothesis in a
-nudged simulation.
+`step_stability` returns the modes that grow. A growing mode is only a hypothesis. If a foot carries
+almost no load, the linearisation is valid only for motions of micrometres. If a joint has dry
+friction, the linearisation depends on the finite-difference step. ``simulation.growth`` tests the
+hypothesis in a nudged simulation.
 """
 
 from __future__ import annotations
@@ -23,28 +23,30 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.models.mjcf import JointKind, silence_mujoco
 
 DIFFERENCE_STEP = 1e-7
-"""Step of the centred differences of a MuJoCo step, for positions [m, rad] and velocities [m/s,
-rad/s]. Contact forces are nonlinear over 1e-5 m. Measured: the error of the eigenvalues is 1e-9
-with this step, and with 1e-6."""
+"""Finite-difference step with which a MuJoCo time step is linearised, for positions [m, rad] and
+velocities [m/s, rad/s]. It must be small, because contact forces are nonlinear over 1e-5 m.
+Measured: the error of the eigenvalues is 1e-9 with this step, and with 1e-6."""
 
 SECOND_STEP = 3e-8
-"""Second finite-difference step [m, rad, and rates], with which the spectrum is repeated to check
-the growing modes. Two public MJCFs with dry friction have a spectral radius of 1.041 with
-``DIFFERENCE_STEP``, and of 1.000 with this step."""
+"""Second finite-difference step, for positions [m, rad] and velocities [m/s, rad/s]. The spectrum
+is repeated with it to check the growing modes. Two public MJCFs with dry friction have a spectral
+radius of 1.041 with ``DIFFERENCE_STEP``, and of 1.000 with this step."""
 
 _RATE_TOLERANCE = 0.3
-"""Relative difference between the growths per time step (|eigenvalue| - 1) of two modes, up to
-which both finite-difference steps show the same mode. Chosen, not tuned."""
+"""Tolerance [1] with which two modes count as the same mode, if they come from the two
+finite-difference steps. It applies to the relative difference of their growths per time step,
+|eigenvalue| - 1. Chosen, not tuned."""
 
 DIFFERENCE_SOLVER_TOLERANCE = 1e-14
-"""Upper bound of MuJoCo's solver tolerance while a time step is linearised by finite differences.
-Measured with the default of 1e-8: the solver sometimes stops an iteration earlier on one side of a
-difference, and an element of the matrix deviates by 0.03. The model is changed in place, since a
-copy with the meshes of a humanoid is slow."""
+"""Upper bound of MuJoCo's solver tolerance [1] while a time step is linearised by finite
+differences. With the default of 1e-8, the solver sometimes ends an iteration earlier on one side of
+a difference; an element of the matrix then deviates by 0.03 (measured). The tolerance of the model
+is changed temporarily, because copying a humanoid with meshes would be slow."""
 
 
 SLEEP_FLAG = mujoco.mjtEnableBit.mjENBL_SLEEP.value
-"""Enable flag of ``<flag sleep="enable"/>``."""
+"""MuJoCo's enable flag for sleeping, ``<flag sleep="enable"/>``. A sleeping body is not
+simulated."""
 
 
 def copy_data(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
@@ -52,7 +54,7 @@ def copy_data(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
 
     Args:
         model: MuJoCo model.
-        data: State, of which all inputs of a step are copied (``mjSTATE_INTEGRATION``).
+        data: State. All inputs of a time step are copied (``mjSTATE_INTEGRATION``).
     """
     state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION.value))
     mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION.value)
@@ -65,9 +67,10 @@ def copy_data(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
 def step_derivative(
     model: mujoco.MjModel, data: mujoco.MjData, difference: float = DIFFERENCE_STEP
 ) -> Array:
-    """Compute the derivative of the next state by the state, shape (2 nv + na, 2 nv + na).
+    """Linearise a MuJoCo time step: derivative of the next state by the state.
 
-    Rows and columns are in the tangent space of (qpos, qvel, act), in MuJoCo's order.
+    The shape is (2 nv + na, 2 nv + na). Rows and columns are in the tangent space of (qpos, qvel,
+    act), in MuJoCo's order.
 
     Args:
         model: MuJoCo model. During the call, the tolerance of the solver is tightened, and sleeping
@@ -97,11 +100,11 @@ def step_derivative(
 def _difference_steps(
     model: mujoco.MjModel, data: mujoco.MjData, matrix: Array, difference: float = DIFFERENCE_STEP
 ) -> Array:
-    """Compute the derivative of the next state by the state into ``matrix``, and return it.
+    """Compute the derivative of the next state by the state, write it to ``matrix``, and return it.
 
-    The method is that of centred differences of complete MuJoCo steps, for the integrator RK4,
-    which ``mjd_transitionFD`` does not support. Rows and columns of ``matrix`` are in the tangent
-    space of (qpos, qvel, act); ``difference`` is the step [m, rad; m/s, rad/s].
+    This method is used for the integrator RK4, which ``mjd_transitionFD`` does not support: centred
+    differences of complete MuJoCo steps. Rows and columns of ``matrix`` are in the tangent space of
+    (qpos, qvel, act). ``difference`` is the finite-difference step [m, rad; m/s, rad/s].
     """
     own, nv = copy_data(model, data), model.nv
     ends = [(np.empty(model.nq), np.empty(nv), np.empty(model.na)) for _ in range(2)]
@@ -123,63 +126,64 @@ def _difference_steps(
 
 
 HOLD_DURATION = 12.0
-"""Duration for which a stand must hold to count as holding [s]. Slower failures are accepted,
-because MuJoCo's regularised friction always slips a little: at the payload limit of Pupper v3, a
-deviation doubles in 30 s."""
+"""Duration for which a stand must hold [s]. A mode that needs longer to double is accepted, because
+MuJoCo's regularised friction always slips a little. At the payload limit of Pupper v3, for example,
+a deviation doubles in 30 s."""
 
 SETTLING_TIME = 0.5
-"""Time for which a state settles before it is evaluated [s]. Contacts settle within 0.05 s; a mode
-that doubles in a second grows by a factor of 1.4 only."""
+"""Default time for which a state is simulated before it is evaluated [s]. It is long enough for
+contacts, which settle within 0.05 s. It is short enough for modes: a mode that doubles in a second
+grows only by a factor of 1.4."""
 
 _MAX_SETTLING_TIME = 600.0
 """Largest accepted settling time of `step_stability` [s]. Chosen, not tuned."""
 
 _LIMIT_DISTANCE = 10 * DIFFERENCE_STEP
-"""Distance of a joint position from a joint limit [rad, m] up to which the finite differences are
-computed twice, with the limit moved to this distance on either side (`_evaluate_at_limits`).
-Centred differences across a limit mix two regimes: ANYmal at a knee limit seemed to oscillate at 9
-Hz, but came to rest in simulations."""
+"""Distance of a joint position from a joint limit [rad, m] up to which the spectrum is computed
+twice, with the limit moved to this distance on either side of the position (`_evaluate_at_limits`).
+The reason is that centred differences across a limit mix two regimes: ANYmal at a knee limit seemed
+to oscillate at 9 Hz, but came to rest in simulations."""
 
 _NEUTRAL_RATE = 1e-4
-"""Upper bound of |eigenvalue - 1| / (time step) of a mode that counts as neither growing nor
-decaying [1/s]: such a mode needs 1.9 hours or more to double. The error of the eigenvalue replaces
-the bound if it is larger. Chosen, not tuned."""
+"""Value of |eigenvalue - 1| / (time step) up to which a mode counts as neither growing nor decaying
+[1/s]. Such a mode needs 1.9 hours or more to double. If the error of the eigenvalue is larger than
+this bound, the error is the bound. Chosen, not tuned."""
 
 _EIGENVALUE_ERROR = 1e-9
-"""Numerical error of a well-conditioned eigenvalue of the linearised MuJoCo step, measured for
-finite differences with ``DIFFERENCE_STEP``. A mode whose eigenvalue has a smaller absolute value,
-or a smaller angle in the complex plane [rad], is therefore not counted as an oscillation."""
+"""Numerical error of a well-conditioned eigenvalue of the linearised MuJoCo step [1], measured for
+``DIFFERENCE_STEP``. If the absolute value of an eigenvalue, or its angle in the complex plane
+[rad], is at most this error, the mode does not count as an oscillation."""
 
 _MAX_EIGENVALUE_ERROR = 1e-5
-"""Upper bound of the error of an ill-conditioned eigenvalue near 1. For example, a wheel that rolls
-freely has a double eigenvalue 1 with a single eigenvector; an error e of the matrix changes it by
-sqrt(e). Chosen, not tuned."""
+"""Upper bound of the assumed error of an ill-conditioned eigenvalue [1]. For example, a wheel that
+rolls freely has a double eigenvalue 1 with a single eigenvector. An error e of the matrix changes
+this eigenvalue by sqrt(e). Chosen, not tuned."""
 
 _MAX_REST_SPEED = 0.1
-"""Largest element of qvel of a state at rest [m/s, rad/s]. Pupper v3 sags with up to 0.02 after the
-settling time. If a state is faster, a growing mode may have moved the robot out of its initial
-state, which is then evaluated as well."""
+"""Largest element of qvel with which a state counts as at rest [m/s, rad/s]. Pupper v3 still sags
+with up to 0.02 after the settling time. If the settled state is faster, a growing mode may have
+moved the robot out of its initial state. The initial state is then evaluated as well."""
 
 _MIN_THROWING_DOUBLINGS = 6
-"""Number of doublings of a mode within the settling time from which the mode explains why a robot
-has left its initial state: 6 doublings turn 1 mm into 64 mm. A robot that has left it without such
-a mode was not in equilibrium there, and the modes of the initial state have no meaning (Pupper v3
-while it sinks on soft servos: doubling times from 1.5 to 25 s for the same rest position)."""
+"""Number of doublings of a mode within the settling time above which the mode explains why a robot
+has left its initial state: 6 doublings turn 1 mm into 64 mm. Without such a mode, the initial state
+was no equilibrium, and its modes are meaningless. For example, Pupper v3 that sinks on soft servos
+has doubling times from 1.5 to 25 s for the same rest position."""
 
 _MIN_NAMED_SHARE = 0.5
-"""Amplitude of a joint in a mode, relative to the largest amplitude, from which a message about the
-mode contains the joint. Chosen, not tuned."""
+"""Amplitude of a joint in a mode, relative to the largest amplitude [1], at or above which a
+message about the mode names the joint. Chosen, not tuned."""
 
 _MAX_NAMED_JOINTS = 4
-"""Largest number of joints with which a message describes a mode. Chosen, not tuned."""
+"""Maximum number of joints that a message about a mode names. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mode(Result):
-    """Mode of a step at a state: an eigenvalue, or a conjugate pair.
+    """Mode of a linearised MuJoCo step: one eigenvalue, or a conjugate pair of eigenvalues.
 
     Attributes:
-        growth: |eigenvalue| - 1, per step.
+        growth: |eigenvalue| - 1: relative growth per time step.
         frequency: Frequency (Hz); 0 without oscillation.
         damping_ratio: 1 for decay without oscillation, 0 for an undamped oscillation, negative for
             growth.
@@ -187,13 +191,14 @@ class Mode(Result):
         doubling_time: Time in which the mode doubles (s); None if the mode decays, or is sustained
             (``is_sustained``).
         joints: Joints with the largest motion in the mode, largest first.
-        without_dry_friction: Whether the spectrum is that without dry friction of joints and
-            tendons.
-        repeated_at_second_step: Whether the spectrum with ``SECOND_STEP`` has the mode as well;
-            also True if that spectrum was not computed.
-        nudge: Largest initial deviation of a position (joint or base) in the simulation that
-            measured growth (rad or m), 0 if only velocities deviated; None if the mode is known
-            from the spectrum only. With a value, ``doubling_time`` is the simulated time.
+        without_dry_friction: Whether the mode belongs to the spectrum without dry friction of
+            joints and tendons.
+        repeated_at_second_step: Whether the spectrum with ``SECOND_STEP`` contains the mode as
+            well. Also True if that spectrum was not computed.
+        nudge: Initial deviation in the simulation that measured the growth (rad or m): the largest
+            deviation of a joint or base position, 0 if only velocities deviated. None if the mode
+            is known only from the spectrum. If not None, ``doubling_time`` is measured in the
+            simulation.
     """
 
     growth: float = field(metadata={"unit": "1"})
@@ -210,9 +215,9 @@ class Mode(Result):
 
     @property
     def nudge_unit(self) -> str:
-        """Unit (m or rad) of ``nudge``, the deviation from which growth was measured.
+        """Unit of ``nudge``, m or rad.
 
-        m if the position with the largest initial deviation is a translation.
+        The unit is m if the position with the largest initial deviation is a translation.
         """
         return self._nudge_unit
 
@@ -220,7 +225,8 @@ class Mode(Result):
     def direction(self) -> Array:
         """Direction of the mode in the tangent space of (qpos, qvel, act), shape (2 nv + na,).
 
-        The largest deviation of a position is 1 rad or 1 m, if any position deviates.
+        The vector is scaled: the largest deviation of a position is 1 rad or 1 m, if any position
+        deviates.
         """
         assert self._direction is not None
         return self._direction
@@ -234,8 +240,8 @@ class Mode(Result):
     def shakes(self) -> bool:
         """True if the mode counts as an oscillation.
 
-        The phase advances by more than 1 rad within the time constant, and the period is shorter
-        than ``HOLD_DURATION`` (slower modes are creep).
+        Two conditions must hold. The phase advances by more than 1 rad within the time constant.
+        The period is shorter than ``HOLD_DURATION``, because slower modes count as creep.
         """
         swings = 2 * math.pi * self.frequency * self.time_constant > 1
         return swings and self.frequency * HOLD_DURATION > 1
@@ -243,8 +249,8 @@ class Mode(Result):
     def grows_within(self, duration: float) -> bool:
         """Return True if this mode grows fast enough to matter within ``duration`` [s].
 
-        True for a sustained or growing oscillation of any rate, since the robot does not come to
-        rest. Another mode must have a doubling time below the duration.
+        True for a sustained oscillation and for a growing oscillation of any rate, since the robot
+        does not come to rest. Another mode must have a doubling time below the duration.
         """
         if self.doubling_time is None:
             return self.is_sustained
@@ -258,15 +264,15 @@ class Stability(Result):
     Attributes:
         timestep: Time step (s).
         radius: Largest absolute eigenvalue of a step, with dry friction.
-        unstable: Modes that grow, fastest first; those that need the absence of dry friction, only
-            if they grow within ``HOLD_DURATION``. After ``confirm_growth``, modes that leave the
-            state within ``HOLD_DURATION`` are confirmed by a simulation.
+        unstable: Modes that grow, fastest first. A mode that grows only without dry friction is
+            included if it grows within ``HOLD_DURATION``. In a result of ``confirm_growth``, a
+            simulation has confirmed the modes that leave the state within ``HOLD_DURATION``.
         least_damped: Decaying oscillation with the smallest damping ratio, with or without dry
             friction; None if no oscillation decays.
-        speed: Largest element of qvel at the evaluated state (m/s or rad/s). If the state is not at
-            rest, the spectrum does not describe the stability.
-        uses_noslip_solver: Whether MuJoCo's no-slip solver is active. Friction then holds buckling
-            modes until the contact slips; a simulation shows such modes, the spectrum does not.
+        speed: Largest absolute element of qvel at the evaluated state (m/s or rad/s). If the state
+            is not at rest, the spectrum does not describe the stability.
+        uses_noslip_solver: Whether MuJoCo's no-slip solver is active. Friction then stops buckling
+            until the contact slips. A simulation shows this, the spectrum does not.
         refuted_modes: Modes that grow in the spectrum, and that a nudged simulation does not
             confirm.
     """
@@ -283,7 +289,7 @@ class Stability(Result):
     def at_rest(self) -> bool:
         """True if ``speed``, the largest element of qvel, is at most 0.1 (m/s or rad/s).
 
-        Only then are the growth rates of the modes meaningful.
+        The growth rates of the modes are meaningful only if this is true.
         """
         return self.speed <= _MAX_REST_SPEED
 
@@ -296,15 +302,16 @@ class Stability(Result):
     def doubling_time(self) -> float | None:
         """Doubling time of the first mode in ``unstable``, which grows fastest [s].
 
-        None if no mode grows, or this mode is a sustained oscillation.
+        None if no mode grows, or if that mode is a sustained oscillation.
         """
         return self.unstable[0].doubling_time if self.unstable else None
 
     @property
     def damping_ratio(self) -> float:
-        """Smallest damping ratio of all oscillations; 1 without any, negative if one grows.
+        """Smallest damping ratio of all oscillations; negative if an oscillation grows.
 
-        Growing modes count if `Mode.shakes` is true.
+        The value is 1 without oscillations. A growing mode counts as an oscillation if
+        `Mode.shakes` is true.
         """
         swinging = [mode for mode in self.unstable if mode.shakes]
         swinging += [self.least_damped] if self.least_damped is not None else []
@@ -330,27 +337,27 @@ def step_stability(
 ) -> Stability:
     """Evaluate the stability of a state by the eigenvalues of a MuJoCo step.
 
-    A step maps a deviation x of (qpos, qvel, act) to A x, with contacts, servos under their
-    commands (``data.ctrl``), friction and integrator of the model. A mode with an eigenvalue
-    outside of the unit circle grows: as an oscillation if complex (the robot shakes), otherwise
-    monotonically (it buckles). With time step h, the rate is ln|eigenvalue| / h.
+    A time step maps a deviation x of (qpos, qvel, act) to A x. A includes contacts, friction, the
+    integrator, and the servos with their commands (``data.ctrl``). A mode with an eigenvalue
+    outside of the unit circle grows. If the eigenvalue is complex, the robot oscillates (shakes);
+    otherwise it buckles monotonically. With time step h, the rate is ln|eigenvalue| / h.
 
-    Dry friction of joints and tendons is viscous in MuJoCo while nothing slides, and hides a mode
-    until a push overcomes the friction. Modes that grow within ``HOLD_DURATION``
-    (`Mode.grows_within`) in a model without this friction are therefore returned as well, with
-    ``Mode.without_dry_friction``. The friction of contacts is not changed.
+    While nothing slides, MuJoCo's dry friction of joints and tendons acts as viscous friction. It
+    hides a mode until a push overcomes the friction. Therefore the spectrum without this friction
+    is computed as well. Its modes that grow within ``HOLD_DURATION`` (`Mode.grows_within`) are
+    returned too, with ``Mode.without_dry_friction``. The friction of contacts is not changed.
 
     The spectrum is valid for states at rest (``Stability.speed``) and small deviations. For larger
-    pushes, simulate.
+    deviations, use a simulation.
 
     Source: MuJoCo documentation, ``mjd_transitionFD``; in the tangent space of qpos.
 
     Args:
-        model: MuJoCo model. During the call the solver tolerance is smaller, sleeping is disabled,
-            joint limits may be displaced by up to 2e-6 rad or m, and the dry friction of joints and
-            tendons may be zero.
+        model: MuJoCo model. It is changed during the call, and restored: a smaller solver
+            tolerance, no sleeping, joint limits displaced by up to 2e-6 rad or m, no dry friction
+            of joints and tendons.
         data: State with ``ctrl``; not changed.
-        settle: Time for which the state is simulated first [s].
+        settle: Time for which the state is simulated before the evaluation [s], from 0 to 600 s.
 
     Returns:
         The growing modes with and without dry friction, and the decaying oscillation with the
@@ -371,8 +378,8 @@ def judge_settled(
 ) -> tuple[Stability, mujoco.MjData]:
     """Simulate a state for a settling time, and compute the stability in the settled state.
 
-    Returns the result as of `step_stability`, and the state to which the result applies: normally
-    the state after settling. The result applies to the initial state in three cases:
+    Returns the stability as in `step_stability`, and the state to which it applies. This is
+    normally the state after settling. It is the initial state in three cases:
 
     - ``settle`` is below half a time step,
     - the simulation diverges,
@@ -400,8 +407,9 @@ def judge_settled(
 def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
     """Evaluate a state with and without the dry friction of joints and tendons.
 
-    The result is that with dry friction. Growing modes without dry friction are added if they grow
-    within ``HOLD_DURATION``. The least damped mode is that with the smaller damping ratio of both.
+    The result contains the growing modes with dry friction, and the modes without dry friction that
+    grow within ``HOLD_DURATION``. Its least damped mode has the smaller damping ratio of both
+    evaluations. The other values are those with dry friction.
     """
     found = _mark_repeated(model, data, _evaluate_at_limits(model, data))
     rubbing = model.dof_frictionloss, model.tendon_frictionloss
@@ -435,9 +443,9 @@ def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
 def _mark_repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability) -> Stability:
     """Set ``repeated_at_second_step`` of the growing modes, by a second spectrum.
 
-    A growing mode that disappears with the other finite-difference step, ``SECOND_STEP``, may be an
-    error of the differences. If `Stability.modes_growing_within` returns no mode, no second
-    spectrum is computed, and the result is ``found``.
+    If a growing mode disappears with the finite-difference step ``SECOND_STEP``, it may be a
+    numerical error. If `Stability.modes_growing_within` returns no mode for ``found``, the second
+    spectrum is not computed, and ``found`` is returned.
     """
     if not found.modes_growing_within():
         return found
@@ -446,8 +454,7 @@ def _mark_repeated(model: mujoco.MjModel, data: mujoco.MjData, found: Stability)
     def repeats(mode: Mode) -> bool:
         """Return True if the second spectrum has a mode with nearly the growth rate of ``mode``.
 
-        The second spectrum is computed with the finite-difference step ``SECOND_STEP``. The rates
-        differ by at most ``_RATE_TOLERANCE`` (relative).
+        Nearly means that the growth rates differ by at most ``_RATE_TOLERANCE`` (relative).
         """
         return any(
             abs(again.growth - mode.growth) <= _RATE_TOLERANCE * mode.growth for again in second
@@ -462,11 +469,11 @@ def _evaluate_at_limits(
 ) -> Stability:
     """Evaluate the spectrum of a state in which joints may be at their limits.
 
-    Finite differences are invalid across a limit. If joints are within `_LIMIT_DISTANCE` of the
-    positions at which limits begin to act (``margin`` included), these positions are moved to this
-    distance from the joint positions, once so that the joints are inside and once so that they are
-    beyond. The result with the larger spectral radius is returned.
-    ``difference`` is the finite-difference step.
+    Finite differences are invalid across a limit. A limit begins to act at ``range`` and ``margin``
+    of the joint. If a joint is within `_LIMIT_DISTANCE` of this position, the limit is moved to
+    this distance from the joint, and the spectrum is evaluated twice: with the joint inside of the
+    limit, and with the joint beyond the limit. The result with the larger spectral radius is
+    returned. ``difference`` is the finite-difference step.
     """
     scalar = np.isin(model.jnt_type, (JointKind.HINGE, JointKind.SLIDE))
     angles = data.qpos[model.jnt_qposadr][:, None]
@@ -513,7 +520,7 @@ class _Modes:
         self._grows = (self._growth > still) & ~self._drifts
 
     def summarise(self) -> Stability:
-        """Create the `Stability` of the modes: growing modes, and the least damped oscillation."""
+        """Create a `Stability` with the growing modes and the least damped oscillation."""
         model, data = self._model, self._data
         single = self._values.imag >= 0  # one of each conjugate pair
         growing = np.flatnonzero(self._grows & single)
@@ -541,7 +548,7 @@ class _Modes:
         return float(-exponent.real / abs(exponent))
 
     def _make_mode(self, mode: int) -> Mode:
-        """Create the result for eigenvalue number ``mode``."""
+        """Create the `Mode` of the eigenvalue with the index ``mode``."""
         timestep = float(self._model.opt.timestep)
         value, growth = self._values[mode], float(self._growth[mode])
         constant = timestep / abs(math.log1p(growth)) if growth else math.inf
@@ -579,13 +586,14 @@ class _Modes:
 
 
 def select_most_moving(shares: dict[str, float]) -> tuple[str, ...]:
-    """Return the names of up to `_MAX_NAMED_JOINTS` joints that move most, the largest first.
+    """Return the names of the joints that move most, largest motion first.
 
-    Joints that do not move, or less than `_MIN_NAMED_SHARE` of the largest motion, are omitted.
+    At most `_MAX_NAMED_JOINTS` joints are returned. A joint is omitted if it does not move, or if
+    its motion is less than `_MIN_NAMED_SHARE` of the largest motion.
 
     Args:
-        shares: {joint: magnitude of its motion}, for example amplitudes [rad, m]; only the ratios
-            count.
+        shares: {joint: magnitude of its motion}, for example amplitudes [rad, m]. Only the ratios
+            are used.
     """
     names = sorted(shares, key=shares.__getitem__, reverse=True)
     least = _MIN_NAMED_SHARE * shares[names[0]] if names else 0.0

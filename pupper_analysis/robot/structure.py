@@ -1,9 +1,8 @@
-"""``Structure``: data that depend on the robot only, and ``Kinematics``: positions of CoM and feet.
+"""``Structure``: model and indices of a robot. ``Kinematics``: positions of CoM, feet and links.
 
-Structure contains a Pinocchio model whose coordinates have the same axes as this package's
-(MuJoCo's; see ``robot.coordinates``), and the indices of frames and joints. It is computed once per
-robot, so that a configuration needs no search for names and no rotation of axes, and can reuse
-Pinocchio data.
+`Structure` contains a Pinocchio model in public coordinates (``robot.coordinates``), and the
+indices of frames and joints. It is computed once per robot. A `Configuration` then needs no search
+for names and no rotation of axes, and can reuse Pinocchio data.
 """
 
 from __future__ import annotations
@@ -19,14 +18,16 @@ from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.robot.coordinates import PinocchioConvention, normalise_quaternion
 
 _MAX_SPARE_DATA = 32
-"""Maximum number of unused Pinocchio data that a robot keeps for reuse. Bounds the memory:
-each takes 0.4 MB for Pupper v3 (measured). Chosen, not tuned."""
+"""Maximum number of unused Pinocchio data that a robot keeps for reuse; further data are dropped.
+The number bounds the memory: one set of data takes 0.4 MB for Pupper v3 (measured). Chosen, not
+tuned."""
 
 
 class Workspace:
-    """Pinocchio data with a single owner; returned to the pool when the workspace is deleted.
+    """Pinocchio data with a single owner.
 
-    If the pool contains `_MAX_SPARE_DATA` already, the data are dropped.
+    When the workspace is deleted, the data return to the pool for reuse. If the pool already
+    contains `_MAX_SPARE_DATA`, the data are dropped.
 
     Args:
         data: Pinocchio data.
@@ -47,31 +48,32 @@ class Workspace:
 
 
 class Structure:
-    """Model and indices of a robot.
+    """Pinocchio model of a robot in public coordinates, with indices of joints, links and feet.
 
     Args:
         model: Pinocchio model of the URDF; a free base is a free flyer.
-        convention: Maps between public coordinates and coordinates of the model.
+        convention: Maps between public coordinates and the coordinates of this model.
         joint_names: Joints in actuator order.
-        contact_frames: {contact point: link with this frame}.
+        contact_frames: {contact point: name of its link}.
 
     Attributes:
         model: Pinocchio model in public coordinates; see ``in_public_coordinates``.
         floating: Whether the base is free.
         nq: Size of the public qpos.
         nv: Size of the public qvel.
-        convention: Maps between public coordinates and coordinates of the model.
-        links: {link: frame index}.
-        joints: {joint: joint index}.
-        feet: {contact point: frame index}.
+        convention: Maps between public coordinates and the coordinates of the attribute ``model``.
+        links: {link: frame index in ``model``}.
+        joints: {joint: joint index in ``model``}.
+        feet: {contact point: frame index in ``model``}.
         parents: {contact point: index of the joint that moves the point}.
         rest: Zero velocity (nv,), read-only.
-        carried: Mask (nv, nv): whether coordinate i (row) is not before coordinate j (column) in
-            the model, or both are rotations of the base. For two coordinates on one chain: whether
-            j moves the axis of i.
+        carried: Mask (nv, nv). For coordinates i (row) and j (column) on one chain, it is True if j
+            moves the axis of i. In general, it is True if i is not before j in ``model``, or if
+            both are rotations of the base.
         total_mass: Mass [kg] of all links, including those fixed to a fixed base.
-        fixed: Mass that does not move (with a fixed base), relative to the total mass.
-        lever: CoM (3,) [m] of the fixed mass, in the world frame.
+        fixed: Mass of a fixed base and of the links fixed to it, relative to the total mass [1]. 0
+            for a free base.
+        lever: CoM (3,) [m] of this fixed mass, in the world frame.
     """
 
     def __init__(
@@ -122,7 +124,7 @@ class Structure:
         self._spare_data: list[pin.Data] = []
 
     def acquire_workspace(self) -> Workspace:
-        """Return a workspace: Pinocchio data, new or reused, for exclusive use by the caller.
+        """Return new or reused Pinocchio data, for exclusive use by the caller.
 
         The data return to the pool when the `Workspace` is deleted, unless the pool is full.
         """
@@ -133,9 +135,9 @@ class Structure:
         return Workspace(data, self._spare_data)
 
     def update_armature(self) -> pin.Model:
-        """Update the armature of ``model`` from the robot's Pinocchio model, and return ``model``.
+        """Copy the armature from the robot's Pinocchio model to ``model``, and return ``model``.
 
-        The armature of the robot's Pinocchio model may have been changed since construction.
+        This is needed because the armature of the robot's model may have changed.
         """
         self.model.armature = self._original_model.armature.take(self._original_order)
         return self.model
@@ -176,7 +178,7 @@ class Structure:
         )
 
     def to_qvel_order(self, forces: Array) -> Array:
-        """Return forces or accelerations of ``model``, (nv,), sorted into the order of qvel."""
+        """Sort forces or accelerations (nv,) from the order of ``model`` into the order of qvel."""
         public: Array = (
             forces if self._public_to_model is None else forces.take(self._public_to_model)
         )
@@ -201,9 +203,9 @@ class Structure:
         return matrix.take(self._public_to_model, axis=0).take(self._public_to_model, axis=1)
 
     def to_model_order(self, qvel: Array) -> Array:
-        """Sort a vector, shape (nv,), from the order of qvel into that of Pinocchio's ``model``.
+        """Sort a vector, shape (nv,), from the order of qvel into the order of ``model``.
 
-        For velocities, accelerations and generalised forces.
+        The vector contains velocities, accelerations or generalised forces.
         """
         if self._public_to_model is None:
             return qvel
@@ -215,10 +217,10 @@ class Structure:
 def in_public_coordinates(model: pin.Model, joint_names: Sequence[str]) -> pin.Model:
     """Return a Pinocchio model without armature, whose velocities have the axes of MuJoCo's qvel.
 
-    A free flyer becomes a translation, with velocity in world axes, and a spherical joint, with
-    velocity in body axes, as in MuJoCo's free joint. Quantities that Pinocchio computes then need
-    no rotation. The joints are in actuator order, as far as Pinocchio's depth-first order permits;
-    the quaternion in q is (x, y, z, w).
+    A free flyer becomes a translation joint (velocity in world axes) and a spherical joint
+    (velocity in body axes), as in MuJoCo's free joint. Results of Pinocchio then need no rotation
+    of axes. The joints are in actuator order, as far as Pinocchio's depth-first order permits. The
+    quaternion in q is (x, y, z, w).
 
     Args:
         model: Model of the robot; a free base is a free flyer.
@@ -250,7 +252,7 @@ def _sort_depth_first(model: pin.Model, preferred_order: Sequence[int]) -> Itera
 
     Args:
         model: Pinocchio model.
-        preferred_order: Joint indices; joints that are missing there precede their siblings.
+        preferred_order: Joint indices. A joint that is not in the list precedes its siblings.
     """
     rank = {joint: index for index, joint in enumerate(preferred_order)}
     children: dict[int, list[int]] = {}
@@ -277,9 +279,9 @@ class Kinematics:
         qpos: Current configuration (nq,), read-only.
         com: CoM (x, y, z) [m] in the world.
         feet: {contact point: centre (x, y, z) [m] of the sphere} in the world.
-        links: {link: rotation (3, 3) and origin (3,) [m]} in the world. The arrays are views of
-            Pinocchio's memory, and change with the next ``update``, unless memory sharing is
-            disabled (see ``is_pinocchio_memory``).
+        links: {link: (rotation (3, 3), origin (3,) [m])} in the world. The arrays are views of
+            Pinocchio's memory: the next ``update`` changes them, unless memory sharing is disabled
+            (see ``is_pinocchio_memory``).
     """
 
     qpos: Array
@@ -337,7 +339,7 @@ class Kinematics:
 def is_pinocchio_memory(array: Array) -> bool:
     """Return True if an array is a view of Pinocchio's memory, which later computations overwrite.
 
-    The array must come from Pinocchio: the result is True for any view. By default, Pinocchio
-    returns views; after ``pin.sharedMemory(False)``, it returns copies.
+    The array must come from Pinocchio, because the result is True for any view. By default,
+    Pinocchio returns views. After ``pin.sharedMemory(False)``, it returns copies.
     """
     return not array.flags.owndata
