@@ -1,4 +1,4 @@
-"""MuJoCo spec that a robot's model is compiled from."""
+"""MuJoCo spec from which a robot's model is compiled."""
 
 from __future__ import annotations
 
@@ -18,13 +18,14 @@ def make_mujoco_spec(
 ) -> tuple[mujoco.MjSpec, Array, list[Diagnostic]]:
     """Return a copy of the MJCF of a description, with its base fixed if requested.
 
-    If ``fixed_base`` is true, free joints and keyframes are removed; if the MJCF had a free joint,
-    its ground does not collide. A robot with a free base and without a floor gets a floor.
+    If ``fixed_base`` is true, free joints and keyframes are removed. The ground then does not
+    collide, if the MJCF had a free joint. If ``fixed_base`` is false, a robot with a free joint and
+    without a floor gets a floor.
 
     Returns:
-        Spec; qpos of the keyframe ``home`` (else of the first keyframe), in MuJoCo's order and with
-        the coordinates of a free joint that was removed, empty if no keyframe or no qpos is stated;
-        notes.
+        Spec; qpos; notes. qpos belongs to the keyframe ``home``, otherwise to the first keyframe.
+        It is in MuJoCo's order, and includes the coordinates of a removed free joint. It is empty
+        if the MJCF states no keyframe or no qpos.
     """
     notes = []
     spec = description.mjcf.copy()

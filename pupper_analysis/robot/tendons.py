@@ -18,13 +18,13 @@ SUPPORTED_EQUALITIES = frozenset(
         mujoco.mjtEq.mjEQ_TENDON,
     }
 )
-"""Types of equality constraints that computed stances satisfy, unless a constraint couples a free
-base to the world (`find_closure` in ``closure``)."""
+"""Types of equality constraints that computed stances satisfy. Exception: if a constraint couples a
+free base to the world, stances ignore the equality constraints (`find_closure` in ``closure``)."""
 
 _LIMIT_DISABLING_BITS = (
     mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value | mujoco.mjtDisableBit.mjDSBL_LIMIT.value
 )
-"""MuJoCo's disable flags with which ranges of tendons have no effect."""
+"""MuJoCo's disable flags (bit mask). If one of them is set, ranges of tendons have no effect."""
 
 
 def report_ignored_equalities(model: mujoco.MjModel) -> list[Diagnostic]:
@@ -44,10 +44,10 @@ def report_ignored_equalities(model: mujoco.MjModel) -> list[Diagnostic]:
 
 
 def report_ignored_tendon_ranges(model: mujoco.MjModel) -> list[Diagnostic]:
-    """Report the tendons with a range, which the stance solver ignores.
+    """Report the tendons with a limited length, because the stance solver ignores the limits.
 
-    Empty without such tendons, or if the MJCF disables limits or constraints, because MuJoCo then
-    ignores the ranges as well.
+    The result is empty if the MJCF disables limits or constraints, because MuJoCo then ignores the
+    limits as well.
     """
     messages = []
     for tendon in model.tendon_limited.nonzero()[0].tolist():

@@ -33,26 +33,26 @@ from pupper_analysis.robot.robot import Robot, Touching
 def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robot:
     """Return a robot whose MuJoCo model has the ground and the welds of a task.
 
-    The floor is tilted, and a box is added for each step (a cylinder for a bar), with the contact
-    parameters of the floor; the parameters of a plane with own friction come from `Robot.contacts`.
-    Other planes of the world are replaced by the floor (`merge_planes`). The following collisions
-    are disabled:
+    The floor is tilted. A box is added for each step, and a cylinder for each bar. These geoms have
+    the contact parameters of the floor. Exception: if a plane has a friction coefficient of its
+    own, the parameters come from `Robot.contacts`. The floor replaces other planes of the world
+    (`merge_planes`). The following collisions are disabled:
 
-    - between a foot on a step and the floor, which is above a step down and may be reached through
-      a low step;
-    - between a sole and the box: the sole collides with a plane on top of the box, reserved for
-      this foot, because MuJoCo places its contacts with a box at other points;
-    - between the shapes of a hand and its plane, except the contact sphere, which they surround;
+    - between a foot on a step and the floor, because the foot may be below the floor (in a pit), or
+      reach the floor through a low step;
+    - between a sole and its box, because MuJoCo would place the contacts at other points; the sole
+      collides with a plane on top of the box, which no other foot touches;
+    - between the shapes of a hand and its plane; only the contact sphere of the hand collides;
     - between a welded part and all of these geoms.
 
-    Welds to the world are initially inactive (see ``close_welds``). On level ground without welds
-    and grips, the result is ``robot`` itself.
+    Welds to the world are inactive until ``close_welds``. On level ground without welds and grips,
+    the result is ``robot`` itself.
 
     Args:
         robot: Robot whose MJCF has a floor; a missing floor is added.
         ground: Slope and steps.
-        places: {contact point: sphere centre (3,) [m] in the world frame}, also of lifted feet,
-            for rigid ground; determines the positions of the steps.
+        places: {contact point: sphere centre (3,) [m] in the world frame}, computed for rigid
+            ground, also for lifted feet. The steps are placed below these points.
 
     Raises:
         ModelError: If the MJCF has not enough unused bits of ``contype``, or the model cannot be
@@ -68,7 +68,7 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
 
 
 def _add_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
-    """Add an inactive weld to the world for each welded part (for a grip, a connection).
+    """Add an inactive weld to the world for each welded part, and a ``connect`` for each grip.
 
     Contacts of the part with the world and with bodies fixed to it are excluded.
     """
@@ -95,17 +95,17 @@ def weld_name(name: str) -> str:
 def close_welds(
     robot: Robot, model: mujoco.MjModel, qpos: Array, pushes: Mapping[str, Array]
 ) -> None:
-    """Activate the welds of a model at a configuration, in place.
+    """Activate the welds and grips of a model at a configuration, in place.
 
-    MuJoCo's constraints are soft. The target pose of each weld or grip is offset by the static
-    deflection (nanometres), so that the configuration is an equilibrium.
+    MuJoCo's constraints are soft: they deflect under load by nanometres. The target pose of each
+    weld or grip is offset by this deflection, so that the configuration is an equilibrium.
 
     Args:
         robot: Result of ``build_on_ground``.
         model: Model of the robot, or a copy with servos.
         qpos: Configuration (nq,).
-        pushes: {welded or gripping part: generalised force (nv,) [N, N m] of the weld on the
-            robot, in the order of qvel}.
+        pushes: {welded or gripping part: generalised force (nv,) [N, N m] that the weld must exert
+            on the robot, in the order of qvel}.
     """
     welds = {name: model.equality(weld_name(name)).id for name in robot.fixed_parts}
     if not welds:
@@ -136,7 +136,7 @@ def close_welds(
 
 
 def weld_forces(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, Array]:
-    """Return the force of the world on each part that a task welds to the world or lets grip.
+    """Return the force of the world on each welded or gripping part of the robot.
 
     Args:
         robot: Robot with the contacts of the task.
@@ -163,7 +163,7 @@ def find_touched_surface(
 
     Returns:
         Kind of the surface, with its foot or hand, such as "wall of left_palm". None if the body
-        touches the floor, or none of these surfaces.
+        touches the floor, or touches no such surface.
     """
     body_id, surface = model.body(body).id, None
     all_bodies = list_contact_bodies(model, data).tolist()
@@ -179,9 +179,10 @@ def find_touched_surface(
 
 
 def _find_surface_kind(model: mujoco.MjModel, geom: int) -> str:
-    """Return the kind of a surface: "step", "bar", or for a plane a key of ``PLANE_NORMALS``.
+    """Return the kind of a surface of a task: step, bar, wall, table or ceiling.
 
-    A step, and a plane parallel to the ground, is "step". The result is empty for another plane.
+    A surface parallel to the ground is "step". The kind of another plane follows from its normal
+    (``PLANE_NORMALS``). The result is empty if the normal is not in the table.
 
     Args:
         model: Model with the ground of a task.
@@ -204,12 +205,12 @@ def _find_surface_kind(model: mujoco.MjModel, geom: int) -> str:
 
 
 _NORMAL_ATOL = 1e-6
-"""Tolerance of the components of unit normals that count as equal, above the rounding of
-quaternions. Chosen, not tuned."""
+"""Tolerance of the components of two unit normals [1] that count as equal. It exceeds the rounding
+errors of quaternions. Chosen, not tuned."""
 
 _STEP_PREFIX, _TOP_PREFIX = "step", "top"
-"""Start of the names of geoms for a step, plane or bar, and for the plane on top of a box. The name
-of the foot follows after an underscore."""
+"""Prefix of the geom name of a step, plane or bar, and of the plane on top of a box. An underscore
+and the name of the foot follow."""
 
 
 def _find_rows(data: mujoco.MjData, equality: int) -> NDArray[np.int64]:
@@ -219,14 +220,14 @@ def _find_rows(data: mujoco.MjData, equality: int) -> NDArray[np.int64]:
 
 
 def _place_weld(model: mujoco.MjModel, data: mujoco.MjData, number: int, violation: Array) -> None:
-    """Set the target of a weld so that the present pose of the body violates it by ``violation``.
+    """Set the target of a weld so that the present pose violates it by ``violation``.
 
     Args:
         model: Model to modify.
         data: Data with kinematics.
         number: Id of the equality constraint: a weld, or a ``connect`` for a grip.
-        violation: Constraint violation (6,): translation [m], and half of the rotation vector
-            [rad], the vector part of a quaternion. For a grip, only the translation is used.
+        violation: Constraint violation (6,): translation [m], then half of the rotation vector
+            [rad], as in the vector part of a quaternion. For a grip, only the translation is used.
     """
     body, relative_quaternion, inverse_quaternion = (
         int(model.eq_obj1id[number]),
@@ -250,7 +251,7 @@ def _add_ground(
 ) -> None:
     """Tilt the floor, and add the box or cylinder under each foot (`Ground.steps`), in place.
 
-    Further planes of the world, such as a second level plane, do not collide (`merge_planes`).
+    Other planes of the world, such as a second level plane, no longer collide (`merge_planes`).
 
     Args:
         robot: Robot.
@@ -309,8 +310,8 @@ def _add_ground(
 def _set_contact(geom: mujoco.MjsGeom, parameters: ContactParameters, priority: int) -> None:
     """Set the contact parameters of a geom, in place.
 
-    In a contact with a geom of lower priority, MuJoCo then uses these parameters instead of
-    combining both geoms. Margins of both geoms still add.
+    In a contact with a geom of lower ``priority``, MuJoCo uses only these parameters, and does not
+    combine the parameters of both geoms. Margins are added nevertheless.
     """
     geom.priority, geom.condim = priority, parameters.condim
     geom.friction = np.take(parameters.friction, (0, 2, 3))
@@ -338,7 +339,7 @@ def _separate_from_floor(
         spec: Spec to modify.
         floor: Floor of the spec; its contacts with all other geoms remain.
         feet: Feet that must not collide with the floor.
-        alone: Feet that get a contact bit of their own, for a geom that no other foot touches.
+        alone: Feet that get a separate contact bit, for a geom that no other foot touches.
 
     Returns:
         {foot in ``alone``: bit of ``contype`` that only geoms of this foot have}.

@@ -2,8 +2,8 @@
 
 Input: the name of a frame of either file, or a position in such a frame. Output: a `Tool` with
 link, offset and the joints that move the point (`find_tool`, `find_place`), or a robot with a point
-mass at the point in both models (`with_payload`). By default, the tool is the end of the longest
-chain of joints.
+mass at the point in both models (`with_payload`). By default, the tool is the link at the end of
+the longest chain of joints.
 """
 
 from __future__ import annotations
@@ -35,25 +35,26 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
 _MIN_ARM_JOINTS = 3
-"""Minimum number of joints that move the link with the fingers, for the link to count as a hand
-(the default tool). The two joints of a free base in Pinocchio's model count. Chosen, not tuned."""
+"""Minimum number of joints that move a link with fingers, for the link to count as a hand (the
+default tool). The two joints of a free base in Pinocchio's model are included in this number.
+Chosen, not tuned."""
 
 _MAX_FINGER_JOINTS = 4
-"""Maximum number of joints of a finger: a branch of the tree with more joints is no finger. Chosen,
-not tuned."""
+"""Maximum number of joints of a finger. A branch of the joint tree with more joints is no finger.
+Chosen, not tuned."""
 
 
 _NUM_FRAMED_VALUES = 4
-"""Number of elements of a position in a frame: name of the frame, x, y, z."""
+"""Number of elements of a position with frame: (name of the frame, x, y, z)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tool(Result):
-    """A point of a robot.
+    """Point of a robot, at which a load is attached or a force acts.
 
     Attributes:
-        name: Name of the given or found frame: a link of the URDF, or a site, body or geom of the
-            MJCF.
+        name: Name of the frame from which the point was found: a link of the URDF, or a site, body
+            or geom of the MJCF.
         link: Link of the URDF that carries the point.
         offset: Vector from the frame of the link to the point, in the axes of the link, shape (3,)
             (m).
@@ -66,7 +67,7 @@ class Tool(Result):
     chain: tuple[str, ...]
 
     def translated(self, way: ArrayLike) -> Tool:
-        """Return a copy of this point, translated by ``way``, shape (3,) [m], in link axes.
+        """Return a copy of this point, displaced by ``way``, shape (3,) [m], in link axes.
 
         Raises:
             ConfigurationError: If ``way`` is no finite vector (3,), or too large.
@@ -95,21 +96,21 @@ class Tool(Result):
         return str(model.body(body).name), position
 
     def jacobian(self, config: Configuration) -> Array:
-        """Return the Jacobian (3, nv) of the velocity of this point [m/s], in world axes."""
+        """Return the Jacobian (3, nv) of this point in world axes, which maps qvel to m/s."""
         return self.twist_jacobian(config)[:3]
 
     def twist_jacobian(self, config: Configuration) -> Array:
-        """Return the Jacobian (6, nv) of the velocity of this point, and of its link's rotation.
+        """Return the Jacobian J, shape (6, nv), of this point and of the rotation of its link.
 
-        Rows: velocity of the point [m/s], angular velocity [rad/s], both in world axes.
+        J qvel = (velocity of the point [m/s], angular velocity of the link [rad/s]), in world axes.
         """
         return config.frame_jacobian(self.link, config.frame_rotation(self.link) @ self.offset)
 
     def load_per_mass(self, config: Configuration) -> Array:
-        """Return the generalised force that supports a mass at this point, per mass: -J^T g.
+        """Return the generalised force that supports a mass at this point, per mass of 1 kg.
 
-        Shape (nv,) [N/kg, N m/kg], with J the Jacobian of the point, and g the gravity vector
-        [m/s^2].
+        It is -J^T g, shape (nv,) [N/kg, N m/kg], with the Jacobian J of the point and the gravity
+        vector g [m/s^2].
         """
         load: Array = -config.robot.gravity @ self.jacobian(config)
         return load
@@ -121,13 +122,13 @@ FramePoint = Sequence[float] | Sequence[str | float] | Tool
 
 @check_arguments
 def find_tool(robot: Robot, name: str | None = None) -> Tool:
-    """Return the tool of a robot, a point at the end of a limb; or a named frame as the tool.
+    """Return the tool at a named frame, or the default tool at the end of a limb.
 
     Args:
         robot: The robot.
-        name: Link of the URDF, or site, body or geom of the MJCF. By default, the link at the end
-            of the longest chain of joints; for a chain that ends in fingers, the link that carries
-            the fingers.
+        name: Name of a link of the URDF, or of a site, body or geom of the MJCF. By default, the
+            link at the end of the longest chain of joints. If this chain ends in fingers, the
+            default is the link that carries the fingers.
 
     Raises:
         UnknownNameError: If there is no such frame; the message lists links and sites.
@@ -155,8 +156,8 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
 def find_place(robot: Robot, point: FramePoint) -> Tool:
     """Convert a position in the frame of a link, site, body or geom to a `Tool`.
 
-    A `Tool` is a point of a robot: link of the URDF, offset (3,) [m] in the link frame, and the
-    joints that move the point. A point in the base frame is a tool of the base, without joints.
+    A `Tool` contains the link of the URDF that carries the point, the offset (3,) [m] in the link
+    frame, and the joints that move the point. A point in the base frame is moved by no joint.
 
     Args:
         robot: The robot.
@@ -199,7 +200,7 @@ def split_place(point: Any) -> tuple[str, Any]:
 
 
 def check_point(point: ArrayLike) -> Array:
-    """Check the coordinates of a point, and return these as an array, shape (3,) [m].
+    """Check the coordinates of a point, and return them as an array, shape (3,) [m].
 
     Raises:
         ConfigurationError: If the point has another shape, or a coordinate is not a finite number
@@ -223,7 +224,7 @@ def _express_in_link(robot: Robot, body: int, world: Array) -> tuple[str, Array]
 def _find_carrying_link(robot: Robot, body: int) -> str:
     """Return the first link of the URDF that moves with a body of the MJCF.
 
-    A body that is fixed in the world, or that a free base moves, has the base as link.
+    The result is the base if the body is fixed to the world or to a free base.
     """
     model = robot.mj_model
     while body and not model.body_jntnum[body]:
@@ -261,8 +262,8 @@ def _find_chain(robot: Robot, link: str) -> tuple[str, ...]:
 def _find_end_link(robot: Robot) -> str:
     """Return the last link of the longest chain of joints, or the link that carries its fingers.
 
-    Fingers are two or more branches of at most `_MAX_FINGER_JOINTS` joints on the same link of the
-    chain, which at least `_MIN_ARM_JOINTS` joints move.
+    Two or more branches of at most `_MAX_FINGER_JOINTS` joints on the same link of the chain count
+    as fingers. At least `_MIN_ARM_JOINTS` joints must move this link.
     """
     model = robot.structure.model
     lengths = [len(support) - 1 for support in model.supports]
@@ -280,7 +281,7 @@ def _find_end_link(robot: Robot) -> str:
 
 
 _PAYLOAD_NAME = "payload"
-"""Name of the link and body of a payload."""
+"""Name of the link and of the body of a payload; underscores are appended if the name is in use."""
 
 
 @check_arguments
@@ -291,22 +292,23 @@ def with_payload(
 ) -> Robot:
     """Return a robot with a point mass welded to both models.
 
-    Joints, limits, gains, feet, and the default base height are unchanged. MuJoCo derives
-    the softness of a contact from the mass of the body (``body_invweight0``), so predictions and
-    simulations of the result use the contacts of the loaded robot.
+    Joints, limits, gains, feet, and the default base height are unchanged. Contacts become stiffer
+    or softer, because MuJoCo derives their softness from the masses (``body_invweight0``).
+    Predictions and simulations of the result use the contacts of the loaded robot.
 
     Args:
         robot: The robot.
         mass: Mass of the payload [kg], finite and >= 0.
-        point: Position (3,) [m] in the base frame; or in the frame of a link, site, body or geom,
-            as ``("right_hand", 0.0, 0.0, 0.05)``; or a ``Tool``.
+        point: Position of the payload: (x, y, z) [m] in the base frame; (frame, x, y, z) [m] in the
+            frame of a link, site, body or geom, for example ``("right_hand", 0.0, 0.0, 0.05)``; or
+            a ``Tool``.
 
     Returns:
         The loaded robot; the robot itself if the mass is zero.
 
     Raises:
-        ConfigurationError: If mass or point is not valid, or if the base is fixed, and no joint
-            moves the point.
+        ConfigurationError: If the mass or the point is not valid. If the base is fixed, and no
+            joint moves the point.
         UnknownNameError: If the robot has no such frame.
         ModelError: If the loaded model cannot be built.
     """
@@ -348,8 +350,8 @@ class _LoadedModel:
     Attributes:
         place: Link, bytes of the offset, and name of the payload's body; None without a payload.
         robot: Robot with the payload, without its published file; None without a payload.
-        is_exact: Whether a change of the mass in the compiled model has given the model that
-            MuJoCo compiles; None before the first comparison.
+        is_exact: Whether a change of the mass in the compiled model gives the same model as
+            compiling with the new mass. None before this comparison.
     """
 
     place: tuple[str, bytes, str] | None = None
@@ -365,17 +367,18 @@ def _make_cache(_: Robot) -> _LoadedModel:
 def _build_loaded_robot(
     robot: Robot, place: tuple[str, bytes, str], mass: float, changes: dict[str, Any]
 ) -> Robot:
-    """Build a robot with a payload; from the third mass at a place on, without a compilation.
+    """Build a robot with a payload, if possible without compiling the model again.
 
-    The models with the first two masses are compiled. The second model is compared byte by byte
-    with the first model after a change of its mass. If they differ, for example because MuJoCo
-    computes the damping of a servo from ``dampratio``, all masses are compiled.
+    For the first two masses at a point, the models are compiled. The second model is compared byte
+    by byte with a copy of the first model whose payload mass is changed. If both are equal, the
+    models of all further masses are such copies. If they differ, for example because MuJoCo
+    computes the damping of a servo from ``dampratio``, all models are compiled.
 
     Args:
         robot: Robot without payload.
         place: Link, bytes of the offset, and name of the payload's body.
         mass: Mass of the payload [kg].
-        changes: Fields of ``Description`` with the payload.
+        changes: New values of fields of ``Description``: the files with the payload.
     """
     cache = robot.compute_once(_make_cache)
     if cache.place != place:
@@ -400,10 +403,10 @@ def _build_loaded_robot(
 def _change_payload_mass(loaded: Robot, name: str, mass: float) -> mujoco.MjModel | None:
     """Return a copy of a robot's MuJoCo model with another mass [kg] of the payload's body.
 
-    Constants that depend on the mass are computed again, among these ``meaninertia`` and
-    ``meanmass``, which ``mj_setConst`` does not change. None if MuJoCo would not compile the mass
-    as given: with a lower bound of all masses, without such a body, or with a number that is
-    refused.
+    Constants that depend on the mass are computed again. This includes ``meaninertia`` and
+    ``meanmass``, which ``mj_setConst`` does not change. The result is None if the file sets a lower
+    bound of all masses (``boundmass``), if there is no such body, or if a number of the model would
+    be refused.
     """
     statistic = loaded.description.mjcf.stat
     body = mujoco.mj_name2id(loaded.mj_model, mujoco.mjtObj.mjOBJ_BODY, name)

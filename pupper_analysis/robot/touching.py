@@ -1,8 +1,8 @@
 """Robot with the contacts of a task: hands, welds, and the friction of planes.
 
 Input: a robot and the contacts {foot or frame: contact}. Output: a robot with contact points for
-hands (massless spheres), with the friction of the planes, and with a free base if a fixed base is
-welded by the task.
+hands (massless spheres), and with the friction of the planes. If the task welds a fixed base, the
+base of the output is free.
 """
 
 from __future__ import annotations
@@ -37,26 +37,26 @@ from pupper_analysis.robot.structure import Kinematics
 from pupper_analysis.robot.tool import Tool, find_tool
 
 _CACHE_SIZE = 8
-"""Maximum number of cached robots with contacts; the least recently used are dropped. Chosen, not
-tuned."""
+"""Maximum number of cached robots with contacts. If there are more, the least recently used robot
+is dropped. Chosen, not tuned."""
 
 
 _BASE_ARMATURE_FACTOR = 1e4
-"""Ratio of armature [kg, kg m^2] to robot mass [kg] for the base of a robot that its file fixes to
-the world. For a welded contact the fixed base gets a free joint, whose armature represents the
-environment: MuJoCo's welds are soft, and a light base would oscillate. Chosen, not tuned."""
+"""Ratio of the armature [kg, kg m^2] of a base to the robot's mass [kg]. It is used if a task welds
+a base that the file fixes to the world: the base then gets a free joint, and this joint the
+armature. The large armature represents the environment. MuJoCo's welds are soft, and a light base
+would oscillate. Chosen, not tuned."""
 
 
 def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
     """Return a robot that can make the contacts of a task.
 
-    The result is ``robot`` itself if ``robot`` already has the properties of these contacts, for
-    example without contacts.
+    The result is ``robot`` itself if no change is required, for example without contacts.
 
-    A part other than a foot (hand) gets a contact point: a massless sphere that collides only with
-    its plane. The friction of a plane is that of the contact. The contact spheres of welded or
-    gripping hands do not collide. If a task welds a base that is fixed to the world, the base
-    becomes free, and is held by the weld.
+    A part that is no foot (hand) gets a contact point: a massless sphere that collides only with
+    its plane. The spheres of welded or gripping hands do not collide. The friction of each contact
+    is the friction of its plane. If a task welds a base that is fixed to the world, the base
+    becomes free, and the weld holds it.
 
     Args:
         robot: Robot, which may already be the result of this function.
@@ -67,12 +67,11 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
         ConfigurationError: For each of these conflicts:
 
             * a named frame moves with a foot, but is not the foot;
-            * options of hands: ``offset`` or ``radius`` in the contact of a foot, ``place`` or
-              ``offset`` in the weld of a foot or of the base;
+            * options for hands are used for a foot or base: ``offset`` or ``radius`` in the contact
+              of a foot, ``place`` or ``offset`` in the weld of a foot or of the base;
             * a foot with several contact points touches a bar, or grips;
             * a contact other than a weld is on the base;
-            * a weld or grip and another contact, both of hands, are on links that move with the
-              same joint;
+            * a hand is welded or grips, and moves with the same joint as another hand;
             * a fixed base cannot be made free;
             * the robot was changed after it got other contacts.
         ModelError: If the model with the contacts cannot be built.
@@ -104,12 +103,12 @@ def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot
 
 
 def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
-    """Convert a contact or weld to the changes of the robot that it requires.
+    """Convert a contact or weld to the properties that the robot must have.
 
     Args:
         name: Name of the part, for messages.
         contact: Contact or weld of the part.
-        foot: Whether the part is a foot; otherwise a hand or the base.
+        foot: True for a foot, False for a hand or the base.
     """
     if isinstance(contact, Weld):
         _require_hand(name, not foot or not any(contact.offset), "offset")
@@ -125,7 +124,7 @@ def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
 
 
 def _require_hand(name: str, is_hand: bool, arguments: str) -> None:
-    """Raise a ConfigurationError unless the part is a hand: ``arguments`` apply to hands only."""
+    """Raise a ConfigurationError unless the part is a hand: ``arguments`` require a hand."""
     if not is_hand:
         raise ConfigurationError(
             "contacts", diagnose("foot-is-no-hand", foot=name, given=arguments)
@@ -178,7 +177,7 @@ def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) ->
 
 
 def _find_frame(robot: Robot, name: str) -> Tool:
-    """Return the frame with a name; ``base`` is the base, unless another frame has this name.
+    """Return the frame with a name; the name ``base`` means the base, if no frame has this name.
 
     Raises:
         UnknownNameError: If the robot has no such frame.
@@ -193,11 +192,11 @@ def _find_frame(robot: Robot, name: str) -> Tool:
 
 
 def _make_base_free(robot: Robot) -> Robot:
-    """Return a robot with a free base instead of a base fixed by the file or the caller.
+    """Return a copy of a robot with a fixed base, whose base is free.
 
-    Without feet, ``home`` has the default posture of the fixed robot (`default_positions`), with
-    loops closed if possible. If the file has no floor, the added floor does not collide, because
-    the robot with a fixed base has no floor.
+    If the robot has no feet, ``home`` is the default posture of the fixed robot
+    (`default_positions`), with loops closed if possible. If the file has no floor, a floor without
+    collisions is added.
 
     Raises:
         ConfigurationError: If the file has no base body to make free, or a base without mass or
@@ -295,9 +294,9 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
 
 
 _PROBE_RADIUS = 1e-4
-"""Radius [m] of the sphere that represents the contact point of a hand when its depth inside the
-collision shapes is computed: the library (coal) requires a body with a volume. Chosen, not
-tuned."""
+"""Radius [m] of the small sphere that represents the contact point of a hand, when its depth inside
+the collision shapes is computed. The collision library (coal) requires a body with a volume, so a
+point is not possible. Chosen, not tuned."""
 
 _DEFAULT_BALL_RADIUS = 1e-2
 """Radius [m] of the contact sphere of a hand (a touching part other than a foot) if the centre of
@@ -305,10 +304,10 @@ the sphere is not inside a collision shape of the link. Chosen, not tuned."""
 
 
 def _inscribed_radius(robot: Robot, tool: Tool) -> float:
-    """Return the radius [m] of a contact sphere: the largest that fits into a collision shape.
+    """Return the radius [m] of the largest sphere around the tool that fits into a collision shape.
 
-    The centre of the sphere is the position of the tool. If the tool is not inside a shape of its
-    moving link, the result is ``_DEFAULT_BALL_RADIUS``.
+    Shapes of the links that move with the tool are examined. If the tool is not inside such a
+    shape, the result is ``_DEFAULT_BALL_RADIUS``.
     """
     kinematics, probe = Kinematics(robot.structure), coal.Sphere(_PROBE_RADIUS)
     kinematics.update(robot.neutral())
