@@ -353,15 +353,33 @@ class Evaluator:
     _run_annassign = _run_assign
 
     def _run_augassign(self, statement: ast.AugAssign, scope: Scope) -> None:
-        """Assign the result of an operation such as ``x += 1`` to the target ``x``."""
+        """Assign the result of an operation such as ``x += 1`` to the target ``x``.
+
+        A list is changed in place: other names of the same list have the new content.
+
+        Raises:
+            NotConstantError: If the new content of a list or table is unknown.
+        """
         read = ast.copy_location(
             ast.BinOp(statement.target, statement.op, statement.value), statement
         )
-        self._assign_target(statement.target, self.evaluate(read, scope), scope)
+        before, result = self.evaluate(statement.target, scope).value, self.evaluate(read, scope)
+        if isinstance(before, list) and isinstance(result.value, list):
+            before[:] = result.value
+            result = replace(result, value=before)
+        elif isinstance(before, list | dict):
+            raise NotConstantError
+        self._assign_target(statement.target, result, scope)
 
     def _run_expr(self, statement: ast.Expr, scope: Scope) -> None:
-        """Evaluate an expression statement, for example a call."""
-        self.evaluate(statement.value, scope)
+        """Evaluate an expression statement, for example a call.
+
+        Raises:
+            NotConstantError: If a call cannot be evaluated: it may have changed values.
+        """
+        result = self.evaluate(statement.value, scope)
+        if isinstance(statement.value, ast.Call) and isinstance(result.value, UnknownValue):
+            raise NotConstantError
 
     def _run_return(self, statement: ast.Return, scope: Scope) -> None:
         """Raise the signal that leaves a function with the returned value."""
@@ -835,6 +853,9 @@ class Evaluator:
             case ast.Subscript():
                 content = self.evaluate(to.value, scope).value
                 if isinstance(content, list | dict):
+                    is_unknown = isinstance(self.evaluate(to.slice, scope).value, UnknownValue)
+                    if is_unknown and not isinstance(to.slice, ast.Attribute):  # no enum member
+                        raise NotConstantError
                     self._apply_function(
                         operator.setitem, content, self._make_key(to.slice, scope), value
                     )

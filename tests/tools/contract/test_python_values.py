@@ -163,3 +163,24 @@ def test_number_of_decimals_equals_the_source_text(tmp_path: Path) -> None:
     assert evaluate_x(tmp_path, "y = 1\n\x0c\nx = 2.50\n").decimals == 2
     assert evaluate_x(tmp_path, "x = 0xef\n").decimals == 0
     assert evaluate_x(tmp_path, "x = 1_0.25e1\n").decimals == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("x = {'kp': 1.0}\nx.update(load())\n", {"kp": "<x.update(load())>"}),
+        ("x = [1.0]\nx.extend(load())\n", ["<x.extend(load())>"]),
+        ("x = [1.0]\nx.append(load())\n", [1.0, "<load()>"]),
+        ("x = {'kp': 1.0}\nx[load()] = 2.0\n", {"kp": "<x[load()] = 2.0>"}),
+        ("x = {'kp': 1.0}\nx[Joint.KNEE] = 2.0\n", {"kp": 1.0, "Joint.KNEE": 2.0}),
+        ("def f(d):\n    d.update(load())\nx = {'kp': 1.0}\nf(x)\n", {"kp": "<d.update(load())>"}),
+        ("x = [1.0]\ny = x\ny += [2.0]\n", [1.0, 2.0]),
+        ("x = {'kp': 1.0}\ny = x\ny |= {'kp': 3.0}\n", {"kp": "<y |= {'kp': 3.0}>"}),
+        ("x = [1.0]\nlog.info(x)\nprint(x)\n", [1.0]),
+    ],
+)
+def test_changes_by_unknown_values_leave_no_old_number(
+    tmp_path: Path, text: str, expected: object
+) -> None:
+    """Reference: the meaning of the statements in Python; `load` and `Joint` are not known."""
+    assert to_plain(evaluate_x(tmp_path, text)) == expected
