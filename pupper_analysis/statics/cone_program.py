@@ -31,9 +31,10 @@ point upward, and as relative tolerance of contact forces. Chosen, not tuned."""
 
 
 MAX_TOTAL_NORMAL_FORCE = 10.0
-"""Upper bound of the sum of normal forces, in units of the robot's weight, in the programs of the
-support polygon and of the range of a prescribed contact force. Between steep walls unbounded forces
-would balance any CoM position. Chosen: legs do not press harder."""
+"""Upper bound of the sum of all normal forces, in units of the robot's weight. The bound applies in
+the cone programs for the support region and for the range of a prescribed contact force. Without
+the bound, forces between steep walls would balance any CoM position. Chosen: legs do not press
+harder."""
 
 _CONE_MARGIN = 1e-6
 """Relative reduction of the friction coefficients (and of grip limits) in the cone program, so that
@@ -42,19 +43,19 @@ the solver's rounding stays inside the true cones. Chosen, not tuned."""
 
 _LARGE_FRICTION = 10.0
 """Friction coefficient above which the rows of a cone are divided by the coefficient. Without
-scaling, Clarabel fails for coefficients of 1,000 and more. Chosen: far above the coefficients of
-real materials, whose rows stay unscaled."""
+scaling, Clarabel fails for coefficients of 1,000 and more. Chosen far above the coefficients of
+real materials, so that their rows stay unscaled."""
 
 
 _TANGENTIAL_WEIGHT = 1e3
-"""Weight of tangential force components relative to normal components in `TangentialMetric`.
-Chosen: large enough that normal forces matter only where tangential forces are equal."""
+"""Weight of tangential force components relative to normal components in `TangentialMetric`. Chosen
+so large that normal forces decide only between solutions with equal tangential forces."""
 
 
 _PEAK_SLACK = 1e-7
-"""Relative increase of the peak utilisation that the second cone program of
-`Balance.min_max_torque` may accept over the minimum found by the first program, so that rounding
-does not make the second program infeasible. Chosen, not tuned."""
+"""Relative slack of the peak utilisation in `Balance.min_max_torque`. The first cone program finds
+the smallest peak. The second program may exceed this peak by the slack, so that rounding does not
+make the second program infeasible. Chosen, not tuned."""
 
 
 _BOUND_TOLERANCE = 1e-6
@@ -127,8 +128,8 @@ class Balance:
 
         Returns:
             Forces in world axes, shape (size,) [N, N m]: contact forces (3 n,), wrenches of welds
-            (6 w,), forces of grips, which hold a point in all directions (3 g,). None if no forces
-            satisfy balance, friction and grip limits.
+            (6 w,), forces of grips (3 g,). None if no forces satisfy balance, friction and grip
+            limits.
         """
         forces = metric.solve_min_norm(self.base_rows, self.base_load)
         if forces is not None:
@@ -138,12 +139,12 @@ class Balance:
         return self.solve(friction, metric, np.zeros(self.base_rows.shape[1]))
 
     def solve_normal_only(self) -> Array | None:
-        """Compute forces of equilibrium without tangential contact forces, for welds or grips.
+        """Compute equilibrium forces without tangential contact forces, for welds or grips.
 
-        A weld or a grip carries the rest of the load, so contacts need no tangential force, and
-        MuJoCo's regularised friction does not creep. With a weld the motor torques |tau| are
-        minimised. With grips alone the norm of all forces is minimised, since minimum torque would
-        put the load on the edge of a sole.
+        A weld or a grip carries the rest of the load, so contacts need no tangential force. Without
+        tangential force, MuJoCo's regularised friction does not creep. If a part is welded, the
+        norm of the motor torques is minimised. If the robot has grips only, the norm of all forces
+        is minimised, since minimum torque would put the load on the edge of a sole.
 
         Returns:
             Forces, shape (size,) [N, N m]: contacts (3 n,), welds (6 w,), grips (3 g,). None if no
@@ -191,8 +192,8 @@ class Balance:
     def min_max_torque(self, friction: Array | None, limits: Array) -> Array | None:
         """Compute the forces with the smallest peak motor utilisation max |tau| / limit.
 
-        If several forces have this peak, those with the smallest norm of all utilisations are
-        selected. Without friction cones (``friction`` None), only this norm is minimised. Motors
+        If several solutions have this peak, the solution with the smallest norm of all utilisations
+        is selected. If ``friction`` is None, only this norm is minimised, not the peak. Motors
         without a finite, positive limit are ignored. If no motor has such a limit, torques replace
         utilisations.
 
@@ -260,8 +261,8 @@ class Balance:
             cost: Matrix, shape (m, size), or a `TangentialMetric`, which provides the product
                 ``cost @ f``.
             target: Shape (m,).
-            peak: Minimise the largest absolute element of cost @ f - target first, then the norm.
-                Has no effect if ``friction`` is None.
+            peak: If True, minimise the largest absolute element of ``cost @ f - target`` first,
+                then the norm. Has no effect if ``friction`` is None.
 
         Returns:
             Forces, shape (size,), or None if no forces satisfy balance, friction and grip limits.
@@ -298,8 +299,8 @@ class Balance:
 
         ``gglse`` solves equality-constrained least squares by a generalised QR factorisation, which
         is faster than a singular value decomposition. Returns None if the equations of balance are
-        linearly dependent or nearly dependent, are at least as many as the unknowns, or if the
-        minimum is not unique or nearly not unique.
+        (nearly) linearly dependent, or if there are at least as many equations as unknowns. Also
+        None if the minimum is (nearly) not unique.
         """
         count, size = self.base_rows.shape
         if not count < size <= count + len(cost):

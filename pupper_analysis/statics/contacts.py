@@ -38,17 +38,17 @@ class Contacts:
         feet: Names of the n contact points that carry load.
         normals: Shape (n, 3); unit vectors out of the ground, in the world frame.
         friction: Shape (n,); friction coefficients.
-        offsets: Shape (n, 3) [m]; from the centre of each contact point's sphere to the contact, in
-            the world frame.
-        soles: For each foot of the robot that carries load, the names in ``feet`` that belong to
-            it.
+        offsets: Shape (n, 3) [m]; vectors from the centre of each contact point's sphere to the
+            contact, in the world frame.
+        soles: {foot that carries load: names of its contact points in ``feet``}.
         fixed_parts: {welded or gripping part: contact point on the part; None for the base}. The
             last len(``grips``) entries are grips.
-        stated: Contact forces that the task prescribes: shape (k, n), 1.0 where a contact belongs
-            to a group, and shape (k,), the total normal force of each group in units of the robot's
-            weight. None if no force is prescribed.
-        weight: Weight of the robot [N], the unit of ``stated``; may be 0 without contacts of a
-            task.
+        stated: Normal forces that the task prescribes for groups of contacts; None if no force is
+            prescribed. The first array, shape (k, n), is 1.0 if a contact belongs to a group, else
+            0.0. The second array, shape (k,), contains the total normal force of each group, in
+            units of the robot's weight.
+        weight: Weight of the robot [N], the unit of ``stated``. May be 0 if the robot has no
+            contacts of a stand task.
         grips: Shape (g,) [N]; upper bound of the force of each grip.
     """
 
@@ -72,11 +72,11 @@ class Contacts:
     def com_margin(self, place: Array, config: Configuration, points: Array) -> float:
         """Compute the horizontal distance from a point to the edge of the support region.
 
-        The support region contains the horizontal CoM positions for which forces of these contacts
-        exist, within friction and grip limits, that balance the weight. The sum of their normal
-        forces is at most `MAX_TOTAL_NORMAL_FORCE` weights. If all normals are equal and neither
-        grips nor prescribed forces exist, the region is the convex hull of the contacts,
-        independent of friction. The hull is also used if no CoM position allows equilibrium.
+        A horizontal CoM position belongs to the support region if forces of these contacts balance
+        the weight within friction and grip limits. The sum of the normal forces is at most
+        `MAX_TOTAL_NORMAL_FORCE` weights. If all normals are equal and neither grips nor prescribed
+        forces exist, the region is the convex hull of the contacts, independent of friction. The
+        hull is also used if no CoM position allows equilibrium.
 
         Args:
             place: Shape (2,) or (3,) [m]; the CoM or zero-moment point in the world frame.
@@ -86,8 +86,8 @@ class Contacts:
         Returns:
             Distance [m]: positive inside, negative outside. Infinity if a part is welded, since a
             weld holds any CoM. Otherwise minus infinity if a horizontal coordinate of ``place`` is
-            not finite. NaN without contacts, if there are no grips or the grips cannot carry the
-            robot for any CoM position.
+            not finite. NaN if no contacts exist and no grips can carry the robot at any CoM
+            position.
         """
         if len(self.fixed_parts) > len(self.grips):
             return math.inf
@@ -109,8 +109,8 @@ class Contacts:
     def metric(self) -> TangentialMetric:
         """Weights of normal and tangential forces for `ForceDistribution.MIN_TANGENTIAL`.
 
-        The weights are equal for all contacts: the same viscosity (tangential force per creep
-        velocity) is assumed.
+        All contacts have equal weights, as if their viscosities (tangential force per creep
+        velocity) were equal.
         """
         return TangentialMetric(self.normals)
 
@@ -145,9 +145,10 @@ class Contacts:
     def weld_columns(self, config: Configuration) -> dict[str, Array]:
         """Return {part: transposed Jacobian} of each weld, (nv, 6), and of each grip, (nv, 3).
 
-        The transposed Jacobian converts the force [N] on the part, and for a weld the moment [N m],
-        to generalised forces. Force and moment are in world axes. The moment is about the origin of
-        the base, or the centre of the foot or hand.
+        The transposed Jacobian of a grip converts the force [N] on the part to generalised forces.
+        The transposed Jacobian of a weld converts force [N] and moment [N m]. Force and moment are
+        in world axes. The moment is about the origin of the base, or the centre of the foot or
+        hand.
         """
         base = np.eye(6, self.nv)
         base[3:, 3:6] = config.base_rotation()
@@ -173,7 +174,7 @@ class Contacts:
     def balance(self, transposed: Array, load: Array) -> Balance:
         """Return the equations of equilibrium between a load, contacts and motors.
 
-        Prescribed normal forces (`stated`) add an equation each.
+        Each prescribed normal force (`stated`) adds an equation.
 
         Args:
             transposed: Transposed Jacobian, shape (nv, 3 n + 6 w + 3 g), from
@@ -214,7 +215,7 @@ def make_contacts(
         contacts: Contact points that carry load. None: `Robot.bearing_points` for a free base, no
             contact points for a fixed base.
         friction: Friction coefficient [1] of all contact points, or {contact point: coefficient}
-            with all of ``contacts``. None: the coefficients of the model.
+            for all of ``contacts``. None: the coefficients of MuJoCo's contacts.
         normals: {contact point: direction out of the ground, shape (3,), in the world frame}. The
             default of a contact point is vertical.
         depths: {contact point: penetration into the ground [m]}. The default is 0.
@@ -222,9 +223,9 @@ def make_contacts(
     Raises:
         UnknownNameError: If a contact point is unknown.
         ConfigurationError: If a friction coefficient is missing or not in [0, `MAX_FRICTION`], a
-            normal is not a direction, a depth is not a length, a contact point is named twice,
-            the ground's friction is unknown, or a robot with a fixed base has contacts. Without
-            contact points, ``friction``, ``normals`` and ``depths`` are not checked.
+            normal is not a direction, a depth is not a valid length, a contact point is named
+            twice, the ground's friction is unknown, or a robot with a fixed base has contacts.
+            Without contact points, ``friction``, ``normals`` and ``depths`` are not checked.
     """
     feet = tuple(robot.bearing_points if contacts is None and robot.floating else contacts or ())
     if friction is None and normals is None and depths is None:
@@ -233,7 +234,7 @@ def make_contacts(
 
 
 def _make_default_contacts(robot: Robot, feet: tuple[str, ...]) -> Contacts:
-    """Create contacts on level ground with MuJoCo's friction; three arrays are read-only."""
+    """Create contacts on level ground with MuJoCo's friction, with read-only arrays per contact."""
     contacts = _make_contacts(robot, feet, None, None, None)
     for array in (contacts.normals, contacts.friction, contacts.offsets):
         array.flags.writeable = False

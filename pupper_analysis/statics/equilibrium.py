@@ -78,7 +78,7 @@ def friction_utilisation_of(
 
 
 class FootLoads(Mapping[str, FootLoad]):
-    """Load of each foot, summed over the contact points when the foot is accessed.
+    """Mapping {foot: load}. The load is the sum over the foot's contact points.
 
     Args:
         feet: Contact points of each foot that carry load.
@@ -86,7 +86,7 @@ class FootLoads(Mapping[str, FootLoad]):
         friction: Friction coefficient of each contact point.
         forces: Force of the ground on each contact point, shape (3,) [N], in world axes.
         points: Position of each contact point, shape (3,) [m], in the world frame.
-        sliding: Friction utilisation of each contact point.
+        sliding: Friction utilisation of each contact point [1].
         tiny: Tangential force [N] below which the friction utilisation of a foot is 0.
     """
 
@@ -127,33 +127,35 @@ class FootLoads(Mapping[str, FootLoad]):
 
 
 _MIN_LOAD_RATIO = 1e-3
-"""Lower bound of the normal force at which the viscosity of a contact (tangential force / creep
-velocity, `GroundLaw.viscosity`) is evaluated, relative to the largest force component. Without it,
-the viscosity of an unloaded contact could be zero. Chosen, not tuned."""
+"""Lower bound of the normal force that enters the viscosity of a contact, relative to the largest
+force component. The viscosity (`GroundLaw.viscosity`) is tangential force / creep velocity. A
+smaller normal force is replaced by this bound, since the viscosity of an unloaded contact could be
+zero. Chosen, not tuned."""
 
 
 _MAX_VISCOSITY_ITERATIONS = 50
-"""Upper bound of the iterations between contact forces and viscosities (``_iterate_viscosities``).
-The tangential force per creep speed of a contact in MuJoCo depends on its normal force. Chosen, not
-tuned."""
+"""Upper bound of the iterations of ``_iterate_viscosities``. After this number, the forces of the
+last iteration are returned. Chosen, not tuned."""
 
 
 class ForceDistribution(StrEnum):
     """Criterion that selects contact forces if balance does not determine the forces.
 
     MIN_TANGENTIAL minimises the tangential forces, then the sum of squared normal forces. MuJoCo
-    sustains these forces without creep: regularised friction lets feet creep until tangential
-    forces that act against each other have vanished. On level ground and steps no tangential force
-    remains; on a slope all feet creep downhill together. The criterion is the minimum of
-    sum f_t^2 / c, with c the viscosity (`GroundLaw.viscosity`); the optimality condition is
-    f_t = c (v + omega x r). Use these torques for a robot or a simulator.
-    Beside a weld, contacts have no tangential force: the weld carries the rest of the load. The
-    normal forces minimise the sum of squared motor torques, or equal the prescribed forces. Beside
-    grips alone, the sum of all squared forces is minimised instead; contacts have tangential forces
-    only if balance requires tangential forces.
+    sustains these forces without creep. MuJoCo's regularised friction lets feet creep until
+    tangential forces that act against each other have vanished. On level ground and steps no
+    tangential force remains. On a slope all feet creep downhill together. The criterion is the
+    minimum of sum f_t^2 / c, with the tangential force f_t and the viscosity c of each contact
+    (`GroundLaw.viscosity`). The optimality condition is f_t = c (v + omega x r), with the creep
+    velocities v and omega and the contact position r. Use these torques for a robot or a simulator.
 
-    MIN_TORQUE minimises the sum of squared motor torques, and so the copper losses. The tangential
-    forces are not sustained by the creeping friction of a simulator.
+    If a part is welded, contacts have no tangential force: the weld carries the rest of the load.
+    The normal forces then minimise the sum of squared motor torques, or equal the prescribed
+    forces. If parts grip and no part is welded, the sum of all squared forces is minimised.
+    Contacts then have tangential forces only if balance requires tangential forces.
+
+    MIN_TORQUE minimises the sum of squared motor torques, and so the copper losses. A simulator
+    with creeping friction does not sustain the tangential forces.
 
     MIN_MAX_TORQUE minimises the largest motor utilisation (the largest torque if no motor has an
     effort limit), then the sum of squared utilisations. This criterion determines whether the
@@ -209,12 +211,12 @@ class GravityCompensation(Equilibrium):
     """Static equilibrium of a robot, with the loads of feet, base and welds and the CoM margin.
 
     Attributes:
-        foot_loads: {foot: load}; of a flat foot, the sum over its contact points.
+        foot_loads: {foot: load}. The load of a flat foot is the sum over its contact points.
         base_wrench: External wrench that holds the base, shape (6,): force in world axes (N),
             torque in base axes (N m). Zero with contacts, welds or grips; empty for a fixed base.
-        weld_wrenches: {welded or gripping part: (6,)} force (N), and moment (N m) about the
-            base's frame, a foot's centre or the welded point, both in world axes. The moment of a
-            grip is zero.
+        weld_wrenches: {welded or gripping part: (6,)} force (N) and moment (N m), both in world
+            axes. The moment is about the origin of the base's frame if the base is welded,
+            otherwise about the centre of the welded foot or hand. The moment of a grip is zero.
         center_of_mass: (3,) position in the world (m).
         com_margin: Distance from the vertical projection of the CoM, or of the zero-moment point of
             a motion, to the edge of the support region (m), positive inside. Infinite with a weld;
@@ -249,13 +251,13 @@ def gravity_compensation(
 
     In closed loops and couplings, joints without a motor have no torque: the constraints transfer
     the load of such joints to the motors (`Configuration.transfer_to_motors`). Passive joints
-    (`Description.passive_joints`) have no torque either, if that is feasible: contact forces are
-    selected accordingly, for example with another centre of pressure.
+    (`Description.passive_joints`) have no torque either, if contact forces without such torques are
+    feasible. Otherwise the result contains torques of passive joints.
 
-    A second-order cone program is solved if the optimum without friction cones violates the cones,
-    and always for ``MIN_MAX_TORQUE`` with contacts, welds or grips. Balance holds to rounding,
-    independent of the tolerance of the solver, which uses null-space coordinates of the base rows
-    (see `statics.cone_program`).
+    A second-order cone program is solved if the optimum without friction cones violates the cones.
+    For ``MIN_MAX_TORQUE`` with contacts, welds or grips, the cone program is always solved. The
+    solver uses null-space coordinates of the base rows (see `statics.cone_program`). Therefore
+    balance holds to rounding, whatever the tolerance of the solver.
 
     Args:
         config: State of the robot. The velocity is ignored.
@@ -267,14 +269,14 @@ def gravity_compensation(
             Default: upward.
         depths: Per contact point, penetration into the ground [m]. Default: 0. As in MuJoCo, the
             force acts at half the depth.
-        distribution: Selection among feasible forces. Default: minimum tangential forces.
+        distribution: Criterion that selects the contact forces among the feasible forces.
 
     Returns:
         Motor torques, contact forces, utilisations and residuals.
 
     Raises:
         UnknownNameError: If a contact point is unknown.
-        ConfigurationError: If an argument has another type, a friction coefficient, a normal, a
+        ConfigurationError: If an argument has a wrong type, a friction coefficient, a normal, a
             depth or ``distribution`` is invalid, a contact point is named twice, the friction of
             the ground is unknown, a robot with a fixed base has contacts, or a closed loop is open
             or singular.
@@ -302,14 +304,16 @@ def balance_load(
         config: State of the robot.
         load: Shape (nv,) [N, N m]; generalised force that motors and contacts must produce.
         carrying: Contacts that carry load.
-        point: Shape (3,) [m]; zero-moment point of a motion. Default: the centre of mass, which is
-            the zero-moment point at rest. ``com_margin`` of the result refers to this point.
+        point: Shape (3,) [m]; zero-moment point of a motion, in the world frame. ``com_margin`` of
+            the result refers to this point. Default: the centre of mass, which is the zero-moment
+            point at rest.
         distribution: Criterion that selects the contact forces among the feasible ones.
         tipping: Reason that the error states if ``point`` is outside the support region.
-        held: If True, the friction cones, unilateral limits and grip limits do not apply, as if
-            the feet were glued to the ground. Exception: for the minimum tangential distribution of
-            a robot with welds or grips, forces without tangential parts that respect unilateral and
-            grip limits are returned if they exist. Without grips, other forces are not considered.
+        held: If True, the friction cones, unilateral limits and grip limits do not apply, as if the
+            feet were glued to the ground. Exception: for the minimum tangential distribution of a
+            robot with welds or grips, contact forces without tangential parts are computed first.
+            These forces respect unilateral limits and grip limits. If no such forces exist, a robot
+            with grips may have other forces. A robot without grips then has no feasible forces.
 
     Raises:
         ConfigurationError: If ``distribution`` is unknown, or a closed loop is open or singular.
@@ -350,12 +354,12 @@ def balance_load(
 def _distribute_with_passive_joints(
     robot: Robot, problem: Balance, distribute: Callable[[Balance], Array | None]
 ) -> Array | None:
-    """Return contact forces with which passive joints need no torque, or else any feasible forces.
+    """Compute contact forces, without torques at passive joints if such forces are feasible.
 
     Args:
         robot: Robot; `Description.passive_joints` are its passive joints.
         problem: Equations of balance.
-        distribute: Function that returns forces that satisfy equations of balance; None if no
+        distribute: Function that returns the forces for given equations of balance, or None if no
             forces are feasible.
 
     Returns:
@@ -409,9 +413,10 @@ def distribute_loads(
 
 
 _EQUAL_FORCES_RTOL = 1e-6
-"""Largest difference between contact forces and the minimum-norm forces of the balance equations,
-relative to the largest component, up to which `differentiate_torques` treats them as equal. Forces
-that an active friction cone changes usually differ by more. Chosen, not tuned."""
+"""Bound of the difference between the given contact forces and the minimum-norm forces of the
+balance equations, relative to the largest given component. If the difference reaches this bound,
+`differentiate_torques` returns None, since for example a friction cone is active. Chosen, not
+tuned."""
 
 
 def differentiate_torques(
@@ -432,14 +437,14 @@ def differentiate_torques(
         config: State of a robot with a free base and without closed loops, welds and grips.
         carrying: Contacts that carry load.
         forces: Contact forces of `ForceDistribution.MIN_TANGENTIAL`, shape (n, 3) [N].
-        motions: A velocity per column, in the order of ``qvel``, shape (nv, k). Normals and
-            penetrations of the contacts must be constant in these motions.
+        motions: Shape (nv, k). Each column is a velocity of the robot in the order of ``qvel``.
+            Normals and penetrations of the contacts must be constant in these motions.
 
     Returns:
         Derivatives of the motor torques, shape (nu, k) [N m or N, per unit of the motion]. None if
-        the matrix of the balance equations is singular, or if ``forces`` are not the minimum-norm
-        forces of these equations, for example if a friction cone or a unilateral limit is active,
-        or normal forces are prescribed.
+        the matrix of the balance equations is singular. Also None if ``forces`` are not the
+        minimum-norm forces of these equations. Examples are an active friction cone, an active
+        unilateral limit, and prescribed normal forces.
     """
     free, metric = carrying.free, carrying.metric
     transposed = carrying.transposed_jacobian(config)
@@ -605,10 +610,11 @@ def peak_utilisation(shares: Array) -> float:
 def find_hardest_motor(statics: Equilibrium) -> int:
     """Return the index of the motor with the largest load.
 
-    A loaded motor with a limit of zero comes first (of several, the one with the largest torque),
-    then the motor with the largest known utilisation. If a motor with an unknown limit exerts a
-    larger torque than this motor, or if no limit is known, the motor with the largest torque among
-    those with unknown limits is returned.
+    If loaded motors have an effort limit of zero, the motor with the largest torque among these is
+    returned. Otherwise the motor with the largest known utilisation is returned, with one
+    exception. If a motor with an unknown limit exerts a larger torque than that motor, or if no
+    limit is known, the result is the motor with the largest torque among all motors with unknown
+    limits.
     """
     shares, torques = statics.motor_utilisation, np.abs(statics.joint_torques)
     is_powerless, is_unknown = np.isinf(shares), np.isnan(shares)
@@ -712,10 +718,10 @@ def _make_statics_result(
 
 
 _UNLIMITED_FRICTION = 1e4
-"""Friction coefficient with which a contact practically cannot slide, and factor on grip limits
-with which a grip practically cannot fail. If balance is possible with this value but not with the
-real value, friction or the grips are reported as the cause. Also the upper end of the search for
-the smallest sufficient value (`_find_threshold`). Chosen, not tuned."""
+"""Friction coefficient with which a contact practically cannot slide. Also used as a factor on grip
+limits, with which a grip practically cannot fail. If balance is possible with this value but not
+with the real value, the error states friction or the grips as the cause. The search for the
+smallest sufficient value (`_find_threshold`) ends at this value. Chosen, not tuned."""
 
 
 def explain_infeasibility(
@@ -818,9 +824,9 @@ def _explain_weak_grip(problem: Balance, carrying: Contacts) -> StaticsInfeasibl
 def _explain_stated_force(problem: Balance, carrying: Contacts) -> StaticsInfeasibleError | None:
     """Return an error with the feasible range if a prescribed contact force is out of this range.
 
-    None if no force is prescribed, if the load cannot be balanced without the prescribed forces, or
-    if each prescribed force is within the range that is feasible without the prescribed forces. An
-    end of a range for which the cone program fails is ignored.
+    The feasible range is computed without any prescribed force. None if no force is prescribed, if
+    the load cannot be balanced even without the prescribed forces, or if each prescribed force is
+    within its range. If the cone program for an end of a range fails, this end is ignored.
     """
     if carrying.stated is None:
         return None
@@ -857,26 +863,28 @@ def _explain_stated_force(problem: Balance, carrying: Contacts) -> StaticsInfeas
 
 
 _REPORTED_FORCE_MARGIN = 1e-3
-"""Relative reduction of the largest feasible force in a message. The support region is a polygon
-inside the true region (`support_corners`), so the exact limit would be refused if a user enters
-it. Chosen, not tuned."""
+"""Relative reduction of the largest feasible force in an error message. The message must state a
+force that is accepted if a user enters it. The exact limit would be refused, because the computed
+support region is a polygon inside the true region (`support_corners`). Chosen, not tuned."""
 
 UNLIMITED_MASS_RATIO = 1e4
-"""Ratio of payload to the robot's mass above which a payload counts as unlimited: the lever arm of
-the motors is then rounding, and `payload` ends its search. Chosen, not tuned."""
+"""Ratio of payload mass to robot mass above which a payload counts as unlimited, and `payload` ends
+its search. The lever arms of the motors are then rounding errors. Chosen, not tuned."""
 
 MIN_TORQUE_PER_MASS = 1e-9
-"""Torque per payload mass [N m/kg] up to which a motor counts as not loaded by the payload: the
-lever arm is a rounding error. Also torque per robot mass, up to which a motor with an effort limit
-of zero has the utilisation 0 (`compute_utilisation`), and up to which a passive joint counts as not
-loaded. Chosen, not tuned."""
+"""Torque per mass [N m/kg] up to which a motor counts as not loaded, since the lever arm is a
+rounding error. `find_mass_limit` compares the torque per payload mass. `compute_utilisation`
+compares the torque per robot mass: up to this value, a motor with an effort limit of zero has the
+utilisation 0. A passive joint counts as not loaded up to the same torque per robot mass. Chosen,
+not tuned."""
 
 
 def find_mass_limit(torques: Array, rates: Array, limits: Array) -> float:
     """Compute the mass at which the first motor reaches the limit: torques + m rates = +-limits.
 
-    Of the two limits of a motor, the limit in the direction of ``rates`` counts. A motor whose
-    torque does not depend on the mass is ignored, even if the torque exceeds the limit.
+    A motor has an upper and a lower limit, +-``limits``. The limit with the sign of ``rates``
+    counts. A motor is ignored if its torque does not depend on the mass, even if the torque exceeds
+    the limit.
 
     Args:
         torques: Shape (nu,) [N m or N]; motor torques or forces without payload.

@@ -24,18 +24,19 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import FramePoint, Tool, find_place, find_tool
 
 MIN_LEVER_ARM = 1e-9
-"""Lever arm of a force about a hinge [m], or force component along a slide [1], below which the
-motor does not bear the force. Chosen as the size of rounding errors."""
+"""Smallest lever arm of a force about a hinge [m], or component of a unit force along a slide [1],
+with which the motor bears the force. Smaller values count as zero. Chosen as the size of rounding
+errors."""
 
 _PARALLEL_TOLERANCE = 1e-9
-"""Smallest triple product [1] of the unit normals of three faces with which the faces meet in one
-vertex, and smallest third singular value of all unit normals with which the polytope is bounded.
-Below, the normals count as linearly dependent. Rounding is 1e-16; chosen, not tuned."""
+"""Tolerance [1] of the linear dependence of unit normals of faces. Three faces meet in a vertex if
+their triple product is larger. The polytope is bounded if the third singular value of all unit
+normals is not smaller. Rounding is 1e-16; chosen, not tuned."""
 
 _VERTEX_RTOL = 1e-9
-"""Distance up to which a vertex may be outside of a face, relative to the largest coordinate of the
-vertex; and difference up to which two vertices are equal, relative to the largest coordinate of all
-vertices. Coordinates below 1 N count as 1 N. Chosen, not tuned."""
+"""Relative tolerance of vertices [1]. A vertex may be outside of a face by this fraction of its
+largest coordinate. Two vertices are equal if they differ by at most this fraction of the largest
+coordinate of all vertices. A largest coordinate below 1 N counts as 1 N. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +85,8 @@ class ForcePolytope(Tabular):
     def largest_push(self, direction: ArrayLike) -> float:
         """Return the largest straight push [N] of the robot against its environment.
 
-        The push is parallel to ``direction``, and minus the external force. The result is thus
-        ``largest_force(-direction)``.
+        The push is parallel to ``direction``. The external force on the robot is opposite to the
+        push. The result is therefore ``largest_force(-direction)``.
 
         Args:
             direction: Direction (3,) of the push, in world axes; normalised here.
@@ -133,7 +134,7 @@ class ForcePolytope(Tabular):
         return np.concatenate([self.rows, -self.rows]), slack
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return {"x", "y", "z": coordinates of the vertices [N]}, the columns of the table.
+        """Return {"x", "y", "z": coordinates of the vertices [N]}, the table's columns.
 
         The columns are empty if ``vertices`` is None or empty.
         """
@@ -150,9 +151,10 @@ def force_polytope(config: Configuration, point: str | FramePoint) -> ForcePolyt
 
     Args:
         config: State of the robot; the velocity is ignored.
-        point: Contact point (the lowest point of its sphere), foot (the mean of its contact
-            points), link, site, body or geom; or a position (3,) [m] in the base frame or, as
-            ``("right_hand", 0.0, 0.0, 0.05)``, in the frame of a link, site, body or geom.
+        point: Name of a contact point (the lowest point of its sphere), foot (the mean of its
+            contact points), link, site, body or geom. Or a position (3,) [m] in the base frame. A
+            position in the frame of a link, site, body or geom begins with its name:
+            ``("right_hand", 0.0, 0.0, 0.05)``.
 
     Raises:
         UnknownNameError: If the robot has no such frame.
@@ -203,16 +205,16 @@ def _find_point(config: Configuration, point: str | FramePoint) -> Tool:
 
 
 def force_inequalities(config: Configuration, tool: Tool) -> tuple[Array, Array]:
-    """Return the inequalities ``rows @ f <= slack`` of forces on a tool that the motors withstand.
+    """Return inequalities of the forces f on a tool that motors withstand: rows @ f <= slack.
 
     Args:
         config: State of a robot with a fixed base.
         tool: Point of application of the force.
 
     Returns:
-        Rows, shape (2 nu, 3) [m, or 1 for a slide], and slack, shape (2 nu,) [N m, N]: distance of
-        the static load from the lower effort limits of all motors, then from the upper limits.
-        The force f is expressed in world axes [N].
+        Rows, shape (2 nu, 3) [m, or 1 for a slide], and slack, shape (2 nu,) [N m, or N for a
+        slide]. The slack contains the distances of the static load from the lower effort limits of
+        all motors, then from the upper limits. The force f is expressed in world axes [N].
     """
     limits = config.robot.effort_limits
     load = config.transfer_to_motors(config.static_load())
@@ -235,10 +237,10 @@ def force_limits_along(
         directions: Unit vectors in world axes, shape (k, 3).
 
     Returns:
-        Largest forces, shape (k,) [N]: NaN if a motor that bears the force has an unknown limit;
-        otherwise 0 if an element of ``slack`` is negative, and infinite if no motor bears the
-        force. And indices (k,) of the motors that reach the effort limit first, -1 if the force is
-        not finite.
+        Largest forces, shape (k,) [N], and indices (k,) of the motors that reach the effort limit
+        first. A force is NaN if a motor with an unknown limit bears the force. Otherwise the force
+        is 0 if an element of ``slack`` is negative, and infinite if no motor bears the force. The
+        index is -1 if the force is not finite.
     """
     along = directions @ rows.T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -261,13 +263,14 @@ def find_vertices(rows: Array, slack: Array) -> Array | None:
 
     Args:
         rows: Shape (n, 3) [m, or 1 for a slide].
-        slack: Shape (2 n,) [N m, or N for a slide], finite: upper bounds of ``rows @ f``, then of
+        slack: Shape (2 n,) [N m, or N for a slide]; finite upper bounds of ``rows @ f``, then of
             ``-rows @ f``.
 
     Returns:
-        Shape (k, 3) [N]. k = 0 if a row of a length up to `MIN_LEVER_ARM` has a negative bound.
-        Otherwise None if the other rows do not span three dimensions: the polytope is then
-        unbounded, or empty. Otherwise k = 0 if the inequalities contradict each other.
+        Vertices, shape (k, 3) [N]; k = 0 if the polytope is empty. None if the rows do not span
+        three dimensions, so that the polytope is unbounded or empty. Rows with a length up to
+        `MIN_LEVER_ARM` count as zero. If such a row has a negative bound, k = 0 is returned in any
+        case.
     """
     lengths = np.linalg.norm(rows, axis=1)
     bearing = lengths > MIN_LEVER_ARM

@@ -28,8 +28,9 @@ from pupper_analysis.statics.support_polygon import (
 
 _MIN_DEPTH = 1e-7
 """Distance [m] of a corner from the line between its neighbours, up to which the corner is removed.
-Such points are no corners: for a direction perpendicular to a side of the region, the cone program
-returns any point of this side. Its solutions are accurate to about 1e-8 m."""
+Such a point is not a corner of the region: for a direction perpendicular to a side, the cone
+program returns any point of the side. Solutions of the cone program are accurate to about 1e-8
+m."""
 
 
 REGION_TOLERANCE = 1e-5
@@ -42,8 +43,9 @@ class SupportRegion(Tabular):
     """Horizontal CoM positions for which contact forces in equilibrium exist.
 
     Attributes:
-        corners: Corners of the region in the world, counter-clockwise, shape (n, 2) (m). Two or
-            three corners for a line, one for a point, none if no CoM position permits equilibrium.
+        corners: Corners of the region in the world, counter-clockwise, shape (n, 2) (m). A line has
+            two or three corners, a point has one corner. n is 0 if no CoM position permits
+            equilibrium.
         area: Area of the region (m^2).
         center_of_mass: Horizontal position of the CoM in the world, shape (2,) (m).
         com_margin: Distance from the CoM to the edge of the region (m): positive inside, negative
@@ -58,7 +60,7 @@ class SupportRegion(Tabular):
     torque_limits: bool
 
     def _columns(self) -> dict[str, ArrayLike]:
-        """Return {"x", "y": coordinates [m]} for a table with a row per corner of this region."""
+        """Return {"x", "y": coordinates [m]}, the columns of a table with a row per corner."""
         return dict(zip(("x", "y"), self.corners.T, strict=True))
 
 
@@ -74,21 +76,20 @@ def support_region(
 ) -> SupportRegion:
     """Compute the horizontal CoM positions for which the contacts can carry the robot.
 
-    The joint positions and the weight are those of the configuration. Only the CoM is varied, as by
-    a displacement of mass inside the base, which does not change the loads of the joints. A CoM
-    position belongs to the region if forces f in the friction cones of the contact points p exist
-    with
+    Joint positions and weight are taken from the configuration. Only the CoM is varied, as if mass
+    were moved inside the base. This does not change the loads of the joints. A CoM position belongs
+    to the region if forces f in the friction cones of the contact points p satisfy
 
         sum f = m g e_z,    sum p x f = m g com x e_z,
 
-    and if the sum of their normal forces is at most `MAX_TOTAL_NORMAL_FORCE` weights. If
+    and if the sum of the normal forces is at most `MAX_TOTAL_NORMAL_FORCE` weights. If
     ``torque_limits`` is True, the joint torques l - J^T f must also be within the effort limits,
     with the static load l and the Jacobian J of the contact points.
 
     On level ground, without torque limits and prescribed forces, the region is the convex hull of
     the contact points. Otherwise the result is the convex hull of extreme points of the region, to
-    the accuracy of the cone program (about 1e-8 m). It is within the region. Its distance to the
-    edge of the region is at most 0.01 mm, if no cone program fails.
+    the accuracy of the cone program (about 1e-8 m). The hull is inside the region. The distance
+    between the edges of hull and region is at most 0.01 mm, if no cone program fails.
 
     Args:
         config: State of the robot. The velocity is ignored.
@@ -102,7 +103,7 @@ def support_region(
 
     Raises:
         UnknownNameError: If a contact point is unknown.
-        ConfigurationError: If an argument has another type; if a friction coefficient, a normal or
+        ConfigurationError: If an argument has a wrong type; if a friction coefficient, a normal or
             a depth is invalid; if a contact point is named twice; if the friction of the ground is
             unknown; if the base is fixed, there are no contacts, a part is welded or grips; or,
             with ``torque_limits``, if no file states the effort limit of a motor, or a closed loop

@@ -118,13 +118,13 @@ def _hull_sides(points: tuple[Corner, ...]) -> tuple[tuple[float, ...], ...]:
 
 SIDES = 48
 """Number of directions in which the boundary of the support region is computed if no tolerance is
-given, and so the largest number of its sides. Chosen: a regular polygon with 48 corners has 0.3 %
-less area than its circumscribed circle."""
+given. The computed region has at most as many sides. Chosen: a regular polygon with 48 corners has
+0.3 % less area than its circumscribed circle."""
 
 _MIN_FAILURES = 3
-"""Number of first directions without a solution after which the region counts as empty. Measured on
-300 random sets of 2 to 5 contacts: of 207 regions, the cone program of a single direction failed in
-6, by rounding. Such a direction is left out."""
+"""The support region counts as empty if the cone program fails in this number of first directions.
+With a single failure, only the direction is left out. Measured on 300 random sets of 2 to 5
+contacts: in 6 of 207 regions, the cone program of a single direction failed by rounding."""
 
 
 def support_corners(
@@ -136,16 +136,16 @@ def support_corners(
 ) -> tuple[Corner, ...]:
     """Compute corners of the support region, seen from above.
 
-    If all normals are equal (a single plane, or parallel planes), and without prescribed forces and
-    grips, the corners are the contact points, whatever the friction (gravity along the plane is not
-    checked here). Otherwise the region contains all CoM positions for which forces f_i in the
-    friction cones exist with
+    If all normals are equal (a single plane, or parallel planes), and no prescribed forces and
+    grips exist, the corners are the contact points, whatever the friction. Sliding down the plane
+    is not checked here. Otherwise a CoM position belongs to the region if forces f_i in the
+    friction cones satisfy
 
         sum f_i = m g e_z,    sum p_i x f_i = m g com x e_z,
 
-    and with a sum of normal forces up to `MAX_TOTAL_NORMAL_FORCE`. This set is convex (Bretl and
-    Lall 2008, "Testing static equilibrium for legged robots"). Its extreme points in `SIDES`
-    directions are solutions of cone programs.
+    and the sum of normal forces is at most `MAX_TOTAL_NORMAL_FORCE` weights. The region is convex
+    (Bretl and Lall 2008, "Testing static equilibrium for legged robots"). Its extreme points in
+    `SIDES` directions are solutions of cone programs.
 
     Args:
         points: Shape (n, 3) [m]; contact points in the world frame.
@@ -156,9 +156,9 @@ def support_corners(
         grips: Shape (g, 4): position [m] and force limit in units of the weight; None without.
 
     Returns:
-        Points (x, y) [m] whose convex hull is the support region. These are the projected contact
-        points in the first case above, if the friction is unknown and there are no grips, or if no
-        CoM position allows equilibrium.
+        Points (x, y) [m] whose convex hull is the support region. The projected contact points are
+        returned in three cases: for equal normals as above, if the friction is unknown and there
+        are no grips, and if no CoM position allows equilibrium.
     """
     is_one_plane = bool((np.abs(normals - normals[:1]) < _NORMAL_TOLERANCE).all())
     corners = None
@@ -206,12 +206,13 @@ def find_extreme_positions(
 ) -> tuple[Corner, ...]:
     """Compute the farthest CoM position with equilibrium in several horizontal directions.
 
-    The result, points (x, y) [m] in the world frame, is empty if no CoM position allows
-    equilibrium, or if the cone program fails in the first `_MIN_FAILURES` directions. Any other
-    direction in which the cone program fails is left out. Without ``tolerance`` the number of
-    directions is `SIDES`. With ``tolerance`` it is at least `_FIRST_SIDES`: the normal of a side is
-    added as long as the region may extend beyond the side by more than ``tolerance`` (Bretl and
-    Lall 2008, section IV).
+    The result contains points (x, y) [m] in the world frame. The result is empty if no CoM position
+    allows equilibrium, or if the cone program fails in the first `_MIN_FAILURES` directions. Any
+    other direction in which the cone program fails is left out.
+
+    If ``tolerance`` is None, the number of directions is `SIDES`. Otherwise the search begins with
+    `_FIRST_SIDES` directions. The normal of a side is added as a direction if the region may extend
+    beyond the side by more than ``tolerance`` (Bretl and Lall 2008, section IV).
 
     Args:
         points: Shape (n, 3) [m]; contact points in the world frame.
@@ -222,8 +223,8 @@ def find_extreme_positions(
         grips: Shape (g, 4), g >= 0: position [m] and force limit in units of the weight.
         inequalities: Further bounds on the forces f, in units of the weight: rows and upper bounds
             of ``rows @ f <= upper``, for example torque limits.
-        tolerance: Largest distance [m] between the region and the convex hull of the result, if no
-            cone program fails; None: not bounded.
+        tolerance: Largest distance [m] between the region and the convex hull of the result; may be
+            exceeded if a cone program fails. None: the distance is not bounded.
     """
     count = len(points)
     positions = np.vstack([points, grips[:, :3]])
@@ -284,15 +285,17 @@ def _refine_sides(
     find_extreme: Callable[[float], Corner | None],
     tolerance: float,
 ) -> list[Corner]:
-    """Return extreme points, so that the hull differs from the region by at most ``tolerance``.
+    """Return further extreme points, so that hull and region differ by at most ``tolerance``.
 
-    The difference may be larger at a side for which the cone program fails. The region is convex,
-    so that beyond a side it is within the triangle of the side and the tangents at both ends.
+    The difference may be larger at a side for which the cone program fails. The region is convex.
+    Therefore its part beyond a side is inside the triangle of the side and the tangents at both
+    ends.
 
     Args:
-        sides: Sides of the region's inner approximation, counter-clockwise: (angle of a tangent's
-            normal, its point) for both ends.
-        find_extreme: Function that returns the extreme point in a direction, given as an angle.
+        sides: Sides of the polygon inside the region, counter-clockwise. Each of the two ends of a
+            side is a pair: angle of the normal of the tangent [rad], and end point.
+        find_extreme: Function that returns the extreme point in a direction, given as an angle
+            [rad].
         tolerance: Largest height of the triangle [m].
     """
     corners: list[Corner] = []
@@ -321,8 +324,9 @@ def _refine_sides(
 
 
 _MIN_DEPTH = 1e-7
-"""Distance [m] of an extreme point from a side of the support region, up to which the side counts
-as exact. Solutions of the cone program are accurate to about 1e-8 m."""
+"""Smallest distance [m] of a new extreme point from a side of the computed region with which the
+side is replaced. At a smaller distance the side counts as exact. Solutions of the cone program are
+accurate to about 1e-8 m."""
 
 
 def support_polygon(contacts: Array) -> Array:
@@ -350,8 +354,8 @@ def polygon_sides(contacts: Array, count: int = 0, *, from_first: bool = False) 
             are not on a common line.
         count: Number of returned rows, not smaller than the number of sides; k by default.
         from_first: If True, the first side begins at the first contact that is a corner. Otherwise
-            it begins at the corner with the smallest x, so that rows are exchanged if another
-            corner moves past it.
+            the first side begins at the corner with the smallest x. The order of the rows then
+            changes if another corner gets the smallest x.
 
     Returns:
         Shape (count, 3): (a, b, c), so that a x + b y + c is the distance [m] from the side to the
