@@ -131,7 +131,7 @@ def _describe_worst_posture(hold: Hold) -> doc.Words:
     payload = hold.payload.worst_posture_mass
     return text(
         "worst-posture-in-short",
-        torque=format_three_digits(float(torques[index])),
+        torque=format_number(float(torques[index]), ".3g"),
         unit=hold.statics.torque_units[index],
         share=f"{100 * share:.3g}" if math.isfinite(share) else "",
         joint=doc.Name(worst.joint_names[index]),
@@ -410,8 +410,8 @@ def describe_hardest_motor(
             "motor-that-holds-most",
             joint=doc.Name(statics.joint_names[worst]),
             share=format_number(shares[worst], ".1%"),
-            torque=format_three_digits(float(statics.joint_torques[worst])),
-            limit=format_three_digits(float(limits[worst])),
+            torque=format_number(float(statics.joint_torques[worst]), ".3g"),
+            limit=format_number(float(limits[worst]), ".3g"),
             unit=statics.torque_units[worst],
         )
 
@@ -477,8 +477,8 @@ def _describe_unknown_limits(hold: Hold) -> doc.Text:
         tool=doc.Name(hold.tool.name),
         count=len(joints),
         joints=join_words(map(doc.Name, hold.payload.unknown)),
-        here=format_three_digits(float(here[most_here])),
-        worst=format_three_digits(float(worst[most_loaded])),
+        here=format_number(float(here[most_here]), ".3g"),
+        worst=format_number(float(worst[most_loaded]), ".3g"),
         here_unit=hold.statics.torque_units[most_here],
         worst_unit=hold.statics.torque_units[most_loaded],
         hardest=doc.Name(hold.worst.joint_names[most_loaded]),
@@ -486,10 +486,5 @@ def _describe_unknown_limits(hold: Hold) -> doc.Text:
 
 
 def _format_limit(limit: float) -> str:
-    """Return a limit as text: three digits, from 1000 on without decimals; "" if not finite."""
-    return format_three_digits(limit) if math.isfinite(limit) else ""
-
-
-def format_three_digits(value: float) -> str:
-    """Return a number with three significant digits; from 1000 on as an integer, such as 1234."""
-    return f"{value:.3g}" if not 999.5 <= abs(value) < math.inf else f"{value:.0f}"
+    """Return a limit with three significant digits, without exponent; "" if it is not finite."""
+    return format_number(limit, ".3g") if math.isfinite(limit) else ""

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pupper_analysis.base.diagnostics.templates import format_number
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text, word
 from pupper_analysis.present.documents.loads import mass_text, round_mass_down, view_block
@@ -154,13 +155,14 @@ def _describe_upper_bound(limit: PayloadLimit) -> doc.Text:
     """
     torques = limit.torque_by_joint
     hardest = max(limit.unknown_limits, key=lambda joint: abs(float(torques[joint])))
+    torque = format_number(abs(float(torques[hardest])), ".3g")
     return text(
         "payload-unknown",
         place=", ".join(f"{1e3 * value:.0f}" for value in limit.point),
         link=limit.link,
         mass=mass_text(limit.upper_bound),
         bounded=math.isfinite(limit.upper_bound),
-        torque=f"{abs(float(torques[hardest])):.3g} {limit.get_torque_unit(hardest)}",
+        torque=f"{torque} {limit.get_torque_unit(hardest)}",
         hardest=doc.Name(hardest),
     )
 
