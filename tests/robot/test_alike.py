@@ -15,7 +15,7 @@ from tests.support.legged import edited_by
 
 
 def write_slip(folder: Path, old: str, new: str) -> Path:
-    """The quadruped with something changed in its last leg alone."""
+    """Return a quadruped with an edit in its last leg only."""
     return edited_by(write_standing_urdf(folder), lambda text: new.join(text.rsplit(old, 1)))
 
 

@@ -116,7 +116,7 @@ def test_verdict_names_placeholder_efforts_until_efforts_are_requested(tmp_path:
     [
         (JointEffort("knee", 1000.0, 3.0), "effort-beyond-links"),
         (JointEffort("knee", 1000.0, 5.0), None),
-        (JointEffort("knee", 1010.0, 3.0), None),  # nobody invents such a number
+        (JointEffort("knee", 1010.0, 3.0), None),  # not round, hence no placeholder
         (JointEffort("knee", 30.0, 3.0, 1e-4), "effort-beyond-armature"),
         (JointEffort("knee", 30.0, 3.0, 1e-3), None),
         (JointEffort("knee", math.inf, 3.0, 1e-3), None),

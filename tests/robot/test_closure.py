@@ -61,7 +61,7 @@ EYE = (
 
 
 def hinge_rods(pair: Pair) -> Pair:
-    """Gives each rod a light eye that turns at its end; the MJCF's weld ties that to the calf."""
+    """Give each rod a light eye that turns at its end; the MJCF's weld ties that to the calf."""
     rewrite_file(pair.urdf, ("</robot>", "".join(map(EYE.format, LEGS)) + "</robot>"))
     root = ElementTree.parse(pair.mjcf).getroot()
     (equality,) = root.iter("equality")
@@ -560,6 +560,7 @@ def test_motors_at_both_ends_of_a_belt_hold_the_stand(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_robot_with_belts_withstands_a_push_and_a_sweep_of_gains(tmp_path: Path) -> None:
+    """Reference: MuJoCo's simulation of a push and of one pair of gains."""
     robot = load(belts(tmp_path))
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     sweep = pa.simulation.sweep_gains(robot, stand, kp=[110.0], kd=[5.5], duration=2.0)

@@ -26,7 +26,7 @@ GRAVITY = 9.81  # [m/s^2]
 
 
 def check_close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
-    """Compares relative to the largest element."""
+    """Compare relative to the largest element."""
     size = max(1e-3, float(np.abs(expected).max()))
     np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance * size)
 

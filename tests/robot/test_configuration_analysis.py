@@ -107,7 +107,7 @@ def compute_by_pinocchio(
 
 
 def assert_equal(actual: np.ndarray, expected: np.ndarray, tolerance: float = 1e-12) -> None:
-    """Compares relative to the largest element, or to 1."""
+    """Compare relative to the largest element, or to 1."""
     size = max(1.0, float(np.abs(expected).max(initial=0.0)))
     np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance * size)
 

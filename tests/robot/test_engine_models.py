@@ -285,7 +285,7 @@ def test_collision_distances_agree_with_mujoco(robot: pa.Robot) -> None:
 
 
 def test_collision_pairs_are_those_that_mujoco_checks() -> None:
-    """Contacts of MuJoCo at random joint positions, and overlaps of Pinocchio's pairs."""
+    """Reference: MuJoCo's contacts at random positions, each among the pairs of Pinocchio."""
     robot = load("original")
     geometry, shapes = robot.collision_model, robot.shapes
     pairs = {

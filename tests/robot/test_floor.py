@@ -185,7 +185,7 @@ def test_motion_on_converted_pairs_equals_that_of_the_unmodified_file(tmp_path: 
 
 @pytest.mark.slow
 def test_smaller_friction_of_an_anisotropic_pair_is_used(tmp_path: Path) -> None:
-    """A stand within the smaller friction holds with both, in any direction."""
+    """The smaller friction holds in any direction."""
     pairs = "".join(
         f'<pair geom1="ground" geom2="foot{leg}" friction="{values}"/>'
         for leg, values in enumerate(("0.9 0.3 .02 .004 .003", "0.3 0.9 .02 .003 .004") * 2)

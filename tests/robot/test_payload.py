@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.tool import with_payload
 from pupper_analysis.stance.sag.equilibrium import integrate_step
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
@@ -72,19 +73,17 @@ def test_a_payload_with_an_invalid_mass_is_refused(mass: object) -> None:
 
 
 def test_contact_softness_under_a_payload_equals_that_of_mujoco() -> None:
-    """MuJoCo's contact stiffness is derived from the masses: the foot's inverse weight changes."""
+    """Reference: `efc_diagA` of MuJoCo; the payload changes the inverse weight of the foot."""
     robot, loaded = load("v3"), with_payload(load("v3"), 5.0)
     foot = robot.contact_places["FR"][0]
     light, heavy = (float(one.mj_model.body_invweight0[foot, 0]) for one in (robot, loaded))
     assert heavy < light
     _, stand = solve_loaded_stand(robot, pa.StandTask(), 5.0, (0.0, 0.0, 0.0))
     data = evaluate_mujoco(loaded, stand.qpos)
-    total = np.zeros(3)
-    for number in range(data.ncon):
-        wrench = np.zeros(6)
-        mujoco.mj_contactForce(loaded.mj_model, data, number, wrench)
-        total += data.contact.frame[number].reshape(3, 3).T @ wrench[:3]
-    assert total[2] > 0
+    assert data.ncon == 4
+    for touch in data.contact:
+        law = GroundLaw.of_contact(loaded, loaded.foot_geoms[max(touch.geom)])
+        assert law.normal == pytest.approx(data.efc_diagA[touch.efc_address], rel=1e-12)
 
 
 def test_third_payload_at_a_place_is_not_compiled_and_equals_the_compiled_model(

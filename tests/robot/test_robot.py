@@ -127,7 +127,7 @@ def test_foot_that_one_file_names_is_sufficient(
 
 
 def test_a_foot_on_a_low_step_touches_the_step_alone() -> None:
-    """Else it would sink through the step on to the floor, and be carried by both."""
+    """Without this, the foot would sink through the step onto the floor and be carried by both."""
     robot = load("v3")
     stand = pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(heights={"RR": 0.001})))
     on_step = build_on_ground(robot, stand.task.ground, stand.foot_targets)

@@ -61,7 +61,7 @@ def euler(kp: float, kd: float, step: float, implicit: bool) -> np.ndarray:
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "RK4"])
 def test_inverted_pendulum_diverges_at_the_rate_of_the_closed_form(integrator: str) -> None:
-    """Kp below m g l: one real mode grows."""
+    """Closed form for Kp below m g l: one real mode grows."""
     kp, kd, step = 5.0, 0.4, 0.002
     found = make_stability(pendulum(kp, kd, integrator, step))
     (mode,) = found.unstable

@@ -13,15 +13,15 @@ from pupper_analysis.robot.tendons import SUPPORTED_EQUALITIES, report_ignored_e
 from tests.support.legged import quadruped, rewrite_file
 
 ENDING = "</mujoco>"
-TOLD = ("mjEQ_FLEX", "mjEQ_FLEXVERT", "mjEQ_FLEXSTRAIN")
-GONE = "mjEQ_DISTANCE"  # MuJoCo refuses it since 2.2.2
+REPORTED = ("mjEQ_FLEX", "mjEQ_FLEXVERT", "mjEQ_FLEXSTRAIN")
+REMOVED = "mjEQ_DISTANCE"  # MuJoCo refuses it since 2.2.2
 CORD = '<fixed name="cord" limited="true" range="-1 1.3"><joint joint="FR_knee" coef="-1"/></fixed>'
 ROPE = '<spatial limited="true" range="0 1"><site site="a"/><site site="b"/></spatial>'
 
 
 @pytest.mark.slow
 def test_dropped_tendon_range_gives_a_note(tmp_path: Path) -> None:
-    """Of a sum of joints' positions, and of a way through space."""
+    """A fixed and a spatial tendon."""
     pair = quadruped(tmp_path)
     assert all(note.code != "tendon-ranges-not-kept" for note in pa.load_robot(*pair).notes)
     sites = '<site name="a"/><site name="b" pos="0 0 0.1"/><body name="FR_hip"'
@@ -31,7 +31,7 @@ def test_dropped_tendon_range_gives_a_note(tmp_path: Path) -> None:
         notes = pa.load_robot(*pair, fixed_base=held).notes
         [message] = [note for note in notes if note.code == "tendon-ranges-not-kept"]
         assert "cord (-1 to 1.3); #1 (0 to 1)" in str(message)
-    # Where MuJoCo does not keep it either, there is nothing to tell.
+    # If MuJoCo ignores the range as well, there is no note.
     off = '<option><flag limit="disable"/></option></mujoco>'
     rewrite_file(pair.mjcf, (ENDING, off))
     assert all(note.code != message.code for note in pa.load_robot(*pair).notes)
@@ -39,7 +39,7 @@ def test_dropped_tendon_range_gives_a_note(tmp_path: Path) -> None:
 
 def test_each_equality_type_of_mujoco_is_supported_reported_or_removed() -> None:
     """Reference: ``mujoco.mjtEq``, so that a type of a new version fails this test."""
-    known = {kind.name for kind in SUPPORTED_EQUALITIES} | {*TOLD, GONE}
+    known = {kind.name for kind in SUPPORTED_EQUALITIES} | {*REPORTED, REMOVED}
     assert {name for name in dir(mujoco.mjtEq) if name.startswith("mjEQ_")} == known
     scene = """<mujoco><worldbody><body pos="0 0 1"><geom size="0.1"/></body>
       <flexcomp name="cloth" type="grid" count="3 3 1" spacing="0.1 0.1 0.1" mass="1" radius="0.01">

@@ -294,7 +294,7 @@ def test_any_damping_differs_from_none(tmp_path: Path) -> None:
 
 
 def perturb_parts(parts: Parts, seed: int) -> Parts:
-    """The parts with every number changed a little, or much."""
+    """Return the parts with random changes of a relative size from 1e-7 to 0.1."""
     random = np.random.default_rng(seed)
     size = 10.0 ** random.uniform(-7, -1)
 
@@ -350,7 +350,7 @@ def test_negative_mass_in_one_file_is_named_as_the_only_explanation(tmp_path: Pa
 def test_explanation_is_incomplete_if_mass_differences_are_ignored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The proof can fail: with masses and inertias left out of the comparison, it does."""
+    """Control: without the comparison of masses and inertias, the explanation is incomplete."""
     monkeypatch.setattr(explain_module, "body_changes", lambda *_: iter(()))
     explanation = explain_parts(tmp_path, quadruped(), change_part(quadruped(), "base", mass=6.3))
     assert explanation.differences == ()

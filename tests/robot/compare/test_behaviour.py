@@ -153,7 +153,7 @@ def test_a_large_robot_agrees_until_one_com_is_moved(written: Written) -> None:
     result = pa.compare_models(urdf, mjcf)
     assert result.agree
     assert result.check.passed
-    # What the comparison is proven by can fail: one link in one file, read by both engines.
+    # Control: one link differs in one file, which both engines evaluate.
     text = urdf.read_text().replace('xyz="0 0 -.02"', 'xyz="0 0.001 -.02"', 1)
     urdf.write_text(text)
     worse = pa.compare_models(urdf, mjcf)
@@ -186,7 +186,7 @@ def test_fewer_states_are_compared_for_a_very_large_robot_with_a_note() -> None:
 
 
 def _count_calls(work: Callable[[], object]) -> int:
-    """Counts the calls of Python functions in some work."""
+    """Return the number of calls of Python functions in some work."""
     count = 0
 
     def hook(_frame: FrameType, event: str, _argument: object) -> None:

@@ -17,7 +17,7 @@ FOOT = '"collision" type="sphere" size="0.01995"'
 
 
 def write_edited(folder: Path, file: str, old: str, new: str) -> tuple[Path, Path]:
-    """Returns v3's two files with one edit."""
+    """Return v3's two files with one edit."""
     for name in ("urdf", "mjcf"):
         shutil.copytree(ROOT / name, folder / name)
     rewrite_file(folder / file, (old, new))

@@ -54,7 +54,7 @@ MJCF = mjcf_text(quadruped())
 
 
 def replace_once(text: str, **edits: str) -> str:
-    """The text with ``old`` replaced by ``new``, once; ``old`` has to be there."""
+    """Return the text with ``old`` replaced by ``new``, once; ``old`` has to be there."""
     for old, new in edits.items():
         assert old in text, old
         text = text.replace(old, new, 1)
@@ -66,7 +66,7 @@ def pair(folder: Path, mjcf: str, urdf: str = URDF, **options: Any) -> Compariso
 
 
 def swing(folder: Path, **edits: str) -> tuple[dict[str, Effect], np.ndarray, np.ndarray]:
-    """The effects of the one difference of a pendulum; and the angles and speeds judged at."""
+    """Return effects of the one difference of a pendulum, and the angles and speeds judged at."""
     text = replace_once(mjcf_text(pendulum(), free=False), **edits)
     files = write(folder, urdf_text(pendulum()), text)
     match = match_files(files)
@@ -186,13 +186,13 @@ BEFORE, AFTER = "<actuator>", "</worldbody>"
 
 
 def rope(words: str, *sites: str) -> str:
-    """A spatial tendon from one site to another."""
+    """Return a spatial tendon from one site to another."""
     way = "".join(f'<site site="{site}"/>' for site in sites)
     return f"<tendon><spatial {words}>{way}</spatial></tendon>"
 
 
 def belt(words: str, **joints: float) -> str:
-    """A fixed tendon."""
+    """Return a fixed tendon."""
     parts = "".join(f'<joint joint="{name}" coef="{by}"/>' for name, by in joints.items())
     return f"<tendon><fixed {words}>{parts}</fixed></tendon>"
 
@@ -254,7 +254,7 @@ PASSIVE = {
 
 
 def add_acting_element(kind: str, size: str, text: str) -> str:
-    """The text with something that acts."""
+    """Return the text with an element that acts on the robot."""
     _, where, words = PASSIVE[kind]
     if "<" not in where and "=" not in where:
         where, words = f'name="{where}"', f'name="{where}" {words}'

@@ -21,7 +21,7 @@ from tests.support.robots import (
 
 
 def turn_base(text: str, turn: Rotation) -> str:
-    """The MJCF with its base turned in the world."""
+    """Return the MJCF with its base turned in the world."""
     quaternion = " ".join(repr(float(value)) for value in turn.as_quat(scalar_first=True))
     before = '<body name="base" pos="0.0 0.0 0.0" quat="1.0 0.0 0.0 0.0">'
     assert before in text
@@ -29,7 +29,7 @@ def turn_base(text: str, turn: Rotation) -> str:
 
 
 def on_a_root(text: str, turn: Rotation) -> str:
-    """The URDF on a root link without mass, turned on it."""
+    """Return the URDF on a root link without mass, turned on it."""
     angles = " ".join(repr(float(value)) for value in turn.as_euler("xyz"))
     root = (
         f'<link name="table"/><joint name="mount" type="fixed"><origin rpy="{angles}"/>'

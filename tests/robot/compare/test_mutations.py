@@ -132,7 +132,7 @@ def mutate_numbers(pick: Pick, path: str, attribute: str, kind: str, change: Cha
 
 
 def state_attributes(pick: Pick, kinds: str, **attributes: str) -> Mutation:
-    """States attributes of an element."""
+    """Return a mutation that states attributes of an element."""
 
     def apply(files: Files) -> Expected:
         element, name = pick(files)

@@ -14,7 +14,7 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 
 
 def inertia_of(points: np.ndarray, masses: np.ndarray) -> np.ndarray:
-    """The inertia (3, 3) of point masses about their com."""
+    """Return the inertia (3, 3) of point masses about their com."""
     arms = points - masses @ points / masses.sum()
     return np.einsum(
         "n,nij->ij", masses, [arm @ arm * np.eye(3) - np.outer(arm, arm) for arm in arms]

@@ -100,7 +100,7 @@ def test_link_frames_rotated_along_a_chain_and_back_are_no_difference(
     files = write(tmp_path, urdf_text(thumb), mjcf_text(mjcf, [], free=False))
     comparison = compare_files(files)
     assert comparison.agree, comparison.differences
-    # One axis that really differs is still told, and it alone.
+    # One axis that differs is reported, and no other.
     axis = tuple(Rotation.from_rotvec([0, 0, 0.1]).apply(mjcf["t3"].axis))
     files = write(
         tmp_path, urdf_text(thumb), mjcf_text(change_part(mjcf, "t3", axis=axis), free=False)
