@@ -33,7 +33,7 @@ def test_the_base_is_the_link_that_no_joint_moves(tree: UrdfTree) -> None:
 
 
 def test_links_on_fixed_joints_form_one_group(tree: UrdfTree) -> None:
-    """Reference: the links of `quadruped()`; with all joints fixed the group is the total robot."""
+    """Reference: the links of `quadruped()`; with all joints fixed the group is the whole robot."""
     assert tree.fixed_group("shank1") == ["shank1", "foot1"]
     assert set(tree.fixed_group("base")) == {"base"}
     leg = list(tree.subtree("thigh2"))

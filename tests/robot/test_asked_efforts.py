@@ -31,16 +31,16 @@ def test_requested_efforts_bound_statics_and_simulation(effort: float) -> None:
     """
     robot = load("v3")
     knees = [name for name in robot.joint_names if name.endswith("_3")]
-    asked = with_efforts(robot, dict.fromkeys(knees, effort))
+    requested = with_efforts(robot, dict.fromkeys(knees, effort))
     wanted = [effort if name in knees else 3.0 for name in robot.joint_names]
-    np.testing.assert_allclose(asked.effort_limits, wanted)
-    np.testing.assert_allclose(with_payload(asked, 0.5).effort_limits, wanted)
-    model = model_with_servos(asked, kp=1e6, kd=0.0).model
+    np.testing.assert_allclose(requested.effort_limits, wanted)
+    np.testing.assert_allclose(with_payload(requested, 0.5).effort_limits, wanted)
+    model = model_with_servos(requested, kp=1e6, kd=0.0).model
     for name, limit in zip(robot.joint_names, wanted, strict=True):
-        actuator = asked.mj_convention.actuator_index[asked.joint_names.index(name)]
+        actuator = requested.mj_convention.actuator_index[requested.joint_names.index(name)]
         assert model.actuator_forcerange[actuator].tolist() == pytest.approx([-limit, limit])
         assert not model.jnt_actfrclimited[model.joint(name).id] or name not in knees
-    assert "efforts-as-asked" in {note.code for note in asked.notes}
+    assert "efforts-as-asked" in {note.code for note in requested.notes}
     assert with_efforts(robot, {}) is robot
 
 
@@ -104,8 +104,8 @@ def test_verdict_names_placeholder_efforts_until_efforts_are_requested(tmp_path:
         str(message) in str(line) for line in split_verdict_lines(verdict)[0]
     )  # also without -v
     assert sorted(message.values["joints"]) == ["a_turn", "elbow", "shoulder"]  # not the slide
-    asked = with_efforts(robot, {"shoulder": 30.0, "elbow": 9.0, "a_turn": 5.0})
-    held = pa.hold_posture(asked)
+    requested = with_efforts(robot, {"shoulder": 30.0, "elbow": 9.0, "a_turn": 5.0})
+    held = pa.hold_posture(requested)
     assert not [one for one in held.verdict.remarks if "effort" in one.code]
     assert held.payload.worst_posture_mass is not None
     assert held.payload.worst_posture_mass < 3.0  # kg: 9 N m at 0.4 m; hundreds by 2000 N m

@@ -43,7 +43,7 @@ def test_solver_that_stops_early_is_inexact() -> None:
     assert compute_residual_at_stand(1, mujoco.mjtSolver.mjSOL_CG) > MAX_SOLVER_RESIDUAL
 
 
-def test_missing_force_is_the_part_of_a_push_without_acceleration() -> None:
+def test_solver_residual_is_zero_in_the_air_and_its_push_is_removed() -> None:
     """In the air the residual is below 1e-12, and the push is removed afterwards."""
     robot = load("v3")
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
@@ -76,9 +76,9 @@ def test_dense_jacobian_is_used_if_the_sparse_one_loses_forces(tmp_path: Path) -
     rewrite_file(pair.mjcf, ("<worldbody>", '<option jacobian="sparse"/><worldbody>'))
     robot = pa.load_robot(*pair)
     assert robot.mj_model.opt.jacobian == DENSE
-    (said,) = [str(note) for note in robot.notes if note.code in EXACT]
-    assert "90 % of the weight" in said
-    assert 'jacobian="dense"' in said
+    (warning,) = [str(note) for note in robot.notes if note.code in EXACT]
+    assert "90 % of the weight" in warning
+    assert 'jacobian="dense"' in warning
 
 
 @pytest.mark.slow
@@ -91,8 +91,8 @@ def test_inexact_solver_is_kept_with_a_note(tmp_path: Path) -> None:
     rewrite_file(pair.mjcf, ("<worldbody>", f"{option}<worldbody>"))
     robot = pa.load_robot(*pair)
     assert robot.mj_model.opt.iterations == 1
-    (said,) = [str(note) for note in robot.notes if note.code in EXACT]
-    assert "not to be trusted" in said
+    (warning,) = [str(note) for note in robot.notes if note.code in EXACT]
+    assert "not to be trusted" in warning
     rewrite_file(pair.mjcf, (option, ""))
     robot = pa.load_robot(*pair)
     assert not any(note.code in EXACT for note in robot.notes)

@@ -71,7 +71,7 @@ def test_a_table_is_not_part_of_the_centre_of_mass(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("floor", "said"),
+    ("floor", "reported"),
     [
         (f'<body name="ground">{PLANE}/></body>', None),
         (f'<body pos="0 0 0.3" euler="0 1.5707963267948966 0">{PLANE}/></body>', "tilted by 90"),
@@ -82,13 +82,13 @@ def test_a_table_is_not_part_of_the_centre_of_mass(tmp_path: Path) -> None:
     ],
 )
 def test_stands_on_a_floor_anywhere_are_those_on_a_level_floor_at_zero(
-    tmp_path: Path, floor: str, said: str | None
+    tmp_path: Path, floor: str, reported: str | None
 ) -> None:
     """Reference: the stands on the plane at z = 0. A note names tilt and height that differ."""
     robot, plain = (load_pair(write_scene(tmp_path, text)) for text in (floor, PLANE + "/>"))
     messages = [str(note) for note in robot.notes if note.code == LEVEL]
-    assert bool(messages) == (said is not None)
-    assert all((said or "") in message for message in messages)
+    assert bool(messages) == (reported is not None)
+    assert all((reported or "") in message for message in messages)
     assert not [note for note in robot.notes if note.code == OTHERS]
     for task in ({}, {"ground": pa.Ground(slope=0.05, uphill=0.7)}):
         seen, known = (verify_stand_on_scene(one, **task) for one in (robot, plain))

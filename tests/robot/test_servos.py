@@ -79,9 +79,11 @@ def test_motors_of_several_controls_are_read(element: str, controls: int, tmp_pa
     pair = with_motors(quadruped(tmp_path), element, "FL")
     model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
     assert (model.nu, model.nactuator) == (controls, 12)
-    said = pa.compare_models(pair.urdf, pair.mjcf).differences
+    differences = pa.compare_models(pair.urdf, pair.mjcf).differences
     lost = {"FL_roll", "FL_pitch", "FL_knee"} if element == DC else set()
-    assert {(found.kind, found.element) for found in said} == {("effort", name) for name in lost}
+    assert {(found.kind, found.element) for found in differences} == {
+        ("effort", name) for name in lost
+    }
     assert pa.audit_model(pair.mjcf).passed
     assert pa.diff_models(pair.mjcf, pair.mjcf).same
 

@@ -264,12 +264,12 @@ def test_transient_excursion_counts_as_leaving() -> None:
     assert found.moved < 1e-6
     assert not found.stays
     stability = pa.robot.step_stability(model, mujoco.MjData(model))
-    (said,) = find_instability(stability, found)
-    assert "a joint is 2 deg from its position, and returns" in str(said)
+    (warning,) = find_instability(stability, found)
+    assert "a joint is 2 deg from its position, and returns" in str(warning)
     assert not find_instability(stability, replace(found, farthest=9e-3))
     slide = simulate_slide()
-    (said,) = find_instability(stability, slide)
-    assert "a joint is 20 mm from its position, and returns" in str(said)
+    (warning,) = find_instability(stability, slide)
+    assert "a joint is 20 mm from its position, and returns" in str(warning)
 
 
 def simulate_slide() -> Nudge:

@@ -256,8 +256,8 @@ def test_moved_base_frame_of_a_fixed_base_is_a_note(tmp_path: Path, pose: str) -
     mjcf, _ = change_frame(arm(), [], "base", *POSES[pose])
     comparison = compare_files(pair(tmp_path, mjcf, urdf=arm()))
     assert comparison.agree
-    said = [note for note in comparison.notes if "the fixed base's frame" in str(note)]
-    assert len(said) == 1
+    reported = [note for note in comparison.notes if "the fixed base's frame" in str(note)]
+    assert len(reported) == 1
 
 
 @pytest.mark.parametrize("names", [True, False])
@@ -271,8 +271,8 @@ def test_rotated_fixed_base_gives_one_note(tmp_path: Path, names: bool) -> None:
     mjcf = change_part(arm(), "base", quaternion=(0.5, 0.5, 0.5, 0.5))
     comparison = compare_files(pair(tmp_path, mjcf, urdf=urdf))
     assert comparison.agree
-    (said,) = (str(note) for note in comparison.notes if "is placed" in str(note))
-    assert "turned by 120 deg about (0.57735, 0.57735, 0.57735) in the world" in said
+    (reported,) = (str(note) for note in comparison.notes if "is placed" in str(note))
+    assert "turned by 120 deg about (0.57735, 0.57735, 0.57735) in the world" in reported
     assert set(comparison.joints) == {"turn", "lift", "push"}
 
 

@@ -127,8 +127,8 @@ def test_loose_objects_and_a_floor_are_no_part_of_the_robot(tmp_path: Path) -> N
     mjcf = mjcf_text(quadruped(), scene=scene, extra=references)
     comparison = compare_texts(tmp_path, URDF, mjcf)
     assert comparison.agree
-    said = " ".join(map(str, comparison.notes))
-    assert all(f"body '{one}' is not part of the robot" in said for one in ("ball", "door"))
+    reported = " ".join(map(str, comparison.notes))
+    assert all(f"body '{one}' is not part of the robot" in reported for one in ("ball", "door"))
 
 
 # ------------------------------------------------------------------------------------- left over
@@ -266,11 +266,11 @@ def test_ambiguous_match_prints_mapping_lines_to_paste(tmp_path: Path) -> None:
     }
     urdf = quadruped() | rename_joints(twins, to_left="one", to_right="two")
     comparison = compare_files(write_parts(tmp_path, urdf, rename_links(quadruped() | middle)))
-    said = [str(note) for note in comparison.notes if "may be" in str(note)]
+    reported = [str(note) for note in comparison.notes if "may be" in str(note)]
     assert comparison.guessed == {}
     assert (comparison.only_urdf, comparison.only_mjcf) == (("one", "two"), ("to_left", "to_right"))
-    assert "say which: --map one=to_left or --map one=to_right" in said[0]
-    assert len(said) == 2
+    assert "say which: --map one=to_left or --map one=to_right" in reported[0]
+    assert len(reported) == 2
 
 
 def test_a_match_that_drops_most_joints_is_refused(tmp_path: Path) -> None:
@@ -579,8 +579,8 @@ def test_two_massless_root_links_are_left_out(tmp_path: Path) -> None:
     )
     comparison = compare_texts(tmp_path, text, MJCF)
     assert comparison.agree
-    said = " ".join(map(str, comparison.notes))
-    assert all(f"root link '{link}' has no mass" in said for link in ("map", "world"))
+    reported = " ".join(map(str, comparison.notes))
+    assert all(f"root link '{link}' has no mass" in reported for link in ("map", "world"))
 
 
 def test_massless_root_link_displaced_from_the_base_is_left_out(tmp_path: Path) -> None:
@@ -639,8 +639,8 @@ def test_static_object_is_no_part_of_a_fixed_base(tmp_path: Path) -> None:
     comparison = compare_texts(tmp_path, urdf_text(arm()), mjcf)
     assert comparison.agree
     assert comparison.engines == ()
-    said = " ".join(map(str, comparison.notes))
-    assert "body 'table' is not part of the robot" in said
+    reported = " ".join(map(str, comparison.notes))
+    assert "body 'table' is not part of the robot" in reported
     heavier = mjcf_text(change_part(arm(), "base", mass=3.5), free=False, scene=table)
     comparison = compare_texts(tmp_path, urdf_text(arm()), heavier)
     assert list_differences(comparison) == [("mass", "base")]
