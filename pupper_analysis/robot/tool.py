@@ -96,7 +96,7 @@ class Tool(Result):
         return str(model.body(body).name), position
 
     def jacobian(self, config: Configuration) -> Array:
-        """Return the Jacobian (3, nv) of this point in world axes, which maps qvel to m/s."""
+        """Return the Jacobian J (3, nv); J qvel is this point's velocity [m/s] in world axes."""
         return self.twist_jacobian(config)[:3]
 
     def twist_jacobian(self, config: Configuration) -> Array:
@@ -107,7 +107,7 @@ class Tool(Result):
         return config.frame_jacobian(self.link, config.frame_rotation(self.link) @ self.offset)
 
     def load_per_mass(self, config: Configuration) -> Array:
-        """Return the generalised force that supports a mass at this point, per mass of 1 kg.
+        """Return the generalised force that supports a mass at this point, per unit mass.
 
         It is -J^T g, shape (nv,) [N/kg, N m/kg], with the Jacobian J of the point and the gravity
         vector g [m/s^2].

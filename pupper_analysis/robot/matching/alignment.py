@@ -1,10 +1,11 @@
 """Transformation of the link frames of one multibody tree to the frames of another tree.
 
-Link frames are a convention. A hinge is a line and a slide a direction; a body is a mass, a CoM and
-an inertia. The axes of a link frame, and the position of the origin on the line of the joint, do
-not affect the robot. Before two trees are compared, the frames of the second are transformed to
-those of the first, joint by joint from the base outwards. Of several candidate frames, that with
-the smallest total deviation is selected, measured as the sum of log2(1 + deviation / tolerance).
+Link frames are a convention. Mechanically, a hinge is a line, a slide is a direction, and a body
+has a mass, a CoM and an inertia. The axes of a link frame do not affect the robot, nor does the
+position of the origin on the axis of a hinge. Before two trees are compared, the link frames of the
+second tree are transformed to those of the first tree, joint by joint from the base outwards. For
+each joint, the candidate frame with the smallest total deviation is selected. The measure is the
+sum of log2(1 + deviation / tolerance).
 """
 
 from __future__ import annotations
@@ -21,19 +22,19 @@ from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 from pupper_analysis.robot.matching.tolerances import Tolerances
 
 _MIN_BITS_SAVED_BY_BODY_FRAME = 0.5
-"""Smallest decrease of the deviation between two trees [bits, see `measure_deviation_bits`] with
-which a body frame with another orientation or origin replaces the best previous frame. The minimum
-excludes rounding errors. Chosen, not tuned."""
+"""Decrease of the deviation between two trees [bits, see `measure_deviation_bits`] above which a
+candidate frame of a body replaces the best previous frame. The bound excludes rounding errors.
+Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """Tree in the link frames of another.
+    """Multibody tree, expressed in the link frames of another tree.
 
     Attributes:
         values: The same robot, in the aligned frames.
-        moved: {joint: displacement (3,) [m] of the origin, in the original axes of the body};
-            without unchanged origins.
+        moved: {joint: displacement (3,) [m] of the origin of its link frame, in the original axes
+            of the body}. Joints with unchanged origin are omitted.
     """
 
     values: MultibodyTree
@@ -50,16 +51,16 @@ def align_frames(
     """Express the tree ``second`` in link frames as near as possible to those of ``first``.
 
     A link frame may have any position along a hinge axis, and any orientation, without changing the
-    robot. The frames that minimise the deviation are selected joint by joint. The alignment uses
-    smaller tolerances than the comparison, because it could distribute a difference to parts below
-    the tolerance.
+    robot. The frames that minimise the deviation are selected joint by joint. The alignment uses a
+    hundredth of the tolerances. With the full tolerances, it could distribute a difference over
+    several values that are each within the tolerance.
 
     Args:
         second: Tree whose link frames are transformed.
         first: Tree with the target frames, and with the same names of joints.
         tolerances: Tolerances of the comparison.
-        fixed: Prismatic joints whose origin must not be moved.
-        only: Joints whose frames are transformed; all by default.
+        fixed: Slides whose origin must not be moved.
+        only: Joints whose frames are transformed; all joints by default.
     """
     tolerances = tighten_tolerances(tolerances)
     names = list(first.joints if only is None else only)
@@ -91,10 +92,10 @@ def _align_by_cost(
         second: Tree whose frames are transformed.
         first: Tree with the target frames.
         tolerances: Tolerances of the comparison.
-        fixed: Prismatic joints whose origin must not be moved.
+        fixed: Slides whose origin must not be moved.
         names: Joints whose frames are transformed.
-        as_the_first: Rotate each frame to the orientation in ``first`` at zero angles, even if this
-            increases the deviation.
+        as_the_first: If True, each frame is rotated to its orientation in ``first`` at zero angles,
+            even if this increases the deviation.
     """
     result, moved = second, {}
     for name in names:
@@ -131,7 +132,7 @@ def tighten_tolerances(tolerances: Tolerances) -> Tolerances:
 def measure_deviation_bits(size: float, tolerance: float) -> float:
     """Convert a deviation to bits: log2(1 + size / tolerance), or 0 within the tolerance.
 
-    Deviations of different units can thus be added.
+    Thus deviations with different units can be added.
 
     Args:
         size: Deviation, not negative.
@@ -143,10 +144,10 @@ def measure_deviation_bits(size: float, tolerance: float) -> float:
 def measure_joint_deviation(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Return the deviation of a joint between two trees, with moved body, frames and child joints.
+    """Return the deviation of a joint between two trees, in bits.
 
-    The result is the sum of log2(1 + deviation / tolerance) over the compared quantities, in bits
-    (`measure_deviation_bits`). Of child joints only the placement on the body is compared.
+    The result is the sum of `measure_deviation_bits` over the compared quantities: the joint, the
+    body that it moves, the frames on this body, and the placements of the child joints.
     """
     total = _joint_bits(first, second, name, tolerances)
     for child in first.children(name):
@@ -158,9 +159,9 @@ def measure_joint_deviation(
 def measure_tree_deviation(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> float:
-    """Return the sum of the deviations [bits] of all joints, moved bodies and frames of two trees.
+    """Return the summed deviation of all joints, moved bodies and frames of two trees, in bits.
 
-    For the logarithmic unit see `measure_deviation_bits`.
+    `measure_deviation_bits` defines the unit.
     """
     return sum(_joint_bits(first, second, name, tolerances) for name in first.joints)
 
@@ -170,7 +171,7 @@ def _joint_bits(
 ) -> float:
     """Return the deviation of a joint, its body and frames [bits, see `measure_deviation_bits`].
 
-    Joints on the body are not included.
+    Child joints are not included.
     """
     total = _placement_bits(first.joints[name], second.joints[name], tolerances)
     total += measure_deviation_bits(
@@ -186,9 +187,9 @@ def _joint_bits(
 
 
 def measure_body_deviation(first: TreeBody, second: TreeBody, tolerances: Tolerances) -> float:
-    """Return the deviation [bits] of the CoM and inertia of two bodies; 0 if a body has no mass.
+    """Return the deviation of CoM and inertia between two bodies, in bits; 0 if a body has no mass.
 
-    For the logarithmic unit see `measure_deviation_bits`.
+    `measure_deviation_bits` defines the unit.
     """
     if not (first.mass and second.mass):
         return 0.0
@@ -218,8 +219,9 @@ def angle_between(first: Array, second: Array) -> float:
 def _candidate_rotations(first: MultibodyTree, second: MultibodyTree, name: str) -> Iterator[Array]:
     """Yield rotations (3, 3) of a body frame of the second tree that may match the first tree.
 
-    First the identity, then the rotation to the orientation in the first tree. If the joint limits
-    of a hinge indicate another zero angle, the second rotation is also combined with this angle.
+    The first rotation is the identity, the second rotates the frame to its orientation in the first
+    tree. If the limits of a hinge indicate another zero angle, a third rotation adds this angle to
+    the second.
     """
     first_joint, second_joint = first.joints[name], second.joints[name]
     yield np.eye(3)
@@ -250,9 +252,9 @@ def _matching_points(
 
 
 def find_limit_offset(first: TreeJoint, second: TreeJoint) -> float:
-    """Return the offset of the joint limits, first joint minus second joint [rad, m].
+    """Return the common offset of both joint limits, first joint minus second joint [rad, m].
 
-    0 if the offsets of lower and upper limit differ, or a limit is infinite.
+    The result is 0 if the offsets of lower and upper limit differ, or if a limit is infinite.
     """
     lower, upper = first.lower - second.lower, first.upper - second.upper
     if not (math.isfinite(lower) and math.isfinite(upper)):
@@ -266,12 +268,12 @@ def _candidate_steps(
     """Yield candidate displacements (3,) [m] of a joint's origin in the tree ``second``.
 
     Displacements are expressed in the axes of the body that the joint moves. The first displacement
-    is zero. The others derive from two vectors: d leads from the joint's origin in ``second`` to
-    the origin in ``first``, and m is the median displacement of the points on the body
-    (`_matching_points`).
+    is zero. The others are computed from two vectors. d is the vector from the joint's origin in
+    ``second`` to its origin in ``first``. m is the median difference between the positions of the
+    points on the body in both trees (`_matching_points`).
 
     - Hinge: the components of d and m along the axis.
-    - Slide: d, m, and the part of d perpendicular to the axis; only zero if ``still``.
+    - Slide: d, m, and the part of d perpendicular to the axis. If ``still``, none of these.
     """
     yield np.zeros(3)
     first_joint, second_joint = first.joints[name], second.joints[name]
@@ -293,10 +295,9 @@ def _candidate_steps(
 
 
 def in_axes(values: MultibodyTree, name: str, rotation: Array) -> MultibodyTree:
-    """Return a tree in which the body that the joint ``name`` moves has rotated axes.
+    """Rotate the frame of the body that the joint ``name`` moves; the robot itself does not move.
 
-    The new coordinates of a point are x' = rotation x, with the ``rotation`` matrix (3, 3). The
-    robot itself does not move.
+    The new coordinates of a point are x' = R x, with the matrix ``rotation`` R, shape (3, 3).
     """
     joint, joints = values.joints[name], dict(values.joints)
     joints[name] = replace(joint, rotation=joint.rotation @ rotation.T, axis=rotation @ joint.axis)
@@ -321,9 +322,9 @@ def with_origin(values: MultibodyTree, name: str, step: Array) -> MultibodyTree:
 
 
 def in_body_frame(values: MultibodyTree, name: str, rotation: Array, shift: Array) -> MultibodyTree:
-    """Express CoM, inertia, frames and children of a body in a new frame of the body.
+    """Express CoM, inertia, frames and child joints of a body in a new frame of the body.
 
-    The new coordinates are x' = rotation x + shift.
+    The new coordinates of a point x are x' = rotation x + shift.
 
     Args:
         values: Tree of the robot.
@@ -352,5 +353,8 @@ def in_body_frame(values: MultibodyTree, name: str, rotation: Array, shift: Arra
 
 
 def with_base(values: MultibodyTree, pose: pin.SE3) -> MultibodyTree:
-    """Return a tree with another frame of the base, in which the old base frame has this pose."""
+    """Return a tree with a new frame of the base.
+
+    ``pose`` is the pose of the old base frame in the new frame.
+    """
     return in_body_frame(values, values.base, np.array(pose.rotation), np.array(pose.translation))

@@ -1,8 +1,8 @@
 """Detection of different conventions in two files: frame of the base, and zero angles of joints.
 
-Both conventions do not affect the robot, but change qpos. A displaced frame of the base, and a
-joint with a displaced zero (and displaced limits), are detected, removed from the comparison, and
-reported as a single difference.
+These conventions do not affect the robot, but change qpos. The module detects a displaced frame of
+the base, and a joint with a displaced zero (and displaced limits). Each of them is removed from the
+comparison, and reported as a single difference.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from pupper_analysis.robot.matching.alignment import (
 from pupper_analysis.robot.matching.tolerances import Tolerances
 
 _MIN_BITS_SAVED_BY_BASE_FRAME = 3.0
-"""Smallest decrease of the total deviation [bits, see `measure_deviation_bits`] with which a
-displaced base frame is accepted, if the robots agree with this frame. A decrease to less than 60 %
-is always sufficient. Chosen, not tuned."""
+"""Decrease of the total deviation [bits, see `measure_deviation_bits`] above which a displaced base
+frame is accepted, if the robots agree in this frame. A decrease of the deviation to less than 60 %
+is sufficient in any case. Chosen, not tuned."""
 
 _MAX_JOINTS_TRIED = 6
-"""Largest number of joints on the base whose placements in both files serve as candidates for the
-pose between the two base frames. Chosen, to bound the computing time."""
+"""Maximum number of joints on the base whose placements give a candidate for the pose between the
+two base frames. Further joints are not tried. Chosen, to bound the computing time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +52,11 @@ class Conventions:
     """Differences between the coordinates of a URDF and an MJCF of the same robot.
 
     Attributes:
-        base: Pose of the URDF's base frame in the MJCF's; None if equal, or if no pose was found.
-        shown: Whether the displaced base frame is confirmed by the body of the base, by several
-            joints on the base, or by equal limits of the single joint. Otherwise, the zero of that
-            joint may be displaced.
+        base: Pose of the URDF's base frame in the MJCF's base frame. None if both are equal, or if
+            no pose was found.
+        shown: Whether the displaced base frame is confirmed: by the mass of the base, by several
+            joints on the base, or by equal limits of the only joint on the base. If False, the zero
+            of that joint may be displaced instead.
         zeros: {joint: q in the URDF minus q in the MJCF [rad, m]}, if not 0.
     """
 
@@ -75,14 +76,15 @@ class Conventions:
 def find_conventions(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances, *, fixed: bool
 ) -> Conventions:
-    """Find by which base frame and which joint zeros a URDF and an MJCF of a robot differ.
+    """Find the differences of base frame and joint zeros between a URDF and an MJCF of a robot.
 
     Args:
-        first: Tree of the URDF, in the base frame.
-        second: Tree of the MJCF, in the base frame.
+        first: Tree of the URDF, expressed in its base frame.
+        second: Tree of the MJCF, expressed in its base frame.
         tolerances: Tolerances of the comparison.
-        fixed: Whether the base is fixed. The world pose of a fixed base is then no property of the
-            robot, and a rotation by quarter turns is accepted even without mass of the base.
+        fixed: Whether the base is fixed. The world pose of a fixed base is no property of the
+            robot. A rotation of its frame by quarter turns is therefore accepted even if it saves
+            few bits.
     """
     base = _find_base_pose(first, second, tolerances, fixed=fixed)
     placed = first if base is None else with_base(first, base)
@@ -105,11 +107,11 @@ def find_conventions(
 def _is_base_frame_confirmed(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> bool:
-    """Return True if a displaced base frame could not be the displaced zero of a single joint.
+    """Return True if a displaced base frame cannot be confused with a displaced joint zero.
 
-    With a single joint on the base, both may look alike. The base frame is confirmed if several
-    joints are on the base, if both files state the mass of the base, or if the limits of the single
-    joint are equal and less than a full turn apart.
+    If a single joint is on the base, both have the same effect on the joint. The base frame is
+    confirmed in three cases: several joints are on the base; both files state the mass of the base;
+    or the limits of the single joint are equal in both files, and less than a full turn apart.
     """
     names = first.children(first.base)
     bodies = first.bodies[first.base], second.bodies[second.base]
@@ -128,10 +130,11 @@ def _is_base_frame_confirmed(
 def _find_zero_offset(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Return the offset of a joint: coordinate in ``first`` minus that in ``second`` [rad, m].
+    """Return the offset of a joint's zero: q in ``first`` minus q in ``second`` [rad, m].
 
-    0 if the offset is within tolerance, if type, axis or frame of the joint differ otherwise, or if
-    a limit is finite and the limits of both files do not differ by the offset.
+    The result is 0 in three cases: the offset is within the tolerance; type, axis or frame of the
+    joint differ in another way; or a limit is finite, and the limits of both files do not differ by
+    the offset.
     """
     first_joint, second_joint = first.joints[name], second.joints[name]
     axis_angle = angle_between(first_joint.axis, second_joint.axis)
@@ -183,18 +186,19 @@ def with_zero(values: MultibodyTree, name: str, offset: float) -> MultibodyTree:
 def _find_base_pose(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances, *, fixed: bool
 ) -> pin.SE3 | None:
-    """Return the pose of the base frame of the first tree in that of the second tree.
+    """Return the pose of the first tree's base frame in the second tree's base frame.
 
-    For a ``fixed`` base, exchanged axes that remove the whole deviation are also accepted.
+    For a ``fixed`` base, a rotation that exchanges axes is also accepted, if it removes the whole
+    deviation.
 
     Returns:
         Pose. None in each of these cases:
 
         - No joint is on the base, or the joints on the base do not correspond.
         - A joint has the same placement in both trees: the base frames are equal.
-        - Exchanged names of limbs explain the deviation (a half turn about x exchanges left and
-          right, too): the joints on the base coincide under other names, and the base bodies are
-          equal only without the pose.
+        - Exchanged names of limbs explain the deviation: the joints on the base coincide under
+          other names, and the base bodies are equal only without the pose. (A half turn about x has
+          a similar effect: it exchanges left and right.)
         - No pose decreases the deviation enough.
     """
     names = first.children(first.base)
@@ -241,16 +245,16 @@ def _find_base_pose(
 def _find_pose_of_joints(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> pin.SE3 | None:
-    """Return the pose of the base frame that brings all joints on the base into place.
+    """Return the pose of the base frame with which all joints on the base agree in both trees.
 
-    Positions and axes of the joints are compared, not the bodies: other masses and tensors are
-    differences of their own, with any frame of the base. The pose is fitted to the anchors of the
-    joints and to points on the axes by least squares (Kabsch, Acta Cryst. A32 (1976) 922).
+    Only positions and axes of the joints are compared. Masses and inertias of the bodies are not,
+    because they may differ with any base frame. The pose is fitted by least squares to the joint
+    positions and to points on the axes (Kabsch, Acta Cryst. A32 (1976) 922).
 
     Returns:
-        Pose; None if the frames are equal, if fewer than two joints with different positions are on
-        the base, if anchors and axes are on one line, or if a joint deviates by more than the
-        tolerances.
+        Pose. None if the base frames are equal; if fewer than two joints with different positions
+        are on the base; if all joint positions and axes are on one line; or if a joint deviates by
+        more than the tolerances.
     """
     names = first.children(first.base)
     anchors, axes = _list_anchors_and_axes(first, names)
@@ -280,7 +284,7 @@ def _find_pose_of_joints(
 def _do_joints_coincide(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> bool:
-    """Return True if the joints on the base have equal positions and axes, under any names."""
+    """Return True if the joints on the base have equal positions and axes, with any names."""
     names = first.children(first.base)
     anchors, axes = _list_anchors_and_axes(first, names)
     other_anchors, other_axes = _list_anchors_and_axes(second, names)
@@ -291,10 +295,11 @@ def _do_joints_coincide(
 
 
 _MIN_JOINTS_OF_POSE, _MIN_SPREAD = 2, 1e-3
-"""Smallest number of joints on the base from which `_find_pose_of_joints` determines the pose of
-the base frame: two joints with axes state ten numbers, a pose has six. And lower bound of the
-largest range [m] of the joints' coordinates along an axis of the base; with a smaller range, or
-with points on one line, no pose is determined. Chosen, not tuned."""
+"""Requirements of `_find_pose_of_joints`. The first value is the minimum number of joints on the
+base: two joints with axes determine ten numbers, a pose has six. The second value is a lower bound
+of the spread of the joint positions [m]: the largest range of their coordinates along an axis of
+the base. If a requirement is not met, or all points are on one line, no pose is determined. Chosen,
+not tuned."""
 
 
 def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array, Array]:
@@ -323,11 +328,12 @@ def _is_axis_permutation(rotation: Array) -> bool:
 
 
 def _candidate_base_poses(first: MultibodyTree, second: MultibodyTree) -> Iterator[pin.SE3]:
-    """Yield candidate poses of the base frame of the first tree in that of the second tree.
+    """Yield candidate poses of the first tree's base frame in the second tree's base frame.
 
-    First the poses with which a joint of the base has the same placement in both trees, for the
-    first `_MAX_JOINTS_TRIED` joints; then the 24 rotations by quarter turns, each without
-    translation, and with the translation that makes the mean joint position equal. The mean
+    The first candidates give a joint on the base the same placement in both trees, for up to
+    `_MAX_JOINTS_TRIED` joints. The others are the 24 rotations by quarter turns, each with two
+
+    translations: zero, and the translation with which the mean joint positions are equal. The mean
     includes the CoM of the base if both files state its mass.
     """
     names = first.children(first.base)
@@ -359,13 +365,13 @@ def quarter_turns() -> Iterator[Array]:
 def apply_conventions(
     root: etree._Element, link: str, conventions: Conventions, first: MultibodyTree
 ) -> None:
-    """Convert a URDF to the conventions of the MJCF, in place: base frame and zeros.
+    """Convert a URDF to the base frame and the joint zeros of the MJCF, in place.
 
     Args:
         root: Root element of the URDF; modified.
-        link: Root link.
-        conventions: Base frame and joint zeros of the MJCF, relative to the URDF.
-        first: Tree of the URDF before the conversion, which provides joint axes and types.
+        link: Name of the root link.
+        conventions: Differences between the coordinates of URDF and MJCF (`find_conventions`).
+        first: Tree of the URDF before the conversion; its joint axes and types are used.
     """
     tree = UrdfTree(root)
     if conventions.base is not None:

@@ -1,8 +1,8 @@
-"""Locations of the values of a multibody tree in the model file, independent of the format.
+"""Locations (file and line) of the values of a multibody tree in a URDF or MJCF.
 
 Input: kind of a value and name of the element in a comparison. Output: file and line (`UrdfSources`
 for a URDF, `MjcfSources` for an MJCF). A body of the tree may consist of several links or bodies
-that are fixed to each other: the heaviest is located.
+that are fixed to each other. The location is then that of the heaviest.
 """
 
 from __future__ import annotations
@@ -43,15 +43,15 @@ _MJCF_SECTIONS: Final = {
     "motor": "actuator",
     "equality": "equality",
 }
-"""{kind: section of an MJCF} of elements that URDF does not support."""
+"""{kind of difference: section of an MJCF}, for elements that a URDF cannot specify."""
 
 _GLOBAL_OPTIONS: Final[Mapping[str, tuple[str, ...]]] = {
     "fluid": ("density", "viscosity"),
     "gravity": ("gravity",),
     "flag": (),
 }
-"""{kind of difference: attributes of ``<option>``} for the kinds that concern the whole robot. The
-attribute of a ``<flag>`` is the name of the compared element."""
+"""{kind of difference: attributes of ``<option>``}, for kinds that concern the whole robot. For the
+kind "flag", the name of the compared element is the attribute of ``<flag>``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,11 +60,13 @@ class UrdfSources:
 
     Attributes:
         file: The file.
-        tree: Links and joints as compared.
-        links: {base or joint: moved link}.
-        joints: {joint: name in the file}; a missing joint has the same name.
-        frames: {frame: link}; a missing frame has the name of its link.
-        base: Names of the base in the comparison.
+        tree: Links and joints of the compared URDF.
+        links: {base or joint: link that moves with it}.
+        joints: {joint in the comparison: name in the file}. A joint that is not in this mapping has
+            the same name.
+        frames: {frame in the comparison: link}. A frame that is not in this mapping has the name of
+            its link.
+        base: Names that the base has in the comparison.
     """
 
     file: UrdfFile
@@ -75,7 +77,7 @@ class UrdfSources:
     base: tuple[str, ...]
 
     def place(self, kind: str, element: str) -> Place:
-        """Return the location in the URDF of a compared value; the file without line if unknown.
+        """Return the file and line in the URDF of a compared value; without line if unknown.
 
         Args:
             kind: Kind of the value, as in a `Difference`.
@@ -100,8 +102,8 @@ class UrdfSources:
     def list_masses(self, mover: str) -> list[tuple[str, float]]:
         """Return (link, mass [kg]) of the links that move with a joint or with the base.
 
-        The first link is the link that the joint moves; fixed links are listed if their mass is not
-        zero.
+        The link that the joint moves is the first. Links that are fixed to it follow, if their mass
+        is not zero.
         """
         first_link = self.links[mover]
         masses = [
@@ -126,11 +128,12 @@ class MjcfSources:
     Attributes:
         file: The file.
         model: Compiled model.
-        bodies: {base or joint: moved body}.
-        frames: {frame: site, body or geom}; a missing frame has the name of its element.
-        base: Names of the base in the comparison.
-        renumbered: Whether elements without a name have other numbers than in the file, because
-            joints were removed.
+        bodies: {base or joint: body that moves with it}.
+        frames: {frame in the comparison: site, body or geom}. A frame that is not in this mapping
+            has the name of its element.
+        base: Names that the base has in the comparison.
+        renumbered: Whether joints were removed for the comparison. The numbers of elements without
+            name then differ from the file.
     """
 
     file: MjcfFile
@@ -141,7 +144,7 @@ class MjcfSources:
     renumbered: bool = False
 
     def place(self, kind: str, element: str) -> Place:
-        """Return the location of a value in the MJCF; the file without line if not recorded.
+        """Return the file and line in the MJCF of a compared value; without line if unknown.
 
         Args:
             kind: Kind of the value, as in a `Difference`.
@@ -181,8 +184,8 @@ class MjcfSources:
     def list_masses(self, mover: str) -> list[tuple[str, float]]:
         """Return (body, mass [kg]) of the MJCF bodies that move with a joint or with the base.
 
-        The first body is the body that the joint moves; fixed bodies are listed if their mass is
-        not zero.
+        The body that the joint moves is the first. Bodies that are fixed to it follow, if their
+        mass is positive.
         """
         model = self.model
         first_body = model.body(self.bodies[mover]).id
@@ -195,7 +198,8 @@ class MjcfSources:
         """Return the file and line of a body's ``<inertial>`` in the MJCF, for any kind of value.
 
         Args:
-            kind: ``"mass"``, ``"com"`` or ``"inertia"``; ignored.
+            kind: ``"mass"``, ``"com"`` or ``"inertia"``; ignored, since one element states all of
+                them.
             name: Name of the body.
         """
         del kind
@@ -216,8 +220,9 @@ def _locate_value(
 ) -> Place:
     """Return the location of the attribute that sets a kind of value in an MJCF.
 
-    Candidates without ``child`` are searched for the attribute. If none has it, the location of the
-    first existing candidate is returned; if none exists, that of the first, without line.
+    Candidates without ``child`` are searched for the attribute. If no candidate has the attribute,
+    the result is the location of the first candidate that exists in the file. If none exists, the
+    result has no line.
 
     Args:
         file: The MJCF.

@@ -1,7 +1,7 @@
 """Tolerances for the comparison of two files: one number per kind of value.
 
-`Tolerances` has defaults for files with 5 to 6 digits; ``strict`` and ``fine`` accept rounding
-errors only; ``with_values`` replaces single tolerances.
+`Tolerances` has defaults for files with 5 to 6 digits. ``strict`` and ``fine`` accept only rounding
+errors. ``with_values`` replaces single tolerances.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pupper_analysis.base.errors import ConfigurationError
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Tolerances for each kind of value in two files.
+    """Tolerances for the comparison of two files, one per kind of value.
 
     The defaults accept files written with 5 to 6 digits.
 
@@ -32,8 +32,8 @@ class Tolerances:
         velocity: Velocity limit, relative.
         damping: Damping, relative.
         friction: Friction loss, relative.
-        gravity: Gravity of the MJCF minus 9.81 m/s^2 downwards, Pinocchio's value for a URDF
-            (m/s^2). The default accepts 9.8 and 9.80665.
+        gravity: Norm of the difference between gravity in the MJCF and 9.81 m/s^2 downwards
+            (m/s^2). Pinocchio uses 9.81 for a URDF. The default accepts 9.8 and 9.80665.
         dynamics: Quantities of the cross-check, relative to the scale of each quantity.
     """
 
