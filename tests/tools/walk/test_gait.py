@@ -82,7 +82,7 @@ def test_torques_and_motion_of_a_walk_equal_bare_mujoco(still: Policy) -> None:
     assert 0.8 < gait.margin < 0.95  # it sags
     assert all(share == 1.0 for share in gait.duty.values())
     assert gait.power < 0.01
-    assert gait.static is not None  # it stands: what the gait asks for is what statics do
+    assert gait.static is not None  # standing: the torques of the gait are static
     assert gait.static[2::3] == pytest.approx(rms[2::3], rel=0.1)  # knees: feet do not push aside
 
 
