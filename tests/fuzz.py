@@ -180,26 +180,26 @@ def _run(arguments: tuple[str, ...], folder: Path) -> tuple[int | None, str, flo
     return status, out.getvalue(), time.process_time() - start
 
 
-def find_unsafe_output(said: str, arguments: tuple[str, ...]) -> Iterator[str]:
+def find_unsafe_output(output: str, arguments: tuple[str, ...]) -> Iterator[str]:
     """Yield control characters in the printed text, and lines that a CI service executes."""
     github = "github" in arguments
     joiner = "\u2060" if "markdown" in arguments else ""  # which keeps names from acting there
-    for letter in sorted(set(said) - {"\n", joiner}):
+    for letter in sorted(set(output) - {"\n", joiner}):
         if unicodedata.category(letter) in ("Cc", "Cf", "Cs", "Zl", "Zp"):
-            yield f"{letter!a} is shown as it is: {quote_around(said, letter)!a}"
-    obeyed = re.search(r"(?m)^\s*(::|##\[).*$", said)
+            yield f"{letter!a} is shown as it is: {quote_around(output, letter)!a}"
+    obeyed = re.search(r"(?m)^\s*(::|##\[).*$", output)
     if obeyed and not github:
         yield f"a line that CI obeys: {obeyed[0]!a}"
     if github:
-        for line in said.splitlines():
+        for line in output.splitlines():
             if re.match(r"\s*(::|##\[)", line) and not re.match(r"::(error|warning|notice) ", line):
                 yield f"a line that CI obeys: {line!a}"
 
 
-def quote_around(said: str, letter: str) -> str:
+def quote_around(output: str, letter: str) -> str:
     """Return the text around the first occurrence of a character."""
-    place = said.index(letter)
-    return said[max(0, place - 40) : place + 40]
+    place = output.index(letter)
+    return output[max(0, place - 40) : place + 40]
 
 
 def find_wrong_files(

@@ -145,7 +145,7 @@ ARMS = {
 def test_expected_outcome_of_an_unmodified_arm_equals_bare_mujoco(
     name: str, tmp_path: Path
 ) -> None:
-    """Control of the reference: outcomes of seven edits, derived by hand."""
+    """Control of the reference: outcomes of the edits in ARMS, derived by hand."""
     _, mjcf = arm_features.files(tmp_path, arm_features.FEATURES[name])
     assert every_command.simulate_arm_truth(mjcf) is ARMS[name]
 
@@ -154,8 +154,8 @@ def test_expected_outcome_of_an_unmodified_arm_equals_bare_mujoco(
 def test_state_that_mujoco_resets_in_the_first_step_passes_no_command(tmp_path: Path) -> None:
     """A keyframe's ctrl of 1e9: MuJoCo begins anew at once, commanded nothing, and stands."""
     name = "a keyframe's ctrl 1e9"
-    asked = COMMANDS.keys() & {"push", "study", "python"}
-    row = every_command.make_row(name, EDITS[name], tmp_path, asked)
+    commands = COMMANDS.keys() & {"push", "study", "python"}
+    row = every_command.make_row(name, EDITS[name], tmp_path, commands)
     assert row.truth is Truth.FALLS
     assert not row.wrong
     assert not any(cell.passed or cell.refused for cell in row.cells.values())

@@ -204,7 +204,7 @@ def test_the_order_of_a_urdf_and_an_mjcf_does_not_matter(command: str, tmp_path:
 def test_an_option_with_two_different_values_is_refused(
     arguments: tuple[str, ...], first: str, second: str
 ) -> None:
-    """The last value applied without a word, so half of what was typed had no effect."""
+    """Otherwise the last value would silently replace the first."""
     message = run_refused(*arguments)
     assert f"has two different values: {first} and {second}; keep one" in message
 

@@ -266,31 +266,31 @@ ALL = [cli.find_command(name) for name in cli.COMMAND_NAMES]
 WRITING = [one for one in ALL if isinstance(one, Command) and one.outputs]
 
 
-def one_line(given: Answer) -> bool:
-    return given.stderr.startswith("error: ") and len(given.stderr.strip().splitlines()) == 1
+def one_line(result: Answer) -> bool:
+    return result.stderr.startswith("error: ") and len(result.stderr.strip().splitlines()) == 1
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", WRITING, ids=lambda command: str(command.name))
 def test_output_that_is_an_input_is_refused(command: Command, folder: Path) -> None:
-    """Each output, by name, by another path, by a symbolic and a hard link, also with --force: all
-    files keep their SHA-256.
+    """Each output at each named input by four paths, among them a symbolic and a hard link, and at
+    each file read with them by one path, also with --force: all files keep their SHA-256.
     """
     before, count = sums(folder), 0
     for case in list_cases(command):
         words = aim_output_at_input(folder, *case)
         for force in ([], ["--force"]):
-            given = answer(*words, *force, folder=folder)
-            messages = (*words, *force, given)
-            assert given.returncode == 2, messages
-            assert one_line(given), messages
+            result = answer(*words, *force, folder=folder)
+            messages = (*words, *force, result)
+            assert result.returncode == 2, messages
+            assert one_line(result), messages
             refusals = ("this run reads", "it is the plan", "this format is not written")
-            assert not force or any(text in given.stderr for text in refusals), messages
+            assert not force or any(text in result.stderr for text in refusals), messages
             count += 1
         shutil.rmtree(folder / "into", ignore_errors=True)
     (folder / "linked").unlink(missing_ok=True)
     assert sums(folder) == before
-    assert count >= 16, "what is swept has become little"
+    assert count >= 16, f"only {count} cases are tested"
 
 
 def test_every_command_with_a_path_is_swept() -> None:

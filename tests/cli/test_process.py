@@ -261,13 +261,16 @@ def test_operating_system_errors_are_not_reported_as_bugs(
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
     @click.command()
-    def here() -> None:
+    def leave_removed_folder() -> None:
         tmp_path.joinpath("gone").mkdir()
         monkeypatch.chdir(tmp_path / "gone")
         tmp_path.joinpath("gone").rmdir()
         Path.cwd()
 
-    for command, said in ((many, "Too many open files"), (here, "the current folder is gone")):
+    for command, said in (
+        (many, "Too many open files"),
+        (leave_removed_folder, "the current folder is gone"),
+    ):
         assert status_of(command, []) == cli.EXIT_BAD_INPUT
         assert said in capsys.readouterr().err
 

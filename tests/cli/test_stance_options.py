@@ -53,8 +53,8 @@ def test_commands_share_their_options_of_robot_and_stance() -> None:
 @pytest.mark.parametrize("name", sorted(cli.COMMAND_NAMES))
 def test_the_help_fits_into_80_columns(name: str) -> None:
     command = cli.find_command(name)
-    said = command.get_help(click.Context(command, info_name=name, terminal_width=80))
-    assert [line for line in said.splitlines() if len(line) > 80] == []
+    help_text = command.get_help(click.Context(command, info_name=name, terminal_width=80))
+    assert [line for line in help_text.splitlines() if len(line) > 80] == []
 
 
 def select_variant(*given: object) -> object:

@@ -31,7 +31,7 @@ from tests.support.variants import load, stand_of
 def draw_figure(
     monkeypatch: pytest.MonkeyPatch, draw: Callable[..., None], *arguments: Any
 ) -> Figure:
-    """The figure that a function draws, instead of its file."""
+    """Return the figure that a function draws, without saving it."""
     kept: list[Figure] = []
     monkeypatch.setattr(drawing, "save_figure", lambda figure, path: kept.append(figure))
     draw(*arguments, Path("unused.png"))

@@ -103,7 +103,7 @@ def comparison() -> pa.analysis.Comparison:
         return found
 
 
-# What the page is
+# Structure of the page
 
 
 @pytest.mark.slow
@@ -144,7 +144,7 @@ def test_header_has_a_unit_if_the_column_has_numbers() -> None:
     assert count > 40
 
 
-# Whose numbers these are
+# Numbers and their sources
 
 
 @cache
@@ -261,7 +261,7 @@ def test_fields_of_a_result_without_a_page_are_written_out() -> None:
     assert registry.value_cell(np.zeros(25)) == Name("<array 25>")
 
 
-# What nobody's names can do
+# Names with markup
 
 
 def evil_analysis() -> pa.analysis.Analysis:
@@ -282,8 +282,8 @@ def evil_analysis() -> pa.analysis.Analysis:
 
 @pytest.mark.slow
 def test_names_with_markup_are_escaped_in_the_page() -> None:
-    """Joint and robot names with script, image and event attributes: two scripts of the page, as
-    without such names.
+    """Joint and robot names with script, image and event attributes add no script, image or event
+    attribute to the page.
     """
     tame, wild = page_of(analysis()), Page(write_page(evil_analysis(), robots=False))
     assert len(wild.strict.scripts) == 2  # the words of the scripts, and the page's own
@@ -330,7 +330,7 @@ def test_text_direction_characters_are_escaped_in_the_page() -> None:
 
 
 def test_scene_bodies_equal_the_joint_poses_of_pinocchio() -> None:
-    """The frames are MuJoCo's of the MJCF, in whole numbers; Pinocchio's are the URDF's."""
+    """Reference: Pinocchio with the URDF. The frames are of the MJCF, in 16-bit integers."""
     robot, stand = load("v3"), stand_of("v3")
     other = stand.qpos + np.concatenate([[0.01, 0.02, 0.03], np.zeros(4), np.full(12, 0.1)])
     moved = Motion(document.text("the-path"), np.array([0.5]), other[None])

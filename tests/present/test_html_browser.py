@@ -27,7 +27,7 @@ OPTIONS = ("--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader"
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    # Here, not above: what is not even collected, nobody misses.
+    # Here, not at module level, so that each test is collected and reported as skipped.
     sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
     found = next((path for name in BROWSERS if (path := shutil.which(name))), None)
     with sync_api.sync_playwright() as driver:
@@ -91,7 +91,7 @@ def get_canvas(opened: Opened) -> Any:
 
 
 def share_of_torso(pixels: np.ndarray) -> float:  # type: ignore[type-arg]
-    """It alone is yellow."""
+    """Return the fraction of yellow pixels; only the torso is yellow."""
     return float(((pixels[..., 0] > 150) & (pixels[..., 2] < 90)).mean())
 
 
@@ -162,7 +162,7 @@ def test_views_are_printed_if_they_were_never_visible(browser: Any, file: Path) 
 
 
 def test_view_draws_joints_at_the_positions_of_pinocchio(opened: Opened) -> None:
-    """By the page's own transforms of the MJCF's axes; Pinocchio's are the URDF's."""
+    """Reference: Pinocchio with the URDF. The page transforms the axes of the MJCF."""
     get_canvas(opened)
     drawn = opened.page.evaluate(
         """() => { const view = window.report.views[0]; view.scene.updateMatrixWorld(true);
@@ -252,7 +252,7 @@ def test_plot_shows_values_at_the_pointer(opened: Opened) -> None:
                           "return [m.a * p.x + m.e, m.d * p.y + m.f]; }")  # fmt: skip
     opened.page.mouse.move(place[0] + 1, place[1] + 1)
     height = 1e3 * analysis().stand.qpos[2]
-    # It is where the base is with feed-forward, too: the line that was drawn first is told.
+    # The base has this height with feed-forward, too: the line that is drawn first is named.
     assert f"feed-forward: 11.98 s, {height:.2f} mm" in opened.page.locator("#tip").inner_text()
     opened.page.mouse.move(box["x"] + box["width"] + 30, box["y"])
     assert not opened.page.locator("#tip").is_visible()

@@ -82,7 +82,7 @@ def test_animation_of_a_verification_is_a_gif_with_its_time(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_animation_of_a_posture_turns_the_camera_once() -> None:
-    """The frame after half a turn differs most from the first frame."""
+    """The frame after half a turn differs more from the first frame than the second frame does."""
     movie = pa.Configuration(load("v3"), stand_of("v3").qpos).animate(size=(64, 48))
     assert len(movie.frames) == 40
     changes = [np.abs(frame.astype(int) - movie.frames[0]).mean() for frame in movie.frames]

@@ -229,7 +229,7 @@ def _compare_push(found: Agreement, run: Commands, stance: dict[str, Any], *aske
     pushed = content.get("robots", content)
     one = next(value for name, value in pushed.items() if name not in ("generator", "provenance"))
     found.codes[name] = one["verdict"]["code"]
-    # It looks at the stand with feed-forward alone.
+    # `push` considers the stand with feed-forward only.
     if one["verdict"]["passed"] and not stance["verdict"]["passed"]:
         found.disagreements.append(f"{name}: {one['verdict']['code']}")
     off = float(np.abs(np.array(one["stand"]["qpos"]) - np.array(stance["stand"]["qpos"])).max())

@@ -64,8 +64,8 @@ def swing(command: np.ndarray) -> Iterator[float]:
     for tick in range(TICKS * len(command)):
         if tick % TICKS == 0:
             yield angle
-        asked = command[max(tick - late, 0) // TICKS]
-        pull = TRUE["kp"] * (asked - angle - OFFSET) - MASS * 9.81 * LEVER * math.sin(angle)
+        target = command[max(tick - late, 0) // TICKS]
+        pull = TRUE["kp"] * (target - angle - OFFSET) - MASS * 9.81 * LEVER * math.sin(angle)
         free = rate + step * (pull - TRUE["damping"] * rate) / inertia
         rate = math.copysign(max(abs(free) - step * TRUE["friction"] / inertia, 0.0), free)
         angle += step * rate

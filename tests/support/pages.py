@@ -154,11 +154,11 @@ def blocks_of_help(command: str) -> list[Block]:
     """Return one block with the examples of ``pupper-analysis COMMAND --help`` that no page
     contains.
     """
-    said = cli.find_command(command).help or ""
+    message = cli.find_command(command).help or ""
     elsewhere = {line for page in pages() for block in blocks_of(page) for line, _ in block.lines()}
     lines = [
         re.sub(r"(?<=\S) {3,}(?=[^\\\s]).*", "", line.strip("\b "))
-        for line in re.sub(r"\\\n\s*", "", said).splitlines()
+        for line in re.sub(r"\\\n\s*", "", message).splitlines()
         if re.match(r"\W*(xacro .*\| )?pupper-analysis ", line)
     ]
     text = "\n".join(line for line in lines if line.strip() not in elsewhere) + "\n"
@@ -304,8 +304,10 @@ def run_page(blocks: list[Block], folder: Path) -> Counter[str]:
         for command, status in block.lines() if block.language == "sh" else ():
             done = run_shell(command, folder)
             printed += done.stdout + done.stderr
-            said = f"{where}: {command}\n{done.stdout[-2000:]}{done.stderr[-2000:]}"
-            assert done.returncode == status, f"exit status {done.returncode}, not {status}\n{said}"
+            message = f"{where}: {command}\n{done.stdout[-2000:]}{done.stderr[-2000:]}"
+            assert done.returncode == status, (
+                f"exit status {done.returncode}, not {status}\n{message}"
+            )
             count["command"] += 1
         for shown in block.output if printed else ():
             missing = find_missing_parts(shown, printed)
