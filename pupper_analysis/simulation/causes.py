@@ -1,7 +1,7 @@
 """Diagnostics of stands that do not come to rest: growing modes, contact chatter, creeping feet.
 
-Inputs are the spectrum, the response to a nudge and the states of a simulation, or the predicted
-contact forces. Most outputs are diagnostics with the quantities that show the cause.
+Growing modes are found in the spectrum and in the response to a nudge. Chatter is found in the
+states of a simulation, creep in the predicted contact forces. Most functions return diagnostics.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ _CHATTER_STATES = 50
 Chosen, not tuned."""
 
 _MAX_FORCE_VARIATION = 0.05
-"""Standard deviation of the total vertical ground force on the feet, relative to the robot's
-weight, above which ``find_chatter`` reports contact chatter. The deviation is taken over the last
-`_CHATTER_STATES` states of a rollout. Chosen, not tuned."""
+"""Bound [1] of the standard deviation of the total vertical ground force on the feet, divided by
+the robot's weight. Above the bound, ``find_chatter`` reports contact chatter. The deviation is
+taken over the last `_CHATTER_STATES` states of a rollout. Chosen, not tuned.
+"""
 
 MAX_CREEP_SPEED = 1e-3
 """Creep speed of a foot above which ``find_creep`` reports the foot [m/s]: 5 mm in 5 s.
@@ -49,17 +50,17 @@ at rest move at 0.02 to 0.12 of the nudge without end."""
 def find_instability(
     stability: Stability, nudge: Nudge | None, *, bounces: bool = False
 ) -> list[Diagnostic]:
-    """Report the fastest mode that grows within ``HOLD_DURATION``, or else a nudge without decay.
+    """Report the fastest growing mode (within ``HOLD_DURATION``), else a nudge without decay.
 
-    A joint that the nudge displaces by ``MAX_JOINT_DISPLACEMENT`` or more, at the end or
-    temporarily, is reported as well. A remaining speed of at most ``_SOLVER_NOISE_RATIO`` times the
-    speed of the nudge is not reported. The result is empty if there is nothing to report.
+    A joint is reported as well if the nudge displaces it by ``MAX_JOINT_DISPLACEMENT`` or more, at
+    the end or temporarily. A remaining speed of at most ``_SOLVER_NOISE_RATIO`` times the speed of
+    the nudge is not reported. The result is empty if there is nothing to report.
 
     Args:
         stability: Stability at the settled state. Modes are reported only if the state is at rest.
         nudge: Response to the nudge; None if the stand was not nudged.
-        bounces: Whether the nudge does not decay only because a foot with almost no load bounces,
-            with a motion that does not grow. This is not reported.
+        bounces: Whether the remaining motion comes from a foot with almost no load that bounces,
+            and does not grow. If True, the missing decay is not reported.
     """
     leaving = stability.modes_growing_within() if stability.at_rest else ()
     messages = [describe_growth(mode) for mode in leaving[:1]]
@@ -81,9 +82,10 @@ def find_instability(
 def proves_unrest(nudge: Nudge) -> bool:
     """Return True if the response to a nudge alone shows that the stand is not stable.
 
-    True if a joint moved by `MAX_JOINT_DISPLACEMENT` or more; or if the remaining motion does not
-    decay, reaches `MAX_RESTING_SPEED`, and is faster than ``_SOLVER_NOISE_RATIO`` times the nudge.
-    A slow motion proves nothing, since a foot with almost no load may bounce.
+    There are two such responses. A joint moved by `MAX_JOINT_DISPLACEMENT` or more; or the
+    remaining motion does not decay, reaches `MAX_RESTING_SPEED`, and is faster than
+    ``_SOLVER_NOISE_RATIO`` times the nudge. A slow motion proves nothing, since a foot with almost
+    no load may bounce.
     """
     if not (nudge.moved < MAX_JOINT_DISPLACEMENT and nudge.stays):
         return True
@@ -95,8 +97,8 @@ def proves_unrest(nudge: Nudge) -> bool:
 def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
     """Create the message about a growing mode that a nudged simulation does not confirm.
 
-    A mode is an eigenvector of MuJoCo's simulation step at rest. The first of
-    `Stability.refuted_modes` is described; the result is empty if there is none.
+    A mode is an eigenvector of MuJoCo's simulation step at rest. The message describes the first
+    element of `Stability.refuted_modes`. The result is empty if there are no such modes.
     """
     if not stability.refuted_modes:
         return ()
@@ -112,7 +114,7 @@ def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
 
 
 def describe_growth(mode: Mode) -> Diagnostic:
-    """Create the message about a growing mode, with the initial deviation that was simulated.
+    """Create the message about a growing mode.
 
     A mode is an eigenvector of MuJoCo's simulation step at rest. The message states, for example,
     the frequency [Hz] of an oscillating mode, the joints that move most, and the doubling time [s].
@@ -137,8 +139,9 @@ def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> lis
     last ``_CHATTER_STATES`` states, is at most ``_MAX_FORCE_VARIATION`` times the weight, or is not
     a number.
 
-    Possible causes are pyramidal friction cones with an ``impratio`` above 1, whose edges MuJoCo's
-    solver resolves to a limited accuracy, and stiff ground, which amplifies the error of each step.
+    One possible cause is a pyramidal friction cone with an ``impratio`` above 1: MuJoCo's solver
+    resolves its edges to a limited accuracy. Another is stiff ground: it amplifies the error of
+    each step.
 
     Args:
         robot: The robot.
@@ -184,7 +187,7 @@ def compute_creep_speeds(
 
 
 def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[Diagnostic]:
-    """Report the contact point with the largest creep speed; empty up to ``MAX_CREEP_SPEED``."""
+    """Report the contact point with the largest creep speed, if above ``MAX_CREEP_SPEED`` [m/s]."""
     speeds = compute_creep_speeds(robot, stand, prediction)
     foot = max(speeds, key=speeds.__getitem__, default="")
     if not speeds.get(foot, 0.0) > MAX_CREEP_SPEED:

@@ -1,9 +1,9 @@
 """Lower bounds of the distance [m] between a moving robot and the ground.
 
-`ClearanceBounds` excludes contacts without collision detection. At one state `distance` computes
-the distance of the bounding boxes of the parts, except the feet. For other states of a simulation
-`displacements` returns an upper bound of the displacement from that state. A part cannot reach the
-ground while the displacement is smaller than the distance.
+`ClearanceBounds` shows without collision detection that no part touches the ground. `distance`
+computes the distance of all parts except the feet from the ground, at a reference state.
+`displacements` bounds the motion of the robot between the reference state and other states of a
+simulation. A part cannot reach the ground while its displacement is smaller than this distance.
 """
 
 from __future__ import annotations
@@ -64,9 +64,10 @@ class ClearanceBounds:
     def distance(self, state: Array) -> float:
         """Return a lower bound of the distance between the ground and the parts [m].
 
-        The parts are the colliding geoms of the robot without the feet. The bound is 0 if it is
-        unavailable (``is_available``), or if a bounding box is within the contact margins of the
-        ground. An available bound is infinite without such geoms or without ground.
+        The parts are the colliding geoms of the robot without the feet. The bound is 0 if
+        ``is_available`` is False, or if a bounding box is within the contact margins of the ground.
+        The bound is infinite if ``is_available`` is True, and the model has no such part or no
+        ground.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).

@@ -48,31 +48,39 @@ MAX_DELAY = 0.5
 robots are controlled within 0.1 s."""
 
 MAX_GROWTH_RATE = math.log(2) / HOLD_DURATION
-"""Growth rate [1/s] above which a mode counts as unstable: it doubles within the time for which a
-stand must hold. Slower modes are creep of MuJoCo's friction."""
+"""Growth rate [1/s] above which a mode counts as unstable. At this rate a deviation doubles in
+``HOLD_DURATION``, the time for which a stand must hold. Slower modes are creep of MuJoCo's
+friction.
+"""
 
 _MAX_STEPS_PER_PERIOD = 64
-"""Upper bound of the number of time steps into which a control period is divided so that the delay
-is a whole number of steps. If no number up to this bound fits, the delay is rounded. The period has
-more steps only if the model's own time step requires it. Chosen, not tuned."""
+"""Upper bound of the number of time steps per control period. The period is divided so that the
+delay is a whole number of steps. If no number up to this bound fits, the delay is rounded. The
+period has more steps only if the model's own time step requires it. Chosen, not tuned.
+"""
 
 _DELAY_TOLERANCE = 1e-6
-"""Deviation of a delay from a multiple of the time step, relative to the larger of the time step
-and the delay, that counts as rounding; and excess of the control period over a multiple of the
-file's time step, in time steps. Also the absolute value up to which an eigenvalue of the closed
-loop, or its imaginary part, counts as zero. Chosen, not tuned."""
+"""Tolerance [1] of three comparisons. A deviation of the delay from a multiple of the time step
+counts as rounding up to this value, relative to the larger of time step and delay. So does an
+excess of the control period over a multiple of the file's time step, in time steps. An eigenvalue
+of the closed loop, or its imaginary part, counts as zero up to this absolute value. Chosen, not
+tuned.
+"""
 
 _DIFFERENCE_STEP = 1e-6
 """Step of the central differences that linearise a time step [m, rad, m/s, rad/s, N m]. Measured on
 v3: the modes differ by 1e-6 (relative) from those with a step of 1e-7."""
 
 _NUDGE_ANGLE, _NUDGE_SPEED = 0.02, 0.2
-"""Displacement [rad, m] or velocity [rad/s, m/s] of the joint that moves most at the start of a
-simulation along a mode. Chosen: more than dry friction holds, and less than makes a foot slip."""
+"""Initial displacement [rad, m] or velocity [rad/s, m/s] in a simulation that is displaced along a
+mode, of the joint that moves most. Chosen: dry friction does not hold this displacement, and no
+foot slips.
+"""
 
 _REST_SPEED = 0.01
-"""Upper bound of the joint velocities [rad/s, m/s] in the last ``_COMPARED_SHARE`` of a simulation,
-below which the robot counts as at rest. Chosen: 5 % of ``_NUDGE_SPEED``."""
+"""Upper bound of the joint velocities [rad/s, m/s] of a robot at rest. The velocities are taken in
+the last part of a simulation (``_COMPARED_SHARE``). Chosen: 5 % of ``_NUDGE_SPEED``.
+"""
 
 _COMPARED_SHARE = 0.2
 """Length of each of two intervals of a simulation, as a fraction of the simulated time. One
@@ -80,22 +88,26 @@ interval ends at half the time, the other at the end; their largest joint veloci
 decide whether the motion decays. Chosen, not tuned."""
 
 _MAX_DECAY_RATIO = 0.9
-"""Ratio of the largest joint velocities before the end and before the middle of a simulation, below
-which an oscillation counts as decaying. Chosen, not tuned."""
+"""Upper bound [1] of the ratio (largest joint velocity before the end) / (largest joint velocity
+before the middle of a simulation). Below the bound, an oscillation counts as decaying. Both
+velocities are taken in intervals of ``_COMPARED_SHARE``. Chosen, not tuned.
+"""
 
 _MAX_JOINT_SPEED = 100.0
 """Joint velocity [rad/s, m/s] from which a simulation of the controller has failed. Chosen, not
 tuned."""
 
 _MAX_SHIFT_RATIO = 1.1
-"""Factor on the largest joint displacement at the middle of a simulation. If a later displacement
-exceeds the product by more than `_MIN_SHIFT`, the robot counts as leaving the stand. Chosen, not
-tuned."""
+"""Largest permitted growth of the joint displacement in the second half of a simulation [1], as a
+factor on its value at the middle. A robot leaves the stand if a later displacement exceeds factor *
+(value at the middle) + `_MIN_SHIFT`. Chosen, not tuned.
+"""
 
 _MIN_SHIFT = 1e-3
-"""Absolute part [rad, m] of the growth that is permitted in the second half of a simulation: the
-largest joint displacement may reach `_MAX_SHIFT_RATIO` times its value at the middle plus this
-amount, because MuJoCo's friction creeps. Measured: v3 creeps by 0.01 mrad in 12 s."""
+"""Absolute part [rad, m] of the permitted growth of the joint displacement in the second half of a
+simulation, in addition to `_MAX_SHIFT_RATIO`. MuJoCo's friction creeps, thus some growth is no
+failure. Measured: v3 creeps by 0.01 mrad in 12 s.
+"""
 
 _MAX_SHIFT = 0.1
 """Displacement of a joint from the stand [rad, m] above which a simulation of the controller has
@@ -109,8 +121,9 @@ MAX_FACTOR = 2.0**MAX_POWER
 the range of the kp that the tools add to robots, 5 to 2000 N m/rad."""
 
 FACTOR_TOLERANCE = 0.005
-"""Relative tolerance of the factor on the gains beyond which a mode of the linear model grows; the
-factor is found by bisection. Chosen, not tuned."""
+"""Relative tolerance [1] of the bisection for the largest stable factor on the gains. At a larger
+factor, a mode of the linear model grows. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +151,8 @@ class ControlledStand:
     """Robot in a stand with torque motors and a sampled PD controller.
 
     Args:
-        held: Initial state of the stand, with servos.
-        rate: Control rate [Hz]; None: one command per time step of the model in ``held``.
+        held: Initial state and model of the stand, with its servos.
+        rate: Control rate [Hz]. None means one command per time step of the model in ``held``.
         delay: Time between measurement and effect of a command [s].
 
     Attributes:
@@ -226,8 +239,8 @@ class ControlledStand:
         """Find the mode of the closed loop with the largest growth rate.
 
         The state of the closed loop consists of the state of the robot (qpos, qvel, act) and the
-        commands that have not acted yet. Modes of the linear model that no command and no motion
-        changes, such as a translation on frictionless ground, have a growth rate of zero.
+        commands that have not acted yet. A mode without dynamics, such as a translation on
+        frictionless ground, has a growth rate of zero.
 
         Args:
             kp: Stiffness of all joints, shape (nu,) [N m/rad].
@@ -273,9 +286,9 @@ class ControlledStand:
         return math.log(float(np.abs(values).max())) / self.period <= MAX_GROWTH_RATE
 
     def find_smallest_damping_ratio(self, kp: Array, kd: Array) -> float:
-        """Return the smallest damping ratio of the oscillating modes of the closed loop, at most 1.
+        """Return the smallest damping ratio [1] of the oscillating modes of the closed loop.
 
-        1 without an oscillating mode.
+        The result is at most 1, and is 1 if no mode oscillates.
 
         Args:
             kp: Stiffness of all joints, shape (nu,) [N m/rad].
@@ -287,7 +300,7 @@ class ControlledStand:
         return float(np.min(-exponents.real / np.abs(exponents), initial=1.0))
 
     def _closed_loop(self, kp: Array, kd: Array) -> Array:
-        """Return the transition matrix, (n, n), of a control period with PD gains kp and kd (nu,).
+        """Return the transition matrix, shape (n, n), of a control period with the gains kp and kd.
 
         The states are the deviations x of `_linearise`, then the torques [N m] that were commanded
         in the ``delay_steps // steps + 1`` previous periods, the latest first.
@@ -368,10 +381,10 @@ def find_largest_damping_factor(
 ) -> float:
     """Return the largest factor on the damping with which a controlled stand is stable.
 
-    The search starts at the stable factor nearest to 1 (ratio), of the powers of 2 from
-    1 / `MAX_FACTOR` to `MAX_FACTOR`. The factor is doubled until the stand is unstable
-    (``ControlledStand.is_stable``), then bisected. The result is infinite if `MAX_FACTOR` is
-    stable, and NaN if no power of 2 is stable.
+    The tried factors are the powers of 2 from 1 / `MAX_FACTOR` to `MAX_FACTOR`. The search starts
+    at the stable one nearest to 1 on a logarithmic scale. This factor is doubled until the stand is
+    unstable (``ControlledStand.is_stable``). The last interval is bisected. The result is infinite
+    if `MAX_FACTOR` is stable, and NaN if no power of 2 is stable.
 
     Args:
         loop: The controlled stand.
@@ -405,7 +418,8 @@ def bisect_factor(
         tolerance: Relative width of the bracket with which the bisection ends.
 
     Returns:
-        The end of the last bracket that is in the set.
+        The largest or smallest factor that was found in the set: the end of the last bracket for
+        which ``is_inside`` is True.
     """
     while abs(math.log(outside / inside)) > tolerance:
         middle = math.sqrt(inside * outside)
@@ -433,8 +447,8 @@ def _divide_period(timestep: float, rate: float | None, delay: float) -> tuple[f
     Args:
         timestep: Largest time step [s].
         rate: Control rate [Hz]; None for 1 / ``timestep``.
-        delay: Delay [s]; rounded if no number of time steps up to ``_MAX_STEPS_PER_PERIOD`` makes
-            the delay a multiple.
+        delay: Delay [s]. It is rounded to whole time steps if no division into up to
+            ``_MAX_STEPS_PER_PERIOD`` steps fits.
 
     Returns:
         Period [s], time steps per period, and time steps of the delay.

@@ -40,9 +40,10 @@ from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import STATE_SPEC, full_state, roll_out
 
 DOUBLINGS = 3
-"""Number of doublings of the difference between two simulations, displaced along growing modes in
-opposite directions, that confirm the modes. Chosen, not tuned: growth that is exponential only
-within micrometres ends earlier, when a contact opens or takes load."""
+"""Number of doublings of the deviation D (module docstring) that confirm growing modes. Chosen, not
+tuned. Growth that is exponential only within micrometres ends earlier, when a contact opens or
+takes load.
+"""
 
 MODE_NUDGE_ANGLE, MODE_NUDGE_SPEED = 1e-4, 0.1
 """Largest initial deviation of a position [rad, m] and of a velocity [rad/s, m/s] along a mode, in
@@ -50,9 +51,10 @@ the simulations that test growth. Chosen small: ``2 ** DOUBLINGS * MODE_NUDGE_AN
 0.1 m moves a foot by 80 um. A foot with 1/10,000 of the weight is 10 um deep."""
 
 FREEING_ANGLE, FREEING_SPEED = 1e-2, 1.0
-"""Largest initial deviation of a position [rad, m] and of a velocity [rad/s, m/s] along modes that
-dry friction would stop after a small nudge (``Mode.without_dry_friction``). Chosen larger than the
-deviation that dry friction holds: 0.01 N m at a servo of 5 N m/rad hold 2e-3 rad."""
+"""Largest initial deviation of a position [rad, m] and of a velocity [rad/s, m/s] along modes with
+``Mode.without_dry_friction``. Dry friction would stop a small nudge along these modes. Chosen
+larger than the deviation that dry friction holds: 0.01 N m at a servo of 5 N m/rad hold 2e-3 rad.
+"""
 
 LONGEST_TRIAL = (DOUBLINGS + 1) * HOLD_DURATION
 """Simulated time [s] after which a growth test ends, if the deviation D (module docstring) shows no
@@ -61,51 +63,62 @@ of a mode that doubles in ``HOLD_DURATION``, and one more ``HOLD_DURATION`` for 
 motion. If a foot has almost no load, growth is followed up to twice this time."""
 
 LEAVING_ANGLE = 1e-2
-"""Displacement of a joint from the tested state [rad, m], at the end of a ``_CHUNK_DURATION``, from
-which on growth confirms a mode although a foot has almost no load. Chosen equal to
-``stability.MAX_JOINT_DISPLACEMENT``, the bound after a nudge. Measured: feet of three robots that
-carry 1e-5 to 1e-4 of the weight let D grow by five doublings to 0.01 to 0.09 mrad, or by six to 2.6
-mrad, without further motion."""
+"""Lower bound of the displacement of a joint from the tested state [rad, m] that confirms a growing
+mode although a foot has almost no load. It is evaluated at the end of each ``_CHUNK_DURATION``.
+Chosen equal to ``stability.MAX_JOINT_DISPLACEMENT``, the bound after a nudge. Measured on three
+robots with feet that carry 1e-5 to 1e-4 of the weight: D grows by five doublings to 0.01 to 0.09
+mrad, or by six to 2.6 mrad, and then stops.
+"""
 
 _CHUNK_DURATION = 2.0
-"""Simulated time [s] after which a growth test evaluates again whether the motion has grown or
-decayed; rounded to whole windows of time (``_MAX_WINDOW``). Chosen, not tuned."""
+"""Interval of simulated time [s] after which a growth test evaluates whether the motion has grown
+or decayed. It is rounded to whole windows of time (``_MAX_WINDOW``). Chosen, not tuned.
+"""
 
 _DECAYED_RATIO = 1e-2
-"""Bound of the deviation D (module docstring, step 2), relative to the bound of its initial value
-and to its maximum in the first window [1]. Below both, a growth test ends without a doubling time:
-the motion has decayed. Chosen, not tuned."""
+"""Ratio [1] of the deviation D (module docstring, step 2) below which the motion has decayed. D is
+divided by the bound of its initial value, and by its maximum in the first window. If both ratios
+are below this value, a growth test ends without a doubling time. Chosen, not tuned.
+"""
 
 _HALF_TIME, _HALF_GROWTH = 1.5 * HOLD_DURATION, 1.5
-"""Simulated time [s], since the start or the end of the last transient, after which a growth test
-ends if the deviation D is below ``_HALF_GROWTH`` times its smallest value in this time. Exponential
-growth with T = ``HOLD_DURATION`` has a factor of 2.8."""
+"""Simulated time [s] and growth factor [1] of an early end of a growth test. The time begins at the
+start, or at the end of the last transient. After this time the test ends if the deviation D is
+below ``_HALF_GROWTH`` times its smallest value in this time. Exponential growth with T =
+``HOLD_DURATION`` has a factor of 2.8.
+"""
 
 _ENDED_GROWTH = 1.25
-"""Ratio of the maximum of the deviation D so far to its maximum up to two doubling times before,
-below which its growth has ended. Exponential growth has a ratio of 4. Measured: Pupper v3 with a
-foot on a slope and 2 kg leaves its stand, and still has 1.9 when its growth slows down."""
+"""Lower bound [1] of the growth of the deviation D in two doubling times. Below the bound, the
+growth has ended. The growth is (maximum so far) / (maximum up to two doubling times ago);
+exponential growth has 4. Measured: Pupper v3 with a foot on a slope and 2 kg leaves its stand, with
+1.9 when its growth slows down.
+"""
 
 _MAX_DOUBLING_RATIO = 1.6
-"""Upper bound of the ratio between the times of two successive doublings, with which a deviation
-counts as growing exponentially [1]; half a window of time is added to the bound. Chosen between 1,
-for exponential growth, and 2, for a drift at constant speed, such as creep."""
+"""Upper bound [1] of the ratio (time of a doubling) / (time of the previous doubling) of
+exponential growth. Half a window of time is added to the bound. Chosen between 1, for exponential
+growth, and 2, for a drift at constant speed, such as creep.
+"""
 
 _SUSTAINED_RATIO = 0.5
-"""Ratio of final amplitude to first maximum of the deviation D (module docstring, step 2) from
-which an oscillation counts as sustained, in a simulation of at least ``_HALF_TIME`` (18 s). The
-amplitude is half the range of a joint's signed deviation in the last period of the slowest
-oscillating mode. Chosen, not tuned."""
+"""Lower bound [1] of the ratio (final amplitude) / (first maximum of the deviation D) of a
+sustained oscillation. See step 2 of the module docstring for D. The simulation must last at least
+``_HALF_TIME`` (18 s). The amplitude is half the range of a joint's signed deviation in the last
+period of the slowest oscillating mode. Chosen, not tuned.
+"""
 
 _MIN_OSCILLATION_RATIO = 0.5
-"""Ratio of amplitude to maximum of the deviation D from which a growing D counts as an oscillation,
-not as buckling. Both are taken when D has grown by ``2 ** DOUBLINGS``; amplitude as for
-``_SUSTAINED_RATIO``. Chosen between 1, for an oscillation about the undisturbed motion, and 0.25,
-for exponential growth that doubles in one period."""
+"""Lower bound [1] of the ratio (amplitude) / (maximum of the deviation D) of an oscillation. Below
+the bound, a growing D counts as buckling. Both are taken when D has grown by ``2 ** DOUBLINGS``.
+The amplitude is defined as for ``_SUSTAINED_RATIO``. Chosen between 1, for an oscillation about the
+undisturbed motion, and 0.25, for exponential growth that doubles in one period.
+"""
 
 _MAX_WINDOW = 1.0
-"""Upper bound of the time window over which the maximum of an oscillating deviation is taken [s].
-Chosen, not tuned."""
+"""Upper bound of the window of time [s] in which the maximum of the deviation D is taken, since D
+may oscillate. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,15 +155,15 @@ def confirm_growth(
     Args:
         stability: Result of the spectrum at the state.
         model: MuJoCo model.
-        data: The state; not changed.
+        data: State whose modes ``stability`` contains; not changed.
         ctrl: Command of the actuators, shape (model.nu,).
 
     Returns:
-        The stability with tested modes. In ``unstable``, modes that were tested together and are
-        confirmed are replaced by one mode with the simulated doubling time (None for a sustained
-        oscillation), which may be longer than ``HOLD_DURATION``. ``refuted_modes`` contains the
-        tested modes that the simulation does not confirm. Modes that grow within ``HOLD_DURATION``
-        and were not tested are omitted.
+        The stability with tested modes. ``unstable`` contains one mode for all modes that a test
+        confirmed together. Its doubling time is that of the simulation, None for a sustained
+        oscillation; it may be longer than ``HOLD_DURATION``. ``refuted_modes`` contains the tested
+        modes that the simulation does not confirm. Modes that grow within ``HOLD_DURATION`` and
+        were not tested are omitted.
     """
     leaving = stability.modes_growing_within()
     if not leaving or not stability.at_rest:
@@ -189,9 +202,9 @@ def confirm_growth(
 def _nudge_sizes(modes: list[Mode]) -> list[tuple[float, float]]:
     """Return the bounds of the initial deviations with which growing modes are simulated.
 
-    Each is a pair of a joint displacement [rad, m] and a velocity [rad/s, m/s]: the small pair, or
-    the large pair if dry friction would stop a small deviation (``Mode.without_dry_friction``). If
-    such modes oscillate, both are tried, the small pair first.
+    Each element is a pair: joint displacement [rad, m] and velocity [rad/s, m/s]. The large pair is
+    used if dry friction would stop a small deviation (``Mode.without_dry_friction``), otherwise the
+    small pair. If modes without dry friction oscillate, both pairs are tried, the small pair first.
     """
     small, large = (MODE_NUDGE_ANGLE, MODE_NUDGE_SPEED), (FREEING_ANGLE, FREEING_SPEED)
     if not modes[0].without_dry_friction:
@@ -306,10 +319,10 @@ def _halve_difference(positions: Array, valid: int) -> Array:
 
 
 def _has_ended(maxima: Array, doubling: float) -> bool:
-    """Return True if growth has ended: a factor below ``_ENDED_GROWTH`` in two doubling times.
+    """Return True if growth has ended: less than ``_ENDED_GROWTH`` times in two doubling times.
 
-    The factor is the largest deviation so far, divided by the largest deviation up to two doubling
-    times ago. False if the growth began later.
+    The growth is (largest deviation so far) / (largest deviation up to two doubling times ago). The
+    result is False if the growth began less than two doubling times ago.
 
     Args:
         maxima: Largest deviation in each window of time, shape (n,).
@@ -353,11 +366,11 @@ def _make_displacement(
     """Compute the initial displacement of (qpos, qvel, act) along modes, shape (2 nv + na,).
 
     Elements are in the tangent space: positions [m, rad], velocities [m/s, rad/s] and activations.
-    The displacement is the scaled sum of the modes that were found with both steps of the finite
-    differences (``repeated_at_second_step``). Each mode is first scaled to the bounds ``angle``
-    [rad, m] and ``speed`` [rad/s, m/s]: the velocities of a fast mode would otherwise leave almost
-    no displacement along a slow one. Without such modes, the displacement is a velocity of all
-    coordinates, and no position changes.
+    The displacement is the scaled sum of the modes that were found with both finite-difference
+    steps (``repeated_at_second_step``). Each mode is first scaled to the bounds ``angle`` [rad, m]
+    and ``speed`` [rad/s, m/s]. Otherwise a fast mode, with its large velocities, would leave almost
+    no displacement along a slow mode. If no mode was found with both steps, all coordinates get a
+    velocity, and no position changes.
     """
     nv = model.nv
     repeated = [mode for mode in modes if mode.repeated_at_second_step]
@@ -368,7 +381,7 @@ def _make_displacement(
         return displacement
 
     def scale(displacement: Array) -> Array:
-        """Return a displacement whose largest position or velocity is at its bound."""
+        """Scale a displacement so that neither positions nor velocities exceed their bounds."""
         largest_angle = np.abs(displacement[:nv]).max() / angle
         largest_speed = np.abs(displacement[nv : 2 * nv]).max() / speed
         return np.asarray(displacement / max(largest_angle, largest_speed))
@@ -414,8 +427,8 @@ def _doubling_time(mode: Mode) -> float:
 def _window_duration(mode: Mode) -> float:
     """Return the time window [s] in which the maximum of a mode's deviation is taken.
 
-    The window is a period or a quarter of the doubling time, whichever is longer. Then
-    `simulate_growth` bounds the window by ``_MAX_WINDOW``.
+    The window is the longer of two times: a period, and a quarter of the doubling time.
+    `simulate_growth` bounds the result by ``_MAX_WINDOW``.
     """
     period = 1 / mode.frequency if mode.frequency else 0.0
     return max(period, _doubling_time(mode) / 4)
@@ -455,8 +468,9 @@ def _doubling_time_of(maxima: Array, window: float, *, lost: bool) -> float | No
 def _crossing_time(rising: Array, level: float, window: float) -> float:
     """Return the time [s] at which a rising sequence reaches a level.
 
-    The elements are ``window`` [s] apart, the first at time 0, below ``level``; the last is at
-    least ``level``. Between two elements the logarithm is interpolated linearly.
+    The elements are ``window`` [s] apart; the first is at time 0. The first element must be below
+    ``level``, and the last must be at least ``level``. The logarithm is interpolated linearly
+    between two elements.
     """
     after = int(np.searchsorted(rising, level))
     low, high = np.log(rising[after - 1]), np.log(rising[after])
@@ -468,9 +482,9 @@ def _crossing_time(rising: Array, level: float, window: float) -> float:
 def _make_confirmed_mode(modes: list[Mode], trial: GrowthTrial, timestep: float) -> Mode:
     """Return the mode that a trial confirms, with the growth and the joints of the simulation.
 
-    The mode is that with the doubling time nearest to the simulated time (ratio), or the first
-    oscillating mode if the trial confirms a sustained oscillation only; then the growth is that of
-    the spectrum. ``timestep`` is the time step of the model [s].
+    The mode with the doubling time nearest to the simulated doubling time (ratio) is taken. If the
+    trial confirms only a sustained oscillation, the first oscillating mode is taken, with the
+    growth of the spectrum. ``timestep`` is the time step of the model [s].
     """
     if trial.doubling_time is None:
         mode = next(mode for mode in modes if mode.shakes)

@@ -1,7 +1,7 @@
 """Predict the motion of a robot near rest from the linearised MuJoCo step.
 
-Near rest the change d of the state in a step follows d[n+1] = A d[n], with the derivative A of the
-step at a constant command. The sum of these changes is the displacement (`LinearStep.predict`).
+Let d[n] be the change of the state in step n. Near rest, d[n+1] = A d[n], with the derivative A of
+the step at a constant command. The sum of these changes is the displacement (`LinearStep.predict`).
 `LinearStep.reproduces` compares the prediction with a simulated interval.
 """
 
@@ -17,13 +17,15 @@ from pupper_analysis.robot.stability import step_derivative
 
 _MAX_SAMPLE_TIME = 0.05
 """Upper bound of the time between the evaluated displacements of a prediction [s], unless the time
-step of the model is longer. The displacement of an oscillation at 2 Hz, sampled ten times per
-period, is at most 5 % larger in between: 1 / cos(pi / 10) = 1.05."""
+step of the model is longer. Derived: an oscillation at 2 Hz is sampled ten times per period. Its
+displacement between two samples exceeds the samples by at most 5 %: 1 / cos(pi / 10) = 1.05.
+"""
 
 _INTERVAL_RTOL, _INTERVAL_ATOL = 0.1, 1e-6
-"""Largest error of a predicted displacement with which `LinearStep.reproduces` accepts the linear
-model: relative to the largest simulated displacement of a coordinate, plus absolute [m, rad].
-Chosen, not tuned."""
+"""Relative [1] and absolute [m, rad] tolerance of a predicted displacement. `LinearStep.reproduces`
+rejects the linear model if the error exceeds rtol * (largest simulated displacement) + atol.
+Chosen, not tuned.
+"""
 
 
 class LinearStep:
@@ -47,14 +49,14 @@ class LinearStep:
     def predict(self, before: Array, state: Array, duration: float) -> Array:
         """Return the displacements from a state at n later times, shape (n, 2 nv + na).
 
-        The times are equally spaced, up to ``duration`` or the first time after it. ``before``
-        gives the initial displacement. Columns are positions [m, rad], velocities [m/s, rad/s] and
-        activations, in the tangent space. Values may be infinite or not a number if a mode grows
-        without bound.
+        The times are equally spaced; the last is ``duration`` or the next time after it. The
+        difference between ``before`` and ``state`` is the first change. Columns are positions [m,
+        rad], velocities [m/s, rad/s] and activations, in the tangent space. Values may be infinite
+        or NaN if a mode grows.
 
         Args:
             before: State one step earlier (mjSTATE_FULLPHYSICS).
-            state: The state.
+            state: State (mjSTATE_FULLPHYSICS) from which displacements are measured.
             duration: Time after the state [s].
         """
         return self._predict(before, state, math.ceil(duration / (self._stride * self._timestep)))

@@ -35,14 +35,16 @@ from pupper_analysis.simulation.rollout import STATE_SPEC
 from pupper_analysis.stance.stand import Stand
 
 FALLEN_HEIGHT_RATIO = 0.5
-"""Remaining fraction of the expected CoM height above the feet below which a robot has fallen. The
-CoM is that of the expected stand, as a point of the base (`StandReference.has_fallen`). Chosen, not
-tuned."""
+"""Lower bound [1] of the height of the CoM above the feet, divided by the expected height. Below
+the bound, a robot has fallen. The CoM is represented by the point of the base at which it is in the
+expected stand (`StandReference.has_fallen`). Chosen, not tuned.
+"""
 
 MAX_STANDING_TILT = math.radians(10)
-"""Largest tilt of the base with which `StandCheck` counts a robot as standing [rad]. Chosen between
-measured tilts: dropped robots that stand tilt by up to 2.6 deg, a robot that sits on its shanks by
-16 deg."""
+"""Upper bound of the tilt of the base [rad]. Above the bound, `StandCheck.stands` is False. Chosen
+between two measured tilts: up to 2.6 deg for dropped robots that stand, and 16 deg for a robot that
+sits on its shanks.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,9 +171,9 @@ class StandReference:
     def has_fallen(self, state: Array) -> bool:
         """Return True if the base tilts beyond ``FALLEN_TILT`` or the CoM is too low.
 
-        The CoM is replaced by the point of the base that coincides with the CoM in the expected
-        stand. The point is too low if it has sunk by more than (1 - ``FALLEN_HEIGHT_RATIO``) times
-        the expected height of the CoM above the feet. A robot with a fixed base never falls.
+        The CoM is represented by the point of the base that coincides with the CoM in the expected
+        stand. The point is too low if it has sunk by more than (1 - ``FALLEN_HEIGHT_RATIO``) *
+        ``com_height``. The result is False for a robot with a fixed base.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS): time, qpos, qvel, ...
@@ -187,8 +189,8 @@ class StandReference:
         """Return True if a robot no longer stands, or has left the posture (fixed base).
 
         With a free base, `fall.has_collapsed` defines the limits of tilt, height and travel. With a
-        fixed base, a joint has left the posture if it deviates by ``MIN_POSTURE_DEVIATION`` or
-        more.
+        fixed base, the robot has left the posture if a joint deviates by ``MIN_POSTURE_DEVIATION``
+        or more.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
@@ -225,7 +227,7 @@ class ContactSample:
         )
 
     def unloaded_feet(self, feet: Iterable[str]) -> list[str]:
-        """Return the elements of ``feet`` on which the ground exerts no force in this sample."""
+        """Return those of ``feet`` on which the ground exerts no force in this sample."""
         return [foot for foot in feet if foot not in self.forces or not self.forces[foot].any()]
 
 
@@ -273,7 +275,7 @@ class ContactSampler:
     def find_surface(self, body: str) -> Diagnostic | None:
         """Describe the step, plane or bar that a body touches in the state evaluated last.
 
-        None if the body touches the floor, or none of these surfaces.
+        The result is None if the body touches the floor, or touches no such surface.
 
         Args:
             body: Name of the body.
@@ -403,28 +405,33 @@ _SAMPLE_TIME = 0.02
 
 
 _EQUAL_POSITION_ATOL = 1e-6
-"""Difference of each coordinate [m, rad], or activation, up to which two states of a rollout have
-the same contacts (`record_contacts`). Chosen: a foot of v3 that moves by 1e-6 m into MuJoCo's soft
-ground changes its force by 3 mN, a tenth of ``MIN_PUSH_RATIO`` of the weight."""
+"""Tolerance of positions [m, rad] and activations with which `record_contacts` treats two states as
+equal. The contacts of equal states are computed only once. Chosen: if a foot of v3 moves by 1e-6 m
+into MuJoCo's soft ground, its force changes by 3 mN, a tenth of ``MIN_PUSH_RATIO`` of the weight.
+"""
 
 _EQUAL_SPEED_ATOL = 1e-5
-"""Difference of each velocity [m/s, rad/s] up to which two states have the same contacts. Chosen:
-MuJoCo's default contact damps 100 N per m/s and kg, thus 3 mN for v3."""
+"""Tolerance of velocities [m/s, rad/s] with which `record_contacts` treats two states as equal.
+Chosen: the damping of MuJoCo's default contact is 100 N per m/s and kg, thus 3 mN for v3.
+"""
 
 LIGHT_FOOT_LOAD = 5e-3
-"""Load of a foot, relative to the load of all feet, below which a foot is light: it may leave the
-ground for a moment without a failure. Measured: minimum tangential forces leave two of four feet on
-unequal slopes with 5e-5 to 1.05e-3 of the weight, and a nudge lifts these feet. The value is 0.02
-(``trial._MIN_LOAD_RATIO``) of the mean load of four feet."""
+"""Load of a foot divided by the load of all feet [1], below which the foot is light. A light foot
+may leave the ground for a moment without a failure. Measured on unequal slopes: with minimum
+tangential forces, two of four feet carry 5e-5 to 1.05e-3 of the weight, and a nudge lifts these
+feet. The value is 0.02 (``trial._MIN_LOAD_RATIO``) of the mean load of four feet.
+"""
 
 MIN_PUSH_RATIO = 1e-3
-"""Normal force of a single contact, relative to the robot's weight, above which its bodies are
-reported as touching. Also the force on each stance foot above which ``record_contacts`` reuses the
-contacts of an equal state. Chosen, not tuned."""
+"""Lower bound of a force, divided by the robot's weight [1]. Two bodies are reported as touching if
+the normal force of a contact between them is above the bound. ``record_contacts`` reuses the
+contacts of an equal state if the force on each stance foot is above the bound. Chosen, not tuned.
+"""
 
 MEASURING_TIME = 1.0
-"""Duration directly before the nudge over which settled torques, forces, heights and positions are
-averaged [s]. Chosen, not tuned."""
+"""Duration of the interval [s] in which settled torques, forces, heights and positions are
+averaged. The interval ends at the nudge. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -432,16 +439,16 @@ class ContactRecord:
     """Contacts of a rollout, sampled, with the settled forces and torques.
 
     Attributes:
-        failures: Bodies and swing feet that touch the ground; stance feet that unload and must not;
-            for a fixed base without stance feet, instead of touching bodies, all pairs of bodies
-            that push on each other.
+        failures: Bodies and swing feet that touch the ground; stance feet that unload although they
+            must not. For a fixed base without stance feet: all pairs of bodies that push on each
+            other, instead of touching bodies.
         touching: Pairs of robot bodies that push on each other in the settled state and are not
             in ``failures``.
         torques: Settled motor torques, shape (nu,) [N m, N].
         forces: {foot: settled force of the ground, weld or grip: force of MuJoCo's constraint},
             shape (3,) each [N], in world axes.
         feet_settled: {contact point: settled position of the centre in the world, shape (3,) [m]}.
-        lifted: {light foot that left the ground: time at which the foot first did [s]}.
+        lifted: {light foot that left the ground: time at which it first left the ground [s]}.
     """
 
     failures: tuple[Diagnostic, ...]
@@ -474,11 +481,10 @@ def record_contacts(
     """Sample the ground contacts of a rollout, and average the settled torques and forces.
 
     Torques [N m, N], forces [N] and foot positions [m] are means over the last second before the
-    nudge. The states are evaluated backwards, a sample per `_SAMPLE_TIME`. Contacts are not
-    computed again for a sample that equals the sample evaluated last, within
-    `_EQUAL_POSITION_ATOL` and `_EQUAL_SPEED_ATOL`, if each stance foot carries more than
-    ``MIN_PUSH_RATIO`` of the weight there. All samples of the last second before the nudge are
-    evaluated.
+    nudge. The states are sampled backwards, one sample per `_SAMPLE_TIME`. All samples of the last
+    second before the nudge are evaluated. Any other sample reuses the contacts of the sample
+    evaluated last if both states are equal (`_EQUAL_POSITION_ATOL`, `_EQUAL_SPEED_ATOL`), and if
+    each stance foot carries more than ``MIN_PUSH_RATIO`` of the weight.
 
     Args:
         robot: The robot.
@@ -487,8 +493,8 @@ def record_contacts(
         states: States after each step, shape (n, size).
         ctrl: Actuator commands, shape (model.nu,).
         settling: Number of states before the nudge.
-        loaded: Feet that must not leave the ground. Other feet may, for example because they are
-            predicted to carry less than ``LIGHT_FOOT_LOAD`` of the load.
+        loaded: Feet that must not leave the ground. Other feet may leave it, for example feet with
+            a predicted load below ``LIGHT_FOOT_LOAD``.
     """
     sampler = ContactSampler(robot, model)
     step = max(1, round(_SAMPLE_TIME / model.opt.timestep))
@@ -557,7 +563,10 @@ class _SettledMeans:
         self.positions = {foot: np.zeros(3) for foot in robot.contact_points}
 
     def add(self, data: mujoco.MjData, foot_forces: Mapping[str, Array]) -> None:
-        """Add a state, with evaluated contacts, and with the ground forces on the feet [N]."""
+        """Add the state in ``data`` and the ground forces on the feet in this state [N].
+
+        Contacts must be evaluated in ``data``.
+        """
         self.count += 1
         joints = self._robot.mj_convention.qvel_index[-self._robot.nu :]
         self.torques += data.qfrc_actuator[joints]

@@ -28,17 +28,20 @@ from pupper_analysis.stance.stand import Stand, stand_contacts, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 _MIN_DROP, _MAX_DROP = 1e-6, 0.065536
-"""First and largest distance [m] by which ``place_on_ground`` lowers the base in the search for a
-bracket; the distance is doubled in between. Chosen, not tuned."""
+"""First and largest distance [m] by which ``place_on_ground`` lowers the base. The distance is
+doubled until the contacts carry the weight, or until it is the largest. Chosen, not tuned.
+"""
 
 _DROP_RESOLUTION = 1e-12
-"""Width of the bracket [m] down to which ``place_on_ground`` bisects the distance by which the base
-is lowered. Chosen, not tuned."""
+"""Tolerance [m] of the bisection in ``place_on_ground``. The bisected quantity is the distance by
+which the base is lowered. Chosen, not tuned.
+"""
 
 
 FILTER_DYNAMICS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
-"""Actuator dynamics of servos with ``timeconst``: the activation lags behind the command within
-``ctrlrange``, and equals this command at rest."""
+"""MuJoCo's types of actuator dynamics for servos with ``timeconst``. The activation follows the
+command, clipped to ``ctrlrange``, as a first-order filter. At rest it equals the clipped command.
+"""
 
 STATE_SPEC = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
 """MuJoCo's specification of the states that rollouts return: time, qpos, qvel, act and more."""
@@ -125,14 +128,14 @@ def weld_generalized_forces(
 def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -> Array:
     """Lower a stand into MuJoCo's soft ground until the contacts carry the weight.
 
-    Feet that just touch soft ground carry nothing. The base is lowered along the ground's normal
-    (of the first stance foot; vertically if feet are on separate planes, or without stance feet),
-    with constant joint positions, until the balance along this direction is zero. The simulation
-    then starts near equilibrium instead of with a fall of some millimetres.
+    Feet that just touch soft ground carry nothing. The base is lowered along the ground normal at
+    the first stance foot, with constant joint positions, until the forces along this direction
+    balance. The direction is vertical if feet are on separate planes, or if there are no stance
+    feet. The simulation then starts near equilibrium, not with a fall of some millimetres.
 
-    A stand is not lowered if the base is fixed, a part is welded or grips, or the stand has feet
-    on separate planes and penetration depths already. If no depth up to `_MAX_DROP` carries
-    the weight, the state at this depth is returned.
+    The stand is not lowered in three cases: the base is fixed; a part is welded or grips; or feet
+    are on separate planes and the stand already has penetration depths. If the contacts do not
+    carry the weight at `_MAX_DROP`, the state at this depth is returned.
 
     Args:
         robot: The robot.
@@ -198,9 +201,10 @@ def settled_activations(
 ) -> Array:
     """Compute the activations of filtered actuators at rest, shape (model.na,).
 
-    The activation of an actuator with filter dynamics is its command in ``ctrl``, shape
-    (model.nu,), clipped to ``ctrlrange`` if this range is a limit. Activations are zero for other
-    actuators, and for time constants above ``max_time_constant`` [s].
+    The activation of an actuator with filter dynamics (`FILTER_DYNAMICS`) is its command in
+    ``ctrl``, shape (model.nu,). The command is clipped to ``ctrlrange`` if this range is a limit.
+    The activation is zero for other actuators, and for time constants above ``max_time_constant``
+    [s].
     """
     activations = np.zeros(model.na)
     for motor in range(model.nactuator) if model.na else ():
@@ -245,8 +249,10 @@ def roll_out(
         model: MuJoCo model.
         workers: MuJoCo data, one or one per thread. The data are changed.
         starts: Initial states (mjSTATE_FULLPHYSICS), shape (runs, size) or (size,).
-        control: Controls in each step, shape (runs, steps, n) or (1, steps, n) for all runs.
-        control_spec: MuJoCo's specification of the controls; actuator commands by default.
+        control: Controls in each step, shape (runs, steps, n), or (1, steps, n) if equal in all
+            runs.
+        control_spec: Bit mask (mjtState) of the columns of ``control``; actuator commands by
+            default.
         warmstarts: Accelerations with which MuJoCo's solver starts, shape (runs, model.nv)
             [rad/s^2, m/s^2]; zero by default.
 
@@ -319,9 +325,9 @@ def make_forced_controls(
         steps: Number of steps of each rollout.
 
     Returns:
-        The controls, shape (runs, steps, model.nu + 6 model.nbody), with forces of zero; and a view
-        into them, shape (runs, steps, 3) [N]: the force on the base body at this body's CoM, in
-        world axes.
+        Two arrays. The controls have the shape (runs, steps, model.nu + 6 model.nbody); all forces
+        are zero. The second array is a view into the controls, shape (runs, steps, 3) [N]: the
+        force on the base at the CoM of the base body, in world axes. The caller sets this force.
     """
     control = np.zeros((runs, steps, model.nu + 6 * model.nbody))
     control[:, :, : model.nu] = ctrl

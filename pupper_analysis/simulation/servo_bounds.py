@@ -1,9 +1,10 @@
 """Bounds of the servo gains of a stand: the least stiffness, and the largest damping.
 
 `bound_servo_gains` scales the present gains of all joints by common factors. The least stiffness is
-that without feed-forward (``stance/sag/stiffness.py``); the largest damping is that of an explicit
-PD controller with one command per time step (`ControlledStand`). `find_soft_servos` scales the
-gains of up to three classes of joints, to find the classes whose stiffness makes a stand fail.
+computed without feed-forward (``stance/sag/stiffness.py``). The largest damping is computed for an
+explicit PD controller with one command per time step (`ControlledStand`). `find_soft_servos` scales
+the gains of up to three classes of joints. It finds the classes whose low stiffness makes a stand
+fail.
 """
 
 from __future__ import annotations
@@ -41,18 +42,23 @@ _DAMPING_TOLERANCE = 0.02
 """Relative tolerance of the largest damping [1]. Chosen for results with two digits."""
 
 _TRIED_RATIOS = (1.02, 1.1, 1.25, 1.5, 2.0)
-"""Ratios of the simulated stiffness to the least stiffness (`minimum_stiffness`), in the order of
-simulation. The first stiffness with which the robot stands is reported. Chosen, not tuned."""
+"""Ratios [1] of the simulated stiffness to the least stiffness (`minimum_stiffness`), in the order
+of simulation. The simulations end at the first ratio with which the robot stands. Chosen, not
+tuned.
+"""
 
 _STABLE_RATIO = 1.1
-"""Lower bound of the stiffness with which the largest damping is computed, relative to the least
-stiffness of the stand. Softer servos get this stiffness in the computation, since below the least
-stiffness a stand buckles with any damping. Chosen, not tuned."""
+"""Lower bound of the stiffness in the computation of the largest damping, divided by the least
+stiffness of the stand [1]. Softer servos get this stiffness. Reason: below the least stiffness a
+stand buckles with any damping. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True)
 class ServoClass(Result):
-    """Corresponding joints of similar limbs with equal gains and effort limits, with gain bounds.
+    """Class of corresponding joints of similar limbs, with equal gains and effort limits.
+
+    The class has bounds of its gains.
 
     Attributes:
         name: Common part of the joints' names, with * for the rest.
@@ -108,13 +114,13 @@ class SoftServos(Result):
 
 @dataclass(frozen=True)
 class ServoBounds(Result):
-    """Present gains of the servos of a stand, and the bounds of common factors on these gains.
+    """Bounds of the servo gains of a stand, as common factors on the present gains of all joints.
 
     Attributes:
         classes: Joints with equal gains, with the bounds of these gains.
-        least_kp_factor: Smallest factor on the stiffness with which the robot stands without
-            feed-forward by prediction (1), an estimate if the robot stands with the present
-            stiffness; None if there is none, the base is fixed, or a part is fixed by a weld or
+        least_kp_factor: Smallest factor on the stiffness with which the robot is predicted to stand
+            without feed-forward (1). It is an estimate if the robot stands with the present
+            stiffness. None if there is none, the base is fixed, or a part is fixed by a weld or
             grip.
         holding_kp_factor: Smallest simulated factor on the stiffness with which the robot stands
             without feed-forward (1); None if the robot stands with the present stiffness, or with
@@ -236,12 +242,14 @@ def _find_holding_factor(robot: Robot, stand: Stand, drive: Servos, least: float
 
 
 _SINGLE_FACTORS = (2.0, 4.0, 8.0, 16.0)
-"""Factors on the gains of a class of servos, in the order of the simulations. Chosen, not tuned:
-TienKung stands with 10 times the stiffness of its ankles, and falls with 8 times."""
+"""Factors [1] on the gains of a class of servos, in the order of the simulations. Chosen, not
+tuned: with 8 times the stiffness of its ankles TienKung falls, with 10 times it stands.
+"""
 
 _MAX_SUSPECTS = 3
-"""Largest number of classes of servos that are simulated, since each class, and all classes
-together, take up to four simulations. Chosen, not tuned."""
+"""Largest number of simulated classes of servos. It limits the time: each class takes up to four
+simulations, and so do all classes together. Chosen, not tuned.
+"""
 
 _MODE_CODES = ("mode-buckles", "mode-shakes")
 """Codes of failures that name the joints of an unstable mode."""
@@ -257,9 +265,10 @@ def find_soft_servos(
 ) -> SoftServos | None:
     """Find the servos whose low gains alone make a stand with feed-forward fail.
 
-    The joints of the unstable modes that ``run`` names belong to classes of joints, of which up to
-    `_MAX_SUSPECTS` are simulated: first each class alone, then these classes together. Their
-    stiffness and damping are multiplied by `_SINGLE_FACTORS` in turn, until the robot stands.
+    The failures of ``run`` name the joints of unstable modes. The classes of these joints are
+    simulated, at most `_MAX_SUSPECTS`: first each class alone, then all of them together. Stiffness
+    and damping of the simulated classes are multiplied by `_SINGLE_FACTORS` in turn, until the
+    robot stands.
 
     Args:
         robot: Robot, with the contacts of the stand.
@@ -269,9 +278,9 @@ def find_soft_servos(
         kd: Present damping [N m s/rad], scalar or shape (nu,); default: the model's.
 
     Returns:
-        Servos of the first class that suffices, or of all these classes. None if the robot stands
-        or has a fixed base, if its failures name no unstable mode of servos with stiffness, or if
-        no tried factor suffices.
+        Servos of the first class with which the robot stands, or of all simulated classes. None if
+        the robot stands in ``run``, if its base is fixed, if its failures name no unstable mode of
+        servos with stiffness, or if the robot stands with no tried factor.
 
     Raises:
         ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
@@ -318,9 +327,9 @@ def _bound_damping(
 ) -> float | None:
     """Return the largest factor on the damping with which a stand is stable.
 
-    The factor is infinite if there is no bound. None if the damping is zero, or if no tried factor
-    is stable. The stiffness is multiplied by max(1, ``_STABLE_RATIO`` * ``least``), or by 1 if
-    ``least`` is None.
+    The factor is infinite if there is no bound. It is None if the damping is zero, or if the stand
+    is stable with no tried factor. The stiffness is multiplied by max(1, ``_STABLE_RATIO`` *
+    ``least``), or by 1 if ``least`` is None.
 
     Args:
         loop: Stand with an explicit PD controller, one command per time step.

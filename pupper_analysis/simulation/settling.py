@@ -1,10 +1,10 @@
 """Test whether a robot comes to rest in a stand, with a simulation as short as possible.
 
 `comes_to_rest` simulates a stand with given servos until base and feet are at rest, nudges the
-robot, and evaluates the growing modes; the result is True or False. A simulation ends as soon as
-the robot has left the stand, shakes without decay, or rests with displaced feet. The function is
-used to test many servos or stands. `verify_stand` simulates 12 s by default and returns all
-quantities. `calms_after_base_nudges` tests larger nudges, of the base.
+robot, and evaluates the growing modes. The result is True or False. A simulation ends as soon as
+the robot has left the stand, shakes without decay, or rests with displaced feet. This function
+tests many servos or stands; `verify_stand` simulates 12 s by default and returns all quantities.
+`calms_after_base_nudges` tests larger nudges of the base.
 """
 
 from __future__ import annotations
@@ -47,60 +47,70 @@ from pupper_analysis.simulation.verify import NUDGED_FRACTION, SETTLED_DRIFT
 from pupper_analysis.stance.stand import Stand
 
 MAX_HEIGHT_DEVIATION = 2e-4
-"""Upper bound of the standard deviation of the base's height, within a second, for a robot at rest
-[m]. Chosen, not tuned."""
+"""Upper bound of the standard deviation of the base's height within one second [m]. Below the
+bound, the height is that of a robot at rest. Chosen, not tuned.
+"""
 
 MAX_FOOT_DISPLACEMENT = 5e-3
-"""Largest horizontal displacement of a contact point from the target for a robot at rest [m].
-Chosen, not tuned."""
+"""Largest horizontal distance of a contact point from its target [m]. Above this distance, a stand
+does not count as at rest. Chosen, not tuned.
+"""
 
 MAX_STAND_ROTATION = 0.1
-"""Upper bound of the rotation of the base from the stand [rad], beyond which the robot has left the
-stand. Chosen, not tuned."""
+"""Upper bound of the rotation of the base from its orientation in the stand [rad]. Above the bound,
+the robot has left the stand. Chosen, not tuned.
+"""
 
 _RESTING_RATIO = 0.25
-"""Upper bound of height deviation, height drift and foot displacement, each relative to its bound
-for a robot at rest, with which the settling simulation ends early. The growing modes then decide
-whether the robot stays at rest. Chosen, not tuned."""
+"""Upper bound [1] of height deviation, height drift and foot displacement, each divided by its
+bound for a robot at rest. If all are below this bound, the settling simulation ends early. The
+growing modes then decide whether the robot stays at rest. Chosen, not tuned.
+"""
 
 _LOST_RATIO = 2.0
-"""Ratio of foot displacement to `MAX_FOOT_DISPLACEMENT`, or of base rotation to
-`MAX_STAND_ROTATION`, above which a simulation ends with failure. Chosen: a base that starts at rest
-overshoots to at most twice the final tilt."""
+"""Bound [1] of foot displacement / `MAX_FOOT_DISPLACEMENT` and of base rotation /
+`MAX_STAND_ROTATION`. If one of them is above the bound, the simulation ends with failure. Chosen: a
+base that starts at rest overshoots to at most twice the final tilt.
+"""
 
 _CHECK_INTERVAL = RECORD_INTERVAL
 """Simulated time between two tests whether the robot is at rest or has left the stand [s]."""
 
 _DECAY_TIME_CONSTANTS = 3.0
-"""Duration of the nudged simulation, in time constants of the least damped mode, within
-``_MIN_NUDGE_TIME`` and the time after the nudge in ``verify_stand``. Chosen: 5 % of the nudge
-remains after three."""
+"""Duration of the nudged simulation, in time constants of the least damped mode. The duration is at
+least ``_MIN_NUDGE_TIME``, and at most the time after the nudge in ``verify_stand``. Chosen: 5 % of
+the nudge remains after three time constants.
+"""
 
 _MIN_NUDGE_TIME = 1.5
 """Shortest simulated time after a nudge [s]. Measured: a robot whose stand does not survive a nudge
 of 1 mm/s leaves the stand within a second."""
 
 MIN_ABSENT_DOUBLINGS = 10
-"""Shortest simulated time after a nudge, in doubling times of a growing mode, with which the decay
-of the nudge can refute the mode, which would have grown by a factor of 1000. Chosen, not tuned."""
+"""Shortest simulated time after a nudge that can refute a growing mode, in doubling times of the
+mode. In this time the mode would grow by a factor of 1000. If the nudge decays instead, the mode is
+refuted. Chosen, not tuned.
+"""
 
 _SAMPLE_TIME = 0.02
 """Time between the states at which foot positions are evaluated [s]. Chosen, not tuned."""
 
 LARGE_NUDGE_SPEED = 0.05
-"""Initial speed of the base [m/s]: along both senses of each axis of the world in
-``calms_after_base_nudges``; along both senses of x and y, and divided by the CoM height for a yaw
-rotation, in ``trial.simulate_large_nudges``. Chosen, not tuned. Measured: with servos of our choice
-at 2 ms, the soles of the reduced Talos chatter after this nudge without end, at 0.1 to 0.7 rad/s,
-and are at rest after the nudge of ``nudge_state``."""
+"""Initial speed of the base [m/s] in simulations with a large nudge. ``calms_after_base_nudges``
+uses it along +-x, +-y and +-z of the world. ``trial.simulate_large_nudges`` uses it along +-x and
++-y, and for a yaw rotation with the angular speed (this speed) / (CoM height). Chosen, not tuned.
+Measured for the reduced Talos with added servos at a time step of 2 ms: its soles chatter without
+end after this nudge, at 0.1 to 0.7 rad/s. They are at rest after the nudge of ``nudge_state``.
+"""
 
 _MAX_BASE_NUDGE_TIME = 6.0
 """Longest simulated time after a nudge of the base [s]. Chosen as twice ``SHAKING_SECONDS``."""
 
 _DISPLACEMENT_RATE_FACTOR = 2.0
-"""Safety factor on the speed at which a displaced foot returned towards its target in the last
-second: the foot is assumed to return at most this much faster until the end of the settling
-simulation. Chosen, not tuned."""
+"""Safety factor [1] on the speed with which a displaced foot returned towards its target in the
+last second. Until the end of the settling simulation, the foot is assumed to return at most at the
+product of both. Chosen, not tuned.
+"""
 
 
 def comes_to_rest(
@@ -113,14 +123,13 @@ def comes_to_rest(
 ) -> bool:
     """Return True if a robot comes to rest in a stand, and again after a nudge.
 
-    The settling simulation lasts at most 5 s, as by default in ``verify_stand``, but ends once the
-    robot is at rest. Then a nudge must decay, the robot must stand on its feet only, and no mode
+    The settling simulation ends once the robot is at rest, after at most 5 s (the default of
+    ``verify_stand``). Then a nudge must decay, and the robot must stand on its feet only. No mode
     may grow within ``HOLD_DURATION`` (12 s), unless the nudged simulations refute the mode.
 
-    The result is False as soon as a simulation diverges, or the robot leaves the stand or shakes
-    without decay for ``SHAKING_SECONDS``. The result is also False if the robot does not rest in
-    the settling simulation, or as soon as this simulation shows that a foot will remain too far
-    from its target (`_stays_displaced`).
+    The result is False as soon as a simulation diverges, the robot leaves the stand, or it shakes
+    without decay for ``SHAKING_SECONDS``. It is also False if the robot does not come to rest in
+    the settling simulation, or if a foot will remain too far from its target (`_stays_displaced`).
 
     Args:
         robot: The robot.
@@ -178,14 +187,14 @@ def calms_after_base_nudges(
 ) -> bool:
     """Return True if a robot neither leaves the stand nor keeps shaking after six base nudges.
 
-    The base starts in the stand, with feed-forward, at ``LARGE_NUDGE_SPEED`` along +x, -x, +y, -y,
-    +z or -z of the world. Each simulation ends once the robot no longer shakes (speeds below
-    ``MIN_SHAKING_SPEED``), and after ``_MAX_BASE_NUDGE_TIME`` at the latest. The result is False
-    as soon as a simulation diverges, or the robot leaves the stand or shakes without decay for
-    ``SHAKING_SECONDS``.
+    The robot starts in the stand, with feed-forward. The base has the velocity
+    ``LARGE_NUDGE_SPEED`` along +x, -x, +y, -y, +z or -z of the world. Each simulation ends once the
+    robot no longer shakes (speeds below ``MIN_SHAKING_SPEED``), or after ``_MAX_BASE_NUDGE_TIME``.
+    The result is False as soon as a simulation diverges, the robot leaves the stand, or it shakes
+    without decay for ``SHAKING_SECONDS``.
 
-    A sole that this nudge lifts may chatter without end, with servos and a time step at which the
-    motion after the smaller nudge of ``comes_to_rest`` decays.
+    This test finds chatter that ``comes_to_rest`` may miss. The larger nudge may lift a sole, which
+    then chatters without end.
 
     Args:
         robot: The robot, with a free base.
@@ -216,7 +225,7 @@ def calms_after_base_nudges(
 
 
 def _calms_down(held: StandStart, reference: monitor.StandReference, start: Array) -> bool:
-    """Return True if a robot keeps standing from a state, and does not shake without decay.
+    """Simulate a robot from a state; return True if it stays in the stand, and its shaking decays.
 
     Args:
         held: Model and command.
@@ -243,9 +252,9 @@ def _calms_down(held: StandStart, reference: monitor.StandReference, start: Arra
 def _is_refuted_by_nudge(mode: Mode, duration: float) -> bool:
     """Return True if the decay after a nudge refutes a growing mode of the linear model.
 
-    That is the case if the mode is missing with the finite-difference step ``SECOND_STEP``
-    (``DIFFERENCE_STEP`` may cross the kink of dry friction), and if the simulation lasts for at
-    least ``MIN_ABSENT_DOUBLINGS`` doubling times of the mode.
+    Two conditions must hold. The mode is missing with the finite-difference step ``SECOND_STEP``,
+    since ``DIFFERENCE_STEP`` may cross the kink of dry friction. The simulation lasts for at least
+    ``MIN_ABSENT_DOUBLINGS`` doubling times of the mode.
 
     Args:
         mode: Growing mode of the spectrum.
@@ -260,10 +269,10 @@ def _simulate_until_rest(
 ) -> Array | None:
     """Simulate a stand until it rests; return the states of the last second, shape (n, size).
 
-    None if the robot does not rest in time, or if the simulation ends earlier: the simulation
-    diverges, the base or a foot leaves the stand (``_LOST_RATIO``), shaking is sustained, or the
-    base rests and a foot will stay too far from its target (`_stays_displaced`). The speeds are
-    added to ``shaking``.
+    The result is None if the robot does not rest in time. It is also None if the simulation
+    diverges, the base or a foot leaves the stand (``_LOST_RATIO``), the robot shakes without decay,
+    or the base rests while a foot stays too far from its target (`_stays_displaced`). The speeds
+    are added to ``shaking``.
     """
     model, state = held.drive.model, held.start
     timestep = float(model.opt.timestep)
@@ -309,8 +318,8 @@ def _simulate_nudge(
 ) -> Array | None:
     """Simulate a nudged state; return the states after each step, shape (n, size).
 
-    None, before the end, if the simulation diverges, the robot leaves the stand, or the robot
-    shakes without decay.
+    The simulation ends early, and the result is None, if it diverges, or if the robot leaves the
+    stand or shakes without decay.
 
     Args:
         held: Start of the settling simulation, with model and command.
@@ -359,10 +368,10 @@ def _stays_displaced(ratios: Sequence[float], remaining: float) -> bool:
 
 
 def _height_ratio(held: StandStart, states: Array) -> float:
-    """Return the larger of two ratios of the base height: deviation and drift, each by its bound.
+    """Return the larger ratio [1] of two quantities of the base height to their bounds.
 
-    The bounds are `MAX_HEIGHT_DEVIATION` for the standard deviation, and `SETTLED_DRIFT` for the
-    mean velocity.
+    The quantities are the standard deviation (bound `MAX_HEIGHT_DEVIATION`) and the magnitude of
+    the mean velocity (bound `SETTLED_DRIFT`).
 
     Args:
         held: Start of the simulation.

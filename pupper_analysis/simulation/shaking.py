@@ -13,12 +13,14 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.simulation.stability import measure_speed_deviations
 
 RECORD_INTERVAL = 0.25
-"""Simulated time in which the largest speed is taken [s]. Chosen, not tuned: longer than the flight
-of a foot that bounces."""
+"""Interval of simulated time [s] for each of which a `ShakingRecord` contains the largest speed.
+Chosen, not tuned: longer than the flight of a foot that bounces.
+"""
 
 SHAKING_SECONDS = 3
-"""Number of successive windows of simulated time, by default of a second each, whose speeds show
-whether a robot shakes without decay. Chosen, not tuned."""
+"""Number of successive windows of simulated time whose speeds are compared. The comparison shows
+whether a robot shakes without decay. By default each window is one second long. Chosen, not tuned.
+"""
 
 MIN_SHAKING_SPEED = 1e-2
 """Speed [m/s, rad/s] above which a robot counts as shaking. Speeds are taken without their linear
@@ -26,13 +28,14 @@ trend within each ``RECORD_INTERVAL``. Chosen as ten times ``fall.NUDGE_SPEED``,
 ``stability.MAX_RESTING_SPEED``."""
 
 _MIN_SHAKING_RATIO = 0.92
-"""Smallest ratio (largest speed in a window) / (largest speed in the earlier windows) within
-``SHAKING_SECONDS`` windows with which shaking counts as sustained. Derived from `measure_response`,
-in which a motion has decayed if the ratio of the speeds in successive thirds is at most 0.9: a
-decay by 0.92 in 2 s gives the ratio 0.907 in a nudged simulation of 7 s."""
+"""Lower bound [1] of the ratio (largest speed in a window) / (largest speed in the earlier windows)
+of sustained shaking. The ``SHAKING_SECONDS`` last windows are compared. Derived from
+`measure_response`: there a motion has decayed if the speeds in successive thirds have a ratio of at
+most 0.9. A decay to 0.92 in 2 s gives the ratio 0.907 in a nudged simulation of 7 s.
+"""
 
 INTERVALS_PER_SECOND = round(1 / RECORD_INTERVAL)
-"""Number of ``RECORD_INTERVAL`` in a second."""
+"""Number of intervals of length ``RECORD_INTERVAL`` in a second [1]."""
 
 
 class ShakingRecord:

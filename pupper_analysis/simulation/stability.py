@@ -1,10 +1,10 @@
 """Stability of a robot at rest on its servos: spectrum of MuJoCo's step, and nudged simulations.
 
-Inputs are a stand or a simulated state, and constant servo commands; output is a `Stability`. The
-eigenvalues of MuJoCo's step are computed first; a nudged simulation of the unmodified model
-confirms or refutes the modes that grow within ``HOLD_DURATION`` (`judge_stability`).
-`simulate_nudge` simulates a nudge of all coordinates, and `measure_response` the remaining motion
-(`Nudge`).
+Inputs are a stand or a simulated state, and constant servo commands. The output is a `Stability`.
+First the eigenvalues of MuJoCo's step are computed. Then a nudged simulation of the unmodified
+model confirms or refutes the modes that grow within ``HOLD_DURATION`` (`judge_stability`).
+`simulate_nudge` simulates a nudge of all coordinates. `measure_response` measures the remaining
+motion (`Nudge`).
 """
 
 from __future__ import annotations
@@ -38,9 +38,10 @@ from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.stand import Stand
 
 CONTACT_SETTLING_TIME = 0.05
-"""Time for which a predicted equilibrium is simulated before its modes are computed [s]. It is
-sufficient for the contact forces to converge, since the prediction is accurate to first order in
-the creep (slow slip of loaded contacts). Chosen, not tuned."""
+"""Time for which a predicted equilibrium is simulated before its modes are computed [s]. In this
+time the contact forces converge, since the prediction is accurate to first order in the creep (slow
+slip of loaded contacts). Chosen, not tuned.
+"""
 
 
 @check_arguments
@@ -55,11 +56,11 @@ def stand_stability(
 ) -> Stability:
     """Judge whether a stand is stable, from the eigenvalues of a MuJoCo step.
 
-    If a mode grows within ``HOLD_DURATION``, nudged simulations, of up to twice
-    ``growth.LONGEST_TRIAL`` each, test whether the mode does grow (``confirm_growth``). With
-    feed-forward the stand is evaluated, after ``SETTLING_TIME``; without, the equilibrium of the
-    servos (``steady_state``, feet pinned), after ``CONTACT_SETTLING_TIME``. Larger pushes are not
-    covered.
+    With feed-forward, the stand is simulated for ``SETTLING_TIME``, then evaluated. Without
+    feed-forward, the equilibrium of the servos (``steady_state``, feet pinned) is simulated for
+    ``CONTACT_SETTLING_TIME``, then evaluated. If a mode grows within ``HOLD_DURATION``, nudged
+    simulations test whether the mode does grow (``confirm_growth``). Each takes up to twice
+    ``growth.LONGEST_TRIAL``. The result does not cover larger pushes.
 
     Args:
         robot: The robot.
@@ -122,9 +123,10 @@ def rest_stability(
 
 
 MAX_RESTING_SPEED = 5e-3
-"""Largest speed [m/s, rad/s] with which `find_final_spectrum` counts a state as at rest, and
-`remains_small` a remaining motion as small; ``causes.proves_unrest`` ignores slower motions. Feet
-usually creep more slowly. Chosen, not tuned."""
+"""Upper bound of the speed [m/s, rad/s] of a state at rest in `find_final_spectrum`, and of a small
+remaining motion in `remains_small`. ``causes.proves_unrest`` ignores motions below this speed. Feet
+usually creep more slowly. Chosen, not tuned.
+"""
 
 
 def evaluate_final_stability(
@@ -136,16 +138,17 @@ def evaluate_final_stability(
     has_fallen: bool = False,
     tests_growth: bool = True,
 ) -> Stability:
-    """Judge the stability of the final state of a simulation, or of a state near the initial one.
+    """Judge the stability of the final state of a simulation, or of a state near the initial state.
 
     Args:
         drive: MuJoCo model with servos.
         start: Initial state of the simulation, mjSTATE_FULLPHYSICS.
         end: Final state of the simulation, mjSTATE_FULLPHYSICS.
         ctrl: Command of the actuators, shape (model.nu,).
-        has_fallen: Whether the simulation has failed, so that the initial state is evaluated. If
-            the final state is not at rest, the simulation is repeated (`find_final_spectrum`).
-        tests_growth: Confirm or refute the growing modes by a nudged simulation.
+        has_fallen: Whether the simulation has failed. If True, the initial state is evaluated. If
+            False and the final state is not at rest, the simulation is repeated
+            (`find_final_spectrum`).
+        tests_growth: Whether a nudged simulation confirms or refutes the growing modes.
     """
     spectrum, settled = find_final_spectrum(drive, start, end, ctrl, has_fallen=has_fallen)
     return confirm_growth(spectrum, drive.model, settled, ctrl) if tests_growth else spectrum
@@ -154,12 +157,12 @@ def evaluate_final_stability(
 def find_final_spectrum(
     drive: Servos, start: Array, end: Array, ctrl: Array, *, has_fallen: bool = False
 ) -> tuple[Stability, mujoco.MjData]:
-    """Compute the growing modes at the final state of a simulation, or at or after the initial one.
+    """Compute the growing modes at the final state of a simulation, or near the initial state.
 
-    If the simulation has failed (``has_fallen``), the initial state is evaluated, since the modes
-    that upset the robot grow there. If the final state is not at rest, the simulation is repeated
-    from the initial state for `SETTLING_TIME`, and the state that `judge_settled` returns is
-    evaluated.
+    The evaluated state depends on the simulation. If it has failed (``has_fallen``), the initial
+    state is evaluated, since the modes that upset the robot grow at this state. If the final state
+    is not at rest, the simulation is repeated from the initial state for `SETTLING_TIME`, and the
+    state that `judge_settled` returns is evaluated.
 
     Args:
         drive: MuJoCo model with servos.
@@ -239,11 +242,11 @@ def _find_modes(
     """Simulate a state for a settling time, and compute its modes, with and without light contacts.
 
     A body with less than ``LIGHT_FOOT_LOAD`` of the load may leave the ground as friction creeps.
-    At a state at rest, the modes that leave the state without the contacts of such bodies are
-    therefore added, if these modes grow faster than the known modes, and do not need the absence of
-    dry friction. Measured for Pupper v3 with one foot on a slope of 10 deg and 2 kg: the foot with
-    2e-4 of the load hid a mode with a doubling time of 4.3 s, which MuJoCo's simulation shows after
-    12 s.
+    If the state is at rest, its modes are therefore also computed without the contacts of these
+    bodies. A growing mode of the second spectrum is added if it grows faster than the known modes,
+    and does not need the absence of dry friction. Measured for Pupper v3 with 2 kg and one foot on
+    a slope of 10 deg: the foot with 2e-4 of the load hid a mode with a doubling time of 4.3 s.
+    MuJoCo's simulation shows this mode after 12 s.
 
     Args:
         model: MuJoCo model. Unchanged after the call.
@@ -286,21 +289,28 @@ def _without_contacts(model: mujoco.MjModel, bodies: tuple[int, ...]) -> Iterato
 
 
 _NO_CONTACT_MARGIN = -1e3
-"""Margin of a contact pair that disables the pair [m]: bodies would have to overlap by 1 km."""
+"""Margin that disables a contact pair [m]: with it, MuJoCo creates a contact only if bodies overlap
+by 1 km.
+"""
 
 
 MAX_JOINT_DISPLACEMENT = 1e-2
-"""Displacement of a joint after a nudge, from the position before the nudge and beyond the creep,
-from which on the robot counts as displaced by the nudge [rad, m]. Chosen, not tuned."""
+"""Bound of the displacement of a joint after a nudge [rad, m]. At or above the bound, the robot
+counts as displaced by the nudge. The displacement is measured from the position before the nudge,
+without the creep. Chosen, not tuned.
+"""
 
 _MAX_SPEED_RATIO = 0.9
-"""Largest ratio ``speed in the last third / speed in the second third`` of the time after a nudge,
-with which the motion counts as decayed [1]. A sustained oscillation has a ratio of 1. Chosen, not
-tuned."""
+"""Upper bound [1] of the ratio (speed in the last third) / (speed in the second third) of the time
+after a nudge. Up to the bound, the motion counts as decayed. A sustained oscillation has a ratio of
+1. Chosen, not tuned.
+"""
 
 _DECAYED_RATIO = 1e-2
-"""Speed in the last third, relative to the speed of the nudge, up to which the motion counts as
-decayed: contacts and the constraint solver cause motion of this size. Chosen, not tuned."""
+"""Upper bound [1] of the ratio (speed in the last third of the time after a nudge) / (speed of the
+nudge). Up to the bound, the motion counts as decayed: contacts and the constraint solver cause
+motion of this size. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,12 +321,12 @@ class Nudge(Result):
         speed: Largest change of a coordinate's velocity by the nudge (m/s, rad/s).
         time: Simulated time of the nudge (s).
         duration: Simulated time after the nudge (s).
-        motion: Largest speed in the second third of that time, without creep (m/s, rad/s). Of a
+        motion: Largest speed in the second third of ``duration``, without creep (m/s, rad/s). For a
             free base, the increase of the mean speed by the nudge counts, too.
-        left: Largest such speed in the last third of that time (m/s, rad/s).
-        moved: Largest displacement of a joint in the last third, from the position before the
-            nudge, beyond the creep (rad, m).
-        farthest: Largest displacement of a joint at any time after the nudge, beyond the creep
+        left: Largest speed in the last third of ``duration``, without creep (m/s, rad/s).
+        moved: Largest displacement of a joint in the last third of ``duration``, from its position
+            before the nudge, without the creep (rad, m).
+        farthest: Largest displacement of a joint at any time after the nudge, without the creep
             (rad, m).
         decayed: Whether the simulation did not diverge and ``left`` is small: at most 90 % of
             ``motion``, or at most 1 % of the nudge.
@@ -381,18 +391,19 @@ def measure_response(
 ) -> Nudge:
     """Measure the response to a nudge: remaining speeds [m/s, rad/s], joint displacements [rad, m].
 
-    Feet creep slowly on MuJoCo's soft friction, also without a nudge. To exclude the creep, the
-    straight line that fits each velocity over time is subtracted. The mean velocity of a free base
-    counts as far as it is larger than before the nudge, because without friction the base keeps the
-    nudge's velocity.
+    Feet creep slowly on MuJoCo's soft friction, also without a nudge. To exclude the creep, a
+    straight line in time is fitted to each velocity and subtracted. For a free base, an increase of
+    the mean velocity by the nudge counts as remaining speed, too: without friction the base keeps
+    the nudge's velocity.
 
     Args:
         model: MuJoCo model.
         before: State before the nudge, shape (size,).
         states: States after each step after the nudge, shape (n, size), n > 2.
         creep: States before the nudge, shape (m, size), m > 1. The creep of the joints in these
-            states is subtracted from the displacements. None: nothing is subtracted, and mean
-            velocities of the base are not compared.
+            states is subtracted from the displacements, and the mean velocity of the base is
+            compared with that in these states. None: no creep is subtracted, and no mean velocity
+            is compared.
     """
     third, timestep = len(states) // 3, float(model.opt.timestep)
     windows = states[third : 2 * third], states[-third:]
@@ -427,24 +438,27 @@ def measure_response(
 
 
 BOUNCING_TIME = 28.0
-"""Additional simulated time [s] in which the remaining motion after a nudge must not grow, for
-example that of a foot that bounces with almost no load. Chosen, so that the sum with the 12 s of a
-verified stand is 40 s."""
+"""Additional simulated time [s] after a nudge. In this time the remaining motion must not grow, for
+example that of a bouncing foot with almost no load. Chosen: the sum of this time and the 12 s of a
+verified stand is 40 s.
+"""
 
 
 _MAX_BOUNCE_RATIO = 1.5
-"""Ratio of the speed at the end of ``BOUNCING_TIME`` to the speed after the nudge up to which the
-motion counts as not growing [1]. Chosen between 1, about which the speed of irregular bounces
-varies, and 3, for growth that doubles in 12 s."""
+"""Upper bound [1] of the ratio (speed at the end of ``BOUNCING_TIME``) / (speed after the nudge).
+Up to the bound, the motion does not grow. Chosen between 1 and 3: the ratio of irregular bounces
+varies about 1, and growth that doubles in 12 s has a ratio of 3.
+"""
 
 
 def remains_small(model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge) -> bool:
-    """Return True if the motion that remains after a nudge becomes small in ``BOUNCING_TIME``.
+    """Simulate ``BOUNCING_TIME`` more after a nudge; return True if the remaining motion is small.
 
     A foot with almost no load may bounce by micrometres for a long time, and shakes the robot. The
-    motion is small if its speed in the last third of the time is at most ``_MAX_BOUNCE_RATIO``
-    times the speed after the nudge, and at most ``MAX_RESTING_SPEED``. All joints must also stay
-    within ``MAX_JOINT_DISPLACEMENT`` of ``end``. False if the simulation diverges.
+    motion is small if its speed in the last third of the additional time is at most
+    ``_MAX_BOUNCE_RATIO`` times the speed after the nudge, and at most ``MAX_RESTING_SPEED``. All
+    joints must also stay within ``MAX_JOINT_DISPLACEMENT`` of ``end``. False if the simulation
+    diverges.
 
     Args:
         model: MuJoCo model.
@@ -479,8 +493,9 @@ def _find_largest(distances: Array, units: NDArray[np.str_]) -> tuple[float, str
 def _measure_base_drift(model: mujoco.MjModel, states: Array, creep: Array) -> float:
     """Return the largest increase of a mean base velocity by a nudge [m/s, rad/s], at least 0.
 
-    The result is the maximum over the absolute velocity components of all free joints. A robot that
-    still settles slows down; only faster motion than before the nudge counts.
+    The increase is that of the absolute value of a velocity component; the result is the maximum
+    over all components of all free joints. A robot that still settles slows down, which does not
+    count.
 
     Args:
         model: MuJoCo model.

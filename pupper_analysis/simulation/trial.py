@@ -1,11 +1,10 @@
 """Simulate a stand with the base nudged in twelve directions, and report the first failure.
 
-A simulation ends at the first failure, at the end of the time, or when no failure is expected for
-the remaining time: its motion is bounded from the speeds and the growing modes of a step, or
-predicted by the linearised step (`_NudgedEvaluation.will_hold`).
-Failures are saturated motors, slipping or lifted feet, large joint deviations, joint limits, other
-parts on the ground, shaking that does not decay, and divergence. `simulate_large_nudges` looks for
-shaking after larger nudges.
+A simulation ends at the first failure, at the end of the time, or once no failure is expected for
+the remaining time. For this decision the remaining motion is bounded from speeds and growing modes,
+or predicted by the linearised step (`_NudgedEvaluation.will_hold`). Failures are saturated motors,
+slipping or lifted feet, large joint deviations, joint limits, other parts on the ground, shaking
+that does not decay, and divergence. `simulate_large_nudges` looks for shaking after larger nudges.
 """
 
 from __future__ import annotations
@@ -45,48 +44,57 @@ from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
 BASE_NUDGE_SPEED = 0.01
-"""Initial speed of the base in each direction [m/s], before ``_HORIZONTAL_FACTOR``; for a yaw
-rotation, speed / CoM height is the angular speed. An unstable equilibrium is left only after a
-perturbation; a stand that is stable by a few percent survives this speed. Chosen, not tuned."""
+"""Initial speed of the base [m/s] in a nudged simulation. For a horizontal nudge it is multiplied
+by ``_HORIZONTAL_FACTOR``. For a yaw rotation the angular speed is (this speed) / (CoM height). A
+nudge is needed since a robot leaves an unstable equilibrium only after a perturbation. A stand that
+is stable by a few percent survives this speed. Chosen, not tuned.
+"""
 
 _HORIZONTAL_NUDGES = 8
 """Number of horizontal nudges, at equal angles; the first is along world x. Chosen, not tuned."""
 
 _HORIZONTAL_FACTOR = 1 / math.cos(math.pi / _HORIZONTAL_NUDGES)
-"""Factor on ``BASE_NUDGE_SPEED`` for horizontal nudges: the polygon with the nudge velocities as
-corners then contains the circle with radius ``BASE_NUDGE_SPEED``. A stand that survives two
-neighbouring nudges is assumed to survive smaller nudges between them."""
+"""Factor [1] on ``BASE_NUDGE_SPEED`` for horizontal nudges. Derived: the nudge velocities are the
+corners of a polygon that contains the circle with radius ``BASE_NUDGE_SPEED``. A stand that
+survives two neighbouring nudges is assumed to survive smaller nudges between them.
+"""
 
 MAX_JOINT_DEVIATION = 0.1
-"""Largest deviation of a joint from the stand [rad, m] after a nudge; beyond, the stand has
-buckled. Measured: joints of robots that buckle deviate by 0.3 rad and more in the end."""
+"""Largest deviation of a joint from the stand after a nudge [rad, m]. If a joint deviates more, the
+stand has buckled. Measured: joints of robots that buckle finally deviate by 0.3 rad and more.
+"""
 
 MAX_FOOT_SLIP = 5e-3
-"""Largest displacement of a contact point across its lift-off direction (`Stand.lift_directions`)
-after a nudge, beyond the creep [m]; beyond, the foot has slid. Chosen larger than the displacement
-of rolling feet, 1 mm."""
+"""Largest displacement of a contact point after a nudge, perpendicular to its lift-off direction
+(`Stand.lift_directions`) and without the creep [m]. If the displacement is larger, the foot has
+slid. Chosen larger than the displacement of rolling feet, 1 mm.
+"""
 
 MAX_FOOT_LIFT = 2e-3
-"""Largest rise of a contact point along its lift-off direction, without ground contact of the foot,
-after a nudge [m]; beyond, the foot has lifted. A foot with little load usually rises by less.
-Chosen, not tuned."""
+"""Largest rise of a contact point along its lift-off direction after a nudge [m]. If a foot without
+ground contact rises more, the foot has lifted. A foot with little load usually rises less. Chosen,
+not tuned.
+"""
 
 _MIN_MARGIN_RATIO, _MAX_UTILISATION, _MIN_LIMIT_DISTANCE = 5.0, 0.9, 0.02
-"""Bounds with which ``is_near_limit`` requires nudged simulations: lower bound of the CoM margin,
-relative to the CoM displacement by a nudge; upper bound of the utilisation of motors and friction;
-lower bound of the distance of a joint from its limits [rad, m]. Measured: of 80 random robots with
-50 to 97 % of their payloads, robots that fell after a nudge had a CoM margin below 3
-displacements."""
+"""Bounds in ``is_near_limit``. A stand beyond one of them is near a limit, and requires nudged
+simulations. First: lower bound of the CoM margin, divided by the CoM displacement by a nudge [1].
+Second: upper bound of the utilisation of motors and friction [1]. Third: lower bound of the
+distance of a joint from its limits [rad, m]. Measured on 80 random robots with 50 to 97 % of their
+payloads: robots that fell after a nudge had a CoM margin below 3 displacements.
+"""
 
 _MIN_LOAD_RATIO = 0.02
-"""Load of a foot, relative to the mean foot load, below which ``is_near_limit`` assumes that a
-nudge may lift the foot. On unequal slopes, the contact forces with the smallest tangential forces
-may load two of four feet with only 1/10,000 of the weight. Chosen, not tuned."""
+"""Load of a foot divided by the mean foot load [1], below which a nudge may lift the foot
+(``is_near_limit``). On unequal slopes, contact forces with minimum tangential forces may load two
+of four feet with only 1/10,000 of the weight. Chosen, not tuned.
+"""
 
 _LIMIT_ATOL = 1e-6
-"""Largest distance [rad, m] between a joint and its limit with which the joint counts as resting on
-the limit, and largest joint range that permits no motion. Chosen as the rounding of configurations
-in files."""
+"""Two tolerances [rad, m]. A joint rests on its limit if its distance from the limit is at most
+this value. A joint range permits no motion if its width is at most this value. Chosen as the
+rounding of configurations in files.
+"""
 
 _SAMPLE_TIME = 0.05
 """Time between the states that are evaluated [s]. Chosen, not tuned."""
@@ -96,28 +104,32 @@ _CHECK_INTERVAL = 0.5
 Chosen, not tuned."""
 
 _MAX_REMAINING_MOTION = 1e-3
-"""Largest predicted motion of a coordinate in the remaining time [m, rad] with which the robot
-counts as at rest and the simulation ends early. Also the largest predicted distance beyond the
-values that the coordinate has had since the nudge (`_NudgedEvaluation._bound_motion`). Chosen as a
-hundredth of ``MAX_JOINT_DEVIATION``."""
+"""Upper bound of the predicted motion of a coordinate in the remaining time [m, rad]. Up to the
+bound, the robot counts as at rest and the simulation ends early. A predicted coordinate may also
+leave the range of its values since the nudge by at most this distance
+(`_NudgedEvaluation._bound_motion`). Chosen as a hundredth of ``MAX_JOINT_DEVIATION``.
+"""
 
 _SPEED_FACTOR = 1.5
-"""Safety factor on the largest measured speed, from which an upper bound of the motion in the
-remaining time of a nudged simulation is computed: an oscillation may be slower while the speed is
-measured. Chosen, not tuned."""
+"""Safety factor [1] on the largest measured speed, in the upper bound of the motion in the
+remaining time of a nudged simulation. Reason: an oscillation may be slower while the speed is
+measured. Chosen, not tuned.
+"""
 
 _PREDICTION_FACTOR = 1.25
 """Safety factor on the displacements that the linearised MuJoCo step predicts for the remaining
 time of a nudged simulation. Chosen, not tuned."""
 
 _MAX_GROWTH_EXPONENT = 20.0
-"""Product of growth rate and remaining time of a mode above which its motion counts as unbounded:
-growth by a factor of 5e8. Chosen, not tuned."""
+"""Upper bound [1] of the product (growth rate of a mode) * (remaining time). Above the bound, the
+motion counts as unbounded: growth by a factor of 5e8. Chosen, not tuned.
+"""
 
 _CLEARANCE_FACTOR = 2.0
-"""Factor on the largest predicted motion of a coordinate in the remaining time. The base of a robot
-at rest is lowered by the product, to test if another part could reach the ground. Chosen, not
-tuned: once for the motion of the base, once for that of the joints."""
+"""Factor [1] on the largest predicted motion of a coordinate in the remaining time. The base of a
+robot at rest is lowered by the product, to test if another part could reach the ground. Chosen, not
+tuned: the motion of the base is counted once, and that of the joints once.
+"""
 
 
 class Failure(StrEnum):
@@ -179,29 +191,30 @@ def simulate_nudges(
     duration: float = HOLD_DURATION,
     until_failure: bool = False,
 ) -> NudgeTrial:
-    """Simulate a stand whose base starts with a velocity, in each of twelve directions.
+    """Simulate a stand twelve times, each time with another initial velocity of the base.
 
-    The velocity is ``BASE_NUDGE_SPEED`` up or down; or horizontal in each of eight directions, with
-    a larger speed that covers the directions between; or a rotation about the base's z axis in
-    both senses.
+    The velocities are: ``BASE_NUDGE_SPEED`` up and down; a slightly larger speed in eight
+    horizontal directions (``_HORIZONTAL_FACTOR``); a rotation about the base's z axis in both
+    senses.
 
-    The model is simulated with the dry friction of joints and contacts. A stand that only dry
-    friction holds is detected by the spectrum and a larger nudge (``growth.confirm_growth``), not
-    here.
+    The model is simulated with the dry friction of joints and contacts. This function does not
+    detect a stand that only dry friction holds; ``growth.confirm_growth`` does, with a larger
+    nudge.
 
     Each simulation ends at its first failure, after ``duration``, or if the remaining motion is
     known and causes no failure. Shaking is a failure if the robot still shakes after ``duration``,
-    and has not become slower since a quarter of it (``ShakingRecord.is_sustained_over``).
+    and has not become slower in about the last three quarters of it
+    (``ShakingRecord.is_sustained_over``).
 
     The remaining motion counts as known in two cases:
 
     - The bound from the current speeds and the fastest growing mode is at most 1 mm or 1 mrad.
-    - No mode grows, no motor has saturated, and the linearised step reproduces the last 0.5 s. The
-      step predicts that each coordinate leaves the range passed since the nudge by at most 1 mm or
-      1 mrad, and the feet do not slide too far if they continue at their mean speed.
+    - No mode grows, no motor has saturated, and the linearised step reproduces the last 0.5 s. By
+      its prediction, each coordinate leaves the range of its values since the nudge by at most 1 mm
+      or 1 mrad. The feet do not slide too far if they continue at their mean speed.
 
-    A contact point that is predicted to carry less than ``monitor.LIGHT_FOOT_LOAD`` of the load may
-    lift if its foot is back on the ground at the end.
+    A contact point with a predicted load below ``monitor.LIGHT_FOOT_LOAD`` may lift, if its foot is
+    back on the ground at the end.
 
     Args:
         robot: The robot, with the payload and a free base.
@@ -209,8 +222,8 @@ def simulate_nudges(
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
         duration: Time after each nudge for which the result holds [s], 2 to 600.
-        until_failure: End all simulations once the earliest failure is known. ``failed_nudges`` is
-            then a lower bound.
+        until_failure: Whether all simulations end once the earliest failure is known. If True,
+            ``failed_nudges`` is a lower bound.
 
     Returns:
         Whether the stand survives all nudges; otherwise the earliest failure, with its time [s].
@@ -273,12 +286,12 @@ def simulate_large_nudges(
 ) -> NudgeTrial:
     """Simulate a stand after nudges of the base that may lift a sole, and look for shaking.
 
-    The base starts at ``LARGE_NUDGE_SPEED``, which is five times ``BASE_NUDGE_SPEED``, along +x,
-    -x, +y or -y of the world, or rotates about its z axis with ``LARGE_NUDGE_SPEED`` / CoM height.
-    A simulation ends once the robot does not shake for an interval (``ShakingRecord.is_calm``), and
-    after ``HOLD_DURATION`` at the latest. Failures are shaking without decay and divergence, as in
-    ``simulate_nudges``; the first ends the trial. A robot that leaves the stand without shaking has
-    no failure here; ``simulate_nudges`` detects such failures.
+    The base starts with ``LARGE_NUDGE_SPEED`` along +x, -x, +y or -y of the world, or rotates about
+    its z axis with ``LARGE_NUDGE_SPEED`` / CoM height. A simulation ends once the robot does not
+    shake for an interval (``ShakingRecord.is_calm``), or after ``HOLD_DURATION``. Only shaking
+    without decay and divergence are failures, as defined in ``simulate_nudges``. The trial ends at
+    the first failure. If the robot leaves the stand without shaking, ``simulate_nudges`` detects
+    it, not this function.
 
     Args:
         robot: The robot, with a free base.
@@ -348,9 +361,9 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
 
     - the CoM margin is below `_MIN_MARGIN_RATIO` times the displacement of the CoM,
     - a motor utilisation or friction utilisation is above `_MAX_UTILISATION`,
-    - a foot bears less than `_MIN_LOAD_RATIO` times the mean load (not with welds or grips),
-    - a joint is less than `_MIN_LIMIT_DISTANCE` from a limit; joints whose range permits no motion
-      are not compared, and a joint that moves no foot may rest on a limit.
+    - a foot bears less than `_MIN_LOAD_RATIO` times the mean load, and there are no welds or grips,
+    - a joint is less than `_MIN_LIMIT_DISTANCE` from a limit. Joints whose range permits no motion
+      are ignored. A joint that moves no foot may rest on a limit.
 
     False if the statics have no CoM margin, or if the base is fixed or welded.
 
@@ -386,10 +399,10 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
 def _find_failure_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
     """Return lower and upper joint limits, shape (nu,) each [rad, m]; beyond them a stand fails.
 
-    The limits are those of the robot, without limits that a joint cannot fail at: a limit is
-    infinite if a joint rests on it in the stand, for example the joint of a closed gripper; or if
-    the range of the joint permits no motion. A nudge presses a joint that rests on its limit into
-    MuJoCo's soft limit, by microradians.
+    The limits are those of the robot, with two exceptions. A limit is infinite if a joint rests on
+    it in the stand, for example the joint of a closed gripper: a nudge presses such a joint by
+    microradians into MuJoCo's soft limit. Both limits are infinite if the range of the joint
+    permits no motion.
     """
     angles = stand.qpos[7:]
     locked = robot.upper_limits - robot.lower_limits <= _LIMIT_ATOL
@@ -438,7 +451,7 @@ _Event = tuple[float, Failure, tuple[str, ...]]
 
 
 class _FailureConditions:
-    """Conditions under which a nudged stand fails, shared by the simulations of all nudges.
+    """Failure conditions of a nudged stand, shared by the simulations of all nudges.
 
     Args:
         held: Initial state, with the servo commands.
@@ -477,9 +490,9 @@ class _FailureConditions:
     def bound_motion(self, speed: float, remaining: float) -> float:
         """Return an upper bound of the motion of a coordinate [m, rad] in the ``remaining`` time T.
 
-        The bound is ``_SPEED_FACTOR`` v (exp(r T) - 1) / r, with ``speed`` v, the largest speed of
-        a coordinate [m/s, rad/s], and the largest growth rate r [1/s]; T is in s. The bound is
-        infinite if r T exceeds ``_MAX_GROWTH_EXPONENT``.
+        The bound is ``_SPEED_FACTOR`` v (exp(r T) - 1) / r. In it, v is ``speed``, the largest
+        speed of a coordinate [m/s, rad/s]; r is ``growth_rate`` [1/s]; T is ``remaining`` [s]. The
+        bound is infinite if r T exceeds ``_MAX_GROWTH_EXPONENT``.
         """
         growth = self.growth_rate * remaining
         if growth > _MAX_GROWTH_EXPONENT:
@@ -491,18 +504,18 @@ class _FailureConditions:
     def predict_motion(self, states: Array, remaining: float) -> tuple[Array, Array] | None:
         """Predict the motion in the remaining time with the linearised simulation step.
 
-        The step is linearised once per interval for all runs, at the last state of the first run
-        that needs it.
+        The step is linearised once per interval, at the last state of the first run that needs the
+        prediction. All runs use this linear model.
 
         Args:
             states: Simulated states after successive steps of the last interval, shape (n, size).
             remaining: Remaining time [s].
 
         Returns:
-            Displacements from the last of ``states``, times ``_PREDICTION_FACTOR``, at m later
-            times, shape (m, nv) [m, rad]; and velocities, shape (m, nv) [m/s, rad/s]. None if a
-            mode grows, if the linearised step does not reproduce ``states``, or if a predicted
-            value is not finite.
+            Displacements from the last of ``states`` at m later times, multiplied by
+            ``_PREDICTION_FACTOR``, shape (m, nv) [m, rad]; and velocities, shape (m, nv) [m/s,
+            rad/s]. None if a mode grows, if the linearised step does not reproduce ``states``, or
+            if a predicted value is not finite.
         """
         if self.growth_rate:
             return None
@@ -571,9 +584,9 @@ class _NudgedEvaluation:
     Attributes:
         state: Last simulated state, shape (size,).
         failure: First failure; None without a failure so far.
-        saturated: First saturation of a motor; None without any. The saturation is the failure if
-            another failure follows (except shaking or divergence), or if a motor is saturated at
-            the end.
+        saturated: First saturation of a motor; None if no motor has saturated. It becomes the
+            failure if a motor is saturated at the end, or if another failure follows that is
+            neither shaking nor divergence.
         is_decided: Whether the simulation needs no more steps.
         shaking: Speeds since the nudge.
     """
@@ -625,9 +638,9 @@ class _NudgedEvaluation:
     def _find_failure(self, samples: Array) -> _Event | None:
         """Return the first failure in successive samples (n, size); None without a failure.
 
-        If a motor has saturated before, the first saturation is returned as the failure. Saturated
-        motors and lifted contact points with little load are no failure by themselves; `advance`
-        reports those that remain at the end of the simulation.
+        If a motor has saturated before a failure, the first saturation is returned as the failure.
+        A saturated motor alone is no failure here, nor is a lifted contact point with little load;
+        `advance` reports them if they remain at the end of the simulation.
         """
         conditions = self._conditions
         robot, feet = conditions.robot, tuple(conditions.stand.stance_feet)
@@ -745,10 +758,11 @@ class _NudgedEvaluation:
     ) -> tuple[Array | None, Array]:
         """Return upper bounds of remaining motion (nv,) [m, rad] and speeds (nv,) [m/s, rad/s].
 
-        The motion is the bound from ``speed`` if that is at most ``_MAX_REMAINING_MOTION``, else
-        the prediction of the linearised step. The motion is None if a motor has saturated, if the
-        prediction does not exist, if it leaves the range that a coordinate has passed since the
-        nudge by more than ``_MAX_REMAINING_MOTION``, or if a foot would slide too far.
+        If the bound from ``speed`` is at most ``_MAX_REMAINING_MOTION``, it is the motion.
+        Otherwise the motion is the prediction of the linearised step. The motion is None instead of
+        a prediction in these cases: a motor has saturated; there is no prediction; a predicted
+        coordinate leaves the range of its values since the nudge by more than
+        ``_MAX_REMAINING_MOTION``; or a foot would slide too far.
 
         Args:
             states: States of the last interval, shape (n, size).
@@ -792,7 +806,7 @@ class _NudgedEvaluation:
 
 
 def _find_shaking(model: mujoco.MjModel, shaking: ShakingRecord, elapsed: float) -> _Event | None:
-    """Return the failure at the end of a simulation if the robot shakes without decay; else None.
+    """Return a failure if the robot shakes without decay at the end of a simulation; else None.
 
     The speeds are compared over about three quarters of the simulated time ``elapsed`` [s]: an
     oscillation with a time constant below about six times the simulated time counts as decaying.
@@ -806,7 +820,7 @@ def _find_shaking(model: mujoco.MjModel, shaking: ShakingRecord, elapsed: float)
 
 
 def _order_failure(failed: tuple[_Event, _NudgedEvaluation]) -> tuple[float, float]:
-    """Return the sort key of a failed run: the time [s]; of runs that shake, the fastest first."""
+    """Return the sort key of a failed run: time [s], then shaking speed, fastest first."""
     (time, failure, _), run = failed
     return time, -run.shaking.speed if failure is Failure.SHAKING else -math.inf
 

@@ -1,7 +1,7 @@
 """Verdict of a stance: result of the simulations, and the assumptions behind the result.
 
-``judge_stance`` forms each verdict of a simulated stance, ``predict_verdict`` that of a stance that
-has not been simulated. Documents, drawings and exit statuses use these verdicts.
+``judge_stance`` creates the verdict on a simulated stance, and ``predict_verdict`` the verdict on a
+stance without simulation. Documents, drawings and exit statuses use these verdicts.
 """
 
 from __future__ import annotations
@@ -75,8 +75,9 @@ LOAD_QUESTIONS = (Question.CARRIES, Question.LASTS)
 
 
 TWO_ROBOTS_CODE = "files-of-two-robots"
-"""Code of the failure that URDF and MJCF describe different robots, from which other failures
-follow. This failure is the first."""
+"""Code of the failure that URDF and MJCF describe different robots. Other failures follow from this
+failure, so it is listed before them.
+"""
 
 
 class Ending(StrEnum):
@@ -141,8 +142,10 @@ class Creep(Result):
 
 
 NOTABLE_CREEP_SPEED, NOTABLE_CREEP_RATE = 1e-3 / 60, 10e-3 / 60
-"""Creep above which the verdict states the creep in its first lines: 1 mm/min [m/s] and 10 mrad/min
-[rad/s]. Chosen, not tuned: the nominal stand of Pupper v3 creeps by less than a tenth of both."""
+"""Bounds of the mean speed [m/s] and rate [rad/s] of creep: 1 mm/min and 10 mrad/min. Above a
+bound, the verdict states the creep in its first lines. Chosen, not tuned: the nominal stand of
+Pupper v3 creeps by less than a tenth of both.
+"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -264,8 +267,8 @@ def judge_stance(
 def _min_doubling_time(stability: Stability | None) -> float:
     """Return the smallest doubling time of the modes that grow within ``HOLD_DURATION`` [s].
 
-    Infinite without such a mode, if all their oscillations are sustained, if the state is not at
-    rest, or if ``stability`` is None.
+    The result is infinite if there are no such modes, if all of them are sustained oscillations
+    (which have no doubling time), if the state is not at rest, or if ``stability`` is None.
     """
     leaving = (
         stability.modes_growing_within() if stability is not None and stability.at_rest else ()
@@ -329,9 +332,9 @@ def _find_worst_code(
 ) -> VerdictCode:
     """Return the worst verdict code that applies to the simulations of a stance.
 
-    Codes of `UNKNOWN_CODES` are not considered. A robot that stands, but not as predicted, fails
-    if a motor is overloaded, if the published file fails from its keyframe on its own servos, or if
-    this file collapses in the computed stance.
+    Codes of `UNKNOWN_CODES` are not considered. If the robot stands, but not as predicted, the code
+    is ``FAILS`` in three cases: a motor is overloaded; the published file fails from its keyframe
+    on its own servos; or this file collapses in the computed stance.
 
     Args:
         fed: Simulation with feed-forward.

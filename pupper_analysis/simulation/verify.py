@@ -67,9 +67,9 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompensation) -> float:
     """Return the largest magnitude in MuJoCo's force balance residual of a stand [N, N m].
 
-    The residual is g - J^T f - S^T tau with MuJoCo's bias forces g minus the passive forces, the
-    contact Jacobian J of the MJCF, and the predicted contact forces f, weld forces and motor
-    torques tau. The load that closed loops transfer between joints is subtracted.
+    The residual is g - J^T f - S^T tau, minus the load that closed loops transfer between joints.
+    Here g are MuJoCo's bias forces minus passive forces, and J is the contact Jacobian of the MJCF.
+    The contact forces f, the weld forces and the motor torques tau are those of ``prediction``.
     """
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, stand.qpos)
@@ -97,37 +97,45 @@ def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompe
 STABLE_DEVIATION = 5e-3
 """Upper bound of the standard deviation of the base's height in the last second before the nudge
 [m]. At or above the bound, `verify_stand` reports that the robot does not stand still. Chosen, not
-tuned."""
+tuned.
+"""
 
 JOINT_TOLERANCE = 1e-3
-"""Upper bound of the difference between settled and predicted joint position [rad, m]; without
-feed-forward, in addition to the deadband by dry friction. At or above the bound, a stand is not
-verified. Chosen, not tuned."""
+"""Upper bound of the difference between settled and predicted joint position [rad, m]. At or above
+the bound, a stand is not verified. Without feed-forward, the deadband by dry friction is added to
+the bound. Chosen, not tuned.
+"""
 
 FORCE_TOLERANCE = 1e-2
-"""Upper bound of the difference between simulated and predicted motor torques, relative to
-`torque_scale`, and foot forces along the lift-off direction, relative to the prediction [1]. At or
-above the bound, a stand is not verified. Without feed-forward, dry friction increases the bound for
-torques. Chosen, not tuned."""
+"""Upper bound of two relative differences between simulation and prediction [1]. At or above the
+bound, a stand is not verified. Motor torques are compared relative to `torque_scale`. Foot forces
+along the lift-off direction are compared relative to the predicted force. Without feed-forward, dry
+friction increases the bound for torques. Chosen, not tuned.
+"""
 
 MIN_FORCE_SCALE = 0.05
-"""Lower bound of the force by which the error of a foot force is divided, relative to the predicted
-vertical load on all feet (the weight, with welds or grips): feet with almost no load have large
-relative errors. Chosen, not tuned."""
+"""Lower bound of the divisor of a foot force error, as a fraction of the predicted vertical load on
+all feet (of the weight, with welds or grips) [1]. Without the bound, feet with almost no load would
+have large relative errors. Chosen, not tuned.
+"""
 
 MAX_SINKING_RATIO = 0.1
-"""Largest height loss of a verified stand with feed-forward, relative to the CoM height above the
-feet. With feed-forward, a stand loses height, for example, if the legs are too short to compensate
-for the penetration of the feet. Chosen, not tuned."""
+"""Largest height loss of a verified stand with feed-forward, divided by the CoM height above the
+feet [1]. Such a stand loses height, for example, if the legs are too short to compensate for the
+penetration of the feet. Chosen, not tuned.
+"""
 
 MAX_BALANCE_RESIDUAL_RATIO = 1e-3
-"""Largest unbalanced generalised force in MuJoCo's model under the predicted contact forces and
-motor torques [N, N m], divided by the weight [N]. Above, the two files describe different robots,
-which is a failure. Rounded files leave 1e-6. Chosen, not tuned."""
+"""Upper bound of `mujoco_balance_residual` [N, N m] divided by the weight [N]. Above the bound, the
+two files describe different robots, which is a failure. The rounding of numbers in files causes
+1e-6. Chosen, not tuned.
+"""
 
 TORQUE_SCALE_LEVER = 1e-3
-"""Lever arm [m]: torque deviations are divided by at least robot weight times this lever arm
-(`torque_scale`), since all predicted torques may be zero. Chosen, not tuned."""
+"""Lever arm [m] of the smallest divisor of torque deviations, (robot weight) * (lever arm)
+(`torque_scale`). A smallest divisor is needed since all predicted torques may be zero. Chosen, not
+tuned.
+"""
 
 SETTLED_DRIFT = 5e-4
 """Upper bound of the magnitude of the base's mean vertical velocity in the last second before the
@@ -138,8 +146,9 @@ _SAMPLE_TIME = 0.02
 """Time between the height samples of the result [s]. Chosen, not tuned."""
 
 NUDGED_FRACTION = 7 / 12
-"""Default fraction of the simulated time that is after the nudge: of 12 s, 5 s to settle and 7 s in
-which the nudge must decay. Chosen, not tuned."""
+"""Default fraction of the simulated time that is after the nudge [1]. By default the simulation
+lasts 12 s: 5 s to settle, and 7 s in which the nudge must decay. Chosen, not tuned.
+"""
 
 _FRAME_TIME = 0.1
 """Time between the configurations of the result [s]: frequent enough for an animation. Chosen, not
@@ -163,28 +172,34 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
             up or left its place at the end; for a fixed base, whether a joint ends far from the
             stand.
         base_height: Settled height of the base (m).
-        height_deviation: Standard deviation of the base's height in that second (m).
-        height_drift: Rate of the base's height in that second (m/s); negative if the base sinks.
-        height_loss: Height of the stand less ``base_height`` (m); the sum of the next two fields.
+        height_deviation: Standard deviation of the base's height in the last second before the
+        nudge (m).
+        height_drift: Rate of the base's height in the last second before the nudge (m/s); negative
+        if the base sinks.
+        height_loss: Height of the stand less ``base_height`` (m); ``servo_sag`` plus
+        ``contact_sag``.
         servo_sag: Height lost by joint deflection (m).
         contact_sag: Height lost by the softness of feet and ground (m).
         tilt: Angle between the base's orientation at the end and that of the task (rad).
         foot_slip: {stance foot: settled distance of a contact point from the target, across the
             lift-off direction} (m); the largest of the foot.
-        joint_error: Largest deviation of a joint from the stand in that second.
+        joint_error: Largest deviation of a joint from the stand in the last second before the
+        nudge.
         joint_error_unit: Unit of ``joint_error``: rad, or m for a slide.
         joint_positions: (nu,) settled joint positions (rad or m).
         joint_torques: (nu,) settled motor torques or forces (N m or N).
         predicted_torques: (nu,) predicted motor torques or forces (N m or N).
-        torque_units: (nu,) unit of each element of both: N m for a hinge, N for a slide.
-        torque_error: Largest torque deviation / largest predicted torque, or / torque of the
-            weight on ``TORQUE_SCALE_LEVER``, if that torque is larger.
+        torque_units: (nu,) unit of each settled and predicted torque: N m for a hinge, N for a
+        slide.
+        torque_error: Largest torque deviation, divided by the larger of two torques: the largest
+            predicted torque, and the weight times ``TORQUE_SCALE_LEVER``.
         foot_forces: {foot: (3,)} settled force of the ground on the foot, in world axes (N); for
             welds and grips, force of MuJoCo's constraint.
         predicted_forces: {foot: (3,)} predicted forces, in world axes (N).
-        force_error: Largest deviation of a foot force along the lift-off direction / the prediction
-            (or / ``MIN_FORCE_SCALE`` of the load on all feet, if the prediction is smaller); for a
-            grip, deviation of the force vector. None without stance feet and grips.
+        force_error: Largest deviation of a foot force along the lift-off direction, divided by the
+            larger of two forces: the prediction, and ``MIN_FORCE_SCALE`` times the load on all
+            feet. For a grip, the deviation is that of the force vector. None without stance feet
+            and grips.
         mujoco_residual: Largest magnitude in g - J^T f - S^T tau with MuJoCo's g and J and the
             predicted f and tau (N, N m), less the load of closed loops.
         stability: Growing modes and stability margin of the settled state; of the initial state if
@@ -253,7 +268,7 @@ def verify_stand(
     """Simulate a stand on a free base, and compare the simulation with Pinocchio's prediction.
 
     A posture of a robot with a fixed base (``held_stand``) is verified in the same way. Without
-    feed-forward the robot must stand, but is not compared with the prediction, except ``settled``.
+    feed-forward the robot must stand; it is compared only with ``settled``, if given.
 
     The prediction is ``gravity_compensation`` with minimum tangential forces, the equilibrium that
     MuJoCo's creeping friction sustains. MuJoCo's ground is soft: if the feet carry unequal loads, a
@@ -278,9 +293,9 @@ def verify_stand(
         settled: Predicted equilibrium without feed-forward. If ``feedforward`` is False and the
             equilibrium has no failures, the settled state of a robot with a fixed base and no
             stance feet is compared with this equilibrium.
-        until_failure: Leave out the simulations that test growing modes if the response to the
-            nudge proves that the robot does not stay. ``passed`` and ``stays`` are the same;
-            ``stability`` and ``failures`` then contain modes that are not tested.
+        until_failure: Whether the simulations that test growing modes are omitted if the response
+            to the nudge proves that the robot does not stay. This does not change ``passed`` and
+            ``stays``; ``stability`` and ``failures`` then contain modes that are not tested.
 
     Returns:
         The comparison; ``failures`` contains the reasons if the stand is not verified.
@@ -383,8 +398,8 @@ def _are_failures_of_mismatch(
 ) -> bool:
     """Return True if all failures are idle feet, and the files describe different robots.
 
-    Torques of another robot may unload a foot on which the simulated robot need not stand. False
-    without feed-forward, and if the robot collapses.
+    The commanded torques are then those of another robot, and may unload a foot. The result is
+    False without feed-forward, and if the robot collapses.
     """
     mismatch = describe_model_mismatch(robot, result.mujoco_residual, robot.usual_weight)
     return bool(
@@ -434,8 +449,8 @@ Chosen, not tuned."""
 def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Array) -> Creep:
     """Measure the creep of a stand: speeds of base, feet and slides, and rates of base and hinges.
 
-    The speeds are displacements between the first and last state, divided by the time. The duration
-    is ``CREEP_TIME``; shorter rollouts are measured from the first state.
+    Each mean speed is a displacement divided by a duration. The displacement is measured over the
+    last ``CREEP_TIME`` of the rollout, or over the whole rollout if it is shorter.
 
     Args:
         robot: The robot.
@@ -532,8 +547,8 @@ def settle_and_nudge(
         seconds: Simulated time before the nudge [s].
         nudge_duration: Simulated time after the nudge [s].
         has_failed: Predicate of a state that is no longer the expected stand.
-        until_failure: Leave out the simulations that test growing modes if the response to the
-            nudge `proves_unrest`.
+        until_failure: Whether the simulations that test growing modes are omitted if the response
+            to the nudge `proves_unrest`.
     """
     model = drive.model
     timestep = float(model.opt.timestep)
@@ -651,8 +666,8 @@ def _describe_height_loss(
     """Report that the base of a simulated robot settles too far below the stand.
 
     The limit of the height loss is `MAX_SINKING_RATIO` times ``com_height``. Without feed-forward,
-    sag is expected, and only a collapse is reported. Empty also if the robot collapses and
-    ``failures`` state why.
+    sag is expected, and only a collapse is reported. The result is empty if the height is
+    sufficient, or if the robot collapses and ``failures`` state why.
 
     Args:
         result: Simulation, compared with the prediction.
@@ -700,8 +715,8 @@ def _find_standing_failures(
 def torque_scale(robot: Robot, torques: Array) -> float:
     """Return the torque [N m] by which deviations of joint torques are divided.
 
-    The result is the largest magnitude of ``torques``, and at least the weight (on Earth without
-    gravity) times `TORQUE_SCALE_LEVER`.
+    The result is the largest magnitude of ``torques``, but at least the weight times
+    `TORQUE_SCALE_LEVER`. If the model has no gravity, the weight is that on Earth.
 
     Args:
         robot: Robot.
@@ -728,8 +743,9 @@ def _compare_with_equilibrium(
 ) -> list[Diagnostic]:
     """Report deviations from the predicted equilibrium that dry friction cannot explain.
 
-    Settled joint positions and torques of ``result``, a simulation without feed-forward, are
-    compared with ``settled``. Empty if both agree; otherwise saturated motors are reported as well.
+    The settled joint positions and torques of ``result`` (a simulation without feed-forward) are
+    compared with ``settled``. The result is empty if both agree; otherwise saturated motors are
+    reported as well.
     """
     friction, deadband = friction_and_deadband(robot, result.kp)
     scale, joints = torque_scale(robot, settled.joint_torques), settled.qpos[-robot.nu :]
@@ -785,8 +801,9 @@ def describe_deviations(
 
 
 _SATURATION_RTOL = 1e-6
-"""Distance of a torque from the motor's limit, relative to the limit, up to which the motor counts
-as saturated. Chosen, not tuned."""
+"""Relative tolerance [1] of a saturated motor. A motor counts as saturated if its torque differs
+from its limit by at most this fraction of the limit. Chosen, not tuned.
+"""
 
 
 def describe_drive_limits(
@@ -819,7 +836,7 @@ def describe_drive_limits(
 
 
 def describe_model_mismatch(robot: Robot, residual: float, weight: float) -> list[Diagnostic]:
-    """Report that the files describe different robots, if MuJoCo finds the prediction unbalanced.
+    """Report that the files describe different robots, if the prediction is unbalanced in MuJoCo.
 
     Args:
         robot: The robot.
@@ -837,8 +854,9 @@ def describe_model_mismatch(robot: Robot, residual: float, weight: float) -> lis
 
 
 _MIN_UNPREDICTED_DEPTH = 1e-4
-"""Penetration of a foot [m] above which soft ground is reported as the cause of deviations of a
-stand on rigid ground. Chosen, not tuned."""
+"""Penetration of a foot [m] above which soft ground is reported as the cause of a deviation. This
+applies to stands that were solved for rigid ground. Chosen, not tuned.
+"""
 
 
 def _find_deviations(
@@ -849,9 +867,10 @@ def _find_deviations(
     *,
     stays: bool,
 ) -> list[Diagnostic]:
-    """Report deviations of a simulation with feed-forward from the prediction, with a known cause.
+    """Report deviations of a simulation with feed-forward from the prediction, with known causes.
 
-    Only if ``stays``, the robot stands still, soft ground may be the cause.
+    ``stays`` is True if the robot stands still. Soft ground is reported as a cause only in this
+    case.
     """
     errors = np.abs(result.joint_torques - result.predicted_torques)
     worst = int(np.argmax(np.nan_to_num(errors)))
