@@ -1,8 +1,8 @@
 """A stand as a nonlinear program: all constraints at once, with relaxable requirements (demands).
 
-Variables are the horizontal base position, the joint positions, and for each number of a relaxable
-requirement a decrease and an increase (slacks). The sum of the slacks is minimised; a sum of
-absolute values leaves most slacks at zero. The solver is SciPy's SLSQP.
+Variables are the horizontal base position, the joint positions, and two slacks for each number of a
+relaxable requirement: a decrease and an increase. The sum of the slacks is minimised. Minimising a
+sum of absolute values leaves most slacks at zero. The solver is SciPy's SLSQP.
 
 Source: Gill, Murray and Saunders, "SNOPT: an SQP algorithm for large-scale constrained
 optimization", 2005, section 1.2 (elastic mode).
@@ -27,26 +27,26 @@ from pupper_analysis.stance.problem import Goal, make_goal
 from pupper_analysis.stance.task import StandTask
 
 _DIFFERENCE_STEP = 1e-7
-"""Finite-difference step of the residuals' derivative by a relaxable value of the task, such as the
-base height: for lengths relative to the base height of the nominal stand, for angles [rad].
-Truncation errors dominate with longer steps, rounding errors with shorter ones. Chosen, not
-tuned."""
+"""Finite-difference step for the derivative of the residuals by a relaxable value of the task, such
+as the base height. The step of a length is relative to the base height of the nominal stand. The
+step of an angle is in rad. Truncation errors dominate with longer steps, rounding errors with
+shorter ones. Chosen, not tuned."""
 
 _SATISFIED_VIOLATION = 1e-6
 """Violation [m, rad] up to which the constraints of a program with slacks count as satisfied. The
-following IK solve reduces it further. Chosen, not tuned."""
+IK solve after the program reduces the violation further. Chosen, not tuned."""
 
 _SOLVE_ITERATIONS = (20, 50)
-"""Upper bounds of SLSQP iterations of a solve without and with slacks (of relaxable requirements).
-The second value also bounds the first minimisation of foot distances. Measured on solves that led
-to a stand: without slacks, all of 1,500 took 12 or fewer; with slacks, 90 % of 350 took 45 or
-fewer."""
+"""Upper bounds of the SLSQP iterations of a solve: the first value without slacks, the second value
+with slacks (of relaxable requirements). The second value also bounds the first run of
+`minimise_foot_distances`. Measured on solves that led to a stand: without slacks, all of 1,500 took
+12 or fewer; with slacks, 90 % of 350 took 45 or fewer."""
 
 _FINE_UNIT_DIVISOR = 200.0
-"""Divisor of the stand height, which gives the smallest unit of length in the second run of
-`minimise_foot_distances` [1]. The unit is the foot distance that the first run leaves, but not less
-than this bound. Measured with flat minima: with a larger unit (the stand height) and with a smaller
-one (a thousandth of it), SLSQP stops before the minimum."""
+"""Divisor [1] of the stand height. The quotient is the smallest unit of length in the second run of
+`minimise_foot_distances`. The unit is the foot distance that remains after the first run, but not
+less than the quotient. Measured with flat minima: SLSQP stops before the minimum if the unit is the
+stand height, or a thousandth of the stand height."""
 
 _MAX_ITERATIONS = 100
 """Upper bound of the SLSQP iterations in the second run of `minimise_foot_distances`, which uses a
@@ -58,15 +58,16 @@ _MIN_PROGRESS_RATIO = 0.9
 counts as progress. Iterations without progress end the solve (`_PATIENCE`). Chosen, not tuned."""
 
 _PATIENCE = (1, 15)
-"""Upper bounds of the number of successive SLSQP iterations without progress, beyond which a solve
-ends: without and with relaxation of requirements. Measured without relaxation: 1 of 138 solves that
-led to a stand exceeded the bound, and two thirds of 206 solves that led to none; with relaxation: 1
-of 350, and one eighth of 633."""
+"""Upper bounds of the number of successive SLSQP iterations without progress: the first value
+without relaxation of requirements, the second value with relaxation. After more iterations without
+progress the solve ends. Measured without relaxation: 1 of 138 solves that led to a stand exceeded
+the bound, and two thirds of 206 solves without a stand. Measured with relaxation: 1 of 350, and one
+eighth of 633."""
 
 _INDEPENDENCE_RTOL = 1e-6
-"""Diagonal element of the pivoted QR factor of the equalities' Jacobian, relative to the largest
-element, up to which an equality counts as dependent and is dropped. SLSQP fails with dependent
-equalities. Chosen, not tuned."""
+"""Bound of the linear independence of equality constraints. An equality is dropped as dependent if
+its diagonal element in the pivoted QR factor of the equalities' Jacobian, relative to the largest
+element, is not larger. SLSQP fails with dependent equalities. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,14 +164,15 @@ class _Progress:
 class StanceProgram:
     """Nonlinear program that finds a configuration for a goal, with the smallest relaxations.
 
-    The v variables ``x`` are the horizontal base position and the relaxations of lengths, in stand
-    heights, and the joint positions and relaxations of angles [rad, m]. Height and orientation of
-    the base equal those of the relaxed goal at each point.
+    The v variables ``x`` are the horizontal base position, the joint positions, and the
+    relaxations. Base position and relaxations of lengths are in stand heights, joint positions and
+    relaxations of angles in rad or m. Height and orientation of the base equal those of the relaxed
+    goal at each point.
 
     Args:
         shapes: Robot with collision shapes.
         goal: Goal.
-        demands: Names of requirements that can be relaxed, from `DEMANDS`.
+        demands: Names of requirements that may be relaxed, from `DEMANDS`.
         without: Names of constraints that are left out of the program.
     """
 

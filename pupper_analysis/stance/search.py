@@ -37,13 +37,14 @@ from pupper_analysis.stance.programme import StanceProgram
 from pupper_analysis.stance.solver import SearchContext, SolverResult
 
 _MAX_COMBINATIONS_PER_ROUND = 256
-"""Upper bound of combinations of IK branches that are tried as initial guesses in a round of
-`_BRANCH_ROUNDS`. Derived from four legs with four branches each."""
+"""Upper bound of the number of combinations of IK branches that are tried as initial guesses in a
+round (see `_BRANCH_ROUNDS`). Derived from four legs with four branches each."""
 
 _BRANCH_ROUNDS = 4
-"""Upper bound of rounds of a stand search. A round determines the IK branches of the limbs near the
-best configuration, and tries their combinations. A further round starts if no stand has its feet in
-place and the smallest foot error has at least halved. Chosen, not tuned."""
+"""Upper bound of the number of rounds of a stand search. A round determines the IK branches of the
+limbs near the best configuration, and tries combinations of these branches. A further round starts
+if no stand has its feet in place and the last round has at least halved the smallest foot error.
+Chosen, not tuned."""
 
 _CLOSE_MISS = 3e-3
 """Foot error [m] of the best stand so far below which a search also tries initial guesses with a
@@ -62,8 +63,9 @@ which the search ends. Measured on 400 stands, most at the limit of reach: all b
 before two guesses agreed, the last one after four."""
 
 _NUM_RANDOM_GUESSES = 32
-"""Number of random initial guesses for robots with a sole on a leg of fewer than six joints, which
-has no exact IK branches. Measured on 48 stands of six bipeds: one additional stand."""
+"""Number of random initial guesses for robots with a sole on a leg of fewer than six joints. Such a
+leg has no exact IK branches. Measured on 48 stands of six bipeds: the guesses found one additional
+stand."""
 
 CLEARANCE_NAMES = ("ground-clearance", "self-clearance")
 """Names of the clearance constraints. `minimise_foot_errors` omits these constraints. The nonlinear
@@ -148,9 +150,9 @@ def solve_constraints(
         qpos: Initial configuration, shape (nq,).
 
     Returns:
-        Solved stand; None if the program does not reach a stand. And the minimum of the foot error
-        [m], if it was computed because the program had failed, else 0. If it exceeds ``NEAR_MISS``,
-        the feet are out of reach, as far as local minima permit.
+        Two values. First, the solved stand, or None if the program does not reach a stand. Second,
+        the smallest foot error [m] if the program fails and the error is minimised, else 0. If this
+        error exceeds ``NEAR_MISS``, the feet are out of reach, unless the minimum is only local.
     """
     there, programme = _StandSearch(context, goal), StanceProgram(context.shapes, goal)
     stand = there.solve_program(programme, qpos) or there.solve_from_minimum(programme, qpos)
@@ -225,8 +227,8 @@ class _StandSearch:
         """Solve IK from combinations of the legs' IK branches whose feet may be in reach.
 
         Returns:
-            Result of `try_initial_guesses` for these combinations; None if no combination leads to
-            a stand.
+            First result of `try_initial_guesses` for these combinations; None if no combination
+            leads to a stand.
         """
         robot, goal = self.robot, self.goal
         for _ in range(_BRANCH_ROUNDS):
@@ -250,8 +252,9 @@ class _StandSearch:
         CoM or base, and no joints are redundant.
 
         Returns:
-            First solved stand; if the goal puts the base into the ground, a stand with the feet at
-            the targets; otherwise the best stand of the search, which may violate the goal.
+            First solved stand. If no stand is solved, the best stand of the search, which may
+            violate the goal. If the goal puts the base into the ground, a stand with the feet at
+            the targets is sufficient.
         """
         best = self.best_stand()
         if best.solved or (self._is_base_in_ground and self.reached):
@@ -286,9 +289,9 @@ class _StandSearch:
     def _generate_initial_configurations(self, best: Stand) -> Iterator[Array]:
         """Yield initial configurations (nq,) of the nonlinear program, first that of ``best``.
 
-        Without a free CoM, the other stands with the feet in place follow. With a free CoM: the
-        default guesses, random postures (only for a sole on a leg with fewer than six joints), and
-        guesses with a displaced base, if the feet are nearly in place.
+        If the CoM is not free, the other stands with the feet in place follow. If the CoM is free,
+        three kinds follow: the default guesses; random postures, if a sole is on a leg with fewer
+        than six joints; and guesses with a displaced base, if the feet are nearly in place.
         """
         robot, goal = self.robot, self.goal
         yield best.qpos
@@ -332,8 +335,9 @@ class _StandSearch:
     def add(self, point: SolverResult) -> Stand | None:
         """Register an IK result in this search; return its stand if it is solved, else None.
 
-        A stand with a foot error below twice `TASK_TOLERANCE`, or with soles that a leg of fewer
-        than six joints cannot flatten, is added to ``reached``, also if it is not solved.
+        A stand is added to ``reached`` if its foot error is below twice `TASK_TOLERANCE`, even if
+        it is not solved. So is a stand with soles that a leg of fewer than six joints cannot lay
+        flat.
         """
         self.points.append(point)
         self.iterations += point.iterations
@@ -409,9 +413,9 @@ def minimise_foot_errors(
     """Minimise the distances of the feet from the targets of a goal; return the resulting `Stand`.
 
     The sum of the squared distances is minimised. The nonlinear program starts at the configuration
-    ``qpos``, shape (nq,). Clearances are ignored. PlaCo's Gauss-Newton steps assume that errors
-    vanish, and end before this minimum. ``iterations`` is the number of quadratic programs solved
-    before, which the stand states.
+    ``qpos``, shape (nq,). Clearances are ignored. PlaCo's Gauss-Newton steps assume that the errors
+    vanish, and end before this minimum. ``iterations`` is the number of quadratic programs that the
+    search has solved before. The returned stand contains this number.
     """
     feet = StanceProgram(context.shapes, goal, without=(*CLEARANCE_NAMES, "footholds"))
     return evaluate_stand(context.shapes, goal, feet.minimise_foot_distances(qpos), iterations)
@@ -420,9 +424,9 @@ def minimise_foot_errors(
 def flatten_soles(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
     """Reduce the tilt of soles on legs with fewer than six joints, by moving the CoM.
 
-    IK may tilt the soles of such legs to bring the CoM to ``goal.place``. Servos that press these
-    soles flat would give torques that the static balance lacks. The CoM is moved only if the task
-    permits any position inside the support region (``com_is_free``).
+    IK may tilt the soles of such legs to bring the CoM to ``goal.place``. In a simulation, servos
+    would press tilted soles flat, with torques that the static balance does not contain. The CoM is
+    moved only if the task permits any position inside the support region (``com_is_free``).
 
     Args:
         context: Search context of the robot.
@@ -430,8 +434,8 @@ def flatten_soles(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
         stand: Stand of the goal with tilted soles.
 
     Returns:
-        The stand with smaller foot errors, which the tilt causes. The unchanged stand if the task
-        fixes the CoM, or no solved stand with smaller foot errors is found.
+        A stand with smaller foot errors, since the tilt causes foot errors. The unchanged stand if
+        the task fixes the CoM, or if no solved stand with smaller foot errors is found.
     """
     robot = context.robot
     if not goal.com_is_free:
@@ -475,9 +479,9 @@ def describe_mechanism_limit(robot: Robot, goal: Goal) -> Diagnostic | None:
     """Create a message if the robot's mechanism may be the reason why a goal has no stand.
 
     Returns:
-        Message with the reason: closed loops open under the load; otherwise, the task moves or
-        lifts a flat foot (``foot_offsets``, ``swing``) on a leg with fewer than six joints. None
-        if neither applies.
+        Message with the reason. Either closed loops open under the load, or the task moves or lifts
+        a flat foot (``foot_offsets``, ``swing``) on a leg with fewer than six joints. None if
+        neither applies.
     """
     task = goal.task
     if goal.give is not None and goal.give.any():
@@ -523,10 +527,10 @@ def relax_foot_orientation(robot: Robot, goal: Goal, point: SolverResult) -> Goa
 
 
 NEAR_MISS = 1e-3
-"""Foot error, or constraint violation of the nonlinear program [m, rad], up to which a
-configuration is refined by IK, because the feet may be in reach after a small displacement of the
-CoM. Also the reserve [m] of the bounds in `branch_initial_guesses` and `bound_com_shift`. Chosen,
-not tuned."""
+"""Foot error [m], or constraint violation of the nonlinear program [m, rad], up to which IK refines
+a configuration. The feet may be in reach after a small displacement of the CoM. The bounds in
+`branch_initial_guesses` and `bound_com_shift` contain the same value as a reserve [m]. Chosen, not
+tuned."""
 
 _MAX_BASE_SHIFT = 0.75
 """Largest displacement of the base in x and in y, in stand heights, of the initial guesses with a
@@ -538,8 +542,7 @@ positions are 20 mm apart for Pupper v3. Measured: with 5, a stand was missed.""
 
 _MAX_TRIED_COMBINATIONS = 64
 """Upper bound of the combinations of IK branches that are evaluated per displaced base position.
-Measured with 16: the combination was missed with which a Mini Cheetah stands on a slope of
-62 deg."""
+Measured: with 16, a stand of a Mini Cheetah on a slope of 62 deg was missed."""
 
 _GUESSES_PER_BASE_POSITION = 4
 """Upper bound of the number of initial guesses per displaced base position. The guesses with the
@@ -550,8 +553,9 @@ _MAX_REACH_ERROR = 5e-3
 displaced base position. Chosen, not tuned."""
 
 _SHIFT_SAFETY_FACTOR = 1.5
-"""Safety factor of `bound_com_shift` on the estimated displacement of the base if legs change the
-IK branch. Too small an estimate would reject branches that are in reach. Chosen, not tuned."""
+"""Safety factor [1] of the base displacement that `bound_com_shift` estimates for a change of IK
+branches. If the estimate is too small, branches that are in reach are rejected. Chosen, not
+tuned."""
 
 
 def random_postures(goal: Goal, count: int) -> Iterator[Array]:
@@ -598,10 +602,10 @@ def bound_com_shift(
 ) -> float:
     """Estimate an upper bound of the base displacement [m] when legs change the IK branch.
 
-    If the CoM keeps the same horizontal position, the base moves by as much as another branch
-    shifts the CoM relative to the base. The estimate is
-    ``_SHIFT_SAFETY_FACTOR * sum_limbs max_b |c_b - c_0| + NEAR_MISS``, with c_b the horizontal CoM
-    with branch b of a limb [m], and c_0 with the first branch.
+    If a leg changes the IK branch, the CoM moves relative to the base. To keep the horizontal
+    position of the CoM, the base moves by this distance. The estimate is ``_SHIFT_SAFETY_FACTOR *
+    sum_limbs max_b |c_b - c_0| + NEAR_MISS``, with c_b the horizontal CoM with branch b of a limb
+    [m], and c_0 with the first branch.
 
     Args:
         robot: Robot.
@@ -623,7 +627,7 @@ def support_radius(goal: Goal) -> float:
     """Return the largest horizontal distance [m] of a support region's corner from the feet centre.
 
     If the support region has no corners (all feet are welded), the largest horizontal distance of a
-    foot target; 0 without foot targets.
+    foot target from the feet centre; 0 without foot targets.
     """
     corners = goal.corners or [target[:2] for target in goal.targets.values()]
     distances = [np.linalg.norm(corner - goal.centre[:2]) for corner in np.array(corners)]

@@ -1,11 +1,11 @@
 """Solve stand tasks: whole-body configurations with planted feet, and statics.
 
-Inputs are a robot and stand tasks; outputs are stands with errors below 1e-9 m or rad (0.05 mm for
-soles on legs with fewer than six joints), or an error with the requirements that must be relaxed.
-`solve_stand` solves a task by inverse kinematics from
-several initial guesses (`stance.search`). `solve_stands` solves a sequence of similar tasks, each
-from an extrapolation of the previous stands. `stand_statics` computes joint torques [N m] and
-contact forces [N].
+Inputs are a robot and stand tasks. Outputs are stands with errors below 1e-9 m or rad, or 0.05 mm
+for soles on legs with fewer than six joints. If a task has no stand, an error states the
+requirements that must be relaxed. `solve_stand` solves a task by inverse kinematics from several
+initial guesses (`stance.search`). `solve_stands` solves a sequence of similar tasks, each from an
+extrapolation of the previous stands. `stand_statics` computes joint torques [N m] and contact
+forces [N].
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ def solve_stand(
 
     PlaCo solves a sequence of QPs on the floating base. The initial guesses are ``start``, home,
     the middle of the joint ranges, and then the IK branches of the legs (`stance.branches`). If
-    these fail, a nonlinear program of all constraints follows (`stance.programme`) if the CoM is
-    free, or if the robot has redundant joints and only clearances or margins are violated.
+    these fail, a nonlinear program of all constraints (`stance.programme`) is solved in two cases:
+    the CoM is free, or the robot has redundant joints and only clearances or margins are violated.
 
     Args:
         robot: Robot with a floating base.
         task: Stand task. Default: the nominal stand, ``StandTask()``.
-        start: Initial guess: a stand, a ``SolvedPosture``, or a configuration, shape (nq,). The
-            joint positions are used, and select the IK branch. Default: ``ik_seed`` of the task.
+        start: Initial guess: a stand, a ``SolvedPosture``, or a configuration, shape (nq,). Its
+            joint positions select the IK branch. Default: ``ik_seed`` of the task.
         explain: If the stance is unreachable, compute the smallest foot error, the requirements to
             relax, and their smallest change. Takes about a second, longer with a free CoM. If
             False, the reported foot errors are results of the IK, and may be larger.
@@ -77,7 +77,7 @@ def solve_stand(
 
     Raises:
         ConfigurationError: If no stand can satisfy the task: for example, the base is fixed, the
-            robot has no feet, or the margins are too large; or if ``start`` is no valid
+            robot has no feet, or the margins are too large. Also if ``start`` is not a valid
             configuration of the robot.
         UnknownNameError: If the task contains an unknown foot, joint or contact.
         ModelError: If the mass or inertia of a body is invalid.
@@ -95,7 +95,7 @@ def solve_stand(
 
 
 def resolve_stance(robot: Robot, stance: StandTask | Stand) -> tuple[Robot, Stand]:
-    """Return a robot with the contacts of a stance, and its stand; a task is solved.
+    """Return a robot with the contacts of a stance, and the stand, which is solved for a task.
 
     Returns:
         Robot with the contacts of the stance; stand of this robot.
@@ -156,7 +156,8 @@ def stand_statics(
     Args:
         robot: Robot.
         stand: Stand.
-        distribution: Selection among feasible contact forces. Default: minimum tangential forces.
+        distribution: Criterion that selects the contact forces among the feasible forces. Default:
+            minimum tangential forces.
 
     Raises:
         ConfigurationError: If the stand belongs to another robot, ``distribution`` is unknown, the
@@ -189,8 +190,8 @@ def stand_contacts(robot: Robot, stand: Stand) -> Contacts:
 
 _MAX_JOINT_DISTANCE = 0.5
 """Upper bound of the norm of the joint displacement [rad and m mixed] between successive stands of
-a sequence, beyond which all initial guesses are used for the task: the stand may be in another IK
-branch. Chosen, not tuned; samples of a path are much closer."""
+a sequence. If the displacement is larger, the stand may be in another IK branch, and the task is
+solved again from all initial guesses. Chosen, not tuned; samples of a path are much closer."""
 
 
 _EXTRAPOLATION_WEIGHTS = {1: (1.0,), 2: (2.0, -1.0), 3: (3.0, -3.0, 1.0), 4: (4.0, -6.0, 4.0, -1.0)}
@@ -207,13 +208,13 @@ def solve_stands(
     *,
     explain: bool = False,
 ) -> tuple[Stand, ...]:
-    """Solve a sequence of stand tasks: faster than separately if neighbours are similar.
+    """Solve a sequence of stand tasks, faster than one by one if successive tasks are similar.
 
     Each search starts at an extrapolation of up to four previous stands, then at the previous
     stand. If neither leads to a stand near the previous stand, the task is solved as by
-    `solve_stand`, like the first task. This applies also to tasks with an ``ik_seed``, a free CoM
-    or ``self_clearance``, and to robots with redundant joints, since the result then depends on the
-    initial guess.
+    `solve_stand`. The first task is also solved in this way. So are tasks with an ``ik_seed``, a
+    free CoM or ``self_clearance``, and all tasks of robots with redundant joints, since the result
+    then depends on the initial guess.
 
     Each stand satisfies its task as a stand of `solve_stand` does: to 1e-9 m or rad, or 0.05 mm for
     a sole on a leg with fewer than six joints. If a leg has several IK branches, a sequence keeps
@@ -232,8 +233,9 @@ def solve_stands(
     Raises:
         ConfigurationError: If no stand can satisfy a task: for example, the base is fixed, the
             robot has no feet, or the margins are too large. Raised before the first solve, with the
-            index of the task. Errors without index: the robot cannot make the first task's
-            contacts, or has no parts for a required clearance (raised when the task is solved).
+            index of the task. Two errors have no index: the robot cannot make the first task's
+            contacts, or has no parts for a required clearance. The last error is raised when the
+            task is solved.
         UnknownNameError: If a task contains an unknown foot, joint or contact; raised before the
             first solve.
         ModelError: If the mass or inertia of a body is invalid.
@@ -260,9 +262,9 @@ def solve_stands(
 def _continue_sequence(context: SearchContext, goal: Goal, before: Sequence[Array]) -> Stand | None:
     """Search a stand near the previous stands of a sequence; None if no such stand is found.
 
-    None also without previous stands, and if the stand may depend on the initial guess, as with
-    redundant joints. The search starts from the extrapolated configuration, if that is near the
-    latest configuration, then from the latest configuration.
+    None also if there are no previous stands, or if the stand may depend on the initial guess, for
+    example because of redundant joints. The search starts from the extrapolated configuration, if
+    that is near the latest configuration, then from the latest configuration.
 
     Args:
         context: Search context of the robot.

@@ -35,7 +35,7 @@ from pupper_analysis.statics.cone_program import split_force
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """Pose of a foot at the first contact. A pinned foot rolls from there.
+    """Pose of a foot at the first contact, from which a pinned foot rolls.
 
     Attributes:
         position: Centre of the contact sphere, shape (3,) [m], in the world frame.
@@ -73,7 +73,7 @@ def integrate_step(qpos: Array, step: Array) -> Array:
 
     Args:
         qpos: Initial configuration, shape (nq,).
-        step: Displacement in the order of qvel, shape (nv,) [m, rad]; of the base, the linear part
+        step: Displacement in the order of qvel, shape (nv,) [m, rad]. The linear part of the base
             is in the world frame, the angular part in the base frame.
     """
     if len(qpos) == len(step):  # the base is fixed
@@ -100,8 +100,8 @@ class ContactKinematics:
     Attributes:
         config: Configuration.
         depths: Penetrations as passed [m].
-        places: Shape (n, 3) [m]; slips along the two ground tangents, without the rolling of the
-            sphere, and the penetration.
+        places: Shape (n, 3) [m]; slips along the two ground tangents, and the penetration. Rolling
+            of the sphere does not count as slip.
         jacobians: Jacobians of the material point at each contact, shape (n, 3, nv), in the contact
             frame.
         turning: Rotational Jacobians of the feet, shape (n, 3, nv), in the world frame.
@@ -208,16 +208,18 @@ GROUND_NORMAL = (0.0, 0.0, 1.0)
 
 _MAX_STEP_ANGLE, _MAX_STEP_LENGTH = 0.5, 4.0
 """Upper bounds of a Newton step: rotation of the base or displacement of a joint [rad, m], and
-displacement of the base [`EquilibriumScales.length`]. With a longer step the solve fails: the step
-may reach another solution. Chosen, not tuned."""
+displacement of the base [`EquilibriumScales.length`]. With a longer step the solve fails, since the
+step may lead to another solution. Chosen, not tuned."""
 
 _SLIP_STIFFNESS_RATIO = 4e-6
-"""Stiffness of the horizontal spring at contacts without friction (``feet="sliding"``), in units of
-robot weight / height. The spring makes the horizontal position unique. Chosen, not tuned."""
+"""Stiffness of a numerical spring along the ground at contacts without friction
+(``feet="sliding"``), in units of robot weight / `EquilibriumScales.length`. Without the spring, the
+horizontal position of the robot would not be unique. Chosen, not tuned."""
 
 _FRICTION_PENALTY_RATIO = 4.0
-"""Penalty parameter of the slip law, in units of robot weight / `EquilibriumScales.length`. The
-parameter does not change the solution. Chosen, not tuned."""
+"""Penalty parameter rho of the slip law (`SagEquilibrium`), in units of robot weight /
+`EquilibriumScales.length`. The parameter changes the iterations of Newton's method, but not the
+solution. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
@@ -227,8 +229,8 @@ class EquilibriumScales:
     Attributes:
         weight: Weight [N].
         length: Height [m] of the CoM above the lowest sphere centre of a stance foot. For a robot
-            with a fixed base, a weld or a grip: the stand height, or the extent of the model if the
-            stand height is zero.
+            with a fixed base, a weld or a grip, it is the stand height. If the stand height is
+            zero, it is the extent of the model.
         moves: Number of coordinates that translate the base: 3, or 0 for a fixed base.
     """
 
@@ -240,7 +242,7 @@ class EquilibriumScales:
     def from_stand(robot: Robot, stand: Stand) -> EquilibriumScales:
         """Return the weight [N] and height [m] that scale the equations of a robot in a stand.
 
-        ``length`` describes the height. The weight is that on Earth if gravity is zero.
+        The height is defined by ``length``. If gravity is zero, the weight on Earth is used.
         """
         weight = robot.usual_weight
         if robot.is_base_fixed or robot.fixed_parts:
@@ -305,29 +307,30 @@ RESIDUAL_TOLERANCE = 3e-12
 x height (torques) and height (lengths). Chosen, not tuned."""
 
 _ROUNDING_RESIDUAL = 3e-16
-"""Default upper bound of the predicted residual e[k]^2 / e[k-1] [1] with which a Newton step reuses
-the Jacobian of the previous step instead of a new one. e[k] is the residual after k steps: forces
-divided by the weight, torques by weight x height, lengths by the height. Chosen as the size of
-rounding errors."""
+"""Bound of the predicted scaled residual [1] of a Newton step that reuses the Jacobian of the
+previous step. The prediction is e[k]^2 / e[k-1], with the scaled residual e[k]
+(`EquilibriumScales.max_residual`) after k steps. Above this bound, a new Jacobian is computed.
+Chosen as the size of rounding errors."""
 
 CONTACT_DEPTH_TOLERANCE = 1e-8
-"""Penetration plus contact margin, in units of `EquilibriumScales.length`, up to which a contact
-does not count as touching: a force of 1e-6 N for Pupper v3. Chosen, not tuned."""
+"""Penetration plus contact margin of MuJoCo, in units of `EquilibriumScales.length`, above which a
+contact point without contact is added as a contact. For Pupper v3 the force at this penetration is
+1e-6 N. Chosen, not tuned."""
 
 _SOLE_COMPLIANCE_FACTORS = (1e3, 1e2, 1e1, 1.0)
-"""Factors of the tangential compliance of contact points (`contact_compliance`) with which the
-equilibrium of a robot with soles is solved, in order, after Newton's method has failed. Each
-solution is the initial guess of the next. Chosen, not tuned."""
+"""Factors of the tangential compliance of contact points (`contact_compliance`). If Newton's method
+fails for a robot with soles, the equilibrium is solved with these factors in this order. Each
+solution is the initial guess of the next solve. Chosen, not tuned."""
 
 _MAX_ITERATIONS = 16
 """Upper bound of the Newton iterations of `SagEquilibrium.solve`. All of 5,148 measured solutions
 took 12 or fewer."""
 
 _ALTERNATION_RTOL = 1e-6
-"""Largest relative difference between a residual and that two iterations earlier with which the
-residuals count as repeated. Measured on variants of Pupper: without a solution, contacts change
-between slip and stick in each iteration, and the residuals repeat to 1e-6 after 6 to 12 iterations,
-then to rounding."""
+"""Two residuals of Newton's method, two iterations apart, count as equal up to this relative
+difference. If two successive pairs are equal, the solve fails. Measured on variants of Pupper
+without a solution: contacts change between slip and stick in each iteration, and the residuals
+repeat to 1e-6 after 6 to 12 iterations, then to rounding."""
 
 _ZERO_SLIP = np.zeros(2)
 """Slip [m] of a contact that has not crept."""
@@ -338,16 +341,18 @@ class SagEquilibrium:
 
         g(q) - S^T tau - sum J_i^T f_i = 0,  depth_i(q) = depth of f_i
 
-    for the contacts in ``anchors``; closed loops add the torques of their constraints. J_i is the
-    Jacobian of the material point at the contact, tau = clip(kp (target - q), limits). Slip law
-    with ``feet="pinned"``: the slip s is zero, apart from creep and compliance, if |f_t| <= mu f_n;
-    otherwise f_t = -mu f_n s / |s|. Both cases are one equation: f_t is f_t - rho s, projected onto
-    the disc of radius mu f_n, for any rho > 0 (Alart and Curnier 1991). With ``feet="sliding"``:
-    f_t = 0, apart from a weak spring that makes the position unique.
+    for the contacts in ``anchors``. Closed loops add the torques of their constraints. J_i is the
+    Jacobian of the material point at the contact, and tau = clip(kp (target - q), limits).
 
-    Welded bodies stay in place. Of the balance, only the part along motions that the welds permit
-    is an equation (``apply_welds``); the weld wrenches follow from the rest. Dry friction of joints
-    is ignored.
+    The slip law depends on ``feet``. If ``feet`` is "pinned", the slip s is zero (apart from creep
+    and compliance) for |f_t| <= mu f_n. Otherwise f_t = -mu f_n s / |s|. One equation contains both
+    cases: f_t equals the projection of f_t - rho s onto the disc of radius mu f_n, for any rho > 0
+    (Alart and Curnier 1991). If ``feet`` is "sliding", f_t = 0, apart from a weak spring that makes
+    the position unique.
+
+    Welded bodies stay in place. The equations contain only the balance along motions that the welds
+    permit (``apply_welds``). The weld wrenches follow from the remaining balance. Dry friction of
+    joints is ignored.
 
     Args:
         robot: Robot.
@@ -484,10 +489,11 @@ class SagEquilibrium:
     def slips(self, qpos: Array, forces: Array) -> Array:
         """Return slips (along two ground tangents) and penetration of each touching contact.
 
-        A slip is the displacement along the ground since the first contact. With ``feet="pinned"``,
-        the slip before the current step of simulated creep is subtracted, the slips of soles are
-        projected (`project_soles`) if there is creep or compliance, and the product of compliance
-        and tangential force is added: the sum is zero for a contact that sticks.
+        A slip is the displacement along the ground since the first contact. If ``feet`` is "pinned"
+        and creep or compliance exists, three terms change the slip. The slip before the current
+        creep step is subtracted. The slips of soles are projected (`project_soles`). The product of
+        compliance and tangential force is added, so that the result is zero for a contact that
+        sticks.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -521,9 +527,9 @@ class SagEquilibrium:
         """Compute the residual of the equilibrium equations, shape (nv + 3 n,).
 
         The first nv elements are the balance of generalised forces [N, N m]; then two slip
-        equations and one depth equation [m] per touching contact. A slip equation is in N if the
-        contact slips or ``feet="sliding"``, else in m. ``forces`` are the forces on the n touching
-        contacts, shape (n, 3) [N], in the contact frames.
+        equations and one depth equation [m] per touching contact. The unit of a slip equation is N
+        if the contact slips or ``feet`` is "sliding", else m. ``forces`` are the forces on the n
+        touching contacts, shape (n, 3) [N], in the contact frames.
         """
         touch, places = self.contacts_at(qpos), self.slips(qpos, forces)
         balance = touch.config.static_load() - touch.generalized_force(forces)
@@ -625,8 +631,8 @@ class SagEquilibrium:
     def _slip_compliances(self) -> Array:
         """Return slip per tangential force of the n touching contacts, shape (n,) [m/N].
 
-        The sum of the compliance of the creep step (``yielding``) and of the compliance that keeps
-        the slip equations independent (`contact_compliance`).
+        This is the sum of two compliances: that of the creep step (``yielding``), and the one that
+        keeps the slip equations independent (`contact_compliance`).
         """
         return np.array(
             [
@@ -674,9 +680,9 @@ class SagEquilibrium:
 
         Args:
             guess: Initial guess.
-            exact: A step reuses the previous Jacobian if the residual that is predicted after the
-                step is below a bound. The bound is the size of rounding errors if ``exact`` is
-                True, and a quarter of `RESIDUAL_TOLERANCE` if False, which is faster.
+            exact: Selects a bound. A step reuses the previous Jacobian if the predicted residual
+                after the step is below this bound. If True, the bound is the size of rounding
+                errors. If False, it is a quarter of `RESIDUAL_TOLERANCE`, and the solve is faster.
 
         Returns:
             The solution; None if Newton's method fails.
@@ -687,7 +693,7 @@ class SagEquilibrium:
         return found
 
     def _solve_with_softer_soles(self, guess: Solution) -> Solution | None:
-        """Solve with a larger compliance of the contact points first, which is reduced in steps.
+        """Solve with a large compliance of the contact points, then reduce the compliance in steps.
 
         None if one of these solves fails.
 
@@ -737,10 +743,10 @@ class SagEquilibrium:
         return None
 
     def apply_welds(self, qpos: Array, equations: Array) -> Array:
-        """Replace part of the force balance of welded bodies by the weld constraints.
+        """Replace part of the balance equations of a robot with welds by the weld constraints.
 
-        The wrenches of the welds are unknown, so only the balance along the permitted motions
-        remains. Without welds the equations are returned unchanged.
+        The wrenches of the welds are unknown. Therefore only the balance along motions that the
+        welds permit remains. If nothing is welded or grips, the equations are returned unchanged.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -772,8 +778,8 @@ class SagEquilibrium:
     def find_violations(self, solution: Solution) -> dict[str, float]:
         """Return the contact points whose assumed contact state contradicts a solution.
 
-        The ground must not pull a touching contact; another contact point must not penetrate the
-        ground. Welded and gripping feet are not tested.
+        The ground must not pull a contact point in ``anchors``. A contact point that is not in
+        ``anchors`` must not penetrate the ground. Welded and gripping feet are not tested.
 
         Returns:
             {contact point: pulling force [N], or penetration beyond the tolerance [m]}, as from
@@ -785,10 +791,10 @@ class SagEquilibrium:
     def violation_of(self, foot: str, solution: Solution) -> float:
         """Return the violation of the assumed contact state of a point; positive if violated.
 
-        For a point that is assumed in contact, the violation is the force [N] with which the ground
-        would pull the point. For a point of a sole, the violation is then zero, because the
-        equation between depth and force permits no pull. For a point that is assumed without
-        contact, the violation is the penetration [m] plus the contact margin, minus
+        If the point is assumed in contact, the violation is the force [N] with which the ground
+        would pull the point. For a point of a sole in contact, the violation is zero, because the
+        equation between depth and force permits no pull. If the point is assumed without contact,
+        the violation is the penetration [m] plus the contact margin, minus
         `CONTACT_DEPTH_TOLERANCE` times `EquilibriumScales.length`.
         """
         if foot in self.anchors:
@@ -820,8 +826,9 @@ class SagEquilibrium:
     def begin_creep(self, solution: Solution, seconds: float) -> None:
         """Start a backward Euler step of creep, the slow slip of loaded contacts in MuJoCo.
 
-        Stores the current slips, and for each contact the creep per tangential force seconds / c
-        [m/N]. c is the ``viscosity`` at the start of the step, constant in the step.
+        Stores the current slips. Also stores for each contact the creep per tangential force,
+        seconds / c [m/N]. c is the ``viscosity`` at the start of the step and is constant during
+        the step.
 
         Args:
             solution: Equilibrium at the start of the step.
@@ -861,8 +868,8 @@ def _alternates(residuals: Sequence[float]) -> bool:
 class Welds:
     """Weld constraints of a stand: welded bodies keep the pose, gripped points keep the position.
 
-    Several welds may be redundant: of the 24 rows of four welded feet at most ``robot.nv`` are
-    independent. The equilibrium uses a set of independent rows, which is selected at the stand.
+    Several welds may be redundant: four welded feet have 24 rows, and at most ``robot.nv`` of these
+    are independent. The equilibrium uses a set of rows that are independent in the stand.
 
     Args:
         robot: Robot.
@@ -889,16 +896,17 @@ class Welds:
     def wrenches(self, config: Configuration, balance: Array) -> tuple[Array, Array]:
         """Return the wrenches of w welds and grips, world axes, that balance a generalised force.
 
-        The moment of a grip is zero. If the balance is not possible, the squared error is minimal;
-        if welds are redundant, the wrenches are those with the smallest norm (N and N m mixed).
+        The moment of a grip is zero. If exact balance is not possible, the squared error is
+        minimised. If welds are redundant, the wrenches with the smallest norm (N and N m mixed) are
+        returned.
 
         Args:
             config: Configuration of the robot.
             balance: Generalised force, shape (nv,) [N, N m].
 
         Returns:
-            Jacobian of each weld or grip, shape (w, 6, nv), whose last three rows are zero for a
-            grip; and wrenches, shape (w, 6) [N, N m].
+            Jacobian of each weld or grip, shape (w, 6, nv), and wrenches, shape (w, 6) [N, N m].
+            The last three rows of the Jacobian of a grip are zero.
         """
         columns = self._contacts.weld_columns(config).values()
         solution = np.linalg.lstsq(np.hstack([*columns]), balance)[0]
@@ -932,7 +940,7 @@ class Welds:
     def _pose_errors(self, config: Configuration) -> Array:
         """Return the deviations of w welds and g grips from their poses, shape (6 w + 3 g,).
 
-        Of a weld, translation [m] and rotation vector [rad]; of a grip, the translation only.
+        A weld has a translation [m] and a rotation vector [rad], a grip only a translation.
         """
         errors = np.ravel(
             [
@@ -966,7 +974,7 @@ _TANGENTIAL_COMPLIANCE_RATIO = 2.5e-6
 def ground_points(robot: Robot, stand: Stand) -> dict[str, Array]:
     """Return {contact point: a point of its ground plane, shape (3,) [m], in the world frame}.
 
-    The point of the plane is not below the contact point in general.
+    The returned point is in general not vertically below the contact point.
     """
     ground, found = stand.task.ground, dict[str, Array]()
     for foot, points in robot.feet.items():
@@ -984,11 +992,11 @@ def contact_compliance(
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return two mappings of tangential compliance, each {contact point: compliance [m/N]}.
 
-    Compliance keeps the slip equations of points with a constant distance linearly independent. In
-    the first mapping, only the points of soles (feet with several points) are compliant; all other
-    points have 0. The second mapping is equal to the first, unless `can_move_com` is False: then
-    all points are compliant, since two feet whose legs swing in planes also have a constant
-    distance.
+    If two points have a constant distance, their slip equations are linearly dependent. Compliance
+    avoids this. In the first mapping, only the points of soles (feet with several points) are
+    compliant. All other points have 0. The second mapping is used in the slip equations. If
+    `can_move_com` is True, it equals the first mapping. Otherwise all points are compliant, since
+    two feet on legs that swing in planes also have a constant distance.
 
     Args:
         robot: Robot.

@@ -3,8 +3,8 @@
 `steady_state` follows a path of equilibria from the stand (`HomotopyPath`). Feed-forward is the
 part of the servo commands that balances the load in advance; its removed fraction grows from 0 to 1
 in steps. Then pinned feet creep for a given time. The result contains the height loss, torques,
-contact forces, and the reasons for which the robot does not stay there. ``stiffness.py`` finds the
-smallest kp without such reasons.
+contact forces, and the reasons why the robot does not stay in the equilibrium.
+`stance.sag.stiffness` finds the smallest kp without such reasons.
 
 An equilibrium is stable if its stiffness is positive in each motion that the feet permit.
 """
@@ -51,9 +51,9 @@ from pupper_analysis.statics.cone_program import split_force
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 MAX_PIVOT_RATIO = 0.01
-"""Upper bound of the slip of a sole [stand heights] with which `find_sliding_feet` counts the sole
-as at rest although all its points slip: 3 mm for a biped of 0.3 m. Measured: soles in MuJoCo
-pivoted by 0.1 to 0.4 mm."""
+"""Slip of a sole [stand heights] up to which `find_sliding_feet` does not report the sole as
+sliding, even if friction is saturated at all points. For a biped of 0.3 m this is 3 mm. Measured:
+soles in MuJoCo pivoted by 0.1 to 0.4 mm."""
 
 
 def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
@@ -81,10 +81,10 @@ def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, 
 
 
 def find_slipping_points(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
-    """Find the contact points that slip in a solution, because friction exceeds its limit.
+    """Find the contact points that slip, because the friction limit is too low to hold them.
 
-    The limit is zero for a point that the ground does not press. Empty with ``feet="sliding"``:
-    contacts then have no friction.
+    The limit is zero if the ground does not press against the point. The result is empty if
+    ``feet`` is "sliding", since contacts then have no friction.
     """
     forces, names = system.stack_forces(solution), tuple(system.anchors)
     places = system.slips(solution.qpos, forces)
@@ -114,14 +114,14 @@ def compute_smallest_stiffness(
 ) -> float:
     """Compute the smallest eigenvalue of the stiffness relative to the mass matrix [1/s^2].
 
-    The stiffness is the Hessian of the potential energy, plus that of saturated friction, in the
-    motions that the feet permit. It is not symmetric if feet slip. An equilibrium is stable if the
-    eigenvalue is positive.
+    The stiffness matrix is the Hessian of the potential energy in the motions that the feet permit,
+    plus the stiffness of saturated friction. The matrix is not symmetric if feet slip. An
+    equilibrium is stable if the eigenvalue is positive.
 
     Args:
         system: Equations.
         solution: Solution of the equations.
-        derivative: Derivative of the equations there (`SagEquilibrium.derivative`).
+        derivative: Derivative of the equations at the solution (`SagEquilibrium.derivative`).
 
     Returns:
         The smallest real part of an eigenvalue; infinite if feet and welds permit no motion.
@@ -184,15 +184,16 @@ _SHARE_TOLERANCE = 1e-7
 contact opens or closes. Chosen: it corresponds to nanometres of motion."""
 
 _MAX_EVENTS = 24
-"""Upper bound of the number of contacts that open or close along a path of equilibria; with more,
-the solve fails, since contacts would open and close in turn. Robots with more than six contact
-points have the bound of four per point. Chosen, not tuned."""
+"""Upper bound of the number of contact changes (contacts that open or close) along a path of
+equilibria. With more changes the solve fails, since the same contacts probably open and close in
+turn. For robots with more than six contact points, the bound is four per point. Chosen, not
+tuned."""
 
 _FRICTION_SHARE_OF_SLIDING = 0.95
-"""Fraction of the friction limit above which a foot is reported as about to slide, if no
-equilibrium continues the gradual removal of the feed-forward. Chosen below 1, since the last
-equilibrium may lie before the actual end by up to the fraction `_MIN_SHARE_STEP` of the
-feed-forward."""
+"""Fraction of the friction limit above which an error reports a foot as about to slide. The error
+is raised if the path of equilibria ends before all feed-forward is removed. Chosen below 1, since
+the last computed equilibrium may be before the actual end of the path, by up to
+`_MIN_SHARE_STEP`."""
 
 CREEP_STEPS = 20
 """Number of backward Euler steps into which a creep duration is divided. Measured: with 20, a robot
@@ -200,8 +201,9 @@ that falls after 15 s is predicted to fall after 14 s."""
 
 _MIN_EULER_STEP = 1 / 4096
 """Lower bound of the backward Euler step that integrates the creep (slow slip) of feet, as a
-fraction of the duration of `HomotopyPath.creep_step`. The creep fails if the next shorter step
-would be below this bound. Of 0.6 s (12 s in 20 steps) this is 0.15 ms. Chosen, not tuned."""
+fraction of the duration of `HomotopyPath.creep_step`. If a shorter step would be necessary, the
+creep ends with an error. For a duration of 0.6 s (12 s in 20 steps) the bound is 0.15 ms. Chosen,
+not tuned."""
 
 
 class HomotopyPath:
@@ -211,7 +213,7 @@ class HomotopyPath:
         system: Equations.
         end: Servo target at the end of the path, shape (nu,) [rad, m]. Default: the joint positions
             of the stand, without feed-forward.
-        exact: Solve the first equilibrium with ``exact`` (`SagEquilibrium.solve`).
+        exact: Argument of `SagEquilibrium.solve` for the first equilibrium.
 
     Attributes:
         system: Equations, with the touching contacts at the current point of the path.
@@ -285,7 +287,7 @@ class HomotopyPath:
                 )
 
     def linearise(self, solution: Solution) -> tuple[Array, float]:
-        """Return the Jacobian of the equilibrium equations, and the stiffness, at a solution.
+        """Return the Jacobian of the equations and the smallest stiffness at a solution.
 
         The result for the last solution is cached.
 
@@ -306,8 +308,9 @@ class HomotopyPath:
     def creep_step(self, seconds: float) -> None:
         """Let feet that stick by friction creep (slip slowly, as in MuJoCo) for a duration [s].
 
-        Creep is integrated by backward Euler steps. A step is shortened if no equilibrium is found:
-        twisted soles creep by a millimetre within hundredths of a second, and then rest.
+        Creep is integrated by backward Euler steps. If no equilibrium is found, the step is
+        shortened. Short steps are necessary for example for twisted soles, which creep by a
+        millimetre within hundredths of a second.
 
         Raises:
             NoEquilibriumError: If a step has no equilibrium, and a quarter of this step is below
@@ -445,14 +448,14 @@ class HomotopyPath:
 
 
 RELEASE_MARGIN = 0.06
-"""`SteadyState.release_margin` [robot weights] above which the feet stay in place if the
-feed-forward is removed in one step. Chosen as an allowance for contact effects that the first-order
-estimate of the overshoot neglects."""
+"""Friction reserve of the feet (`SteadyState.release_margin`) [robot weights], above which the feet
+stay in place if the feed-forward is removed in one step. Chosen as an allowance for contact effects
+that the first-order estimate of the overshoot neglects."""
 
 MAX_CREEP_LOSS_RATIO = 0.002
-"""Predicted height loss by creep within ``HOLD_DURATION`` [base heights in the stand] below which
-creep is not integrated. Measured on a quadruped 2 % above its minimum stiffness: creep ends the
-equilibrium after 5 s, with a ratio of 0.025."""
+"""Predicted height loss by creep within ``HOLD_DURATION``, relative to the base height in the
+stand. Up to this ratio, creep is not integrated. Measured on a quadruped 2 % above its minimum
+stiffness: creep ends the equilibrium after 5 s, with a ratio of 0.025."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -463,34 +466,34 @@ class SteadyState(Result):
         feet: Slip law of the feet: ``pinned`` or ``sliding``.
         qpos: Configuration, shape (nq,).
         base_height: Height of the base frame (m); 0 for a fixed base.
-        height_loss: Height of the base in the stand minus ``base_height`` (m), the sum of the next
-            two; 0 for a fixed base.
+        height_loss: Height of the base in the stand minus ``base_height`` (m), the sum of
+            ``servo_sag`` and ``contact_sag``; 0 for a fixed base.
         servo_sag: Height loss by deflection of the joints (m).
         contact_sag: Height loss by penetration of the feet (m).
         joint_torques: Motor torques or forces, shape (nu,) (N m or N).
-        stance_feet: Contact points that touch the ground, including swing feet that came down and
-            without stance feet that were released.
+        stance_feet: Contact points that touch the ground. Swing feet that came down are included.
+            Stance feet that were released are not included.
         contact_forces: {contact point: force of the ground, shape (3,)} of all contact points, in
             world axes (N); zero without contact.
         foot_creep: {touching contact point: creep speed in MuJoCo's friction} (m/s); zero for
             sliding feet.
-        height_drift: Rate of the base height by creep (m/s). A simulated height is the predicted
-            height within D for about D / |height_drift| seconds.
+        height_drift: Rate of the base height by creep (m/s). A simulated height stays within D of
+            the predicted height for about D / |height_drift| seconds.
         residual: Largest element of the residual of the equations (N or m).
         stiffness: Smallest eigenvalue of the energy's Hessian in the motions that the feet permit,
             relative to the mass matrix (rad^2/s^2): the square of the lowest natural frequency
             without damping.
         stable: Whether ``stiffness`` is positive.
-        release_margin: Smallest remaining friction of a foot, in parts of the weight, in the
-            overshoot after the feed-forward is removed in one step: to first order, the robot is
-            then twice as far from the stand as the equilibrium. Below ``RELEASE_MARGIN`` a foot may
-            slip or lift, and the robot comes to rest elsewhere, by up to millimetres. If the
-            feed-forward is removed slowly, no foot slips, but the ignored dry friction holds the
-            robot above the equilibrium (v3: by 1.8 mm).
-        lasts: Time until creep ends the equilibrium, or leads to one of its failures (s); infinite
-            if longer than ``HOLD_DURATION``, or not computed.
-        failures: Reasons for which the robot does not stay in this equilibrium; empty if there is
-            none.
+        release_margin: Smallest friction reserve of a foot, as a fraction of the weight, in the
+            overshoot after the feed-forward is removed in one step. To first order, the overshoot
+            is twice as far from the stand as the equilibrium. Below ``RELEASE_MARGIN`` a foot may
+            slip or lift, and the robot may come to rest up to millimetres away from the
+            equilibrium. If the feed-forward is removed slowly, no foot slips, but the ignored dry
+            friction holds the robot above the equilibrium (v3: by 1.8 mm).
+        lasts: Time until creep ends the equilibrium or leads to a failure (s). Infinite if this
+            time is longer than ``HOLD_DURATION``, or is not computed.
+        failures: Reasons why the robot does not stay in this equilibrium; empty if no reason was
+            found.
     """
 
     feet: SlipLaw
@@ -530,28 +533,30 @@ def steady_state(
         g(q) - S^T tau - sum J_i(q)^T f_i = 0
         depth_i = r_i - z_i(q) = depth of f_i  if f_i > 0,   depth_i <= 0  if f_i = 0
 
-    S selects the joints with motors; J_i is the Jacobian of the material point at the contact. With
-    ``feet="pinned"`` this point does not slip (the foot rolls on it), or, if ``seconds`` is
-    positive, creeps at the velocity -f_t / c, as in MuJoCo's friction. With ``feet="sliding"`` its
-    tangential force f_t is zero. Dry friction of joints and rolling feet is ignored.
+    S selects the joints with motors. J_i is the Jacobian of the material point at the contact. If
+    ``feet`` is "pinned", this point does not slip, and the foot rolls on it. If ``seconds`` is also
+    positive, the point creeps at the velocity -f_t / c, as in MuJoCo's friction. If ``feet`` is
+    "sliding", the tangential force f_t is zero. Dry friction of joints and of rolling feet is
+    ignored.
 
-    Newton's method starts at the stand, which full feed-forward holds, and follows the equilibrium
-    while feed-forward is removed. A swing foot that reaches the ground is pinned there and carries
-    load; a foot that would have to pull is released. Then backward Euler steps follow the creep.
-    The result has a failure if further creep would end the equilibrium within ``HOLD_DURATION``
-    (12 s), as with stiffnesses just above the smallest one (`simulate_creep`).
+    Newton's method starts at the stand with full feed-forward, and follows the equilibrium while
+    feed-forward is removed. A swing foot that reaches the ground is pinned there and carries load.
+    A foot that would have to pull is released. Then backward Euler steps follow the creep. The
+    result has a failure if further creep (`simulate_creep`) would end the equilibrium within
+    ``HOLD_DURATION`` (12 s). This occurs at stiffnesses just above the smallest one.
 
     Args:
         robot: Robot.
         stand: Stand from which the robot sags.
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,). Default: the model's.
-        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
+        feedforward: If True, the command is ctrl = q* + tau / kp, with the torques tau of the
+            stand. Otherwise it is ctrl = q*.
         feet: ``pinned``: the feet do not slip (as of rubber, or in MuJoCo for some seconds).
             ``sliding``: no tangential forces, the final state of MuJoCo's creep.
         seconds: Creep time of pinned feet [s].
 
     Returns:
-        The equilibrium; ``failures`` contains the reasons for which the robot does not stay there.
+        The equilibrium. ``failures`` contains the reasons why the robot does not stay there.
 
     Raises:
         ConfigurationError: If an argument is invalid, or the robot cannot stand.
@@ -601,16 +606,17 @@ def make_homotopy_path(
 def simulate_creep(path: HomotopyPath, pose: SteadyState) -> float:
     """Compute how long an equilibrium lasts while its feet creep on the ground [s].
 
-    Creep is simulated for up to ``HOLD_DURATION`` (12 s). It is not simulated if no foot creeps, or
-    if the base height would change by at most `MAX_CREEP_LOSS_RATIO` times the height in this time.
+    Creep is simulated for up to ``HOLD_DURATION`` (12 s). No creep is simulated in two cases: no
+    foot creeps, or the base height would change by at most `MAX_CREEP_LOSS_RATIO` times the height
+    in this time.
 
     Args:
         path: Path of equilibria that ends at ``pose``; the call extends the path.
         pose: Stable equilibrium.
 
     Returns:
-        Time [s] until the equilibrium no longer exists, or the robot fails in it (see
-        ``_find_failures``); infinite if longer than ``HOLD_DURATION``, or if no creep is simulated.
+        Time [s] until the equilibrium no longer exists or has a failure (see ``_find_failures``).
+        Infinite if longer than ``HOLD_DURATION``, or if no creep is simulated.
     """
     creeps = pose.feet != "sliding" and any(pose.foot_creep.values())
     if (
@@ -672,9 +678,9 @@ def check_steady_state_request(robot: Robot, stand: Stand, feet: str, seconds: f
 def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
     """Compute the equilibrium to which a stand sags when its feed-forward is removed.
 
-    The path of equilibria starts at the stand, whose servo commands exceed the joint positions by
-    the feed-forward torque / kp. The feed-forward is removed in steps. Then the contact points
-    creep under their tangential forces, as in MuJoCo.
+    The path of equilibria starts at the stand. The servo commands of the stand are the joint
+    positions plus feed-forward torque / kp. The feed-forward is removed in steps. Then the contact
+    points creep under their tangential forces, as in MuJoCo.
 
     Args:
         path: Path at its start, with the full feed-forward; modified.
@@ -695,10 +701,10 @@ def follow_to_end(path: HomotopyPath, *, feedforward: bool, seconds: float = 0.0
 def release_margin(path: HomotopyPath) -> float:
     """Compute the smallest friction reserve of all feet if the feed-forward is removed in one step.
 
-    The reserve is (friction coefficient x normal force - tangential force) / weight. It is computed
-    for the overshoot after the step, with the contact forces 2 f - f_0: f at the current
-    equilibrium of the path, f_0 in the stand. The result is `SteadyState.release_margin`; infinite
-    without contacts.
+    The reserve is (friction coefficient x normal force - tangential force) / weight. The contact
+    forces of the overshoot after the step are 2 f - f_0, with the forces f at the current
+    equilibrium of the path and f_0 in the stand. The result is stored as
+    `SteadyState.release_margin`. Infinite without contacts.
     """
     held, now, robot = path.balance.contact_forces, path.solution.forces, path.system.robot
     feet, nothing = tuple(dict.fromkeys((*held, *now))), np.zeros(3)
@@ -714,7 +720,7 @@ def release_margin(path: HomotopyPath) -> float:
 def find_sag_failure(
     robot: Robot, stand: Stand, *, kp: ArrayLike | None = None, feet: SlipLaw = "pinned"
 ) -> Diagnostic | None:
-    """Return the reason for which a robot does not stand without feed-forward; None if it stands.
+    """Return the reason why a robot does not stand without feed-forward; None if it stands.
 
     The robot does not stand in any of these cases:
 
@@ -745,9 +751,10 @@ def find_sag_failure(
 
 
 def describe_sag_failure(robot: Robot, stand: Stand, pose: SteadyState) -> Diagnostic | None:
-    """Return the reason for which a robot does not stand in an equilibrium; None if it stands.
+    """Return the reason why a robot does not stand in an equilibrium; None if it stands.
 
-    The reason is a free base at half of the stand's base height or less, or ``pose.failures``.
+    A free base at half of the stand's base height or less is a reason. Otherwise the reasons are
+    ``pose.failures``.
 
     Args:
         robot: Robot, with the contacts of the stand.
@@ -818,7 +825,7 @@ def _make_rest_data(robot: Robot) -> mujoco.MjData:
 def _find_failures(
     system: SagEquilibrium, solution: Solution, stiffness: float
 ) -> tuple[Diagnostic, ...]:
-    """List the reasons for which the robot does not stay in an equilibrium.
+    """List the reasons why the robot does not stay in an equilibrium.
 
     ``stiffness`` is the smallest eigenvalue of the robot's stiffness on its contacts, relative to
     the mass matrix [1/s^2].

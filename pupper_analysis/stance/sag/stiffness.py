@@ -1,8 +1,9 @@
 """Smallest stiffness of the servos with which a robot stands without feed-forward.
 
-`minimum_stiffness` bisects the stiffness. Near a known equilibrium, the equilibrium of another
-stiffness is one Newton solve away (continuation, Allgower and Georg 1990). So few stiffnesses,
-such as the first, need the path on which the feed-forward is removed (`HomotopyPath`).
+`minimum_stiffness` bisects the stiffness. From a known equilibrium, one Newton solve usually finds
+the equilibrium of a similar stiffness (continuation, Allgower and Georg 1990). Therefore only few
+stiffnesses, such as the first one, need the path on which the feed-forward is removed
+(`HomotopyPath`).
 """
 
 from __future__ import annotations
@@ -35,8 +36,9 @@ from pupper_analysis.stance.sag.steady_state import (
 from pupper_analysis.stance.stand import Stand
 
 HIGHEST_KP = 2500.0
-"""Upper bound of the kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`:
-for Pupper v3, 1,600 times the kp of its servos (5 N m/rad). Chosen, not tuned."""
+"""Upper bound of the kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`.
+If the robot does not stand with any tested kp up to this bound, NoStiffnessError is raised. For
+Pupper v3 the bound is 1,600 times the kp of its servos (5 N m/rad). Chosen, not tuned."""
 
 _FIRST_KP = 4.0
 """First kp that `minimum_stiffness` tests, in units of `EquilibriumScales.stiffness`. Measured: v3,
@@ -54,8 +56,8 @@ lost. A failed step is repeated with half its length, since Newton's method may 
 that is far away. Smaller intervals of the bisection are tried in one step. Chosen, not tuned."""
 
 _FIRST_CREEP_RATIO = 0.04
-"""Relative distance above the least kp of the static equilibrium at which creep is simulated first.
-Measured: creep raises the least kp by 4 % (original), 6 % (Go2) and 8 % (v3)."""
+"""Relative distance of the kp at which creep is simulated first, above the least kp of the static
+equilibrium. Measured: creep raises the least kp by 4 % (original), 6 % (Go2) and 8 % (v3)."""
 
 _MAX_PREDICTIONS = 4
 """Number of creep simulations of `_bisect_stiffness` at predicted kp: the first follows from
@@ -82,9 +84,9 @@ def minimum_stiffness(
 ) -> float:
     """Find the smallest kp with which a robot stands without feed-forward, by bisection.
 
-    The robot stands if `steady_state` has no failures (for example, a swing foot on the ground, or
-    creep that ends the equilibrium within 12 s) and, on a free base, keeps more than half of the
-    stand's height.
+    The robot stands if the result of `steady_state` has no failures, and a free base keeps more
+    than half of the stand's height. Examples of failures are a swing foot on the ground, and creep
+    that ends the equilibrium within 12 s.
 
     Args:
         robot: Robot.
@@ -96,7 +98,7 @@ def minimum_stiffness(
             1, the same kp at all joints.
 
     Returns:
-        kp [N m/rad], the upper end of the bracket, with which the robot stands.
+        kp [N m/rad] with which the robot stands: the upper end of the bracket.
 
     Raises:
         ConfigurationError: If an argument is invalid, or the robot cannot stand.
@@ -131,8 +133,8 @@ def estimate_minimum_stiffness(
 
     Unlike in `minimum_stiffness`, creep near the result is simulated only once: a prediction
     replaces the bisection (`_predict_stiffness`). If the robot stands with all tested kp, the
-    result is the smallest tested kp. If the predicted kp is at least twice that of the
-    upper end of the bracket, the result is that of `minimum_stiffness`. Measured: 0 to 5 % above
+    result is the smallest tested kp. If the predicted kp is at least twice the upper end of the
+    bracket, the result of `minimum_stiffness` is returned. Measured: 0 to 5 % above
     `minimum_stiffness` for T1 and v3-long-leg, within 1 % for v3, original and Go2.
 
     Args:
@@ -168,9 +170,9 @@ def _bracket_stiffness(
     """Bracket the least kp [N m/rad] by powers of two.
 
     Returns:
-        Tuple (search, low, high) with high = 2 low. The robot does not stand with kp = low, and
-        stands with kp = high before the feet creep. If the robot stands with all tested kp, down to
-        `_LEAST_KP` or `MIN_STIFFNESS`, low is 0.
+        Tuple (search, low, high) with high = 2 low. The robot does not stand with kp = low. The
+        robot stands with kp = high, as long as the feet have not crept. If the robot stands with
+        all tested kp, down to `_LEAST_KP` or `MIN_STIFFNESS`, low is 0.
 
     Raises:
         ConfigurationError: If ``feet`` or ``ratios`` is invalid, or the robot cannot stand.
@@ -200,7 +202,7 @@ def _bracket_stiffness(
 
 
 class _Grid:
-    """Equal cells of a bracket, 2^n of them, with a width of at most a relative tolerance.
+    """Division of a bracket into 2^n equal cells, up to a largest width.
 
     Args:
         low: Lower end of the bracket [N m/rad].
@@ -257,8 +259,9 @@ def _bisect_stiffness(
 ) -> tuple[float, float]:
     """Reduce a bracket of the least kp [N m/rad] to a relative width; return the new bracket.
 
-    The result equals that of a plain bisection. Simulated creep takes ten times as long as statics,
-    so statics bound kp first, and predictions (`_predict_stiffness`) replace midpoints.
+    The result equals that of a bisection in which each kp is tested with creep. A simulation of
+    creep takes ten times as long as statics. Therefore statics bound kp first, and predictions
+    (`_predict_stiffness`) replace midpoints.
 
     Args:
         search: Test of stiffnesses.
@@ -309,7 +312,7 @@ def _check_ratios(robot: Robot, ratios: ArrayLike | None) -> Array:
 
 
 class _StiffnessSearch:
-    """Test of stiffnesses; the nearest known equilibrium is the initial guess of the next one.
+    """Test of stiffnesses. Each test starts at the nearest known equilibrium.
 
     Args:
         robot: Robot, with the contacts of the stand.
@@ -340,8 +343,8 @@ class _StiffnessSearch:
     def measure_duration(self, value: float) -> float:
         """Return the time [s] until creep of the feet ends the equilibrium with kp [N m/rad].
 
-        0 if the robot does not stand even before the creep; infinite if the robot stands. Until a
-        first value is found with which the robot stands, the result is only 0 or infinite.
+        0 if the robot does not stand even before the creep. Infinite if the robot stands. Until the
+        search has found a kp with which the robot stands, the result is either 0 or infinite.
         """
         if self._path is None:
             return math.inf if self.follow(value) else 0.0
@@ -354,11 +357,11 @@ class _StiffnessSearch:
         return self._durations[value]
 
     def follow(self, value: float) -> bool:
-        """Test kp [N m/rad] by removing feed-forward, then simulating creep.
+        """Test kp [N m/rad] by a new path: feed-forward is removed, then creep is simulated.
 
         Returns:
-            True if the robot stands; its equilibrium is then the initial guess of the next tests.
-            False with the reason in ``problem`` otherwise.
+            True if the robot stands. The equilibrium is then the initial guess of the next tests.
+            False otherwise, with the reason in ``problem``.
         """
         try:
             path = make_homotopy_path(self._robot, self._stand, value * self._ratios, self._feet)
@@ -380,7 +383,7 @@ class _StiffnessSearch:
     def stands_at_first(self, value: float) -> bool:
         """Return True if the robot stands with kp [N m/rad] before the feet creep.
 
-        If no equilibrium is known yet, or a contact opens or closes, the creep is included.
+        If no equilibrium is known yet, or a contact opens or closes, creep is simulated as well.
         """
         if self._path is None:
             return self.follow(value)
