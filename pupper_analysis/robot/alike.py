@@ -1,8 +1,8 @@
 """Limbs with the same structure: groups of corresponding joints, and limbs that lack a foot.
 
 Limbs with the same types of joints, and with similar masses or dimensions, usually have the same
-function. If at least half of these limbs end in a foot and one limb does not, the file of that limb
-probably contains a wrong value or lacks a shape.
+function. Suppose that at least half of these limbs end in a foot, and one limb does not. The file
+of that limb then probably contains a wrong value, or lacks a shape.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ class Limb:
         The tolerance is 0.05 (`_SIMILARITY_TOLERANCE`). Either similarity is sufficient, because a
         single wrong value of a file affects only masses or only dimensions.
 
-        Dimensions are similar if the distances between joints differ by at most 0.05 times the
-        length of the limb, and |cos| between successive axes differs by at most 0.05. The length is
-        the sum of the larger distances. If the length is 0 (one joint, or all joints in one point),
-        only masses are compared.
+        Dimensions are similar under two conditions. Distances between joints differ by at most 0.05
+        times the length of the limb. |cos| between successive axes differs by at most 0.05. The
+        length is the sum of the larger distances. If the length is 0 (one joint, or all joints in
+        one point), only masses are compared.
 
         Masses are similar if both limbs have the same number of bodies, and each mass differs by at
         most 0.05 times the larger mass.

@@ -2,8 +2,8 @@
 
 A prepared robot differs from its file, so verdicts also simulate the unmodified file: from its own
 keyframe (`OwnRun`), and from a computed state whose equilibrium is compared (`PublishedRun`). The
-module contains these results, the limits with which a run counts as failed or deviating, and the
-servos that a result depends on (`ServosUsed`).
+module contains these results, and the limits above which a run counts as failed or deviating.
+`ServosUsed` describes the servos that a result depends on.
 
 Data only: ``prepare`` computes the results, ``simulation/verdict.py`` evaluates the results, and
 ``present/verdict.py`` formats the results.
@@ -59,11 +59,10 @@ class ServosUsed:
 
 
 MIN_UNHELD_DISPLACEMENT = 0.05
-"""Displacement of a joint [rad, m] in a simulation of a published file from its keyframe, above
-which the joint counts as displaced. A displaced joint without servo counts as not held
-(`OwnRun.unheld`). A displaced joint with servo may count as moved by its command
-(`JointOff.commanded_away`). A joint without servo has no stiffness, and usually moves to a stop.
-Chosen, not tuned."""
+"""Displacement [rad, m] above which a joint counts as displaced, in a simulation of a published
+file from its keyframe. A displaced joint without servo counts as not held (`OwnRun.unheld`). A
+displaced joint with servo may count as moved by its command (`JointOff.commanded_away`). A joint
+without servo has no stiffness, and usually moves to a stop. Chosen, not tuned."""
 
 
 MAX_TORQUE_DEVIATION = 0.05
@@ -78,8 +77,9 @@ URDF keeps the collision meshes of the file. Their contacts are at slightly diff
 the contacts of the computed spheres (error of Go2: 0.065)."""
 
 MAX_PUBLISHED_DEVIATION = 0.02
-"""Largest deviation of a joint position [rad, m] with which a simulation of the published MJCF with
-feed-forward agrees with the computed equilibrium. Pupper v3 deviates by 5e-5. Chosen, not tuned."""
+"""Largest deviation of a joint position [rad, m] with which a simulation with feed-forward agrees
+with the computed equilibrium (`PublishedRun.agrees_with_equilibrium`). Pupper v3 deviates by 5e-5.
+Chosen, not tuned."""
 
 MIN_POSTURE_DEVIATION = 0.5
 """Displacement [rad, m] of a joint above which a robot with a fixed base has left its posture
@@ -155,9 +155,10 @@ reports the deviation, but is not FAILS.
 
 
 MAX_OWN_TILT = math.radians(10.0)
-"""Largest tilt of the base [rad], relative to the initial orientation, at the end of a simulation
-of the published file from its keyframe. With a larger tilt the run fails (`OwnRun.is_tilted`).
-Chosen, not tuned: a knee angle with a wrong sign gives 18 to 21 deg (Solo 12, Go1).
+"""Largest accepted tilt of the base [rad] at the end of a simulation of the published file from its
+keyframe, relative to the initial orientation. With a larger tilt, the run fails
+(`OwnRun.is_tilted`). Chosen, not tuned: a knee angle with a wrong sign gives 18 to 21 deg (Solo 12,
+Go1).
 """
 
 

@@ -72,8 +72,8 @@ def build_robot(
         fixed_base: Whether to fix a free base to the world, at the pose in the MJCF. If True,
             contacts with planes and height fields are disabled.
         foot_depth: Distance [m] of the feet below the hips in the nominal stand (the stand of the
-            default `StandTask`), from which the height of the base in this stand follows. By
-            default, the lowest foot touches the ground with the joint positions of ``Robot.home``.
+            default `StandTask`). It determines the height of the base in this stand. By default,
+            the lowest foot touches the ground with the joint positions of ``Robot.home``.
 
     Raises:
         ModelError: If MuJoCo or Pinocchio rejects a file. If a number of the compiled model is not
@@ -174,9 +174,9 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
         changes: New values of fields of ``Description``, for example ``mjcf=spec``.
 
     Raises:
-        ModelError: For example if MuJoCo or Pinocchio rejects the changed description, the joints
-            of both files differ, or a contact point is not the centre of a collision sphere; for
-            all cases see `build_robot`.
+        ModelError: If the robot cannot be built from the changed description, for example because
+            MuJoCo rejects the MJCF, or the joints of both files differ. For all cases see
+            `build_robot`.
         UnknownNameError: If a contact point has no link in the URDF, or no site, body or geom in
             the MJCF.
         KeyError: If ``foot_geoms`` of the description names a geom that the MJCF lacks.

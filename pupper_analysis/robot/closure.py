@@ -8,9 +8,9 @@ constraints exert A^T lambda. The dependent joints (index F) have no motor and e
 
 for a generalised load x. The motors of the independent joints hold x' (principle of virtual work).
 
-MuJoCo's constraints are soft: at rest each has a static deflection that depends on its force. If
-there are more equations than dependent joints (a planar loop has three equations, of which one is
-redundant), the compliances determine the distribution of the load.
+MuJoCo's constraints are soft: at rest each has a static deflection that depends on its force. There
+may be more equations than dependent joints: a planar loop has three equations, of which one is
+redundant. The compliances then determine the distribution of the load.
 """
 
 from __future__ import annotations
@@ -536,8 +536,9 @@ def find_closure(
 ) -> Closure | None:
     """Return the loops and couplings of a robot; None if there are none to model.
 
-    The result is None if the model has no active equality constraint, if constraints are disabled,
-    if no joint of the robot is constrained, or if a constraint couples a free base to the world.
+    The result is None if no active equality constraint acts on a joint of the robot, or if
+    constraints are disabled. It is also None if a constraint couples a free base to the world,
+    because this is not supported.
     """
     disabled = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY
     if not model.eq_active0.any() or model.opt.disableflags & int(disabled):

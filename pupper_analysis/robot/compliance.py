@@ -33,9 +33,9 @@ which `GroundLaw.depth` ends. The remaining relative error is of the order of th
 value. Chosen, not tuned."""
 
 _DEPTH_RTOL = 4e-16
-"""Difference between upper and lower bound of a penetration, relative to the penetration plus the
-contact margin [1], at or below which the iteration of `GroundLaw.depth` ends. The value is about
-two roundings of double precision (2.2e-16 each)."""
+"""Tolerance of the iteration of `GroundLaw.depth`, relative to the penetration plus the contact
+margin [1]. The iteration ends if upper and lower bound of the penetration differ by at most this
+value. The value is about two roundings of double precision (2.2e-16 each)."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +77,8 @@ class GroundLaw:
         """Return the force law between a contact point and the ground in MuJoCo's model.
 
         `GroundLaw` defines the symbols. With MuJoCo's pyramidal friction cone, ``tangential`` is
-        A_t = (1 + mu^2) A / impratio, and ``normal`` is A_t mu^2 / (condim - 1), because the normal
-        force is the sum of the forces of 2 (condim - 1) edges.
+        A_t = (1 + mu^2) A / impratio. The normal force is then the sum of the forces of 2 (condim -
+        1) edges, so ``normal`` is A_t mu^2 / (condim - 1).
 
         Args:
             robot: Robot whose MuJoCo model has a ground.
@@ -146,8 +146,8 @@ class GroundLaw:
         is zero, half the upper bound replaces the geometric mean. With ``near``, up to
         `_NUM_UNBOUNDED_STEPS` Newton steps without bounds are tried first.
 
-        The iteration ends if the relative step is at most `_STEP_RTOL`, if the relative distance of
-        the bounds is at most `_DEPTH_RTOL`, or after `_MAX_ITERATIONS`.
+        The iteration ends if the relative step is at most `_STEP_RTOL`, or the relative distance of
+        the bounds is at most `_DEPTH_RTOL`. It ends after `_MAX_ITERATIONS` in any case.
 
         Args:
             force: Normal force [N].

@@ -53,10 +53,10 @@ def combine_geoms(model: mujoco.MjModel, first: int, second: int | None) -> Cont
     """Return the contact parameters of two geoms without a ``<pair>``, as in MuJoCo.
 
     If the priorities differ, the parameters of the geom with the higher priority are used. If they
-    are equal, the result has the larger condim, the larger of each friction coefficient, and the
-    means of solref and solimp weighted by solmix. Exception: if the first number of a solref is not
-    positive, the smaller of each solref number is used. Margins are always added. The resulting
-    solref is replaced by `effective_solref`.
+    are equal, the larger condim and the larger of each friction coefficient are used. solref and
+    solimp are means weighted by solmix. Exception: if the first number of a solref is not positive,
+    the smaller of each solref number is used. Margins are always added. The resulting solref is
+    replaced by `effective_solref`.
 
     Source: MuJoCo documentation, "Computation: Contact parameters".
 
@@ -92,8 +92,8 @@ def combine_geoms(model: mujoco.MjModel, first: int, second: int | None) -> Cont
 
 
 _COMBINED_FIELDS = ("priority", "condim", "friction", "solmix", "solref", "solimp", "margin")
-"""Names, without the prefix ``geom_``, of the arrays of ``mjModel`` that contain the parameters of
-geoms from which MuJoCo computes the parameters of a contact."""
+"""Parameters of geoms from which MuJoCo computes the parameters of a contact. With the prefix
+``geom_``, each is the name of an array of ``mjModel``."""
 
 _DEFAULT_PLANE_MODEL = mujoco.MjModel.from_xml_string(
     "<mujoco><worldbody><geom type='plane' size='1 1 1'/></worldbody></mujoco>"
@@ -372,9 +372,9 @@ def stand_height(
     """Return the height [m] of the base above the ground in the stand of the default `StandTask`.
 
     In this stand, the lowest foot touches the ground. Without ``foot_depth``, the joints have the
-    positions of the keyframe. With ``foot_depth``, the joints have the positions of qpos0, and the
-    centre of each foot counts as this distance below its hip (the first body of its leg). Distances
-    are measured along the z axis of the base. The height is 0 without feet.
+    positions of the keyframe. With ``foot_depth``, the joints have the positions of qpos0. The
+    centre of each foot then counts as this distance below its hip (the first body of its leg).
+    Distances are measured along the z axis of the base. The height is 0 without feet.
 
     Args:
         model: MuJoCo model.

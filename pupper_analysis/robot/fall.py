@@ -74,10 +74,10 @@ MAX_CLEARANCE = 5.0
 a free fall over 5 m takes 1 s."""
 
 _MAX_RUN_DISTANCE = 1e-4
-"""Largest difference of a coordinate [m, rad] between two runs from one keyframe, halfway through
-the runs, with which both runs count as equal. The second or third run then ends. The velocities
-must also be equal, within `NUDGE_SPEED`. If a nudge upsets a robot by the end of a run, the
-difference grows exponentially from about 1e-4 to `FALLEN_TILT`, so that it exceeds 1e-3 halfway."""
+"""Tolerance with which two runs from one keyframe count as equal: largest difference of a
+coordinate [m, rad], halfway through the runs. The second or third run then ends. The velocities
+must also be equal, within `NUDGE_SPEED`. Reason: if a nudge upsets a robot by the end of a run, the
+difference grows exponentially from about 1e-4 to `FALLEN_TILT`. Halfway, it then exceeds 1e-3."""
 
 _SEARCH_MARGIN = 0.05
 """Longest downward step [m] of the search for the ground below a robot (`initial_height`). Also the
@@ -182,8 +182,8 @@ def simulate_keyframe(
     nudge. The result is the first run in which the robot collapses. If there is no such run, the
     result is the first run. Two signs are needed, because a robot may fall to one side only.
 
-    If the state halfway through the second or third run equals that of the first run, within
-    `_MAX_RUN_DISTANCE`, the run ends there without a collapse. Models with actuator activations are
+    The second and third run may end halfway: if their state equals that of the first run within
+    `_MAX_RUN_DISTANCE`, they count as runs without a collapse. Models with actuator activations are
     always simulated to the end.
 
     Args:

@@ -174,8 +174,8 @@ class Ground:
         A box extends ``STEP_HALF_WIDTH`` beyond the contact points of the foot. The box of a step
         with height h > 0 stands on the ground. For h < 0 (a pit), the top of the box is the bottom
         of the pit at height h. The thickness of both boxes is abs(h) times the cosine of the slope.
-        The box below a separate plane is half as thick as wide. A foot is omitted if it has no
-        contact point in ``places``, or if its step has the height 0 and it has no separate plane.
+        The box below a separate plane is half as thick as wide. A foot without a contact point in
+        ``places`` is omitted, and so is a foot on a step of height 0 without a separate plane.
 
         Args:
             places: {contact point: sphere centre (3,) [m] in the world frame}. The contact points
@@ -275,5 +275,5 @@ of a box for the same foot [1]. That half width is the reach of the contact poin
 ``STEP_HALF_WIDTH``. Chosen, not tuned: a foot must not reach the end of the bar."""
 
 STEP_HALF_WIDTH = 0.03
-"""Distance [m] by which the box of a step extends along its top beyond the contact points of its
-foot, so that the foot stays on the box if the foot slips a little. Chosen, not tuned."""
+"""Distance [m] by which the top of a step's box extends beyond the contact points of its foot. The
+foot thus stays on the box if it slips a little. Chosen, not tuned."""

@@ -37,9 +37,9 @@ _MAX_ITERATIONS = 1000
 force. The iteration is used if the stiffness falls with the violation. Chosen, not tuned."""
 
 _VIOLATION_RTOL = 1e-14
-"""Relative change of the violation in an iteration [1] at or below which the fixed-point iteration
-for the violation of a soft constraint ends. The value is near the rounding error of double
-precision. Chosen, not tuned."""
+"""Tolerance of the fixed-point iteration for the violation of a soft constraint [1]. The iteration
+ends if the relative change of the violation is at most this value. The value is near the rounding
+error of double precision. Chosen, not tuned."""
 
 
 def clip_solimp(solimp: Iterable[float]) -> tuple[float, ...]:

@@ -1,7 +1,7 @@
 """Joints of a robot: motion types, legs, and postures.
 
 A posture contains the positions of joints that carry no foot, for example of the arms of a
-humanoid, requested by the user as {joint name or pattern: position}. This module resolves the
+humanoid. The user specifies it as {joint name or pattern: position}. This module resolves the
 names, checks units, loops and joint ranges, and returns the default posture of a robot with a fixed
 base.
 """
@@ -89,8 +89,8 @@ def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:
 
 
 _LIMIT_ATOL = 1e-6
-"""Tolerance of joint limits [rad, m]. A position requested by the user is accepted if it exceeds a
-limit by up to this value, because users enter rounded values. Chosen, not tuned."""
+"""Tolerance of joint limits [rad, m]. Users enter rounded positions, so a position may exceed a
+limit by up to this value. A position with a larger excess is refused. Chosen, not tuned."""
 
 
 def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, float]:
@@ -103,9 +103,9 @@ def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, 
 
     Raises:
         UnknownNameError: If a pattern matches no joint; the message lists the joints.
-        ConfigurationError: If a position is not valid, or if a joint moves a foot. If a joint is
-            part of a loop or coupling, and the posture lacks a joint of a loop or coupling, or does
-            not close the loops.
+        ConfigurationError: If a position is not valid, or if a joint moves a foot. If the posture
+            contains a joint of a loop or coupling, but not all of them, or does not close the
+            loops.
     """
     placed = named_positions(robot, posture, "posture") if posture else {}
     free = find_footless_joints(robot) if placed else ()

@@ -353,8 +353,8 @@ def command_ranges(robot: Robot) -> Array:
     """Return the range of the servo command of each joint, shape (nu, 2) [rad, m].
 
     MuJoCo clips the command of a servo to the ``ctrlrange``, unless the MJCF disables the flag
-    ``clampctrl``. The range is infinite if MuJoCo does not clip the command, if the motor is no
-    position servo in the MJCF, and for a joint without motor.
+    ``clampctrl``. The range is infinite if MuJoCo does not clip the command, or if the joint has no
+    motor. It is also infinite if the motor is no position servo in the MJCF.
     """
     model, actuators = robot.mj_model, robot.mj_convention.actuator_index
     ranges = np.tile((-math.inf, math.inf), (robot.nu, 1))

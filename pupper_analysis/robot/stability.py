@@ -139,10 +139,10 @@ _MAX_SETTLING_TIME = 600.0
 """Largest accepted settling time of `step_stability` [s]. Chosen, not tuned."""
 
 _LIMIT_DISTANCE = 10 * DIFFERENCE_STEP
-"""Distance of a joint position from a joint limit [rad, m] up to which the spectrum is computed
-twice, with the limit moved to this distance on either side of the position (`_evaluate_at_limits`).
-The reason is that centred differences across a limit mix two regimes: ANYmal at a knee limit seemed
-to oscillate at 9 Hz, but came to rest in simulations."""
+"""Distance of a joint position from a joint limit [rad, m]. If a joint is nearer to its limit, the
+spectrum is computed twice, with the limit moved to this distance on either side of the joint
+(`_evaluate_at_limits`). Centred differences across a limit would mix two regimes: ANYmal at a knee
+limit seemed to oscillate at 9 Hz, but came to rest in simulations."""
 
 _NEUTRAL_RATE = 1e-4
 """Value of |eigenvalue - 1| / (time step) up to which a mode counts as neither growing nor decaying
@@ -151,8 +151,9 @@ this bound, the error is the bound. Chosen, not tuned."""
 
 _EIGENVALUE_ERROR = 1e-9
 """Numerical error of a well-conditioned eigenvalue of the linearised MuJoCo step [1], measured for
-``DIFFERENCE_STEP``. If the absolute value of an eigenvalue, or its angle in the complex plane
-[rad], is at most this error, the mode does not count as an oscillation."""
+``DIFFERENCE_STEP``. A mode does not count as an oscillation if the absolute value of its eigenvalue
+is at most this error. The same applies to the angle of the eigenvalue in the complex plane
+[rad]."""
 
 _MAX_EIGENVALUE_ERROR = 1e-5
 """Upper bound of the assumed error of an ill-conditioned eigenvalue [1]. For example, a wheel that
@@ -165,14 +166,14 @@ with up to 0.02 after the settling time. If the settled state is faster, a growi
 moved the robot out of its initial state. The initial state is then evaluated as well."""
 
 _MIN_THROWING_DOUBLINGS = 6
-"""Number of doublings of a mode within the settling time above which the mode explains why a robot
-has left its initial state: 6 doublings turn 1 mm into 64 mm. Without such a mode, the initial state
-was no equilibrium, and its modes are meaningless. For example, Pupper v3 that sinks on soft servos
-has doubling times from 1.5 to 25 s for the same rest position."""
+"""Number of doublings of a mode within the settling time. With more doublings, the mode explains
+why the robot has left its initial state: 6 doublings turn 1 mm into 64 mm. Without such a mode, the
+initial state was no equilibrium, and its modes are meaningless. For example, Pupper v3 that sinks
+on soft servos has doubling times from 1.5 to 25 s for the same rest position."""
 
 _MIN_NAMED_SHARE = 0.5
-"""Amplitude of a joint in a mode, relative to the largest amplitude [1], at or above which a
-message about the mode names the joint. Chosen, not tuned."""
+"""Amplitude of a joint in a mode, relative to the largest amplitude [1]. A message about the mode
+names a joint with this or a larger amplitude. Chosen, not tuned."""
 
 _MAX_NAMED_JOINTS = 4
 """Maximum number of joints that a message about a mode names. Chosen, not tuned."""
@@ -383,8 +384,8 @@ def judge_settled(
 
     - ``settle`` is below half a time step,
     - the simulation diverges,
-    - only the initial state is at rest, and its fastest growing mode doubles more than
-      ``_MIN_THROWING_DOUBLINGS`` times during settling, so that the mode explains the motion.
+    - only the initial state is at rest, and a growing mode explains the motion: it doubles more
+      than ``_MIN_THROWING_DOUBLINGS`` times during settling.
     """
     start, data = data, copy_data(model, data)
     steps = round(settle / model.opt.timestep)
@@ -471,9 +472,9 @@ def _evaluate_at_limits(
 
     Finite differences are invalid across a limit. A limit begins to act at ``range`` and ``margin``
     of the joint. If a joint is within `_LIMIT_DISTANCE` of this position, the limit is moved to
-    this distance from the joint, and the spectrum is evaluated twice: with the joint inside of the
-    limit, and with the joint beyond the limit. The result with the larger spectral radius is
-    returned. ``difference`` is the finite-difference step.
+    this distance from the joint. The spectrum is evaluated twice: with the joint inside of the
+    limit, and beyond it. The result with the larger spectral radius is returned. ``difference`` is
+    the finite-difference step.
     """
     scalar = np.isin(model.jnt_type, (JointKind.HINGE, JointKind.SLIDE))
     angles = data.qpos[model.jnt_qposadr][:, None]

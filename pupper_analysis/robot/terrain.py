@@ -1,9 +1,9 @@
 """MuJoCo model of a robot on slopes and steps, and with welds to the world.
 
-Input: a robot with a level floor, the ground of a task (`Ground`), and contact positions. Output: a
-robot whose floor is tilted, with a box, plane or cylinder under each foot on a step, plane or bar,
-and with equality constraints for welds and grips (`build_on_ground`). Contact bits decide which
-foot touches which geom. `close_welds` activates the welds at a configuration in equilibrium.
+Input: a robot with a level floor, the ground of a task (`Ground`), and contact positions. Output
+(`build_on_ground`): a robot with a tilted floor, and with equality constraints for welds and grips.
+A box, plane or cylinder is under each foot on a step, plane or bar. Contact bits decide which foot
+touches which geom. `close_welds` activates the welds at a configuration in equilibrium.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
     own, the parameters come from `Robot.contacts`. The floor replaces other planes of the world
     (`merge_planes`). The following collisions are disabled:
 
-    - between a foot on a step and the floor, because the foot may be below the floor (in a pit), or
-      reach the floor through a low step;
+    - between a foot on a step and the floor: in a pit, the foot is below the floor, and through a
+      low step, it may reach the floor;
     - between a sole and its box, because MuJoCo would place the contacts at other points; the sole
       collides with a plane on top of the box, which no other foot touches;
     - between the shapes of a hand and its plane; only the contact sphere of the hand collides;

@@ -1,9 +1,9 @@
 """``Tool``: a point of a robot that carries a load or is pushed; payloads welded to a robot.
 
-Input: the name of a frame of either file, or a position in such a frame. Output: a `Tool` with
-link, offset and the joints that move the point (`find_tool`, `find_place`), or a robot with a point
-mass at the point in both models (`with_payload`). By default, the tool is the link at the end of
-the longest chain of joints.
+Input: the name of a frame of either file, or a position in such a frame. Output of `find_tool` and
+`find_place`: a `Tool` with link, offset and the joints that move the point. Output of
+`with_payload`: a robot with a point mass at the point in both models. By default, the tool is the
+link at the end of the longest chain of joints.
 """
 
 from __future__ import annotations
@@ -156,8 +156,8 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
 def find_place(robot: Robot, point: FramePoint) -> Tool:
     """Convert a position in the frame of a link, site, body or geom to a `Tool`.
 
-    A `Tool` contains the link of the URDF that carries the point, the offset (3,) [m] in the link
-    frame, and the joints that move the point. A point in the base frame is moved by no joint.
+    A `Tool` contains the link of the URDF with the point, the offset (3,) [m] in the link frame,
+    and the joints that move the point. A point in the base frame is moved by no joint.
 
     Args:
         robot: The robot.
@@ -404,9 +404,9 @@ def _change_payload_mass(loaded: Robot, name: str, mass: float) -> mujoco.MjMode
     """Return a copy of a robot's MuJoCo model with another mass [kg] of the payload's body.
 
     Constants that depend on the mass are computed again. This includes ``meaninertia`` and
-    ``meanmass``, which ``mj_setConst`` does not change. The result is None if the file sets a lower
-    bound of all masses (``boundmass``), if there is no such body, or if a number of the model would
-    be refused.
+    ``meanmass``, which ``mj_setConst`` does not change. The result is None if there is no such
+    body, or if a number of the model would be refused. It is also None if the file sets a lower
+    bound of all masses (``boundmass``).
     """
     statistic = loaded.description.mjcf.stat
     body = mujoco.mj_name2id(loaded.mj_model, mujoco.mjtObj.mjOBJ_BODY, name)

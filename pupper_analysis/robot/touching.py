@@ -294,13 +294,13 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
 
 
 _PROBE_RADIUS = 1e-4
-"""Radius [m] of the small sphere that represents the contact point of a hand, when its depth inside
-the collision shapes is computed. The collision library (coal) requires a body with a volume, so a
-point is not possible. Chosen, not tuned."""
+"""Radius [m] of a small sphere at the contact point of a hand. It is used to compute the depth of
+the point inside the collision shapes, because the collision library (coal) requires a body with a
+volume. Chosen, not tuned."""
 
 _DEFAULT_BALL_RADIUS = 1e-2
-"""Radius [m] of the contact sphere of a hand (a touching part other than a foot) if the centre of
-the sphere is not inside a collision shape of the link. Chosen, not tuned."""
+"""Default radius [m] of the contact sphere of a hand (a touching part other than a foot). It is
+used if the centre of the sphere is not inside a collision shape of the hand. Chosen, not tuned."""
 
 
 def _inscribed_radius(robot: Robot, tool: Tool) -> float:

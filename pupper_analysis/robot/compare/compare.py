@@ -116,8 +116,8 @@ def compare_collisions(
     Returns:
         Differences of feet, and notes. If the files have different base frames or joint zeros, no
         feet are compared, and a note reports this. Differences and notes are empty if the URDF has
-        no collision shape, if the MJCF has no compiled model, or if the MJCF has no geom outside of
-        the world body.
+        no collision shape. They are also empty if the MJCF has no compiled model, or no geom
+        outside of the world body.
     """
     conventions = matched.conventions
     urdf_model, mjcf_model = read_urdf_model(urdf), read_mjcf_model(mjcf)
@@ -711,8 +711,8 @@ def _compare_servo_gains(
 ) -> Iterator[Difference]:
     """Yield the differences of servo gains between the two files.
 
-    A URDF has no servo gains, so gains are compared only if the URDF was converted from a file of
-    another format that states gains.
+    A URDF has no servo gains. Gains are therefore compared only if the URDF was converted from
+    another format, and that file states gains.
     """
     if urdf.gains is None:
         return
@@ -771,5 +771,6 @@ def _find_objections(explanation: Explanation, tolerances: Tolerances) -> Iterat
 
 _DYNAMIC_KINDS = ("mass", "com", "inertia", "position", "rotation", "axis", "damping", "dynamics")
 """Fields of `Tolerances` for values that affect the dynamics. The largest of these tolerances is
-also the bound of the relative deviation of each dynamic quantity, if all differences between two
-files are within the tolerances. Above the bound, the files do not agree (`_find_objections`)."""
+also a bound of the relative deviation of each dynamic quantity. If all differences between two
+files are within the tolerances, but a deviation exceeds this bound, the files do not agree
+(`_find_objections`)."""

@@ -143,8 +143,8 @@ class Stated:
 
     Attributes:
         kind: Kind of the property, an entry of ``KIND_ORDER``, for example ``mass``, ``lower
-            limit`` or ``effort``. Special kinds are ``base frame`` and ``zero`` for conventions,
-            ``collision`` for the shapes of a foot, and ``joint`` for a joint that one of two
+            limit`` or ``effort``. ``base frame`` and ``zero`` are differences of conventions.
+            ``collision`` concerns the shapes of a foot. ``joint`` is a joint that one of two
             versions lacks.
         element: Name of the joint or frame. A body has the name of the joint that moves it, or of
             the base. An element that only the MJCF can contain has its name in the MJCF, or its
@@ -708,8 +708,8 @@ def _clear_rounding(value: float, scale: float) -> float:
 
 
 _ROUNDING_RTOL = 1e-9
-"""Entry of an inertia tensor, relative to the largest entry [1], up to which a message states 0,
-because the entry is a rounding error. Chosen, not tuned."""
+"""Relative rounding error of an inertia tensor [1]. If an entry is at most this fraction of the
+largest entry, a message states 0. Chosen, not tuned."""
 
 
 def _compare_joints(

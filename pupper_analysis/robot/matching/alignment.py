@@ -22,9 +22,9 @@ from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 from pupper_analysis.robot.matching.tolerances import Tolerances
 
 _MIN_BITS_SAVED_BY_BODY_FRAME = 0.5
-"""Decrease of the deviation between two trees [bits, see `measure_deviation_bits`] above which a
-candidate frame of a body replaces the best previous frame. The bound excludes rounding errors.
-Chosen, not tuned."""
+"""Minimum benefit of a candidate frame of a body [bits, see `measure_deviation_bits`]. The
+candidate replaces the best previous frame if it decreases the deviation between the trees by more
+than this value. The bound excludes rounding errors. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,9 +38,9 @@ from pupper_analysis.robot.matching.alignment import (
 from pupper_analysis.robot.matching.tolerances import Tolerances
 
 _MIN_BITS_SAVED_BY_BASE_FRAME = 3.0
-"""Decrease of the total deviation [bits, see `measure_deviation_bits`] above which a displaced base
-frame is accepted, if the robots agree in this frame. A decrease of the deviation to less than 60 %
-is sufficient in any case. Chosen, not tuned."""
+"""Minimum benefit of a displaced base frame [bits, see `measure_deviation_bits`]. If the robots
+agree in this frame, the frame is accepted if the total deviation decreases by more than this value.
+A decrease to less than 60 % is always sufficient. Chosen, not tuned."""
 
 _MAX_JOINTS_TRIED = 6
 """Maximum number of joints on the base whose placements give a candidate for the pose between the

@@ -1,9 +1,9 @@
 """Matching of a URDF and an MJCF of the same robot: same base, same joints, same names.
 
-Input: two files. Output: a ``Match`` with a ``Robot`` built from both. Objects of a scene are
-removed from the MJCF, joints are paired, joints in only one file are fixed at zero, and the URDF is
-converted to the conventions of the MJCF. Parts in only one file (gripper, tail, head) are removed
-if the masses indicate that the other file lacks the parts, and reported.
+Input: two files. Output: a ``Match`` with a ``Robot`` built from both. Method: objects of a scene
+are removed from the MJCF. Joints are paired. Joints in only one file are fixed at zero. The URDF is
+converted to the base frame and joint zeros of the MJCF. If the masses indicate that one file lacks
+a part (gripper, tail, head), the part is removed and reported.
 """
 
 from __future__ import annotations
@@ -72,11 +72,11 @@ from pupper_analysis.robot.robot import Robot
 
 @dataclass(frozen=True)
 class RemovablePart:
-    """Subtree with joints that the other file lacks.
+    """Part of a robot (subtree), all joints of which the other file lacks.
 
     Attributes:
         root: Link or body at the root of the subtree.
-        parent_joint: Moving joint that carries the part, as named in the file; "" for the base.
+        parent_joint: Nearest moving joint above the part, as named in the file; "" for the base.
         joints: Joints of the part.
         mass: Mass [kg] of the part.
     """
@@ -107,24 +107,23 @@ def report_part(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
 
 
 Removals = list[tuple[str, list[list[RemovablePart]]]]
-"""[(parent joint, alternatives)]: an alternative is a list of parts that are removed together; the
-alternatives are sorted from small to large."""
+"""[(parent joint, alternatives)]. An alternative is a list of parts that are removed together. The
+alternatives are sorted from small to large parts."""
 
 
 def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
     """List the parts (subtrees) that could be removed because the other file lacks their joints.
 
-    A part begins at the link that a missing joint moves, or at one of the links above this link
-    that are fixed to the body which carries the part. The beginnings are alternatives, of which
-    `remove_parts` selects one.
+    The root of a part is the link that a missing joint moves, or a link above it on a fixed joint.
+    Each possible root is an alternative. `remove_parts` selects one of the alternatives.
 
     Args:
         tree: Tree of the file with the parts.
         extra: Joints that the other file lacks.
 
     Returns:
-        Pairs of a carrying joint ("" for the base) and the alternatives for its parts, the smallest
-        parts first.
+        Pairs (parent joint, alternatives): the joint above the parts, "" for the base; and the
+        alternatives for its parts, smallest parts first.
     """
     chains: dict[str, list[list[RemovablePart]]] = {}
     for name in tree.names:
@@ -161,8 +160,8 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
 def _make_part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovablePart | None:
     """Return the subtree of a link as a part that can be removed from a file.
 
-    None if the other file also has a joint of the subtree. ``extra`` are the joints that the other
-    file lacks.
+    The result is None if the other file has one of its joints. ``extra`` contains the joints that
+    the other file lacks.
     """
     inside = list(tree.subtree(link))
     joints = tuple(joint for name in inside for joint in tree.movers(name))
@@ -183,9 +182,9 @@ def remove_parts(
 ) -> list[Diagnostic]:
     """Remove parts that the other file lacks, in place; return a diagnostic of each removed part.
 
-    The parts to remove are selected by mass. For each body that carries such parts, the selected
-    alternative (or no removal) makes the mass of the body, including the remaining parts, most
-    nearly equal to the body's mass in the other file.
+    The parts to remove are selected by mass. For each body with such parts, all alternatives and no
+    removal are compared. The selected alternative is the one with which the masses of the body,
+    with the remaining parts, differ least between the files.
 
     Args:
         trees: Trees of URDF and MJCF.
@@ -228,22 +227,23 @@ class Match:
     Attributes:
         robot: Robot of both files, with the joint names of the MJCF.
         urdf_joint: {joint: name in the URDF}.
-        urdf_link: {base or joint: moved link of the URDF}.
-        mjcf_body: {base or joint: moved body of the MJCF}.
-        guessed: {joint in the URDF: joint in the MJCF} of pairs that were matched by structure, or
-            by names without affixes.
-        only_urdf: Joints that the MJCF lacks, also floating and planar joints; fixed at zero for
-            the comparison.
-        only_mjcf: Joints that the URDF lacks, also ball joints; fixed at zero for the comparison.
+        urdf_link: {base or joint: link of the URDF that moves with it}.
+        mjcf_body: {base or joint: body of the MJCF that moves with it}.
+        guessed: {joint in the URDF: joint in the MJCF} of pairs with different names. They were
+            matched by structure, or by names without prefixes and suffixes.
+        only_urdf: Joints that the MJCF lacks, including floating and planar joints. They are fixed
+            at zero for the comparison.
+        only_mjcf: Joints that the URDF lacks, including ball joints. They are fixed at zero for the
+            comparison.
         notes: Diagnostics of assumptions and omissions.
-        reference: Model of the MJCF with the whole scene. If the URDF lacks joints, the model of
-            the robot without the scene, in which these joints are fixed at zero.
+        reference: Compiled model of the MJCF with the whole scene. If the URDF lacks joints, it is
+            the model of the robot without the scene, with these joints fixed at zero.
         mimics: Mimic joints of the URDF.
-        conventions: Conventions of the MJCF to which the URDF was converted: base frame, zeros of
-            joints.
-        parts: Diagnostics of removed parts that one file lacks.
-        unstated: {"damping" or "friction": joints with the MJCF's value, because the URDF has
-            none}.
+        conventions: Original base frame and joint zeros of the URDF, relative to the MJCF. The URDF
+            was converted to the base frame and joint zeros of the MJCF.
+        parts: Diagnostics of parts that only one file has. They were removed for the comparison.
+        unstated: {"damping" or "friction": joints whose URDF has no value, so that the value of the
+            MJCF was copied}.
     """
 
     robot: Robot
@@ -304,26 +304,25 @@ def match_models(
 ) -> Match:
     """Match joints and frames of a URDF and an MJCF by ``names``, by name, and by structure.
 
-    Massless root links and a floating joint at the base are removed from the URDF. Joints in only
-    one file are fixed at zero. If the base of the MJCF is fixed, the base of the URDF is fixed as
-    well.
+    Massless root links, and a floating joint at the base, are removed from the URDF. Joints that
+    only one file contains are fixed at zero. If the base of the MJCF is fixed, the base of the URDF
+    is fixed as well.
 
     Args:
         urdf: The URDF.
         mjcf: The MJCF.
-        names: {name in the URDF: name in the MJCF} of joints or frames.
+        names: {name in the URDF: name in the MJCF} of joints or frames whose names differ.
         feet: Frames, as named in the MJCF, whose positions are compared; all common frames by
             default.
-        complete: Whether the URDF's shapes, and parts that only one file contains, are kept in the
-            robot.
+        complete: Whether the robot keeps the URDF's shapes, and parts that only one file contains.
         tolerances: Tolerances of the comparison.
-        strict: True: damping or friction that the URDF does not state is 0. False: the value of the
-            MJCF is used.
+        strict: If True, damping or friction that the URDF does not state is 0. If False, the value
+            of the MJCF is used.
 
     Raises:
-        ModelError: If too few joints match, two names are mapped to one, a file cannot be analysed,
-            or (with ``complete``) the MJCF has joints that the URDF lacks, and closed loops or
-            couplings with these joints.
+        ModelError: If too few joints match, if two names are mapped to one, or if a file cannot be
+            analysed. With ``complete``, also if the URDF lacks joints of the MJCF, and the MJCF has
+            closed loops, or couplings with these joints.
         UnknownNameError: If ``names`` or ``feet`` contain unknown names.
     """
     root = copy.deepcopy(urdf.root) if complete else without_shapes(urdf.root)
@@ -414,10 +413,10 @@ def _check_foot_frames(
 def _build_in_mjcf_convention(
     root: etree._Element, description: Description, tolerances: Tolerances
 ) -> tuple[Robot, Conventions, list[Diagnostic]]:
-    """Build the robot with the joint zeros and base frame of the MJCF, also for the URDF.
+    """Build the robot; the URDF is converted to the joint zeros and base frame of the MJCF.
 
-    ``root`` is the root element of the URDF, which is changed if the conventions of the files
-    differ. Returns the robot, these differences, and notes about a fixed base.
+    ``root`` is the root element of the URDF. It is modified if joint zeros or base frames of the
+    files differ. Returns the robot, these differences, and notes about a fixed base.
     """
     robot = build_robot(description)
     conventions, notes = _compare_conventions(robot, tolerances)
@@ -431,7 +430,7 @@ def _build_in_mjcf_convention(
 def _compare_conventions(
     robot: Robot, tolerances: Tolerances
 ) -> tuple[Conventions, list[Diagnostic]]:
-    """Find differences of base frame and joint zeros in both files; report a fixed base's pose.
+    """Find differences of base frame and joint zeros; report the pose of a fixed base.
 
     Returns:
         The differences; diagnostics of the pose of a fixed base, empty for a free base.
@@ -477,8 +476,8 @@ def _check_mapping(
         mjcf: Joints, spec and file of the MJCF.
 
     Raises:
-        UnknownNameError: If a file has no joint or link (MJCF: joint, site, body or geom) with a
-            name, or a joint is mapped to no joint.
+        UnknownNameError: If the URDF has no joint or link with a name. If the MJCF has no joint,
+            site, body or geom with a name. If a joint is mapped to an element other than a joint.
         ModelError: If two names are mapped to one.
     """
     (urdf_joints, root, source), (mjcf_joints, spec, target) = urdf, mjcf
@@ -504,7 +503,7 @@ def _unify_joints(
     only_urdf: Collection[str],
     only_mjcf: Collection[str],
 ) -> Mimics:
-    """Make the joints that one file lacks immovable; rename the URDF's joints as in the MJCF.
+    """Fix the joints that one file lacks, and give the URDF's joints the names of the MJCF.
 
     Args:
         root: Root element of the URDF, modified in place.
@@ -514,7 +513,7 @@ def _unify_joints(
         only_mjcf: Joints that the URDF lacks, which are deleted.
 
     Returns:
-        The mimic couplings of the URDF's paired joints, in the new names. All mimic couplings are
+        Mimic couplings of the URDF's matched joints, with the new names. All mimic couplings are
         removed from the URDF.
     """
     mjcf_names = {*pairs.values(), *only_mjcf}
@@ -546,8 +545,8 @@ def copy_unstated_values(
     Args:
         root: Root element of the URDF, with the MJCF's joint names.
         theirs: {name: joint of the MJCF}.
-        unknown: Unknown values of the URDF, see `UrdfFile.unknown`. Unknown efforts are copied as
-            well, but are not part of the result.
+        unknown: {kind: joints} of values that the URDF states as unknown, see `UrdfFile.unknown`.
+            Unknown efforts are copied as well, but the result does not list them.
         pairs: {joint in the URDF file: joint in the MJCF}.
 
     Returns:
@@ -583,13 +582,13 @@ def copy_unknown_values(
     unknown: Mapping[str, tuple[str, ...]],
     source: Path,
 ) -> list[Diagnostic]:
-    """Copy values of the URDF to joints of an MJCF with unknown values, in place.
+    """Copy values from a URDF to joints of an MJCF whose values are unknown, in place.
 
     Args:
         root: Root element of the URDF, with the MJCF's joint names.
         spec: The MJCF.
-        models: Compiled models of the MJCF, which are modified as well.
-        unknown: {kind: joints}, see `MjcfFile.unknown`.
+        models: Compiled models of the MJCF; modified as well.
+        unknown: {kind: joints} of unknown values, see `MjcfFile.unknown`.
         source: File of the MJCF.
 
     Returns:
@@ -628,7 +627,7 @@ def delete_ball_joints(
 ) -> tuple[list[str], list[str], list[Diagnostic]]:
     """Delete the ball joints of an MJCF, in place; return the names of all joints by type.
 
-    A URDF has no ball joints; the bodies on ball joints are compared in the zero pose.
+    A URDF cannot contain ball joints. The bodies on deleted joints are compared in the zero pose.
 
     Returns:
         Names of hinges and slides, names of ball joints, and diagnostics of the ball joints.
@@ -655,25 +654,27 @@ def delete_ball_joints(
 def drop_other_objects(
     spec: mujoco.MjSpec, source: Path, urdf: etree._Element | None
 ) -> list[Diagnostic]:
-    """Delete the objects of a scene that do not belong to the robot, the largest tree of joints.
+    """Delete the objects of a scene that do not belong to the robot, in place.
 
-    These child bodies of the world are deleted:
+    The robot is the child body of the world with the largest number of joints. These other child
+    bodies of the world are deleted:
 
-    * other bodies with joints;
-    * if the base is fixed: static bodies such as tables, which would count as part of the base. A
-      body is kept if it or a descendant has the name of a link of the URDF;
+    * bodies with joints;
+    * if the base is fixed: static bodies such as tables, which would count as part of the base.
+      Exception: the body or a descendant has the name of a link of the URDF;
     * if the base is free: static bodies without a plane in the body or a descendant.
 
-    Limbs directly on the world belong to the robot: MuJoCo merges a fixed base with the world. The
-    joint names of the URDF identify such limbs. Mocap bodies are kept, and their mass is set to
-    zero. Cameras and lights with a deleted body as target are deleted, too.
+    Limbs that are children of the world belong to the robot, because MuJoCo merges a fixed base
+    with the world. They are identified by the joint names of the URDF. Mocap bodies without joints
+    are kept, but their mass is set to zero. Cameras and lights with a deleted body as target are
+    deleted too.
 
     Args:
         spec: Spec to modify.
         source: File, for messages.
         urdf: Root element of the URDF; None if two versions of an MJCF are compared. Without a
-            URDF, only the largest tree is kept, as no limbs or link names are known; with a free
-            base, also static bodies with a plane.
+            URDF, no limbs and link names are known. Only the robot is then kept, and with a free
+            base also static bodies with a plane.
 
     Returns:
         Diagnostics of the deleted bodies.
@@ -718,7 +719,7 @@ def drop_other_objects(
 def _remove_mass(body: mujoco.MjsBody) -> None:
     """Set the masses of a mocap body and of its descendants to zero, in place.
 
-    A fixed base would include these masses.
+    Otherwise these masses would be added to a fixed base.
     """
     for part in [body, *body.find_all(mujoco.mjtObj.mjOBJ_BODY)]:
         part.mass, part.inertia = 0.0, np.zeros(3)
@@ -733,10 +734,11 @@ def _has_plane(body: mujoco.MjsBody) -> bool:
 
 
 def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco.MjsBody]:
-    """Return the child bodies of the world that are limbs: joints of a URDF move them.
+    """Return the child bodies of the world that are limbs of the robot.
 
-    MuJoCo's import of a URDF merges a fixed base with the world. Joints are identified by name,
-    with or without affixes (prefixes and suffixes).
+    MuJoCo's import of a URDF merges a fixed base with the world, so that its limbs are children of
+    the world. A limb has a joint with the name of a URDF joint, with or without prefixes and
+    suffixes.
     """
     urdf_joints = [joint.name for joint in UrdfTree(urdf).joints.values() if not joint.is_fixed]
     mjcf_joints = [joint.name for joint in spec.joints]
@@ -750,7 +752,10 @@ def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco
 
 
 def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
-    """Return True if the MJCF has no base body: some of ``joints`` move children of the world."""
+    """Return True if the MJCF has no base body.
+
+    This is the case if a joint of ``joints`` moves a child body of the world.
+    """
     world_joints = (joint for body in spec.worldbody.bodies for joint in body.joints)
     return any(joint.name in joints and joint.type != JointKind.FREE for joint in world_joints)
 
@@ -770,7 +775,7 @@ def mjcf_tree(
     """Return the multibody tree of an MJCF, in the base frame.
 
     Args:
-        spec: The MJCF; all joints except a free one are named hinges or slides.
+        spec: The MJCF. All joints, except a free joint, must be hinges or slides with names.
         source: File, for messages.
         base: Name of the base.
         frames: Bodies and sites that become frames of the tree.
@@ -797,10 +802,11 @@ _LOOP_TYPES = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 
 
 def _refuse_loops(spec: mujoco.MjSpec, fixed_joints: Collection[str], source: Path) -> None:
-    """Raise an error if constraints of the MJCF would block joints when other joints are fixed.
+    """Raise an error if fixed joints would block other joints of the MJCF.
 
-    The fixed joints are joints that the URDF lacks. For example, a fixed rod would block the ankle
-    that it drives. Refused are loops, and couplings between a fixed joint and another joint.
+    The fixed joints are those that the URDF lacks. For example, a fixed rod would block the ankle
+    that it drives. Refused are all closed loops, and couplings between a fixed joint and another
+    joint.
 
     Raises:
         ModelError: If the MJCF has such an active constraint, and joints are fixed.

@@ -1,8 +1,8 @@
 """Matching of the joints of two files: by name, by name without affixes, and by position and axis.
 
 Input: joints of a URDF and of an MJCF. Output: ``Pairs``. Requested pairs have priority, then equal
-names, then names without common prefixes and suffixes. The remaining joints are matched below
-matched parents if their axes are parallel and each is the nearest of the other.
+names, then names that are equal without common prefixes and suffixes. Finally, joints below matched
+parents are matched if their axes are parallel, and each joint is the nearest to the other.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class Pairs:
 
     Attributes:
         pairs: {joint in the URDF: joint in the MJCF}.
-        guessed: Pairs that are neither requested nor have equal names.
-        notes: Diagnostics of joints with several candidates.
+        guessed: The entries of ``pairs`` that are neither requested nor have equal names.
+        notes: Diagnostics of unmatched joints with candidates in the other file.
     """
 
     pairs: dict[str, str]
@@ -53,12 +53,12 @@ def match_joints(
         tree: Tree of the MJCF.
         files: Paths of the URDF and the MJCF.
         joints: Names of the joints of the URDF, and of the MJCF.
-        wanted: {joint in the URDF: joint in the MJCF} requested by the user; entries with other
+        wanted: {joint in the URDF: joint in the MJCF} requested by the user. Entries with other
             names, for example of frames, are ignored.
 
     Raises:
-        ModelError: If no joint is matched, or if fewer than half of the joints of the file with
-            fewer joints are matched and not all of these pairs were requested by the user.
+        ModelError: If no joint is matched. If fewer than half of the joints of the smaller file are
+            matched, unless the user requested all these pairs.
     """
     urdf_joints, mjcf_joints = joints
     pairs = {old: new for old, new in wanted.items() if old in urdf_joints and new in mjcf_joints}
@@ -119,8 +119,8 @@ def _list_map_options(urdf_joint: str, candidates: Sequence[str]) -> Diagnostic:
 
 
 _GENERIC_WORDS = {"joint", "jnt", "link"}
-"""Words that are ignored when the joint names of two files are compared, unless a name has no other
-words."""
+"""Words that are ignored when the joint names of two files are compared. If a name has no other
+words, they are not ignored."""
 
 
 def match_without_affixes(
@@ -128,8 +128,9 @@ def match_without_affixes(
 ) -> dict[str, str]:
     """Match names that are equal except for prefixes (``panda_``) and suffixes (``_joint``).
 
-    Words at the start or end of most names of a file, and words such as ``joint``, are removed.
-    Upper and lower case, and separators, are ignored. Remaining words must be unique in each file.
+    Words with which most names of a file begin or end are removed, and so are words such as
+    ``joint``. Upper and lower case, and separators, are ignored. Names match if the remaining words
+    are equal, and unique in each file.
 
     Args:
         mine: Names in the URDF.
@@ -146,10 +147,10 @@ def match_without_affixes(
 
 
 def _find_cores(names: Collection[str], every: Sequence[str]) -> dict[tuple[str, ...], str]:
-    """Return {remaining words: name} of names from which common prefix and suffix are removed.
+    """Return {words without common prefix and suffix: name} of the unmatched names of a file.
 
-    Names whose remaining words are not unique are omitted. ``names`` are the unmatched names,
-    ``every`` are all names of the file, which determine prefix and suffix.
+    Names whose remaining words are not unique are omitted. ``names`` contains the unmatched names.
+    ``every`` contains all names of the file; they determine prefix and suffix.
     """
     words = {name: _split_words(name) for name in every}
     affixes = [
@@ -172,8 +173,8 @@ def _find_cores(names: Collection[str], every: Sequence[str]) -> dict[tuple[str,
 def _find_common_prefix(words: Sequence[tuple[str, ...]]) -> list[str]:
     """Return the sequence of words with which at least 60 % of the names start.
 
-    At least two names must start with the sequence. A name counts only if a word remains after the
-    sequence.
+    At least two names must start with the sequence. A name is counted only if a further word
+    follows the sequence.
     """
     prefix: list[str] = []
     while True:
@@ -197,27 +198,27 @@ def _split_words(name: str) -> tuple[str, ...]:
 
 
 _MIN_AXIS_COSINE = 0.99
-"""Smallest |cosine| between the axes of two joints that are matched by position: 8 deg. Chosen, not
-tuned."""
+"""|cosine| of the angle between two joint axes [1] above which the axes count as parallel: 8 deg.
+Only joints with parallel axes are matched by position. Chosen, not tuned."""
 
 _MAX_RELATIVE_DISTANCE = 0.25
-"""Maximum distance of matching joints, relative to the largest distance of a joint from the base.
-Chosen, not tuned."""
+"""Maximum distance between two joints that may be matched by position [1]. It is relative to the
+largest distance of a joint from the base. Chosen, not tuned."""
 
 
 def common_frames(
     root: etree._Element, spec: mujoco.MjSpec, names: Mapping[str, str]
 ) -> dict[str, tuple[str, str]]:
-    """Return {site or body: (link, site or body)} of the frames in both files.
+    """Return {name in the MJCF: (link of the URDF, name in the MJCF)} of the frames in both files.
 
-    Frames are links on fixed joints of the URDF, and sites or bodies without joints of the MJCF.
-    The bodies of a fixed base are excluded, because each file may choose the frame of the base
-    freely. With ``fusestatic`` all bodies are excluded, because MuJoCo merges fixed bodies.
+    A frame is a link on a fixed joint in the URDF. In the MJCF, it is a site, or a body without
+    joints. The bodies of a fixed base are excluded, because each file may choose the frame of the
+    base freely. With ``fusestatic``, all bodies are excluded, because MuJoCo merges fixed bodies.
 
     Args:
         root: Root element of the URDF.
         spec: The MJCF.
-        names: {link in the URDF: name in the MJCF}, if different.
+        names: {link in the URDF: name in the MJCF} of frames whose names differ.
     """
     places = {site.name for site in spec.sites if site.name}
     base = _find_base_bodies(spec)
@@ -239,7 +240,7 @@ def common_frames(
 
 
 def _find_base_bodies(spec: mujoco.MjSpec) -> set[str]:
-    """Return the names of static bodies with joints below: the bodies of a fixed base."""
+    """Return the names of the bodies of a fixed base: static, with joints in their subtrees."""
     names, pending = set(), list(spec.worldbody.bodies)
     while pending:
         body = pending.pop()
@@ -265,9 +266,10 @@ class Guess:
 def match_by_structure(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
     """Match the unmatched joints of two trees by position and axis below matched parents.
 
-    If no pairs are given, and not all joints of the file with fewer joints can be matched, all
-    matches are returned as candidates (`Guess.choices`) instead of pairs: the base frames of the
-    files may be rotated relative to each other, so that each leg is matched with a wrong leg.
+    Without given ``pairs``, the matches are uncertain: if the base frames of the files are rotated
+    relative to each other, each leg may be matched with a wrong leg. If in this case some joints of
+    the smaller file remain unmatched, all matches are returned as candidates (`Guess.choices`)
+    instead of pairs.
 
     Args:
         urdf: Tree of the URDF.
@@ -291,9 +293,9 @@ def match_by_structure(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[
 def _match_by_position(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
     """Match unmatched joints of two trees at zero angles, from the base outwards.
 
-    Two joints match if their parents match, their axes are parallel (`_MIN_AXIS_COSINE`), their
-    distance is small (`_MAX_RELATIVE_DISTANCE`), and each is by far the nearest joint to the other:
-    closer than half the distance of any other joint.
+    Two joints match if their parents match, their axes are parallel (`_MIN_AXIS_COSINE`), and their
+    distance is small (`_MAX_RELATIVE_DISTANCE`). The distance must also be less than half of the
+    distance of each of them to any other candidate.
     """
     unmatched, candidates = set(urdf.joints) - set(pairs), set(mjcf.joints) - set(pairs.values())
     urdf_places, mjcf_places = list_joint_axes_at_zero(urdf), list_joint_axes_at_zero(mjcf)

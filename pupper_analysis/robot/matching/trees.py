@@ -1,8 +1,9 @@
 """Multibody trees of the models of a robot, and normalisation of a URDF for matching.
 
 Input: a robot, or the XML of a URDF. Output: `MultibodyTree` objects with equal names for URDF and
-MJCF (`kinematic_trees`), and a URDF that can be matched with an MJCF: without shapes, massless root
-links, floating and planar joints, and the mass of a base that the MJCF lacks.
+MJCF (`kinematic_trees`), and a URDF that can be matched with an MJCF. Such a URDF has no shapes, no
+massless root links, and no floating or planar joints. If the MJCF has no base body, the URDF has no
+mass of the base.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ from pupper_analysis.robot.robot import Robot
 def kinematic_trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:
     """Return the multibody trees of a robot's URDF and MJCF, with equal names.
 
-    The tree of a robot with a free base is expressed in the base frame, with a fixed base in the
-    world frame.
+    If the base is free, the trees are expressed in the base frame. If it is fixed, they are
+    expressed in the world frame.
 
     Returns:
         Tree of the URDF; tree of the MJCF.
@@ -61,9 +62,10 @@ def kinematic_trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:
 
 
 def with_null_efforts(tree: MultibodyTree, joints: Collection[str]) -> MultibodyTree:
-    """Return a tree with an effort of zero at the joints whose force range in the MJCF is empty.
+    """Return a tree with an effort limit of zero at the given joints.
 
-    A compiled model has no limit there: see ``models.efforts.null_efforts``.
+    The force range of these joints in the MJCF is empty, for example "0 0". A compiled model has no
+    limit there: see ``models.efforts.null_efforts``.
     """
     null = {name: replace(tree.joints[name], effort=0.0) for name in joints if name in tree.joints}
     return replace(tree, joints={**tree.joints, **null})
@@ -78,7 +80,7 @@ def base_pose(robot: Robot) -> pin.SE3:
 
 
 def compute_poses_at_zero(tree: multibody.MultibodyTree) -> dict[str, pin.SE3]:
-    """Return {base or joint: pose of the body at zero angles} in the frame of the base."""
+    """Return {base or joint: pose of the moved body} at zero joint positions, in the base frame."""
     poses = {tree.base: pin.SE3.Identity()}
     for name in tree.parents_first():
         joint = tree.joints[name]
@@ -87,7 +89,7 @@ def compute_poses_at_zero(tree: multibody.MultibodyTree) -> dict[str, pin.SE3]:
 
 
 def list_joint_axes_at_zero(tree: multibody.MultibodyTree) -> dict[str, tuple[Array, Array]]:
-    """Return {joint: (position (3,) [m], axis (3,))} at zero angles in the frame of the base."""
+    """Return {joint: (position (3,) [m], axis (3,))} at zero joint positions, in the base frame."""
     poses = compute_poses_at_zero(tree)
     return {
         name: (np.array(poses[name].translation), poses[name].rotation @ joint.axis)
@@ -122,7 +124,7 @@ class Reference:
         """Return the indices of the robot's coordinates in ``qpos`` and ``qvel`` of this model.
 
         The model may contain other bodies with joints, such as objects of a scene. Actuators are
-        not indexed: each has the index -1.
+        not indexed: ``actuator_index`` is -1 for each joint.
         """
         model, joints = self.model, self.joints()
         num_free = len(joints) - len(self.joint_names)
@@ -165,9 +167,9 @@ def strip_roots(
 ) -> tuple[etree._Element, list[Diagnostic]]:
     """Remove massless root links with a single fixed or floating joint.
 
-    If the MJCF has a fixed base, all such links are removed. If it has a free base, the number of
-    removed links minimises the sum of the distances [m] between joints with equal names in both
-    files; a link with a floating joint is always removed.
+    If the MJCF has a fixed base, all such links are removed. If it has a free base, a link with a
+    floating joint is always removed. The number of other removed links minimises the sum of the
+    distances [m] between joints with equal names in both files.
 
     Args:
         root: Root element of the URDF; not modified.
@@ -217,7 +219,8 @@ def strip_roots(
 def remove_base_mass(root: etree._Element, source: Path) -> list[Diagnostic]:
     """Remove the inertias of the base and of links fixed to it, in place; report the removed mass.
 
-    For an MJCF whose base is the world, which has no mass. The mass of a fixed base has no effect.
+    This function is used if the MJCF has no base body, so that its base has no mass. The mass of a
+    fixed base has no effect.
     """
     tree, masses = UrdfTree(root), {}
     for name in tree.fixed_group(tree.base.name):
@@ -233,13 +236,12 @@ def remove_base_mass(root: etree._Element, source: Path) -> list[Diagnostic]:
 
 
 def fix_other_joints(root: etree._Element) -> tuple[list[str], list[str], list[Diagnostic]]:
-    """Fix movable joints of a URDF other than hinges and slides, in place; list all by type.
+    """Fix the floating and planar joints of a URDF, in place; list all movable joints by type.
 
-    The other joints are floating or planar joints inside the tree.
+    Hinges and slides stay movable.
 
     Returns:
-        Names of the hinges and slides, names of the other joints, and diagnostics of the other
-        joints.
+        Names of the hinges and slides; names of the fixed joints; diagnostics of the fixed joints.
     """
     moving, others, notes = [], [], []
     for name, joint in UrdfTree(root).joints.items():
@@ -288,9 +290,9 @@ Mimics = Mapping[str, tuple[str, float, float]]
 
 
 def urdf_mimics(root: Any) -> dict[str, tuple[str, float, float]]:
-    """Return the couplings of the joints with ``<mimic>`` of a parsed URDF, except fixed joints.
+    """Return the mimic couplings of a parsed URDF, without those of fixed joints.
 
-    {joint: (leader, multiplier, offset [rad, m])}: q = multiplier q_leader + offset.
+    The result is {joint: (leader, multiplier, offset [rad, m])}: q = multiplier q_leader + offset.
     """
     mimics = {}
     for name, joint in UrdfTree(root).joints.items():
