@@ -55,6 +55,9 @@ class Limb:
 
         Masses are similar if both limbs have the same number of bodies, and each mass differs by at
         most 0.05 times the larger mass.
+
+        Args:
+            other: Limb of the same robot.
         """
         if self.kinds != other.kinds:
             return False

@@ -539,6 +539,11 @@ def find_closure(
     The result is None if no active equality constraint acts on a joint of the robot, or if
     constraints are disabled. It is also None if a constraint couples a free base to the world,
     because this is not supported.
+
+    Args:
+        model: MuJoCo model of the robot.
+        convention: Coordinate maps of the model.
+        joint_names: Joints in actuator order.
     """
     disabled = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY
     if not model.eq_active0.any() or model.opt.disableflags & int(disabled):

@@ -289,6 +289,11 @@ def bodies_on_ground(
 def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[int, Array]:
     """Return the frame of a foot in a MuJoCo model: a site, body or geom with a name.
 
+    Args:
+        model: MuJoCo model.
+        frame: Name of the site, body or geom.
+        source: File of the model, for messages.
+
     Returns:
         Id of the body, and position (3,) [m] of the frame in the body.
 

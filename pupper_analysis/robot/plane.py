@@ -80,10 +80,13 @@ class Plane:
         return nearest
 
     def contact_plane(self, _point: Position3) -> Plane:
-        """Return this plane unchanged; the argument is ignored.
+        """Return this plane unchanged.
 
         `Slope.contact_plane` and `Bar.contact_plane` require a point. This method has the same
         signature.
+
+        Args:
+            _point: Ignored.
         """
         return self
 
@@ -131,7 +134,7 @@ class Slope:
         return self.angle
 
     def with_parameter(self, number: float) -> Slope:
-        """Return a copy of this inclined plane with another angle to the horizontal [rad]."""
+        """Return a copy of this plane with ``number`` [rad] as angle to the horizontal."""
         return replace(self, angle=number)
 
     def contact_plane(self, point: Position3) -> Plane:
@@ -305,7 +308,7 @@ class Contact:
         return self.with_plane_parameter(*numbers)
 
     def with_plane_parameter(self, number: float) -> Contact:
-        """Return a copy of this contact whose plane has another ``parameter``.
+        """Return a copy of this contact whose plane has ``number`` as ``parameter``.
 
         The parameter is an angle [rad] for a slope, otherwise a length [m].
         """

@@ -727,7 +727,7 @@ class Robot(EngineModels):
         self.compute_once(_check_bodies)
 
     def check_foot(self, foot: str) -> str:
-        """Return the name of a contact point, after a check that the point exists.
+        """Check that a contact point exists, and return its name ``foot`` unchanged.
 
         Raises:
             UnknownNameError: If there is no such contact point; the message lists the existing

@@ -124,7 +124,13 @@ def _make_touching(name: str, contact: Contact | Weld, foot: bool) -> Touching:
 
 
 def _require_hand(name: str, is_hand: bool, arguments: str) -> None:
-    """Raise a ConfigurationError unless the part is a hand: ``arguments`` require a hand."""
+    """Raise a ConfigurationError unless the part is a hand: ``arguments`` require a hand.
+
+    Args:
+        name: Name of the part, for the message.
+        is_hand: Whether the part is a hand.
+        arguments: Names of the arguments that require a hand, for the message.
+    """
     if not is_hand:
         raise ConfigurationError(
             "contacts", diagnose("foot-is-no-hand", foot=name, given=arguments)

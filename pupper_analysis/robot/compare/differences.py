@@ -502,6 +502,10 @@ def guess_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
 
     The ratio of the values is then 57.3 or 1/57.3, within 1 %. The result is None for another
     ratio, if the first value is zero, or if a value is not finite.
+
+    Args:
+        urdf: Number of the URDF.
+        mjcf: Number of the MJCF.
     """
     if urdf == 0 or not math.isfinite(urdf) or not math.isfinite(mjcf):
         return None
@@ -649,6 +653,11 @@ def apply_changes(
 
     Differences of any size are included. Properties that `changes_between` does not compare are
     unchanged, for example the armature if the trees are from a URDF and an MJCF.
+
+    Args:
+        first: First tree; not modified.
+        second: Second tree, with the same names of bodies, joints and frames.
+        sides: Names of the two trees in messages.
     """
     patched = first
     for change in changes_between(first, second, ZERO_TOLERANCES, sides):
@@ -663,7 +672,15 @@ def body_changes(
     tolerances: Tolerances,
     sides: ModelNames = FORMAT_NAMES,
 ) -> Iterable[Change]:
-    """Yield the differences of mass, CoM and inertia of two bodies beyond the tolerances."""
+    """Yield the differences of mass, CoM and inertia of two bodies beyond the tolerances.
+
+    Args:
+        name: Name of the compared body: the joint that moves it, or the base.
+        one: Body of the first model (URDF).
+        two: Body of the second model (MJCF), in the same frame.
+        tolerances: Tolerances of the comparison.
+        sides: Names of the two models in messages.
+    """
     body = ("link", one.link or two.link or name)
     mass = one.mass, two.mass
     if abs(two.mass - one.mass) > tolerances.mass * max(map(abs, mass)):

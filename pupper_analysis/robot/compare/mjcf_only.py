@@ -164,7 +164,12 @@ class NamedModel:
         )
 
     def name(self, kind: str, index: int) -> str:
-        """Return the name of an element of this MJCF; without a name, the id: ``#3``."""
+        """Return the name of an element of this MJCF; without a name, the id: ``#3``.
+
+        Args:
+            kind: Type of the element in lower case, for example ``joint`` or ``tendon``.
+            index: Id of the element.
+        """
         object_type = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}").value
         return mujoco.mj_id2name(self.names, object_type, index) or f"#{index}"
 
@@ -232,6 +237,9 @@ def of_joints(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yield the effects of joints that a URDF cannot specify.
 
     These are springs, nonlinear damping, and the dry friction of a free joint.
+
+    Args:
+        scene: Compiled MJCF, with the names of its elements.
     """
     model = scene.model
     for joint in scene.reference.joints():
@@ -254,7 +262,11 @@ def of_joints(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def of_bodies(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the gravity compensation (``gravcomp``) of moving bodies with mass; a URDF has none."""
+    """Yield the gravity compensation (``gravcomp``) of moving bodies with mass; a URDF has none.
+
+    Args:
+        scene: Compiled MJCF, with the names of its elements.
+    """
     model = scene.model
     for body in sorted(scene.bodies):
         compensation = scene.read_nonzero_values("body", body, ("gravcomp",))
@@ -264,7 +276,11 @@ def of_bodies(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def of_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the effects of tendons that have stiffness, damping, armature, friction or a limit."""
+    """Yield the effects of tendons that have stiffness, damping, armature, friction or a limit.
+
+    Args:
+        scene: Compiled MJCF, with the names of its elements.
+    """
     model = scene.model
     words = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature", "frictionloss")
     for tendon in range(model.ntendon):
@@ -288,6 +304,9 @@ def of_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
     Armature and linear damping of an actuator at a single joint are omitted, because they count as
     armature and damping of the joint. Back-EMF is the braking of DC motors without controller.
+
+    Args:
+        scene: Compiled MJCF, with the names of its elements.
     """
     model = scene.model
     for motor in range(model.nactuator):
@@ -356,7 +375,11 @@ def split_mimics(
 
 
 def find_fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the fluid around the robot, if the MJCF states a density or viscosity."""
+    """Yield the fluid around the robot, if the MJCF states a density or viscosity.
+
+    Args:
+        scene: Compiled MJCF, with the names of its elements.
+    """
     option = scene.model.opt
     if option.density or option.viscosity:
         value: Numbers = {"density": option.density, "viscosity": option.viscosity}
@@ -367,7 +390,11 @@ def find_fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the initially active equality constraints on the robot."""
+    """Yield the initially active equality constraints on the robot.
+
+    Args:
+        scene: Compiled MJCF, with the names of its elements.
+    """
     model = scene.model
     if scene.is_disabled(DISABLE.mjDSBL_CONSTRAINT) or scene.is_disabled(DISABLE.mjDSBL_EQUALITY):
         return
@@ -386,7 +413,11 @@ def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the flags that disable limits, dry friction, all constraints, or actuation."""
+    """Yield the flags that disable limits, dry friction, all constraints, or actuation.
+
+    Args:
+        scene: Compiled MJCF, with the names of its elements.
+    """
     for word in ("limit", "frictionloss", "constraint", "actuation"):
         if scene.is_disabled(getattr(DISABLE, f"mjDSBL_{word.upper()}")):
             message = diagnose("of-the-mjcf-alone", subject=("flag", word), stated="disable")
@@ -397,6 +428,9 @@ def mjcf_only_effects(reference: Reference) -> list[MjcfOnlyEffect]:
     """Return the elements of an MJCF that act on the robot, and that a URDF cannot specify.
 
     Examples are springs, tendons, a fluid and closed loops.
+
+    Args:
+        reference: Compiled MJCF, and element names.
     """
     scene = NamedModel(reference)
     return [

@@ -148,6 +148,12 @@ def measure_joint_deviation(
 
     The result is the sum of `measure_deviation_bits` over the compared quantities: the joint, the
     body that it moves, the frames on this body, and the placements of the child joints.
+
+    Args:
+        first: First tree.
+        second: Second tree, with the same names of joints.
+        name: Joint.
+        tolerances: Tolerances of the comparison.
     """
     total = _joint_bits(first, second, name, tolerances)
     for child in first.children(name):
@@ -162,6 +168,11 @@ def measure_tree_deviation(
     """Return the summed deviation of all joints, moved bodies and frames of two trees, in bits.
 
     `measure_deviation_bits` defines the unit.
+
+    Args:
+        first: First tree.
+        second: Second tree, with the same names of joints.
+        tolerances: Tolerances of the comparison.
     """
     return sum(_joint_bits(first, second, name, tolerances) for name in first.joints)
 
@@ -190,6 +201,11 @@ def measure_body_deviation(first: TreeBody, second: TreeBody, tolerances: Tolera
     """Return the deviation of CoM and inertia between two bodies, in bits; 0 if a body has no mass.
 
     `measure_deviation_bits` defines the unit.
+
+    Args:
+        first: Body of the first tree.
+        second: Body of the second tree, expressed in the same frame.
+        tolerances: Tolerances of the comparison.
     """
     if not (first.mass and second.mass):
         return 0.0

@@ -268,6 +268,10 @@ class Match:
     def sources(self, urdf: UrdfFile, mjcf: MjcfFile) -> tuple[Sources, Sources]:
         """Return objects that locate values (file and line) in the matched URDF and MJCF.
 
+        Args:
+            urdf: File of the URDF.
+            mjcf: File of the MJCF.
+
         Returns:
             Locations in the URDF; locations in the MJCF.
         """
@@ -629,6 +633,10 @@ def delete_ball_joints(
 
     A URDF cannot contain ball joints. The bodies on deleted joints are compared in the zero pose.
 
+    Args:
+        spec: MJCF; modified.
+        source: File of the MJCF, for messages.
+
     Returns:
         Names of hinges and slides, names of ball joints, and diagnostics of the ball joints.
 
@@ -739,6 +747,10 @@ def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco
     MuJoCo's import of a URDF merges a fixed base with the world, so that its limbs are children of
     the world. A limb has a joint with the name of a URDF joint, with or without prefixes and
     suffixes.
+
+    Args:
+        spec: The MJCF.
+        urdf: Root element of the URDF.
     """
     urdf_joints = [joint.name for joint in UrdfTree(urdf).joints.values() if not joint.is_fixed]
     mjcf_joints = [joint.name for joint in spec.joints]
@@ -755,6 +767,10 @@ def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
     """Return True if the MJCF has no base body.
 
     This is the case if a joint of ``joints`` moves a child body of the world.
+
+    Args:
+        spec: The MJCF.
+        joints: Names of joints of the robot.
     """
     world_joints = (joint for body in spec.worldbody.bodies for joint in body.joints)
     return any(joint.name in joints and joint.type != JointKind.FREE for joint in world_joints)

@@ -104,6 +104,9 @@ class UrdfSources:
 
         The link that the joint moves is the first. Links that are fixed to it follow, if their mass
         is not zero.
+
+        Args:
+            mover: Joint that moves the bodies, or the base.
         """
         first_link = self.links[mover]
         masses = [
@@ -186,6 +189,9 @@ class MjcfSources:
 
         The body that the joint moves is the first. Bodies that are fixed to it follow, if their
         mass is positive.
+
+        Args:
+            mover: Joint that moves the bodies, or the base.
         """
         model = self.model
         first_body = model.body(self.bodies[mover]).id

@@ -221,6 +221,10 @@ def remove_base_mass(root: etree._Element, source: Path) -> list[Diagnostic]:
 
     This function is used if the MJCF has no base body, so that its base has no mass. The mass of a
     fixed base has no effect.
+
+    Args:
+        root: Root element of the URDF; modified.
+        source: File of the URDF, for messages.
     """
     tree, masses = UrdfTree(root), {}
     for name in tree.fixed_group(tree.base.name):
