@@ -226,8 +226,9 @@ def make_variable(name: str, requested: object) -> Variable:
             ((kind, numbers),) = requested.items() if len(requested) == 1 else (("", ()),)
             if kind == "grid":
                 raise ConfigurationError("grid", _diagnose_grid(numbers))
-            if kind == "motors" and isinstance(numbers, Mapping):
-                return Variable(kind, tuple(map(float, numbers.values())), tuple(numbers))
+            if kind == "motors" and isinstance(numbers, Mapping) and numbers:
+                codes = tuple(check_finite(f"code of {motor}", numbers[motor]) for motor in numbers)
+                return Variable(kind, codes, tuple(numbers))
             if (
                 kind not in VARIABLE_MAKERS
                 or not isinstance(numbers, Sequence)

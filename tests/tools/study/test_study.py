@@ -100,12 +100,18 @@ def test_variable_from_plain_data_is_equal() -> None:
         {"linspace": [1, 2]},
         {"linspace": 3},
         {"grid": 3},
+        {"motors": {}},
+        {"motors": {"a": "x"}},
+        {"motors": {"a": math.nan}},
         "5",
         {},
         None,
     ):
         with pytest.raises(pa.ConfigurationError, match="vary"):
             make_variable("x", wrong)
+    with pytest.raises(pa.ConfigurationError, match=r"vary\['x'\].*'no'"):  # names the value
+        make_variable("x", {"motors": {"a": 0, "b": "no"}})
+    assert make_variable("x", {"motors": {"a": 0.0, "b": 1}}).numbers == (0.0, 1.0)
 
 
 # ----------------------------------------------------------------------------- designs
