@@ -8,6 +8,8 @@ the observations with the recorded signals: order, sign, scale, offset and delay
 from __future__ import annotations
 
 import io
+import struct
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -42,6 +44,21 @@ MATCH_RTOL, MATCH_ATOL = 0.02, 1e-4
 """Tolerances of a column of a term: rms difference <= `MATCH_RTOL` * (rms of the expected signal
 about its mean) + `MATCH_ATOL`, in the unit of the term. Chosen, not tuned: above the noise of
 encoders and float32 logs, below the effect of a wrong sign, scale, order or delay."""
+
+_DAMAGE_ERRORS = (
+    ValueError,
+    OSError,
+    KeyError,
+    TypeError,
+    EOFError,
+    OverflowError,
+    BadZipFile,
+    zlib.error,
+    struct.error,
+    RuntimeError,
+)
+"""Errors of numpy and ``zipfile`` for a damaged npz file. ``RuntimeError`` is the error for an
+encrypted member or an unknown compression method."""
 
 _SIGNALS = {
     "positions": "q",
@@ -137,9 +154,10 @@ def read_trace(path: str | Path) -> Trace:
 
 
 def _read_npz(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Return {array: values} of an npz file, and the joint names (empty if not stated).
+    """Return {array: values} of the known arrays of an npz file, and the joint names.
 
-    Nothing is unpickled.
+    Known are ``time`` and the keys of `_SIGNALS`. The names are empty if not stated. Nothing is
+    unpickled.
 
     Raises:
         ModelError: If the file cannot be read.
@@ -150,7 +168,7 @@ def _read_npz(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
         joints = tuple(str(name) for name in stated.pop("joints", np.array([], dtype=str)))
         known = {name: array for name, array in stated.items() if name in ("time", *_SIGNALS)}
         return {name: np.asarray(array, dtype=np.float64) for name, array in known.items()}, joints
-    except (ValueError, OSError, KeyError, TypeError, EOFError, BadZipFile) as error:
+    except _DAMAGE_ERRORS as error:
         raise ModelError(path, diagnose("trace-unreadable", problem=str(error))) from error
 
 

@@ -285,6 +285,20 @@ def test_file_that_is_no_trace_is_refused(tmp_path: Path) -> None:
             read_trace(tmp_path / name)
 
 
+def test_damaged_npz_file_is_refused(tmp_path: Path) -> None:
+    """Each byte of a valid file is inverted in turn: the only error is the one of the package."""
+    path = tmp_path / "trace.npz"
+    np.savez_compressed(path, time=np.arange(30.0), observations=np.arange(60.0).reshape(30, 2))
+    data, num_refused = path.read_bytes(), 0
+    for index in range(0, len(data), 3):
+        path.write_bytes(data[:index] + bytes([data[index] ^ 0xFF]) + data[index + 1 :])
+        try:
+            read_trace(path)
+        except ModelError:
+            num_refused += 1
+    assert num_refused > len(data) / 6
+
+
 @pytest.mark.slow
 def test_command_states_the_level_of_evidence(
     recorded: tuple[Policy, dict[str, Any]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
