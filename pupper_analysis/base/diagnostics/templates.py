@@ -57,14 +57,20 @@ def format_number(value: float, spec: str) -> str:
     """Format a number by a format specification of Python, such as ``".3g"``.
 
     Absolute values from 1e-6 to below 1e9 are written without exponent, except by the
-    formats ``e``, ``E`` and ``G``.
-    With ``%`` the number is shown in percent: 0.039 by ``".1%"`` or ``".2g%"`` is ``"3.9 %"``.
+    formats ``e``, ``E`` and ``G``; a width in the specification is then ignored.
+    With ``%`` the number is shown in percent: 0.039 by ``".1%"`` or ``".2g%"`` is ``"3.9 %"``. No
+    exponent is then written from 1e-6 % to below 1e11 %.
     """
     if spec.endswith("%"):
         number = spec[:-1] if spec.endswith("g%") else f"{spec[:-1]}f"
-        return f"{format_number(100 * value, number)} %"
+        return f"{_format_without_exponent(100 * value, number, 1e11)} %"
+    return _format_without_exponent(value, spec, 1e9)
+
+
+def _format_without_exponent(value: float, spec: str, bound: float) -> str:
+    """Format a number, without exponent if its absolute value is from 1e-6 to below ``bound``."""
     written = format(value, spec)
-    if "e" in written and not spec.endswith("e") and 1e-6 <= abs(value) < 1e9:
+    if "e" in written and not spec.endswith("e") and 1e-6 <= abs(value) < bound:
         return format(Decimal(written), "+f" if written.startswith("+") else "f")
     return written
 

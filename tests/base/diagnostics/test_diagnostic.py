@@ -386,7 +386,15 @@ def test_package_never_searches_its_own_messages() -> None:
 
 @pytest.mark.parametrize(
     ("value", "spec", "expected"),
-    [(0.0556, ".1%", "5.6 %"), (0.16, ".0%", "16 %"), (0.039, ".2g%", "3.9 %")],
+    [
+        (0.0556, ".1%", "5.6 %"),
+        (0.16, ".0%", "16 %"),
+        (0.039, ".2g%", "3.9 %"),
+        (2e7, ".2g%", "2000000000 %"),
+        (9.9e8, ".2g%", "99000000000 %"),
+        (2e9, ".2g%", "2e+11 %"),
+        (2e-8, ".2g%", "0.000002 %"),
+    ],
 )
 def test_percentages_have_a_space_before_the_sign(value: float, spec: str, expected: str) -> None:
     """Reference: ISO 80000-1, 7.1.4: a space precedes the percent sign, in every format."""
