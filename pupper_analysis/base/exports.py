@@ -64,7 +64,8 @@ def make_lazy_exports(
     def list_names() -> list[str]:
         """Return the names that the stub (``.pyi`` file) exports, and the special names, sorted.
 
-        Special names are the attributes of the package that begin with two underscores.
+        Names of missing modules, and of tools without a folder, are left out. Special names are the
+        attributes of the package that begin with two underscores.
         """
         special = [name for name in vars(sys.modules[package]) if name.startswith("__")]
         return sorted({*special, *sources})

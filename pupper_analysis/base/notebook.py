@@ -126,9 +126,10 @@ def _array_html(values: np.ndarray[Any, Any]) -> str:
 
 
 def _sequence_html(values: Sequence[object]) -> str:
-    """Return the HTML of a sequence, with a line per item.
+    """Return the HTML of a sequence: a line per item, for at most `MAX_SHOWN_ROWS` items.
 
-    A short sequence of numbers and names is on a single line. An empty sequence is a dash.
+    The number of omitted items follows. A short sequence of numbers and names is on a single line.
+    An empty sequence is a dash.
     """
     if not values:
         return _NOTHING

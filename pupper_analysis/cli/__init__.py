@@ -207,8 +207,9 @@ def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -
 
 
 _RESOURCE_ERRORS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOSPC, errno.EDQUOT)
-"""Error numbers (``errno``) of missing system resources, such as disk space. These errors have the
-exit status `EXIT_BAD_INPUT`; other unexpected errors are reported as bugs."""
+"""Error numbers (``errno``) of missing system resources, such as disk space. These errors, and a
+missing current folder (`_describe_lack`), have the exit status `EXIT_BAD_INPUT`; other unexpected
+errors are reported as bugs."""
 
 
 def _describe_lack(error: Exception) -> str:

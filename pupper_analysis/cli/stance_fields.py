@@ -88,7 +88,7 @@ def make_options(*headings: str) -> tuple[Callable[[Command], Command], ...]:
 
     Args:
         *headings: Headings of the sliders on the page of ``live``. If given, only fields with a
-            slider under one of the headings are included; otherwise all fields.
+            slider under one of the headings are included; otherwise all of `OPTION_FIELDS`.
     """
     return tuple(
         make_option(field)

@@ -840,7 +840,7 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
         ModelError: If the root element is not ``<mujoco>``, an include or an attribute is not
             valid, a limit of size, number or depth is exceeded, MuJoCo cannot parse the file, or a
             mass depends on a missing mesh.
-        OutputError: If the run will write an included file or a mesh.
+        OutputError: If the run will write an included or attached file, a mesh or a texture.
     """
     if root.tag != "mujoco":
         is_urdf, is_include = root.tag == "robot", root.tag == "mujocoinclude"

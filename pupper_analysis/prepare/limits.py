@@ -36,7 +36,8 @@ from pupper_analysis.statics.equilibrium import (
 def list_driven_limits(robot: Robot) -> list[EffortLimit]:
     """Return the torque limits of the joints that need a motor.
 
-    Dependent joints of loops, and passive joints (`Description.passive_joints`), need no motor.
+    Dependent joints of loops and couplings, and passive joints (`Description.passive_joints`), need
+    no motor.
     """
     following = () if robot.closure is None else robot.closure.dependent_joints.tolist()
     passive = robot.description.passive_joints

@@ -82,7 +82,11 @@ ANYmal B that creep apart move at 1e-3; robots that shake oscillate with 2e-2 or
 
 
 def get_loaded_robot(robot: Robot) -> Robot:
-    """Return the robot as loaded from its files: without later changes, or contacts of a task."""
+    """Return the robot before later changes that rebuilt its models, without contacts of a task.
+
+    MuJoCo options that were changed later (`with_options`) remain, and gains of a study's design if
+    the models were not rebuilt before.
+    """
     published = robot.published
     loaded = robot if published is None or published.loaded is None else published.loaded
     return loaded if loaded.bare is None else loaded.bare
@@ -320,8 +324,8 @@ def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> Own
 
     Returns:
         Simulation result. None if the robot has no file, or the base has fewer than six degrees of
-        freedom in the model. Without a keyframe (or the requested one), also None if the model has
-        no level ground, the base cannot be placed, or an actuator has a built-in controller.
+        freedom in the model. Without a keyframe (or the requested one), also None if the world has
+        no level plane, the base cannot be placed, or an actuator has a built-in controller.
     """
     if robot.published is None or not published.floating:
         return None
@@ -418,8 +422,8 @@ def _simulate_nominal_stand(published: PublishedModel, robot: Robot) -> OwnRun |
     The joint positions of the start pose (``Robot.home``) are commanded.
 
     Returns:
-        Simulation result. None if the model has no level ground, if the base cannot be placed, or
-        if an actuator has a built-in controller.
+        Simulation result. None if the world has no level plane, if the base cannot be placed, or if
+        an actuator has a built-in controller.
     """
     published = with_unstated_options(published, robot)
     data = place_published(published, robot, robot.home)

@@ -440,7 +440,7 @@ def _narrow_limits(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("refuses joints that move no mass"), _applies_always)
 def _check_masses(draft: Draft) -> PassOutput:
-    """Raise an error if a joint moves no mass."""
+    """Raise an error if a joint moves no mass, and has no rotor inertia."""
     check_masses(draft.robot, draft.urdf)
     return draft, ()
 

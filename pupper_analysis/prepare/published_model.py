@@ -531,7 +531,7 @@ def _set_tendon_commands(
         qpos: Configuration of the published model, shape (model.nq,); the base is used.
         ctrl: Controls, shape (model.nu,); those of these servos are set.
         targets: Target positions, shape (nu,) [rad, m].
-        torques: Joint torques, shape (nu,) [N m]; the torques of these servos are subtracted.
+        torques: Joint torques, shape (nu,) [N m, N]; the torques of these servos are subtracted.
 
     Returns:
         Indices of the joints without actuator that these servos drive.
@@ -561,7 +561,8 @@ def _set_tendon_commands(
 
 
 _POSITION_DRIVES = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
-"""Actuator types that receive a position command."""
+"""Actuator types with which a joint is held by position commands of its own actuators, and gets no
+added servo. Actuators without gain get no command. `_has_unequal_gain` describes a further case."""
 
 
 def _has_unequal_gain(model: mujoco.MjModel, actuators: list[int], drive: Drive) -> bool:

@@ -266,9 +266,10 @@ class Stand(Pictured, Tabular):
 
     @property
     def solved(self) -> bool:
-        """Whether this stand has its feet at the targets, and keeps all clearances and margins.
+        """Whether feet, closed loops and couplings are at their targets, and all limits are kept.
 
-        The errors of base orientation, base height and CoM are not tested.
+        The limits are those of joints, clearances and margins. The errors of base orientation, base
+        height and CoM are not tested.
         """
         return self.foot_error < TASK_TOLERANCE and not self.blocked
 

@@ -73,7 +73,8 @@ def find_conflict(
     the base, or for those of the joints, unless |dr_f/dv| is below `_MIN_RATE` for these
     displacements. Base and joints are separate, because the base has longer levers. A limit of a
     joint opposes the task if the joint is at the limit, and the element of -dr_f/dv beyond the
-    limit exceeds `_MIN_SHARE` |dr_f/dv|.
+    limit exceeds `_MIN_SHARE` |dr_f/dv|. If |dr_f/dv| is below `_MIN_RATE`, nothing opposes the
+    task (``out_of_reach``).
 
     Args:
         robot: Robot.

@@ -49,6 +49,8 @@ class MjcfOnlyEffect(Stated):
     def switch(self, model: mujoco.MjModel, like: mujoco.MjModel | None) -> None:
         """Disable this element of the MJCF in a compiled model, or restore its values, in place.
 
+        Nothing changes if the effect has no ``slots``.
+
         Args:
             model: Model from `make_passive_model`; modified.
             like: Model whose values are copied to enable the element; None disables the element.
@@ -165,6 +167,9 @@ class NamedModel:
 
     def name(self, kind: str, index: int) -> str:
         """Return the name of an element of this MJCF; without a name, the id: ``#3``.
+
+        A body or joint without a name has the generated name in `Reference.names`, if that model
+        differs from the MJCF.
 
         Args:
             kind: Type of the element in lower case, for example ``joint`` or ``tendon``.

@@ -753,8 +753,8 @@ def find_sag_failure(
 def describe_sag_failure(robot: Robot, stand: Stand, pose: SteadyState) -> Diagnostic | None:
     """Return the reason why a robot does not stand in an equilibrium; None if it stands.
 
-    A free base at half of the stand's base height or less is a reason. Otherwise the reasons are
-    ``pose.failures``.
+    The reason is a base at half of the stand's base height or less, unless the base is fixed or the
+    task has a weld or grip. Otherwise the reasons are ``pose.failures``.
 
     Args:
         robot: Robot, with the contacts of the stand.

@@ -357,7 +357,7 @@ class _StiffnessSearch:
         return self._durations[value]
 
     def follow(self, value: float) -> bool:
-        """Test kp [N m/rad] by a new path: feed-forward is removed, then creep is simulated.
+        """Test kp times ratios [N m/rad] by a new path: remove feed-forward, then simulate creep.
 
         Returns:
             True if the robot stands. The equilibrium is then the initial guess of the next tests.

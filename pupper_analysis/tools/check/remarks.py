@@ -494,8 +494,8 @@ def mark_known_remarks(
 ) -> tuple[tuple[Remark, ...], tuple[BaselineEntry, ...]]:
     """Mark the remarks of a check that the baseline (list of accepted remarks) contains.
 
-    Each entry of the baseline matches at most one remark. A remark about a file that cannot be read
-    is never known.
+    Each entry of the baseline matches at most one remark. A remark about a file that cannot be
+    read, or about a failed comparison or check (`REFUSED_KIND`), is never known.
 
     Returns:
         All remarks with ``known`` set, and the stale entries, which match no remark.

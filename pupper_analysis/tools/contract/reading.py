@@ -51,7 +51,10 @@ def read_sources(requests: Sequence[Request]) -> tuple[list[JointSource], list[M
 
 
 def make_names_distinct(read: Sequence[JointSource]) -> list[JointSource]:
-    """Return the sources with distinct names: equal names get parent folders as a prefix."""
+    """Return the sources with distinct names: equal names get parent folders as a prefix.
+
+    Equal names of sources of the same file stay equal.
+    """
     renamed = []
     for source in read:
         own_parts = source.path.absolute().parts

@@ -244,8 +244,9 @@ def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
         Text, mesh files, additions, losses and repairs.
 
     Raises:
-        ModelError: If MuJoCo cannot represent the robot, or feet are named with which the robot
-            cannot be built.
+        ModelError: If no joint moves, the URDF cannot be converted (for example an invalid inertial
+            without `MjcfOptions.repair_inertia`), MuJoCo cannot represent the robot, or feet are
+            named with which the robot cannot be built.
     """
     free = None if options.fixed_base is None else not options.fixed_base
     bare = ConvertedMjcf.from_urdf(urdf, output, options, free=free)

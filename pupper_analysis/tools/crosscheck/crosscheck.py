@@ -284,8 +284,9 @@ the body instead of the largest magnitude in all rows."""
 def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
     """Return the labels of the rows in which a compared quantity is evaluated.
 
-    Depending on the quantity, the labels are bodies, joints, degrees of freedom or contact points;
-    for other quantities a single label, such as ``com`` or ``IMU``.
+    Depending on the quantity, the labels are bodies (the base, and for other bodies the joints that
+    move them), joints, degrees of freedom or contact points; for other quantities a single label,
+    such as ``com`` or ``IMU``.
 
     Args:
         robot: Robot.

@@ -347,8 +347,9 @@ def force_plot(force: ToolForce) -> doc.LinePlot:
 def reach_plot(reach: ReachLoad) -> doc.LinePlot:
     """Create the plot of motor utilisation [%] over the tool's distance from the first joint [mm].
 
-    The plot shows the maximum and the mean over the random postures in each of
-    `_NUM_DISTANCE_BINS` bins of the distance; NaN if a value in the bin is unknown or infinite.
+    The distance is horizontal (`ReachLoad.distances`). The plot shows the maximum and the mean over
+    the random postures in each of `_NUM_DISTANCE_BINS` bins of the distance, without empty bins;
+    NaN if a value in the bin is unknown or infinite.
     """
     edges = np.linspace(0.0, float(reach.distances.max(initial=1e-9)), _NUM_DISTANCE_BINS + 1)
     bins = np.clip(np.digitize(reach.distances, edges) - 1, 0, _NUM_DISTANCE_BINS - 1)

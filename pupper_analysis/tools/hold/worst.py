@@ -359,9 +359,10 @@ def worst_postures(
     """Search for the posture with the largest static torque of each motor of a fixed-base robot.
 
     A search maximises the torque over one joint after another, until a sweep over all joints gains
-    nothing. The maximum over the angle q of a joint that moves no other joint has a closed form,
-    since the torque of gravity and joint springs is a + b cos q + c sin q + k q; otherwise, the
-    torque is sampled. Searches start from random postures until several end at the same torque.
+    nothing, in at most `_MAX_SWEEPS` sweeps. Under gravity and joint springs alone, the maximum
+    over the angle q of a hinge that moves no other joint has a closed form, since the torque is a +
+    b cos q + c sin q + k q; along slides the torque is linear. Otherwise, the torque is sampled.
+    Searches start from ``posture`` and from random postures, until several end at the same torque.
     Torques up to `_MIN_TORQUE_PER_WEIGHT` times the weight are rounded to zero. The result is not
     proven, but none of 20,000 random postures of each of seven arms and hands required a larger
     torque.

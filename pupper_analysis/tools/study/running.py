@@ -241,8 +241,9 @@ def split_chunks(
 
 
 CHUNK_SECONDS = 0.5
-"""Intended duration of the evaluation of a chunk of designs by a worker [s]. Chosen, not tuned:
-sending a chunk takes about 1 % of this time."""
+"""Smallest intended duration of the evaluation of a chunk of designs by a worker [s]; with many
+workers, `CHUNK_SECONDS_PER_WORKER` applies. Chosen, not tuned: sending a chunk takes about 1 % of
+this time."""
 
 CHUNK_SECONDS_PER_WORKER = 0.01
 """Smallest intended duration of the evaluation of a chunk of designs, divided by the number of

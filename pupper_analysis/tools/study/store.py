@@ -203,6 +203,6 @@ def make_design_keys(designs: Sequence[str]) -> NDArray[np.uint64]:
 def _column_type(pa: Any, name: str) -> Any:
     """Return the Parquet type of a column: text for the design and for failures, else float64.
 
-    ``pa`` is the module ``pyarrow``, which is imported only if a study is run.
+    ``pa`` is the module ``pyarrow``, which is imported only if results are written or read.
     """
     return pa.string() if name in ("design", *FAILURE_COLUMNS) else pa.float64()

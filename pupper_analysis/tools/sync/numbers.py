@@ -139,11 +139,12 @@ def write_numbers(
 
     Args:
         robot: Robot. A model that was generated from the other model has no file.
-        numbers: {(kind, element): value}. For a link that moves, in the frame of the URDF's link:
-            ``mass`` [kg], ``com`` (3,) [m], ``inertia`` (3, 3) about the CoM [kg m^2]. For a joint:
-            ``damping`` and ``friction`` and, in the MJCF only, ``armature``, all without the values
-            of motors, and ``kp`` and ``kd`` of the position servo, at the joint [N m/rad, N m
-            s/rad].
+        numbers: {(kind, element): value}. For a link or body: ``mass`` [kg], ``com`` (3,) [m] and
+            ``inertia`` (3, 3) about the CoM [kg m^2], of all links that move with it, in the frame
+            of the URDF's link that the joint moves (or of the base). For a joint: ``damping`` [N m
+            s/rad, N s/m], ``friction`` [N m, N] and, in the MJCF only, ``armature`` [kg m^2, kg],
+            all without the values of motors, and ``kp`` [N m/rad, N/m] and ``kd`` [N m s/rad,
+            N s/m] of the position servo, at the joint.
         files: URDF and MJCF, if different from the files from which the robot was loaded.
 
     Returns:

@@ -65,7 +65,8 @@ class UsdFile:
             child: Ignored, since the prim of a body states its mass.
 
         Returns:
-            File and prim; the file alone if there is no such name.
+            File and prim; if no element of this kind has the name, the prim of the other kind with
+            this name, or else the file alone.
         """
         del child
         joints = kind in ("joint", "actuator", "equality")

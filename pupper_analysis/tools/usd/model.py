@@ -412,7 +412,7 @@ class UsdModel(RobotModel):
             world.
         body_masses: {body: mass properties and the origin of these}.
         loops: Joints that close loops, or are excluded from the articulation.
-        floating: True if no joint connects the base to the world.
+        floating: True if no enabled joint of the articulation connects the base to the world.
         mount: Pose of the base in the world, z up [m].
         gravity: Gravity, shape (3,) [m/s^2], z up; None if not stated in the file.
     """
@@ -427,7 +427,7 @@ class UsdModel(RobotModel):
 
     @cached_property
     def has_free_base(self) -> bool:
-        """Whether no joint connects the base to the world."""
+        """Whether no enabled joint of the articulation connects the base to the world."""
         return self.floating
 
     def locate_parameter(self, attribute: JointAttribute) -> tuple[str, str | None]:

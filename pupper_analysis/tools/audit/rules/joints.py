@@ -516,7 +516,8 @@ def limits_away_from_stand(robot: RobotModel) -> Iterator[CheckFinding]:
 
     A finding requires that the foot reaches this position in less than `MIN_REACHED_FRACTION` of
     the knee range, but would reach it in more than 95 % if the limits of the knee, or those of the
-    hip, had the opposite sign.
+    hip, had the opposite sign. Knee angles with a folded leg do not count
+    (`Leg.compute_reached_fraction`), and legs without finite limits are skipped.
     """
     for leg in find_legs(robot):
         hip, knee = ((joint.lower, joint.upper) for joint in (leg.hip, leg.knee))

@@ -42,9 +42,9 @@ has both lags, a bus delays only commands. The entries are the fields of `Parame
 component, and the value in the model, 0 s, which is the mean of the prior."""
 
 BURN_IN_DURATION = 0.25
-"""Time [s] at the start of a run that is not compared. The initial velocity is only known from
-encoder readings; the velocity error decays within some time constants kd / kp of the servos (for
-example 20 to 50 ms). Chosen, not tuned."""
+"""Time [s] at the start of a run that is not compared; runs shorter than four times this time are
+left out. The initial velocity is only known from encoder readings; the velocity error decays within
+some time constants kd / kp of the servos (for example 20 to 50 ms). Chosen, not tuned."""
 
 _MAX_STEP_RATE = 0.5
 """Upper bound of the product of time step and fastest rate (kd + damping) / inertia, as far as

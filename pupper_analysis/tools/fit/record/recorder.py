@@ -295,7 +295,7 @@ class _RecordingSession:
         return FrozenDict(zip(self._robot.joint_names, medians, strict=True))
 
     def hold_position(self) -> None:
-        """Send the last commanded joint positions again, if there are any."""
+        """Send the last command of a ramp again; nothing before a ramp, or without ramps."""
         if self._command is not None:
             self._bridge.send(self._command)
 
