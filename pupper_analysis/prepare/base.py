@@ -27,14 +27,16 @@ from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.matching.match import limbs_on_the_world
 
 _GROUND_ATOL = 1e-6
-"""Distance [m] by which a base frame may be above the lowest point of the limb ends and still count
-as at ground level. The tolerance covers rounding of a wheel's height and radius. Chosen, not tuned.
+"""Tolerance [m] of the height of a base frame above the lowest point of the limb ends. Up to this
+height the frame counts as at ground level. The tolerance covers rounding of a wheel's height and
+radius. Chosen, not tuned.
 """
 
 _MIN_LEVEL_COSINE = 0.7
-"""Lower bound of the cosine of the base tilt in the keyframe `home` (else the first keyframe, else
-the initial state), about 45 deg. With a smaller cosine, a note reports the tilt, and the origin of
-the base frame is not moved upward. Chosen, not tuned."""
+"""Lower bound of the cosine of the base tilt [1], about 45 deg. Below the bound, a note reports the
+tilt, and the origin of the base frame is not moved upward. The tilt is that in the keyframe `home`,
+else in the first keyframe, else in the initial state. Chosen, not tuned.
+"""
 
 
 def free_base(
@@ -42,8 +44,8 @@ def free_base(
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
     """Add a free joint to the base of a robot with two or more limbs, if it has none; return notes.
 
-    A base that moves by several slides and hinges, or a ball joint, which the URDF lacks, gets a
-    free joint in place of these joints, and all keyframes are deleted (``join_free_base``).
+    If the base moves by several slides and hinges, or by a ball joint, and the URDF lacks these
+    joints, the free joint replaces them, and all keyframes are deleted (``join_free_base``).
 
     Args:
         urdf: URDF.
@@ -51,8 +53,8 @@ def free_base(
         source: File of the MJCF.
 
     Returns:
-        The spec, and a note about the change; no note without a change. A base that has joints of
-        its own is otherwise unchanged.
+        The spec, and a note about the change. There is no note without a change. A base with other
+        joints of its own is not changed.
 
     Raises:
         ModelError: If two or more limbs are fixed to the world without a base body: MuJoCo fuses
@@ -108,13 +110,12 @@ def place_base_frame(
 ) -> list[Diagnostic]:
     """Raise the frame of a free base to the base's CoM height, if the frame is at ground level.
 
-    The frame is at ground level if no geom of a limb's last body is below the frame. Roll, pitch
-    and height of a stand refer to the base frame with z up. The frame is not raised if it is
-    tilted, if the base is in a ``<frame>`` of the MJCF, or if the limbs do not hang below the CoM.
-    Nothing changes without a free joint.
-    The CoM is that of the base and the bodies fixed to it. If the frame is tilted by more than 45
-    deg in the keyframe `home` (or the first keyframe, or the initial state if no keyframe has a
-    free base), a note is returned.
+    Reason: roll, pitch and height of a stand refer to the base frame with z up. The frame is at
+    ground level if no geom of a limb's last body is below it. The CoM is that of the base and the
+    bodies fixed to it. The frame is not raised if there is no free joint, if the frame is tilted,
+    if the base is in a ``<frame>`` of the MJCF, or if the limbs do not hang below the CoM. A tilt
+    of more than 45 deg is reported in a note. It is that in the keyframe `home`, else in the first
+    keyframe; if no keyframe has a free base, it is that in the initial state.
 
     Args:
         spec: Spec of the MJCF, in which all bodies have names; modified in place.
@@ -210,7 +211,7 @@ def _raise_frame(
     Args:
         spec: Spec, with keyframes; modified in place.
         base: Base body.
-        place: Address of the free joint of the base in ``qpos``.
+        place: Index in ``qpos`` of the first coordinate of the base's free joint.
         up: Distance along the z axis of the frame [m].
         model: Compiled model of the spec.
     """

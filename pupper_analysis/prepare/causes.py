@@ -1,8 +1,8 @@
 """Candidate causes of a different behaviour of a published model and its prepared robot.
 
-Input is the published model, the file as MuJoCo compiles it, and the prepared robot, whose stands
-are predicted. Output is a list of elements of the file, such as a servo bias, a limit or a contact
-exclusion. Each element can be switched off in a copy of the model; if the difference then
+Inputs are the published model (the file as MuJoCo compiles it), and the prepared robot, whose
+stands are predicted. The output is a list of elements of the file, such as a servo bias, a limit or
+a contact exclusion. Each element can be switched off in a copy of the model. If the difference then
 disappears in a simulation, the element is its cause (`prepare.self_check`).
 """
 
@@ -43,14 +43,16 @@ _OBJECT_TYPE = mujoco.mjtObj
 
 
 _MAX_FINE_TIMESTEP = 2e-3
-"""Upper bound of the time step [s] in the simulation that tests a long time step as the cause of a
-difference: MuJoCo's default. Chosen, not tuned."""
+"""Upper bound of the time step [s] in a test simulation. The simulation tests whether a longer time
+step of the file causes a difference. The value is MuJoCo's default; chosen, not tuned.
+"""
 
 _MIN_ITERATIONS, _MAX_TOLERANCE = 100, 1e-10
-"""Lower bound of the iterations and upper bound of the tolerance of an accurate constraint solver.
-If a file has less accurate settings, or another solver than Newton, the settings are tested as the
-cause of a difference, by a simulation with Newton and these bounds. Newton's method converges in
-about ten iterations. Chosen, not tuned."""
+"""Lower bound of the iterations [1] and upper bound of the tolerance [1] of an accurate constraint
+solver. If a file has less accurate settings, or another solver than Newton, its settings may cause
+a difference. A simulation with Newton and these values tests this. Newton's method converges in
+about ten iterations. Chosen, not tuned.
+"""
 
 _LOCKING_DAMPING = 1e6
 """Damping that locks a joint in a test simulation [N m s/rad, N s/m]. Under 1 N a locked slide
@@ -69,7 +71,7 @@ class CauseCandidate:
 
     Attributes:
         code: Kind of the cause.
-        elements: Name of the element, names of all elements of this kind, or values of an option.
+        elements: Names of one or all elements of this kind, or values of an option.
         switch_off: Function that removes the effect from a copy of the model, in place.
     """
 
@@ -185,8 +187,9 @@ NUMERICS_CODES = ("timestep", "iterations")
 constraint solver."""
 
 COMMAND_CODES = ("bias", "gain", "gear")
-"""Codes of the causes of a failed run of a file that change the position that a servo command
-specifies. Only these are tested if nothing holds a joint, or its ctrl belongs to another pose."""
+"""Codes of causes of a failed run that change the position to which a servo command corresponds.
+Only these causes are tested if nothing holds a joint, or if its ctrl belongs to another pose.
+"""
 
 
 def _make_switch(*changes: tuple[str, Any, Any]) -> Callable[[mujoco.MjModel], None]:
@@ -228,7 +231,8 @@ def _yield_if_any(
 def _list_numerics(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
     """Yield the integration and an inaccurate constraint solver as candidate causes of a deviation.
 
-    The integration is left out if an actuator has a delay, whose buffer has a number of samples.
+    The integration is omitted if an actuator has a delay: its buffer has a fixed number of samples,
+    so the time step cannot change.
     """
     option, newton = model.opt, mujoco.mjtSolver.mjSOL_NEWTON.value
     integrator = mujoco.mjtIntegrator(int(option.integrator)).name.removeprefix("mjINT_")
@@ -302,8 +306,8 @@ def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[Cause
 def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield springs, joint limits, fluid forces and tilted gravity as candidate causes.
 
-    A candidate may explain a fall or a deviation. There is a candidate per kind, for example all
-    springs of joints and tendons together.
+    A candidate may explain a fall or a deviation. There is one candidate per kind: for example, all
+    springs of joints and tendons are one candidate.
     """
     model, joints = published.model, _list_joint_ids(published, robot)
     linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
@@ -335,8 +339,9 @@ def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 STIFFNESS_FACTOR = 4.0
-"""Factor on stiffness and damping of servos in the simulation that tests soft servos as the cause
-of a failure. Chosen, not tuned."""
+"""Factor [1] on stiffness and damping of servos in a test simulation. If the robot stands with the
+product, too soft servos are the cause of the failure. Chosen, not tuned.
+"""
 
 
 def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
@@ -358,18 +363,20 @@ def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseC
 
 
 _MIN_FRICTION = 0.3
-"""Sliding friction coefficient below which a contact is tested as the cause of a fall, or of a
-deviation from the prediction, since the value may be a mistake of the file. Chosen lower than that
-of usual materials."""
+"""Lower bound of the sliding friction coefficient [1]. Below the bound, the value may be a mistake
+of the file: the contact is tested as the cause of a fall, or of a deviation from the prediction.
+Chosen lower than the coefficients of usual materials.
+"""
 
 _SOUND_FRICTION = 0.8
 """Sliding friction coefficient that replaces the coefficient of slippery contacts in a test
 simulation. Chosen as that of rubber on a floor."""
 
 _MAX_CONTACT_TIME_CONSTANT = 0.05
-"""Time constant of a contact (``solref``) [s] above which the contact is tested as the cause of a
-fall or a deviation, because the contact may be too soft by a mistake. MuJoCo's default is 0.02.
-Chosen, not tuned."""
+"""Upper bound of the time constant of a contact (``solref``) [s]. Above the bound, the contact may
+be too soft by a mistake: it is tested as the cause of a fall or a deviation. MuJoCo's default is
+0.02. Chosen, not tuned.
+"""
 
 _DEFAULT_SOLREF = (0.02, 1.0)
 """MuJoCo's default ``solref`` (time constant [s], damping ratio), which replaces that of soft
@@ -379,8 +386,8 @@ contacts in a test simulation."""
 def _list_contact_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
     """Yield slippery and soft contacts as candidate causes of a fall or a deviation.
 
-    There are at most two candidates: all slippery (low friction) and all soft geoms and contact
-    pairs, as `_select_bad_contacts` defines them.
+    There are at most two candidates. One contains all slippery geoms and contact pairs, the other
+    all soft ones; `_select_bad_contacts` defines both.
     """
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -446,7 +453,7 @@ def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 
 
 def _list_option_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
-    """Yield MuJoCo's flag ``override`` of contacts, and disabled actuator groups, as candidates.
+    """Yield two options as candidate causes: contact flag ``override``, disabled actuator groups.
 
     A candidate cause may explain why the model of the file deviates from the prediction.
     """
@@ -505,10 +512,10 @@ def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
-    """Yield actuators at no hinge or slide, and slow actuator filters, as candidate causes.
+    """Yield actuators without hinge or slide, and slow actuator filters, as candidate causes.
 
-    A candidate cause may explain why the model of the file deviates from the prediction.
-    Servos at tendons that drive joints without actuator are commanded, and left out.
+    A candidate cause may explain why the model of the file deviates from the prediction. Servos at
+    tendons that drive joints without actuator are not candidates, since they are commanded.
     """
     model = published.model
     commanded = {
@@ -531,7 +538,7 @@ def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]
 
 
 def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield joints of the file that the robot lacks, and holds at zero, as candidate causes.
+    """Yield joints of the file that the prepared robot lacks (held at zero) as candidate causes.
 
     A candidate may explain why the model of the file deviates from the prediction. Ball joints are
     one candidate; hinges and slides are the other. To test a candidate, the joints are locked by
@@ -552,8 +559,8 @@ def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[Ca
 def _list_shape_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield shapes of the published model that may cause a deviation from the prepared robot.
 
-    These are shapes whose contacts the preparation disabled, and obstacles: shapes other than
-    planes that are fixed to the world or to a mocap body.
+    There are two kinds: shapes whose contacts the preparation disabled, and obstacles. An obstacle
+    is a shape, other than a plane, that is fixed to the world or to a mocap body.
     """
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -605,7 +612,7 @@ def _list_ball_bodies(robot: Robot) -> tuple[str, ...]:
 
 
 def list_loading_changes(published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
-    """Return causes of deviations that lie in the preparation, and not in the published file.
+    """Return the changes by the preparation that may cause deviations, not elements of the file.
 
     The causes are bodies with collision shapes that were replaced by spheres, and joints whose
     actuator is neither servo nor motor (`Drive.has_other_law`).

@@ -1,10 +1,9 @@
 """Find the contact points of a foot of any shape on level ground.
 
-A sole is laid flat on the ground, and its contact points are those of MuJoCo's collision
-detection. MuJoCo returns up to four points for a plane and a mesh: the lowest vertex and
-vertices near it on the convex hull. On a sole with many vertices, the set of points changes with
-a tilt of microradians, and therefore with the load. The contact points of such a sole are small
-balls at the corners of the sole.
+A sole is laid flat on the ground, and its contact points are those of MuJoCo's collision detection.
+For a plane and a mesh, MuJoCo returns up to four points: the lowest vertex and vertices near it on
+the convex hull. If a sole has many vertices, these points change with a tilt of microradians, and
+thus with the load. The contact points of such a sole are therefore small balls at its corners.
 """
 
 from __future__ import annotations
@@ -27,8 +26,9 @@ BALL_RADIUS = 2e-3
 their contact by 2 um."""
 
 TILT_DIRECTIONS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
-"""Directions in the plane of a sole towards which its normal is tilted, to test whether the contact
-points change; the first is no tilt."""
+"""Directions in the plane of a sole towards which its normal is tilted. The test shows whether the
+contact points change with the tilt. The first entry is no tilt.
+"""
 
 TILT_ANGLE = 1e-4
 """Tilt of a sole in the test with `TILT_DIRECTIONS` [rad]. Chosen: one end of a foot of 0.3 m is
@@ -39,9 +39,10 @@ _NUM_POSES = 3
 the leg may be straight."""
 
 _RANK_RTOL = 1e-2
-"""Tolerance (dimensionless) of `can_keep_sole_flat`: singular values of the Jacobians below this
-fraction of the largest count as zero, and a unit velocity along the normal may be missed by this
-distance. Chosen, not tuned: mesh soles are tilted by rounding of their vertices."""
+"""Tolerance [1] of `can_keep_sole_flat`. A singular value of the Jacobian counts as zero below this
+fraction of the largest one. A unit velocity along the normal counts as possible if its error is at
+most this value. Chosen, not tuned: mesh soles are tilted by rounding of their vertices.
+"""
 
 _MAX_CORNERS = 8
 """Upper bound of the number of contact points at the corners of a sole. The corner
@@ -123,12 +124,15 @@ def can_keep_sole_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
 
 
 _CAP_ANGLE = math.radians(50.0)
-"""Half opening angle [rad] of the cap around a foot's lowest point. The foot is replaced by a
-sphere only if the sphere fits this cap (`_MAX_SPHERE_DEVIATION`). Chosen, not tuned."""
+"""Half opening angle [rad] of the cap around the lowest point of a fitted sphere. A sphere replaces
+the foot only if it fits the foot's points in this cap (`_MAX_SPHERE_DEVIATION`). Chosen, not tuned.
+"""
 
 _MAX_SPHERE_DEVIATION = 0.1
-"""Upper bound of the distance between the surface of a foot's cap and a fitted sphere, relative to
-the radius, with which the sphere replaces the foot. Chosen, not tuned."""
+"""Upper bound of the distance between a foot's points in the cap and the surface of a fitted
+sphere, divided by the radius [1]. Below the bound, the sphere may replace the foot. Chosen, not
+tuned.
+"""
 
 
 def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
@@ -201,21 +205,25 @@ _MAX_SOLE_TILT = math.radians(25.0)
 touches the ground with an edge. Chosen, not tuned."""
 
 _MIN_SOLE_LENGTH = 0.015
-"""Lower bound of the largest extent of a flat part along a coordinate axis [m], with which the part
-counts as a sole. Chosen, not tuned: facets on the mesh of a round foot have a few millimetres."""
+"""Lower bound of the largest extent of a flat part along a coordinate axis [m]. Below the bound,
+the part is no sole. Chosen, not tuned: facets on the mesh of a round foot have a few millimetres.
+"""
 
 _TEST_PENETRATION = 1e-4
 """Penetration [m] at which MuJoCo's contacts of a sole are evaluated. Points within twice this
 distance of the lowest point may be corners of a sole. Chosen, not tuned."""
 
 _NUM_SOLE_JOINTS = 5
-"""Number of joints between foot and base with which a leg can lay the sole flat at any position:
-three coordinates and two angles; the yaw angle is not prescribed. If a leg has fewer joints,
-`can_keep_sole_flat` tests the leg."""
+"""Number of joints between foot and base that a leg needs to lay the sole flat at any position.
+Derived: three coordinates and two angles; the yaw angle is not prescribed. If a leg has fewer
+joints, `can_keep_sole_flat` tests the leg.
+"""
 
 _MIN_SOLE_JOINTS = 4
-"""Number of joints between foot and base below which a leg has a single contact point instead of a
-sole. With this number, a leg may lay the sole flat at any height, but not at any position."""
+"""Smallest number of joints between foot and base of a leg with a sole. With fewer joints, the foot
+has a single contact point. With this number, a leg may lay the sole flat at any height, but not at
+any position.
+"""
 
 _CIRCLE_ANGLES = np.linspace(0, 2 * math.pi, 24, endpoint=False)
 """Angles [rad] of the points at which the rims of cylinders, and circles on a sphere, are sampled.
@@ -234,22 +242,26 @@ _SPHERE_POINTS = np.array(
 """Points of a unit sphere, shape (288, 3), with which round shapes are sampled."""
 
 _APEX_HEIGHT = 1.0
-"""Height [m] of an auxiliary point above a sole, with which coplanar points have a convex hull with
-a volume. Chosen, not tuned."""
+"""Height [m] of an auxiliary point above a sole. With this point, the convex hull of the coplanar
+points of a sole has a volume. Chosen, not tuned.
+"""
 
 _FOOT_SPHERE_RISE = 5e-3
 """Upper bound of the height [m] of a sphere's lowest point above the lowest point of all geoms of a
-foot, with which `_find_end_spheres` returns the sphere as a contact of the foot. A tilt that the
-foot may have raises the bound. Chosen, not tuned."""
+foot. Up to the bound, `_find_end_spheres` returns the sphere as a contact of the foot. If the foot
+may be tilted, the bound is higher. Chosen, not tuned.
+"""
 
 _MAX_AXIS_COSINE = 0.1
-"""Upper bound of |cos| of the angle between a cylinder's axis and the vertical, with which the
-cylinder counts as lying on its side (a wheel). Chosen, not tuned."""
+"""Upper bound of |cos| of the angle between a cylinder's axis and the vertical [1]. Up to the
+bound, the cylinder lies on its side (a wheel). Chosen, not tuned.
+"""
 
 _SOLE_ATOL = 1e-3
-"""Largest distance [m] of a mesh vertex, or of the surface of a sphere, from the plane of a sole
-or from the lowest point of a mesh, with which it belongs to the sole. Also the largest distance of
-contact points that count as one point. Chosen, not tuned."""
+"""Two tolerances [m]. A mesh vertex or the surface of a sphere belongs to a sole if its distance
+from the plane of the sole, or from the lowest point of the mesh, is at most this value. Contact
+points count as one point if their distance is at most this value. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,10 +270,10 @@ class ContactPoint:
 
     Attributes:
         geom: Id of the geom.
-        center: Centre, shape (3,) [m], expressed in the frame of the geom's body: of a sphere,
-            of the end of a capsule or lying cylinder, of a fitted sphere, or of a small ball
-            (`BALL_RADIUS`); otherwise the contact point itself.
-        radius: Radius of that sphere, capsule, cylinder or ball [m]; otherwise 0.
+        center: Centre of the contact shape, shape (3,) [m], expressed in the frame of the geom's
+            body. The contact shape is a sphere, the end of a capsule or lying cylinder, a fitted
+            sphere, or a small ball (`BALL_RADIUS`). If there is none, the contact point itself.
+            radius: Radius of the contact shape [m]; 0 if there is none.
     """
 
     geom: int
@@ -274,14 +286,14 @@ def find_contact_points(
 ) -> tuple[ContactPoint, ...]:
     """Find the contact points of a foot with level ground.
 
-    The sole is the largest nearly level flat part at the lower end of the hull of the geoms, in
-    the pose in ``data``. The sole is laid flat, and MuJoCo's contacts are the contact points.
-    Without a flat part, the foot keeps its orientation in the pose. If spheres are at the lower end
-    of the foot (`_find_end_spheres`), only these geoms count.
+    In the pose in ``data``, the sole is the largest nearly level flat part at the lower end of the
+    hull of the geoms. The sole is laid flat, and MuJoCo's contacts are the contact points. If there
+    is no flat part, the foot keeps its orientation in the pose. If spheres are at the lower end of
+    the foot (`_find_end_spheres`), all other geoms are ignored.
 
-    The foot has a single contact point, at the lower end, if the leg has fewer than
-    `_MIN_SOLE_JOINTS` joints. The same applies to fewer than `_NUM_SOLE_JOINTS` joints if there is
-    no sole, or the leg cannot keep the sole flat.
+    A foot has a single contact point, at its lower end, if the leg has fewer than
+    `_MIN_SOLE_JOINTS` joints. It also has a single one if the leg has fewer than `_NUM_SOLE_JOINTS`
+    joints, and either there is no sole or the leg cannot keep the sole flat.
 
     Args:
         model: Model, with a floor.
@@ -314,9 +326,9 @@ def find_contact_points(
 def _sample_surface(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int
 ) -> Iterator[tuple[Array, float]]:
-    """Yield (centre (3,) in the world frame, radius) [m] of spheres whose hull is that of a geom.
+    """Yield spheres whose convex hull is that of a geom: (centre (3,), radius) [m], world frame.
 
-    Round surfaces are sampled. Shapes without extent, such as planes, yield nothing.
+    Round surfaces are sampled. Nothing is yielded for a shape without extent, such as a plane.
     """
     shape, up = read_shape(model, geom, data), np.array([0.0, 0.0, 1.0])
     points = shape.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
@@ -333,8 +345,8 @@ def _find_tip_contact(
 ) -> tuple[ContactPoint, ...]:
     """Return the contact point at the lowest point of a foot without a sole; () without geoms.
 
-    The contact point of a mesh that is not round at the lower end is a ball of `BALL_RADIUS` at the
-    centre of the lowest points.
+    If a mesh is not round at the lower end, its contact point is a ball with radius `BALL_RADIUS`
+    at the centre of the lowest points.
     """
     down = np.array([0.0, 0.0, -1.0])
     geom = min(geoms, key=lambda geom: compute_lowest_height(model, data, [geom]), default=None)
@@ -384,8 +396,9 @@ def _find_end_spheres(
 ) -> list[int]:
     """Return the ids of the sphere geoms among ``geoms`` that are at the lower end of a foot.
 
-    The lowest point of a sphere may be `_FOOT_SPHERE_RISE` above that of the lowest geom, plus
-    tan(``lean``) times the horizontal distance of the two centres; ``lean`` is an angle [rad].
+    The lowest point of a sphere may be higher than that of the lowest geom, by at most
+    `_FOOT_SPHERE_RISE` + tan(``lean``) * (horizontal distance of both centres). ``lean`` is the
+    tilt that the foot may have [rad].
     """
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
     lowest = min(geoms, key=lambda geom: compute_lowest_height(model, data, [geom]))
@@ -431,9 +444,9 @@ def _find_sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
 def _yield_level_normals(surface: Array, down: Array) -> Iterator[Array]:
     """Yield the outward normals (3,) of the facets of a hull with a tilt up to `_MAX_SOLE_TILT`.
 
-    If the points ``surface``, shape (n, 3) [m], are on a line, the result is the normal of the line
-    that is nearest to the unit vector ``down``, if its tilt is as small. A single point has no
-    normal.
+    ``surface`` are the points of the hull, shape (n, 3) [m]. If they are on a line, the normal of
+    the line nearest to the unit vector ``down`` is yielded, if its tilt is small enough. Nothing is
+    yielded for a single point.
     """
     middle = surface.mean(axis=0)
     spread = surface - middle
@@ -502,9 +515,9 @@ def _find_corner_balls(
 ) -> tuple[ContactPoint, ...]:
     """Return contact spheres at the corners of a sole, which touch a common plane.
 
-    ``out`` is the outward normal of the sole in the body frame, shape (3,). If a corner were a
-    tenth of a millimetre off the plane, the foot would tilt by milliradians to rest on three
-    spheres.
+    ``out`` is the outward normal of the sole in the body frame, shape (3,). A common plane is
+    needed: if a corner were a tenth of a millimetre off the plane, the foot would rest on three
+    spheres, tilted by milliradians.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

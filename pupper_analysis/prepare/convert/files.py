@@ -63,10 +63,10 @@ class RobotFiles:
         return "+".join(Path(model).name for model in names)
 
     def load(self, **more: Any) -> Robot:
-        """Load the robot from these files, with these options.
+        """Load the robot from these files, with the stored options.
 
         Args:
-            **more: Further arguments of ``load_robot``.
+            **more: Further keyword arguments of ``load_robot``, in addition to ``options``.
 
         Raises:
             ConfigurationError: If an option is invalid.
@@ -78,7 +78,7 @@ class RobotFiles:
         return load_robot(*self.models, **self.options, **more)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return {option: value} for TOML or JSON: file names in ``models``, loading options."""
+        """Return {option: value} for TOML or JSON: ``models`` (file names) and loading options."""
         return {**({"models": list(self.models)} if self.models else {}), **self.options}
 
 
@@ -114,5 +114,5 @@ class FileSource:
         return self.loaded
 
     def to_dict(self) -> dict[str, Any]:
-        """Return {option: value} for a study file (TOML): file names and loading options."""
+        """Return {option: value} for a study file (TOML): ``models`` and the loading options."""
         return self.files.to_dict()

@@ -61,8 +61,9 @@ _ZERO_VECTOR = "0 0 0"
 """Text that replaces a missing vector (``xyz``, ``rpy``) of a URDF."""
 
 _POINT_RADIUS = "0.001"
-"""Radius [m], as text, that replaces a zero radius of a collision sphere in the URDF. Models of
-Drake have such points at the corners of a sole. Chosen, not tuned."""
+"""Radius [m], as text, of a collision sphere whose radius in the URDF is zero. Models of Drake have
+such spheres at the corners of a sole. Chosen, not tuned.
+"""
 
 _SIZE_ATTRIBUTES = {
     "box": ("size",),
@@ -147,7 +148,7 @@ class MjcfXml:
         """Add an equality that couples two joints: q = offset + multiplier * q_leader [rad, m].
 
         Args:
-            follower: Name of the dependent joint.
+            follower: Name of the dependent joint, whose position is q.
             leader: Name of the driving joint.
             multiplier: Multiplier, as number or text.
             offset: Offset [rad, m], as number or text.
@@ -182,7 +183,8 @@ class UrdfBodies:
         notes: Notes on parts that an MJCF cannot express, or that were left out.
         materials: {name: rgba} of the used materials.
         mimics: {joint: (leader, multiplier, offset)} as text.
-        efforts: {joint: effort limit [N m or N]} as text, for independent joints with a limit.
+        efforts: {joint: effort limit [N m or N]} as text, for joints with a limit and without
+        coupling.
         root: Name of the base link.
         frames: Names of all links.
     """
@@ -248,9 +250,10 @@ class UrdfBodies:
     def _add_joint(self, body: etree._Element, urdf_joint: UrdfJoint) -> None:
         """Add a joint of the URDF to a body of the MJCF; nothing is added for a fixed joint.
 
-        The effort limit is recorded in ``efforts``; a joint with a coupling, recorded in
-        ``mimics``, gets the limit as ``actuatorfrcrange``. Empty ranges and negative efforts are
-        left out, with a note; efforts of zero, or of `UNSTATED` or more, without a note.
+        The effort limit of an uncoupled joint is recorded in ``efforts``. A joint with a coupling
+        is recorded in ``mimics``, and gets the limit as ``actuatorfrcrange``. Empty ranges and
+        negative efforts are omitted, with a note. Efforts of zero, and efforts of `UNSTATED` or
+        more, are omitted without a note.
 
         Raises:
             ModelError: If the joint is floating or planar, or the axis has length zero.
@@ -453,8 +456,9 @@ def _add_mjcf_inertial(body: etree._Element, inertial: etree._Element) -> None:
 
 
 MIN_FREE_BASE_LIMBS = 2
-"""Smallest number of moving joints at the base with which a converted robot has a free base by
-default, as in ``load_robot``."""
+"""Smallest number of moving joints at the base of a converted robot with a free base. With fewer,
+the base is fixed by default, as in ``load_robot``.
+"""
 
 
 @dataclass(frozen=True)
@@ -463,8 +467,8 @@ class MjcfOptions:
 
     Attributes:
         feet: Links of the feet, or {foot: link}; None: feet are detected.
-        fixed_base: True for a fixed base; None: a base that floats in the URDF, or has two limbs or
-            more, is free.
+        fixed_base: True for a fixed base, False for a free base. None: the base is free if it
+            floats in the URDF, or has at least two limbs.
         armature: {joint: rotor inertia [kg m^2]}.
         repair_inertia: True to repair invalid inertials, and to give mass to moving links without
             mass.
@@ -561,9 +565,9 @@ class ConvertedMjcf:
     def make_import(self) -> UrdfImport:
         """Return the URDF as MuJoCo's own importer can read it, without visual shapes.
 
-        As in the converted MJCF, some elements of a link are moved to a link to which it is fixed:
-        an invalid inertial (MuJoCo would refuse it), and the collision shapes of a link without
-        inertial. Shapes whose mesh is missing or cannot be used are left out.
+        Some elements are changed as in the converted MJCF. An invalid inertial, which MuJoCo would
+        refuse, is moved to a link that is fixed to its link. So are the collision shapes of a link
+        without inertial. Shapes whose mesh is missing or cannot be used are omitted.
         """
         tree, assets = self.bodies.tree.copy(), dict[str, bytes]()
         for link in tree.links.values():
@@ -582,9 +586,9 @@ def convert_urdf_in_memory(
 ) -> tuple[UrdfFile, MjcfFile, UrdfImport]:
     """Convert a URDF to an MJCF in memory, with a fixed base.
 
-    Invalid inertias are moved to fixed neighbours, or become the nearest valid inertias; a moving
-    link gets 1 g if the link and all links fixed to the link have no mass. The notes of the MJCF
-    report the repairs.
+    An invalid inertia is moved to a link that is fixed to its link, or becomes the nearest valid
+    inertia. A moving link gets 1 g if neither this link nor a link fixed to it has a mass. The
+    notes of the MJCF report the repairs.
 
     Args:
         urdf: URDF.
@@ -630,8 +634,8 @@ def _remove_massless_root(tree: UrdfTree) -> bool:
 def _has_limbs(tree: UrdfTree, *, is_floating: bool) -> bool:
     """Return True if the base of a URDF floats, or may be made free.
 
-    A base may be made free if the base is not the world, and has at least `MIN_FREE_BASE_LIMBS`
-    moving joints.
+    A base may be made free if it is not the world, and if at least `MIN_FREE_BASE_LIMBS` moving
+    joints are attached to it.
     """
     base = tree.base.name
     if base == WORLD_LINK or is_floating:

@@ -50,7 +50,7 @@ class ModelPair:
         mjcf: MJCF.
         converted: ``"urdf"`` or ``"mjcf"`` if this model was made from the other; empty if both
             have files.
-        imported: The URDF for MuJoCo's own importer, if there is no MJCF file.
+        imported: URDF as MuJoCo's own importer can read it; None if there is an MJCF file.
     """
 
     urdf: UrdfFile
@@ -128,9 +128,9 @@ def read_pair(
         *models: A URDF, an MJCF, or one of each, in any order: paths, XML texts or objects.
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
-        take: ``"urdf"`` or ``"mjcf"``: of two files, use this file alone.
-        body: Root body of the robot in an MJCF with several, or any body of the robot; without a
-            URDF detected if possible.
+        take: ``"urdf"`` or ``"mjcf"``: if two files are given, use only the file of this format.
+        body: Root body or any other body of the robot, for an MJCF with several robots. By default
+        the robot is detected, if there is no URDF.
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF and ``$(find)`` of
             a xacro file.
         xacro_args: {argument of the xacro file: value}; other arguments have default values.
@@ -266,9 +266,10 @@ def load_robot(
     zero, and a floor, a free base and position servos are added. If the robot does not stand in
     a keyframe of the MJCF, a stand is searched.
 
-    Errors in the files are raised here. Servos and visual meshes are made when first needed: by the
-    first access to, for example, ``mj_model``, ``description`` or ``notes``, not by ``pin_model``,
-    joint names or feet. Mesh files are read again then.
+    Errors in the files are raised here. Servos and visual meshes are made when first needed, for
+    example by the first access to ``mj_model``, ``description`` or ``notes``. Access to
+    ``pin_model``, joint names or feet does not need them. Mesh files are read again when visual
+    meshes are made.
 
     Args:
         *models: Path of a URDF or an MJCF, or of both, in any order; a name in MuJoCo Menagerie
@@ -281,10 +282,10 @@ def load_robot(
         mjcf: Path of the MJCF.
         take: ``"urdf"`` or ``"mjcf"``: of two files, use this file alone.
         body: Root body of the robot in an MJCF of several robots, or any body of the robot.
-        feet: Frames of the feet, or {foot: frame}; a frame is a link of the URDF, or a geom,
-            site or body of the MJCF, or a pair of both. By default the feet are the collision
-            geoms at the ends of the limbs that are lowest, in the keyframe with the most such
-            limbs, or at joint positions of zero; an empty list: no feet.
+        feet: Frames of the feet, or {foot: frame}. A frame is a link of the URDF; a geom, site or
+            body of the MJCF; or a pair of both. By default feet are detected: they are the
+            collision geoms at the ends of the lowest limbs. The pose for this is the keyframe with
+            the most such limbs, or joint positions of zero. An empty list means no feet.
         fixed_base: Fix the base in the world, at the pose in the MJCF.
         name: Name of the robot; by default the name in the MJCF.
         joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
@@ -293,12 +294,12 @@ def load_robot(
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF and ``$(find)`` of
             a xacro file.
         xacro_args: {argument of the xacro file: value}; other arguments have default values.
-        as_is: Add no servos, motors and contact exclusions, and keep the solver and the contacts of
-            all shapes. Soles are not replaced by balls.
-        visuals: False if the robot is not drawn or written: visual meshes of a URDF in formats that
-            MuJoCo cannot read (.dae, .glb, .off, .ply) are not converted, and tetrahedra with edges
-            of 1 cm represent these meshes. The conversion takes up to seconds. A mesh that cannot
-            be converted is then not reported. Without effect if ``feet`` is given.
+        as_is: True to add no servos, motors and contact exclusions, and to keep the solver and the
+            contacts of all shapes. Soles are then not replaced by balls.
+        visuals: Whether to convert the visual meshes of a URDF that MuJoCo cannot read (.dae, .glb,
+            .off, .ply). The conversion takes up to seconds. Use False if the robot is not drawn or
+            written: tetrahedra with edges of 1 cm then represent these meshes, and a mesh that
+            cannot be converted is not reported. Without effect if ``feet`` is given.
 
     Returns:
         Robot; ``robot.description.converted`` is the format of a model that was made.

@@ -31,7 +31,9 @@ _MAX_INDICES: Final = 6 * MAX_MESH_VERTICES
 """Maximum number of vertex indices of a glTF file. Derived from two triangles per vertex."""
 
 _GLB_HEADER: Final = struct.Struct("<4sIIII")
-"""Magic number, version, length; length and type of the first chunk, which is JSON."""
+"""Format of the header of a glTF binary: magic number, version, length of the file; length and type
+of the first chunk, which is JSON.
+"""
 
 
 def check_gltf(data: bytes) -> Diagnostic | None:

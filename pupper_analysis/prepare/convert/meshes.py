@@ -1,8 +1,8 @@
 """Mesh files of a URDF for an MJCF, converted to OBJ if MuJoCo cannot read the format.
 
-Inputs are the paths of a URDF's meshes; outputs are mesh files, once per file and scale, and the
-names under which the MJCF refers to these files. The conversion of visual meshes can be deferred
-(`DeferredMeshes`). Files that cannot be read are left out and reported.
+Inputs are the paths of a URDF's meshes. Outputs are mesh files, one per input file and scale, and
+the names by which the MJCF refers to these files. The conversion of visual meshes can be deferred
+(`DeferredMeshes`). Files that cannot be read are omitted and reported.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ class MeshFiles:
     def _package_of(why: Diagnostic, files: Sequence[str]) -> str:
         """Return the first ROS package (``package://NAME/...``) that missing mesh files name.
 
-        Empty if no file names a package, or if ``why`` states another reason than missing files for
-        leaving out the ``files``.
+        ``why`` is the reason why ``files`` are omitted. The result is empty if no file names a
+        package, or if ``why`` is another reason than a missing file.
         """
         missing_files = files if why.code == "no-such-mesh-file" else ()
         named = (
@@ -108,7 +108,7 @@ class MeshFiles:
 
         Args:
             mesh: The element.
-            touches: True for a collision mesh, for which MuJoCo computes the convex hull.
+            touches: True for a collision mesh. MuJoCo computes the convex hull of such a mesh.
         """
         file = str(mesh.get("filename"))
         scale = mesh.get("scale") or "1 1 1"
@@ -276,8 +276,9 @@ f 1 2 4
 f 1 4 3
 f 2 3 4
 """
-"""OBJ of a tetrahedron with three edges of 1 cm at a right-angled corner, which represents deferred
-meshes: MuJoCo refuses a geom without mesh."""
+"""OBJ of a tetrahedron that represents deferred meshes, since MuJoCo refuses a geom without mesh.
+Three edges of 1 cm meet at a right-angled corner.
+"""
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
 """Make the inertials of a URDF valid for MuJoCo: move them to fixed neighbours, or repair them.
 
 Input is a URDF with inertials that MuJoCo refuses, for example because the principal moments
-violate A + B >= C. An invalid inertial is first moved to a body on fixed joints, which changes no
-motion. If no such sum is valid, the nearest valid moments replace the invalid moments
-(`find_nearest_moments`).
+violate A + B >= C. An invalid inertial is first added to the inertial of a link to which fixed
+joints connect it. This changes no motion. If no sum is valid, the nearest valid moments replace the
+invalid moments (`find_nearest_moments`).
 """
 
 from __future__ import annotations
@@ -37,13 +37,15 @@ _MIN_INERTIA: Final = 1e-14
 MuJoCo's bound."""
 
 ADDED_MASS: Final = 1e-3
-"""Mass [kg] that a moving link gets if neither the link nor a link fixed to the link has a mass,
-which MuJoCo would refuse: common for helper links of exporters. Chosen, not tuned."""
+"""Mass [kg] that a moving link gets if neither this link nor a link fixed to it has a mass. MuJoCo
+would refuse such a link; helper links of exporters often have no mass. Chosen, not tuned.
+"""
 
 _GYRATION_RADIUS: Final = 0.01
 """Radius of gyration [m] that is assumed for a link with mass and without inertia. Chosen as that
-of a ball with a radius of 16 mm: with a smaller value, a small torque moves the link faster than a
-time step of 2 ms can follow."""
+of a ball with a radius of 16 mm. With a much smaller value, a small torque would move the link too
+fast for a time step of 2 ms.
+"""
 
 _TRIANGLE_MARGIN: Final = 1e-6
 """Relative margin with which repaired principal moments satisfy the triangle inequality A + B >= C.
@@ -122,8 +124,8 @@ class LinkBodies:
     def fixed_group(self, body: str) -> Iterator[tuple[str, pin.SE3]]:
         """Yield (name, pose) for a body, and for all bodies fixed to it, nearest first.
 
-        The pose is that of the given body's frame in the frame of the yielded body. The distance is
-        the number of fixed joints in between.
+        The pose is that of the frame of ``body``, expressed in the frame of the yielded body. The
+        nearest body is that with the fewest fixed joints in between.
         """
         known, waiting = {body}, [(body, pin.SE3.Identity())]
         while waiting:
@@ -145,16 +147,16 @@ def repair_inertials(
 ) -> tuple[list[Diagnostic], list[Repair]]:
     """Make the inertials of a URDF valid for MuJoCo, in place: move or repair them.
 
-    An inertial of zeros is removed. An invalid inertial is added to the inertial of a link that
-    fixed joints connect to its link, directly or through other links; this changes no motion. If no
-    such sum is valid, an inertial with positive mass is repaired. An invalid inertial without
-    positive mass remains if its body does not move, or is fixed to a body with mass.
+    An inertial of zeros is removed. An invalid inertial is added to the inertial of a link to which
+    fixed joints connect it, directly or through other links; this changes no motion. If no sum is
+    valid, an inertial with positive mass is repaired. An invalid inertial without positive mass
+    remains if its body does not move, or if a body with mass is fixed to its body.
 
     Args:
         urdf: URDF as read.
         bodies: Bodies of the URDF.
-        repair: True to repair: moments become the nearest valid moments, and a moving body gets
-            `ADDED_MASS` if this body and all bodies fixed to this body have no mass.
+        repair: True to repair. Moments become the nearest valid moments. A moving body gets
+            `ADDED_MASS` if neither this body nor a body fixed to it has a mass.
 
     Returns:
         Notes on moved inertials, and repairs.
@@ -215,11 +217,11 @@ def is_valid_inertia(inertia: pin.Inertia) -> bool:
 def find_nearest_moments(moments: Array, mass: float) -> Array:
     """Return the valid principal moments, shape (3,) [kg m^2], nearest to invalid moments.
 
-    The condition is A + B >= C for the largest moment C. The violation is distributed in equal
-    parts on all three moments (projection on a half-space). MuJoCo's ``balanceinertia``
-    uses the mean of the moments instead, which is a larger change. Before, negative moments become
-    zero; afterwards, each moment is at least 10 `_MIN_INERTIA`. If no moment exceeds
-    `_MIN_INERTIA`, the moments are those of the radius of gyration `_GYRATION_RADIUS`.
+    First, negative moments become zero. The condition is A + B >= C for the largest moment C; its
+    violation is distributed in equal parts on all three moments (projection on a half-space). Then
+    each moment is raised to at least 10 `_MIN_INERTIA`. If no moment exceeds `_MIN_INERTIA`, the
+    moments are those of the radius of gyration `_GYRATION_RADIUS`. MuJoCo's ``balanceinertia`` uses
+    the mean of the moments instead, which is a larger change.
 
     Args:
         moments: Principal moments, shape (3,) [kg m^2], the largest last.
@@ -235,9 +237,9 @@ def find_nearest_moments(moments: Array, mass: float) -> Array:
 
 
 def _move_inertia(bodies: LinkBodies, body: str, inertia: pin.Inertia) -> Diagnostic | None:
-    """Move the invalid inertia of a body to a body that is fixed to it, if the sum there is valid.
+    """Add the invalid inertia of a body to that of a body fixed to it, if the sum is valid.
 
-    The other body must have an inertial.
+    The other body must have an inertial. The first body loses its inertial.
 
     Returns:
         Note on the move; None if there is no such body, and nothing is changed.

@@ -61,8 +61,8 @@ class UrdfLinks:
         model: Compiled model.
         tree: URDF.
         shapes: Converter of the shapes.
-        fix_balls: True to fix a ball joint at the reference if the body has no other joint; False
-            to refuse ball joints.
+        fix_balls: True to fix a ball joint at its reference position, if the body has no other
+            joint. False to refuse ball joints.
         left: Notes on parts that a URDF cannot express.
         links: {body id: (name of the link, pose of the body's frame in the link's frame)}.
     """
@@ -116,7 +116,7 @@ class UrdfLinks:
             body: Id of the body.
             name: Name of the link.
             parent: Name of the parent link.
-            inside: Pose of the parent body's frame in the parent link's frame.
+            inside: Pose of the parent body's frame, expressed in the parent link's frame.
 
         Raises:
             ModelError: If the body has a free joint, or a ball joint that is not fixed.
@@ -271,7 +271,7 @@ class ConvertedUrdf:
         Args:
             file: MJCF.
             output: Path of the URDF; mesh paths are relative to the folder of this path.
-            fix_balls: True to fix ball joints at the reference; False to refuse them.
+            fix_balls: True to fix ball joints at their reference positions; False to refuse them.
 
         Raises:
             ModelError: If a URDF cannot represent the robot, or if the MJCF has several robots or
@@ -336,11 +336,12 @@ def _add_couplings(tree: UrdfTree, model: mujoco.MjModel) -> list[Diagnostic]:
 
 
 ShapeGeometry = tuple[str, dict[str, str], pin.SE3]
-"""Tag and attributes of a shape in a URDF, and the pose in the frame of the body."""
+"""Shape of a URDF: tag, attributes, and pose expressed in the frame of the MJCF body."""
 
 _NUM_VISIBLE_GROUPS = 3
-"""Number of geom groups, from 0, that MuJoCo's viewer shows by default: groups 0, 1 and 2. Their
-geoms become visual shapes; so do geoms of other groups that do not collide."""
+"""Number of geom groups that MuJoCo's viewer shows by default: groups 0, 1 and 2. The geoms of
+these groups become visual shapes; so do geoms of other groups that do not collide.
+"""
 
 
 class UrdfShapes:
@@ -377,8 +378,8 @@ class UrdfShapes:
     def add(self, link: etree._Element, body: int, inside: pin.SE3) -> None:
         """Add the geoms of a body to a ``<link>`` as collision shapes, visual shapes, or both.
 
-        Geoms that collide become collision shapes; geoms that do not collide, and those of the
-        groups that MuJoCo's viewer shows by default, become visual shapes.
+        A geom that collides becomes a collision shape. A geom becomes a visual shape if it does not
+        collide, or if MuJoCo's viewer shows its group by default.
 
         Args:
             link: Element of the link.
@@ -476,12 +477,13 @@ def _find_mesh_path(file: MjcfFile, mesh: mujoco.MjsMesh) -> Path | None:
 
 
 def find_root_body(file: MjcfFile, model: mujoco.MjModel) -> int:
-    """Find the robot in a model: return the id of the base body, of the fixed root body, or 0.
+    """Find the robot in a model: return the id of its base body, or 0 if the base is the world.
 
-    A root whose only joint is a free joint is an object, and is ignored if there are other roots
-    with joints. If exactly one of these roots has a free base, this root is chosen; the rest may be
-    doors or drawers. Roots in the world that <connect> or <weld> couples are one robot, whose base
-    is the world (0): a linkage with two fixed pivots.
+    The base body is the body with the free joint, or the root if there is none. A root is a child
+    of the world with joints in its subtree. A root whose only joint is a free joint is an object;
+    it is ignored if there are other roots. If exactly one root has a free base, it is chosen; the
+    others may be doors or drawers. If <connect> or <weld> couples the roots, they are one robot,
+    whose base is the world (0): for example, a linkage with two fixed pivots.
 
     Raises:
         ModelError: If there are several robots, or none.
