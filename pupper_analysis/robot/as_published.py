@@ -59,10 +59,11 @@ class ServosUsed:
 
 
 MIN_UNHELD_DISPLACEMENT = 0.05
-"""Displacement [rad, m] above which a joint counts as displaced, in a simulation of a published
-file from its keyframe. A displaced joint without servo counts as not held (`OwnRun.unheld`). A
-displaced joint with servo may count as moved by its command (`JointOff.commanded_away`). A joint
-without servo has no stiffness, and usually moves to a stop. Chosen, not tuned."""
+"""Displacement of a joint [rad, m] above which the joint counts as displaced, in a simulation of a
+published file from its keyframe. A displaced joint without servo counts as not held
+(`OwnRun.unheld`). A displaced joint with servo may count as moved by its command
+(`JointOff.commanded_away`). A joint without servo has no stiffness, and usually moves to a stop.
+Chosen, not tuned."""
 
 
 MAX_TORQUE_DEVIATION = 0.05
@@ -201,7 +202,7 @@ class OwnRun(BodyMotion):
 
     @property
     def has_left_posture(self) -> bool:
-        """True if a joint of a robot with a fixed base has moved far without a command to do so.
+        """True if a joint of a robot with a fixed base has moved far, and no command explains this.
 
         The displacement of the joint that moved most exceeds ``MIN_POSTURE_DEVIATION``, and its
         command does not explain the displacement (`JointOff.commanded_away`).
@@ -289,7 +290,7 @@ class PublishedRun:
 
     @property
     def keeps_moving(self) -> bool:
-        """Whether motor torques still vary at the end of this run, e.g. if contacts chatter."""
+        """True if motor torques still vary at the end of this run, as with chattering contacts."""
         return self._keeps_moving
 
     @property

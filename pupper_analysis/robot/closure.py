@@ -31,8 +31,8 @@ from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.impedance import EqualityCompliance
 
 CLOSED_ATOL = 1e-10
-"""Largest residual of the independent loop equations [m, rad] below which Newton's method ends,
-because the loops count as closed. Chosen, not tuned."""
+"""Residual of the independent loop equations [m, rad] below which the loops count as closed, and
+Newton's method ends. Chosen, not tuned."""
 
 MAX_OPENING = 1e-6
 """Constraint violation [m, rad] above which an unloaded loop counts as open, and the configuration
@@ -54,14 +54,14 @@ _MAX_NEWTON_STEP = 0.3
 longer step is scaled down. Chosen, not tuned."""
 
 _START_ATOL = 1e-3
-"""Constraint violation [m, rad] below which qpos0 or a keyframe serves as the reference
-configuration with closed loops. Keyframes are written with a few digits, and violate constraints by
-up to a millimetre. Chosen, not tuned."""
+"""Constraint violation [m, rad] below which the loops of qpos0 or of a keyframe count as closed, so
+that it can be the reference configuration. Files contain keyframes with a few digits, which violate
+constraints by up to a millimetre. Chosen, not tuned."""
 
 _DIFFERENCE_STEP = 1e-7
-"""Step of the joint positions [rad, m] in the central differences of the constraint torques (finite
-differences). The step is small, because the stiffness of a soft constraint varies within a
-millimetre of constraint violation. Chosen, not tuned."""
+"""Step of the joint positions [rad, m] in the central differences of the constraint torques. The
+step is small, because the stiffness of a soft constraint varies within a millimetre of constraint
+violation. Chosen, not tuned."""
 
 _MAX_COMPLIANCE_FACTOR = 2.0
 """Factor of the accepted static deflection of a loop constraint [1]. `Closure.check` accepts a
@@ -534,7 +534,7 @@ def _list_constraints(model: mujoco.MjModel) -> tuple[str, ...]:
 def find_closure(
     model: mujoco.MjModel, convention: MujocoConvention, joint_names: Sequence[str]
 ) -> Closure | None:
-    """Return the loops and couplings of a robot; None if there are none to model.
+    """Return the loops and couplings of a robot; None if there are none.
 
     The result is None if no active equality constraint acts on a joint of the robot, or if
     constraints are disabled. It is also None if a constraint couples a free base to the world,

@@ -131,7 +131,7 @@ def ground_geom(model: mujoco.MjModel) -> int | None:
 
 
 def foot_geom(model: mujoco.MjModel, body: int, position: Array) -> int | None:
-    """Return the id of a collision sphere of a body that is centred at a position.
+    """Return the id of the collision sphere of a body with its centre at a position.
 
     Args:
         model: MuJoCo model.
@@ -287,7 +287,7 @@ def bodies_on_ground(
 
 
 def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[int, Array]:
-    """Return the frame of a foot in a MuJoCo model: a site, body or geom with a name.
+    """Find the frame of a foot in a MuJoCo model by name: a site, body or geom.
 
     Args:
         model: MuJoCo model.

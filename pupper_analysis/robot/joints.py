@@ -301,7 +301,7 @@ def check_in_range(
     argument: str,
     bonds: tuple[str, ...] = (),
 ) -> None:
-    """Raise an error if the position of a joint is out of range.
+    """Raise an error if the position of a joint is outside of its range.
 
     Args:
         robot: The robot.
@@ -331,7 +331,7 @@ def check_in_range(
 
 
 def get_joint_units(robot: Robot, joint: str) -> JointUnits:
-    """Return the units of the quantities of a joint: those of a slide, or of a hinge."""
+    """Return the units of the quantities of a joint, which differ between hinges and slides."""
     return select_joint_units(slides=is_slide(robot, joint))
 
 
@@ -351,7 +351,7 @@ def check_motor_joints(robot: Robot, joints: Iterable[str], argument: str) -> No
 
 
 def get_common_units(robot: Robot, joints: Iterable[str]) -> JointUnits:
-    """Return the units for values of several joints; both units for hinges and slides together."""
+    """Return common units of several joints, with both units if hinges and slides are mixed."""
     return combine_joint_units(get_joint_units(robot, joint) for joint in joints)
 
 

@@ -471,7 +471,8 @@ PLANE_NORMALS: dict[str, Position3] = {
     "table": (0.0, 0.0, 1.0),
     "ceiling": (0.0, 0.0, -1.0),
 }
-"""{kind of plane: unit normal towards the robot, in the world frame}."""
+"""{kind of plane: unit normal towards the robot, in the world frame}. A plane with another normal
+has no kind."""
 
 
 def describe_surface(kind: str, foot: str) -> Diagnostic:

@@ -144,7 +144,7 @@ _CACHED_ATTRIBUTES = (
     "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "fixed_parts",
     "grips", "collision_model", "_cache",
 )  # fmt: skip
-"""Cached attributes that are not pickled, but computed again when they are needed."""
+"""Cached attributes that a pickled robot does not contain. They are computed again at first use."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +172,7 @@ class PublishedFile:
         return self.file is None and self.imported is None
 
     def for_modified_copy(self, robot: Robot) -> PublishedFile:
-        """Return the published file of a modified copy of a robot, with the unmodified robot.
+        """Return the published file of a modified copy; it references the unmodified robot.
 
         Args:
             robot: Robot before the modification. The first modification stores it as ``loaded``. At
@@ -446,7 +446,7 @@ class Robot(EngineModels):
 
     @cached_property
     def grips(self) -> Mapping[str, float]:
-        """``{gripping part: maximum norm of the grip force [N]}``.
+        """Grips of a task: ``{gripping part: maximum norm of the grip force [N]}``.
 
         A grip fixes the contact point of a part to the world, and permits rotation about the point.
         """
@@ -827,7 +827,8 @@ class Robot(EngineModels):
 
 
 _FIELD_NAMES = frozenset(field.name for field in fields(Robot))
-"""Names of the fields of `Robot`, which may be computed at first use."""
+"""Names of the fields of `Robot`. Fields that are not in `_EARLY_FIELDS` may be computed at first
+use."""
 
 _EARLY_FIELDS = (
     *("name", "pin_model", "floating", "base", "mj_base", "joint_names", "pin_convention"),

@@ -112,8 +112,8 @@ _MIN_RELATIVE_MASS = 0.01
 differences of limits and efforts. Chosen, not tuned."""
 
 _MAIN_QUANTITIES = ("mass matrix", "gravity", "foot positions", "joint positions")
-"""Quantities of the first number in `Difference.relative_effects`, the largest relative effect on
-them."""
+"""Main quantities. The first number in `Difference.relative_effects` is the largest relative effect
+on them."""
 
 _RANKED_QUANTITIES = (*_MAIN_QUANTITIES, "bias forces", "forward dynamics")
 """Quantities for the order of differences with the same `Difference.tier`: the difference with the
@@ -434,10 +434,10 @@ class ModelNames:
 
 
 FORMAT_NAMES = ModelNames(Term("the URDF"), Term("the MJCF"), alike=False)
-"""Names of a URDF and an MJCF."""
+"""Names of a URDF and an MJCF in messages."""
 
 VERSION_NAMES = ModelNames(Term("the old file"), Term("the new file"), alike=True)
-"""Names of two files of the same format."""
+"""Names of two versions of a file in messages."""
 
 
 def with_names_of_models(message: Diagnostic, names: Mapping[str, Term]) -> Diagnostic:
@@ -605,7 +605,7 @@ def _format_value(value: Any, unit: str) -> Any:
 def changes_between(
     one: MultibodyTree, two: MultibodyTree, tolerances: Tolerances, sides: ModelNames = FORMAT_NAMES
 ) -> Iterable[Change]:
-    """Yield the differences of two trees.
+    """Yield the differences of two multibody trees that exceed the tolerances.
 
     Args:
         one: First tree (URDF).

@@ -101,7 +101,7 @@ def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
 
 
 def without_effects(model: mujoco.MjModel, effects: Iterable[MjcfOnlyEffect]) -> mujoco.MjModel:
-    """Return a passive copy of a model in which given effects are disabled.
+    """Return a passive copy of a model in which the given MJCF-only effects are disabled.
 
     `make_passive_model` disables contacts, limits, dry friction and commands of the copy.
     """
@@ -239,7 +239,7 @@ def _make_effect(
 
 
 def of_joints(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the effects of joints that a URDF cannot specify.
+    """Yield the MJCF-only effects of joints: terms that a URDF cannot specify.
 
     These are springs, nonlinear damping, and the dry friction of a free joint.
 
@@ -281,7 +281,7 @@ def of_bodies(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def of_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the effects of tendons that have stiffness, damping, armature, friction or a limit.
+    """Yield the tendons with stiffness, damping, armature, friction or a limit.
 
     Args:
         scene: Compiled MJCF, with the names of its elements.
@@ -380,7 +380,7 @@ def split_mimics(
 
 
 def find_fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the fluid around the robot, if the MJCF states a density or viscosity.
+    """Yield the fluid around the robot, if the MJCF states its density or viscosity.
 
     Args:
         scene: Compiled MJCF, with the names of its elements.

@@ -352,7 +352,7 @@ def _candidate_base_poses(first: MultibodyTree, second: MultibodyTree) -> Iterat
 
 
 def quarter_turns() -> Iterator[Array]:
-    """Yield the 24 rotations (3, 3) that map the axes onto each other."""
+    """Yield the 24 rotation matrices (3, 3) that map coordinate axes onto coordinate axes."""
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             matrix = np.zeros((3, 3))

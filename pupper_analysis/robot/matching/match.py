@@ -814,7 +814,7 @@ def mjcf_tree(
 
 
 _LOOP_TYPES = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
-"""Types of equality constraints that close loops."""
+"""Types of equality constraints that close kinematic loops."""
 
 
 def _refuse_loops(spec: mujoco.MjSpec, fixed_joints: Collection[str], source: Path) -> None:

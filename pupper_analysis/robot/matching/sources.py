@@ -201,7 +201,7 @@ class MjcfSources:
         return [(str(model.body(body).name), float(model.body_mass[body])) for body in group]
 
     def locate_inertial(self, kind: str, name: str) -> Place:
-        """Return the file and line of a body's ``<inertial>`` in the MJCF, for any kind of value.
+        """Return the file and line of a body's ``<inertial>`` in the MJCF.
 
         Args:
             kind: ``"mass"``, ``"com"`` or ``"inertia"``; ignored, since one element states all of
