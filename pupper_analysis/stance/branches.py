@@ -1,9 +1,9 @@
 """Branches of the legs' inverse kinematics (IK): leg postures with the same foot position.
 
 A leg with three joints reaches a foot position with a few postures, for example knee forward or
-backward. With a fixed base the limbs are independent, so the branches of each limb are found on its
-own, by Levenberg-Marquardt iterations from many starts. A configuration of the robot combines one
-branch per limb.
+backward. With a fixed base the limbs are independent. Therefore the branches of each limb are found
+separately, by Levenberg-Marquardt iterations from many initial guesses. A configuration of the
+robot combines one branch per limb.
 """
 
 from __future__ import annotations
@@ -22,16 +22,18 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.robot.robot import Robot
 
 _NUM_STARTS = 32
-"""Number of random initial guesses per limb, the joints that move a foot. Measured on 800 random
-foot targets of three-joint legs: 32 guesses find all but one of the branches that 256 find."""
+"""Number of random initial guesses per limb (the joints that move a foot). Measured on 800 random
+foot targets of three-joint legs: 32 guesses find all but one of the branches that 256 guesses
+find."""
 
 _MAX_ITERATIONS = 14
-"""Upper bound of Levenberg-Marquardt iterations from one initial guess. Reachable feet converge in
-6 to 10. Chosen, not tuned."""
+"""Upper bound of Levenberg-Marquardt iterations from one initial guess. If the target is reachable,
+6 to 10 iterations are needed. Chosen, not tuned."""
 
 _MAX_FOLLOW_ITERATIONS = 5
 """Upper bound of Levenberg-Marquardt iterations when a branch is followed to another base position.
-Feet that have not nearly converged by then are out of reach. Chosen, not tuned."""
+If the foot error is still large after this number, the target counts as out of reach. Chosen, not
+tuned."""
 
 _BRANCH_DISTANCE = 0.05
 """Largest difference [rad or m] of a joint between two solutions that count as the same branch.
@@ -68,11 +70,11 @@ guess end. PlaCo's IK removes the remaining error. Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class IndependentLimb:
-    """Joints that move some feet relative to the base, and no other feet.
+    """Limb: joints that move one or more feet relative to the base, and move no other feet.
 
     Attributes:
-        feet: Contact points; contact points of several feet if the feet share a joint, such as a
-            waist.
+        feet: Contact points that the joints move. Feet that share a joint, such as a waist, belong
+            to the same limb.
         joints: Indices of the joints in actuator order, shape (n,).
     """
 
@@ -86,8 +88,8 @@ class Branch:
 
     Attributes:
         positions: Joint positions, shape (n,) [rad, m].
-        foot_error: Largest distance of a contact point from the target [m]; rounding for
-            reachable targets.
+        foot_error: Largest distance of a contact point from the target [m]. Only rounding remains
+            for reachable targets.
     """
 
     positions: Array
@@ -137,10 +139,10 @@ def find_branches(
         upper: Upper joint limits, shape (nu,) [rad, m].
 
     Returns:
-        {limb: at most `_MAX_BRANCHES` branches}, smallest foot error first, to `_FOOT_ERROR_STEP`;
-        empty for a robot without feet. Of positions that differ by whole turns of a joint, the
-        position nearest to home is kept, if it is within the limits. For an unreachable target, the
-        branches are local minima of the foot error.
+        {limb: at most `_MAX_BRANCHES` branches}; empty for a robot without feet. The branch with
+        the smallest foot error (rounded to `_FOOT_ERROR_STEP`) is first. If positions differ by
+        whole turns of a joint, only the position nearest to home is kept, if it is within the
+        limits. For an unreachable target, the branches are local minima of the foot error.
 
     Raises:
         ModelError: If the lower limit of a joint is above its upper limit.
@@ -429,9 +431,10 @@ def combine_branches(
 ) -> Iterator[Array]:
     """Yield joint positions (nu,) [rad, m] for the combinations of an IK branch per limb.
 
-    The combination with the lowest cost comes first. The cost is a sum over limbs: the absolute
-    differences of joint positions from ``near`` [rad, m], plus 1 per um of foot error above 1 um.
-    Expensive branches are left out if there are more than `_MAX_SORTED_COMBINATIONS` combinations.
+    The combination with the lowest cost comes first. The cost is a sum over limbs. The cost of a
+    limb is the sum of absolute differences of joint positions from ``near`` [rad, m], plus 1 per um
+    of foot error above 1 um. If there are more than `_MAX_SORTED_COMBINATIONS` combinations,
+    branches with a large cost are left out.
 
     Args:
         found: {limb: its IK branches}.
@@ -467,9 +470,9 @@ not tuned."""
 def _select_cheap_branches(costs: Sequence[Array]) -> list[list[int]]:
     """Return the numbers of the branches of each limb that are combined, in ascending order.
 
-    Branches are removed while there are more than `_MAX_SORTED_COMBINATIONS` combinations: in each
-    step the branch whose cost exceeds the smallest cost of its limb by most (largest excess).
-    Combinations whose branches all have a smaller excess than the removed branches are kept.
+    The excess of a branch is its cost minus the smallest cost of its limb. While there are more
+    than `_MAX_SORTED_COMBINATIONS` combinations, the branch with the largest excess is removed.
+    Combinations of branches with a smaller excess than the removed branches are kept.
 
     Args:
         costs: Costs of the branches of each limb.

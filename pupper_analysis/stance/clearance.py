@@ -1,9 +1,9 @@
 """Clearances of a robot: distances between links [m], and heights above the ground [m].
 
 `ClearanceShapes` evaluates both at a configuration, with their Jacobians by qvel. The shapes are
-those with which MuJoCo computes contacts; meshes are replaced by convex hulls. Distances are
-computed with coal; bounding spheres exclude most pairs of shapes. Pairs of neighbouring links, and
-feet on the ground, are left out.
+MuJoCo's collision shapes, with convex hulls of meshes. Distances are computed with the library
+coal. Bounding spheres exclude most pairs of shapes. Pairs of neighbouring links, and feet on the
+ground, are left out.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _LEVEL_NORMAL = (0.0, 0.0, 1.0)
 
 @dataclass(frozen=True)
 class Clearance(Result):
-    """Smallest distance, with both links.
+    """Smallest distance of two links, or of a link from the ground.
 
     Attributes:
         distance: Distance (m); negative for a penetration depth.
@@ -59,8 +59,8 @@ class OffGround(NamedTuple):
     Attributes:
         number: Index in the shapes of the robot.
         shape: Shape.
-        sunk: Contact point on the same joint whose sphere the shape intersects; None if there is
-            none.
+        sunk: Contact point on the same joint whose sphere intersects the shape; None without such a
+            point.
     """
 
     number: int
@@ -72,7 +72,8 @@ class SurfaceDistance(NamedTuple):
     """Distance of a shape from the nearest surface of the ground.
 
     Attributes:
-        surface: Foot or hand whose step, plane or bar is the surface; empty for the floor.
+        surface: Name of the foot or hand whose step, plane or bar is the surface; empty for the
+            floor.
         near: Result of coal.
     """
 
@@ -100,7 +101,7 @@ class SolidPair(NamedTuple):
 
     @property
     def distance(self) -> float:
-        """Distance of both collision shapes [m]; minus the penetration depth if they overlap."""
+        """Distance of the two shapes [m]; minus the penetration depth if the shapes overlap."""
         return float(self.near.min_distance)
 
 
@@ -138,9 +139,9 @@ class ClearanceShapes:
         robot: Robot.
         shapes: Collision shapes of the robot (``robot.shapes``), including foot shapes.
         kinematics: Kinematics of links, CoM and feet.
-        parts: Shapes that must be above the ground: without feet, shapes that cannot touch the
-            ground (if the model has a floor), and shapes on a fixed or welded base or on the joint
-            of a sole, weld or grip.
+        parts: Shapes that must be above the ground. Four kinds of shapes are left out: feet; shapes
+            that cannot touch the floor, if the model has a floor; shapes on a fixed or welded base;
+            and shapes on the joint of a sole, weld or grip.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -283,7 +284,7 @@ class ClearanceShapes:
         targets: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> Clearance | None:
-        """Find the collision shape, not of a foot, that is lowest above the ground.
+        """Find the collision shape with the smallest height above the ground, without feet.
 
         Args:
             at: Kinematics of the configuration.
@@ -315,10 +316,10 @@ class ClearanceShapes:
         """Return the height [m] of each collision shape in ``parts`` above slope and steps.
 
         ``parts`` are the shapes that must be above the ground. If no step is above the slope and no
-        foot has a separate plane, all heights are above the slope, also over lower steps.
+        foot has a separate plane, all heights are measured from the slope, even over lower steps.
 
         The penetration of a foot is added to the height of a part that intersects the sphere of
-        this foot, such as a calf: the part may be in the ground as deep as the foot.
+        this foot, such as a calf: the part may be as deep in the ground as the foot.
 
         Args:
             at: Kinematics of the configuration.

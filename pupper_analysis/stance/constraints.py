@@ -1,4 +1,4 @@
-"""Constraints of a stand: each has a residual and a violation, and most have a Jacobian.
+"""Constraints of a stand, with residual, violation and, for most constraints, Jacobian.
 
 `make_constraints` lists the constraints of a goal. PlaCo's tasks (`stance.solver`), the nonlinear
 program (`stance.programme`) and the evaluation of a stand (`stance.judge`) use this list.
@@ -28,9 +28,9 @@ TASK_TOLERANCE = 1e-9
 (`CLEARANCE_TOLERANCE`). Chosen, not tuned: far below any manufacturing tolerance."""
 
 CLEARANCE_TOLERANCE = 1e-6
-"""Violation of a required clearance [m] that counts as rounding and is accepted. The nonlinear
-program permits half of it, since the program is inexact at the limit of reach. Chosen, not
-tuned."""
+"""Largest violation of a required clearance [m] that is accepted as rounding. The nonlinear program
+may violate a clearance by half of this value, since the program is inexact at the limit of reach.
+Chosen, not tuned."""
 
 
 class Constraint:
@@ -41,11 +41,12 @@ class Constraint:
         goal: Goal.
 
     Attributes:
-        name: Value of ``constraint`` in ``stance/fields.toml``; another name for a constraint
-            without a field (``loops``).
+        name: Name of the constraint, which is the value of ``constraint`` in
+            ``stance/fields.toml``. A constraint without a field in this file, such as ``loops``,
+            has another name.
         is_equality: Whether the residual must be zero; otherwise it must not be negative.
-        is_presatisfied: Whether each configuration that the nonlinear program evaluates satisfies
-            the constraint (base height and orientation).
+        is_presatisfied: Whether the nonlinear program satisfies the constraint at each
+            configuration that it evaluates (base height and orientation).
     """
 
     name: ClassVar[str]
@@ -306,9 +307,9 @@ class GroundClearance(Constraint):
         """Return the heights of n shapes above the ground minus the required clearance, (n,) [m].
 
         The shapes are the collision shapes in ``ClearanceShapes.parts``, in that order; n is 0
-        without ground. Half of `CLEARANCE_TOLERANCE` is added, so that a search with small errors
-        still finds an accepted stand. The height of a part that intersects the sphere of a foot
-        includes the penetration of this foot.
+        without ground. Half of `CLEARANCE_TOLERANCE` is added, so that a stand with small errors is
+        still accepted. If a part intersects the sphere of a foot, the penetration of this foot is
+        added to the height of the part.
         """
         heights = self._shapes.measure_part_heights(
             at, goal.task.ground, goal.rigid_targets, goal.depths
@@ -318,8 +319,8 @@ class GroundClearance(Constraint):
     def jacobian(self, goal: Goal, at: Configuration) -> Array:
         """Return the Jacobian by qvel of the heights of n collision shapes, shape (n, nv).
 
-        The shapes are those of the residual. ``goal`` specifies the ground and the foot targets,
-        which are the places of steps.
+        The shapes are those of the residual. ``goal`` specifies the ground and the foot targets.
+        Each step of the ground is below a foot target.
         """
         return self._shapes.height_jacobian(at, goal.task.ground, goal.rigid_targets)
 
@@ -340,7 +341,7 @@ class SelfClearance(Constraint):
         """Return the distances of the nearest shape pairs minus the required distance, (n,) [m].
 
         The collision shapes are on links that are not neighbours. Half of `CLEARANCE_TOLERANCE` is
-        added, so that a search with small errors still finds an accepted stand.
+        added, so that a stand with small errors is still accepted.
         """
         pairs = self._shapes.find_nearest_pairs(at.qpos, NUM_NEAREST_PAIRS)
         least = (goal.task.self_clearance or 0.0) - CLEARANCE_TOLERANCE / 2
@@ -358,8 +359,8 @@ class SelfClearance(Constraint):
 def _has_fixed_com_on_planes(goal: Goal) -> bool:
     """Return True if the CoM target is fixed and feet have separate planes.
 
-    The support region is then slow to compute, and `make_goal` checks a target other than the
-    centre of the feet.
+    The support region is then slow to compute. For a target other than the centre of the feet,
+    `make_goal` has already checked the margin.
     """
     return bool(goal.task.ground.planes) and goal.task.com != "inside"
 

@@ -1,9 +1,10 @@
 """Demands: the requirements of a stand task that may be relaxed if the stance is out of reach.
 
-A demand is an attribute of `StandTask` whose field has ``gives`` other than ``"no"``, for example
-the base height, a foot position or a margin. `DemandVector` converts demands of a task to a vector
-[m, rad] with bounds and back. Other functions relax a demand further, reset it to its value in the
-nominal stand (the stand of the default `StandTask`), round it for a report, and describe it.
+A demand is an attribute of `StandTask`, for example the base height, a foot position or a margin.
+Its field in ``fields.toml`` has another value of ``gives`` than ``"no"``. `DemandVector` converts
+demands of a task to a vector [m, rad] with bounds and back. Other functions relax a demand further,
+reset it to its value in the nominal stand (the stand of the default `StandTask`), round it for a
+report, and describe it.
 """
 
 from __future__ import annotations
@@ -45,12 +46,12 @@ DEMANDS = tuple(_FIELDS_BY_DEMAND)
 demand."""
 
 _MAX_RELAXATION = 3.0
-"""Upper bound of the change, by relaxation, of a length that may change in both directions [stand
-heights]. Chosen, not tuned."""
+"""Upper bound of the change of a length by relaxation [stand heights], if the length may change in
+both directions. Chosen, not tuned."""
 
 _MIN_HEIGHT_RATIO = 1e-3
-"""Lower bound of a relaxed positive value that must stay positive (``open`` in ``fields.toml``),
-relative to the requested value. Chosen, not tuned."""
+"""Lower bound of a relaxed value, relative to the requested value. The bound applies to values that
+must stay positive (``open`` in ``fields.toml``). Chosen, not tuned."""
 
 _ROUNDING_ATOL = 1e-12
 """Difference from the requested or nominal value [m, rad] below which a relaxed value is set to
@@ -58,7 +59,7 @@ that value. Chosen as the size of rounding errors."""
 
 _ROUNDING_SHARE = 0.005
 """Largest change of a reported value by rounding, relative to its difference from the nominal
-value. It determines the number of decimals in mm or deg. Chosen, not tuned."""
+value. The number of decimals in mm or deg is chosen accordingly. Chosen, not tuned."""
 
 _MAX_DIGITS = 12
 """Largest number of decimals of a reported value in mm or deg. Chosen, not tuned."""
@@ -79,7 +80,7 @@ class DemandValue(NamedTuple):
 
 
 class DemandVector:
-    """Numbers of some demands of a task, with bounds of the relaxation.
+    """Numbers of some demands of a task as a vector, with the bounds of a relaxation.
 
     Margins, lifts, slopes and steps can only change towards zero; other numbers can change in both
     directions.
@@ -139,7 +140,7 @@ class DemandVector:
 
         Args:
             values: Values of the requirements that ``keys`` lists, shape (n,) [m, rad].
-            checked: Check the values; not needed between ``low`` and ``high``.
+            checked: If True, check the values. Values between ``low`` and ``high`` need no check.
         """
         changed: dict[str, dict[str, list[float]]] = {}
         for (field, foot, _), value in zip(self.keys, values.tolist(), strict=True):
@@ -300,7 +301,7 @@ def relax_further(
         task: Task with relaxed values.
         requested: Task with the requested values.
         demands: Names of the relaxable requirements to change, from `DEMANDS`.
-        share: Factor; negative to change the values back towards the requested values.
+        share: Factor. A negative factor changes the values back towards the requested values.
     """
     now, before = DemandVector(robot, task, demands), DemandVector(robot, requested, demands)
     return now.make_task(before.clip(now.values + share * (now.values - before.values)))

@@ -41,12 +41,12 @@ _AXES_BY_KIND = {"point": "xy", "point3": "xyz"}
 
 @dataclass(frozen=True)
 class Slider:
-    """Range of a slider of the live page.
+    """Slider of the live page: range, step and initial value.
 
     Attributes:
         folder: Heading of the group that contains the slider.
-        low: Lower end: deg for angles, stand heights for lengths, robot masses for a mass. The
-            range of a gain is derived from the model's gains instead.
+        low: Lower end, in deg for angles, stand heights for lengths, and robot masses for a mass.
+            The range of a gain is not given here, but derived from the model's gains.
         high: Upper end, in the unit of ``low``.
         step: Step of the slider, in the unit of ``low``. None: derived from the range.
         start: Initial value on a new page, in SI units. None: the nominal value.
@@ -66,8 +66,8 @@ class Words:
     Attributes:
         label: Name on a slider, without unit.
         hint: Explanation; ``{axis}`` is replaced by the axis of a point's component.
-        said: Template of the field's part in a task text, with ``{value}``, ``{of}`` (a foot, joint
-            or link) and the values of other fields. Empty if the field is not part of the text.
+        said: Template for the text of a task. It may contain ``{value}``, ``{of}`` (a foot, joint
+            or link) and the values of other fields. Empty if the text does not contain the field.
     """
 
     label: str
@@ -88,17 +88,17 @@ class Field:
         en: English texts.
         zh: Texts in Simplified Chinese.
         part: Owner of the attribute: the ``"task"``, or the ``"ground"`` of the task.
-        frame: Whether the point may refer to another frame than the base's: (frame, x, y, z).
-        per: Key of a mapping to such values: ``"foot"``, ``"joint"`` or ``"link"``; empty if the
-            field is no mapping.
-        optional: Whether the default is None; otherwise 0, or an empty mapping.
+        frame: Whether the point may be given in another frame than the base's, as (frame, x, y, z).
+        per: Kind of the keys, if the field is a mapping: ``"foot"``, ``"joint"`` or ``"link"``.
+            Empty if the field is a single value.
+        optional: Whether the default is None. Otherwise the default is 0 or an empty mapping.
         nominal: Value of the nominal stand: ``"zero"``, an attribute of the robot, the ``"centre"``
             of the stance feet, ``"foot_places"``, or the robot's ``"own"``.
         low: Lower bound (SI units).
         high: Upper bound (SI units).
         open: Whether ``low`` itself is invalid.
         choices: Words that are valid values as well.
-        constraint: Constraint that the field defines.
+        constraint: Name of the constraint that the field defines.
         gives: Direction in which a refusal may relax the value: ``"either"``, ``"less"`` (towards
             0) or ``"no"``.
         always_said: Whether a task text contains the field if the value is the default.
@@ -263,7 +263,7 @@ def read_field_table(package: str, file: str) -> Mapping[str, Field]:
 
 
 def _make_field(name: str, facts: dict[str, Any]) -> Field:
-    """Create the field of a table entry, whose bounds ``low`` and ``high`` of angles are in deg."""
+    """Create the field of a table entry. The entry states bounds of angles in deg."""
     scale = math.radians(1.0) if facts["kind"] == "angle" else 1.0
     bounds: dict[str, Any] = {
         key: scale * facts.pop(key) for key in ("low", "high") if key in facts

@@ -1,9 +1,9 @@
 """A stand as a result: configuration, errors of the requirements [m, rad], and clearances [m].
 
-Inputs are a goal and a configuration from a solver; output is a `Stand`. `evaluate_stand` computes
-the errors with Pinocchio's kinematics, independent of the solver that found the configuration. A
-`Stand` also provides quantities for simulations: servo commands, support region and lift-off
-directions.
+The inputs are a goal and a configuration from a solver. The output is a `Stand`. `evaluate_stand`
+computes the errors with Pinocchio's kinematics, independent of the solver that found the
+configuration. A `Stand` also provides quantities for simulations: servo commands, support region
+and lift-off directions.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Posed(Protocol):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Stand(Pictured, Tabular):
-    """Stand of a task, or the best failure of a search (``solved``).
+    """Stand of a task, or the best failure of a search if ``solved`` is False.
 
     The errors are computed with Pinocchio from ``qpos``. A stand without feet is, for example, a
     posture of a robot with a fixed base (``held_stand``).
@@ -75,17 +75,18 @@ class Stand(Pictured, Tabular):
         stance_feet: Contact points that carry load; a sole has several.
         normals: {stance point: unit normal out of the ground, shape (3,)}.
         contact_points: {stance point: position of the contact, shape (3,) (m)}.
-        foot_error: Largest distance of a contact point from the target (m or rad). If larger: the
-            opening of a closed loop or joint coupling, the violation of a joint limit with margin,
-            or another violation without an error of its own (m, rad).
+        foot_error: Largest of several errors (m or rad): distances of the contact points from the
+            targets, openings of closed loops and joint couplings, violations of joint limits with
+            margin, and violations for which this class has no other attribute.
         orientation_error: Angle between the base's orientation and the task's (rad).
         height_error: Error of the height of the base frame (m).
-        com_error: Horizontal error of the CoM (m); of the base frame if the task has an offset, or
-            if the robot is an arm and ``com`` is no point; else zero if the CoM is free.
-        com_margin: Distance of the projected CoM from the edge of the support polygon (m); negative
-            outside; infinite for a welded robot and a posture.
-        ground_clearance: Height of the lowest part above the ground, without feet, by MuJoCo's
-            collision shapes with convex hulls of meshes; None without such parts or without ground.
+        com_error: Horizontal error of the CoM (m). If the task has an offset, or the robot is an
+            arm and ``com`` is no point, the horizontal error of the base frame (m). Zero if the CoM
+            is free.
+        com_margin: Distance of the projected CoM from the edge of the support polygon (m), negative
+            outside. Infinite for a welded robot and for a posture.
+        ground_clearance: Height of the lowest part except the feet above the ground, for MuJoCo's
+            collision shapes with convex hulls of meshes. None without such parts or without ground.
         self_clearance: Smallest distance between links that are not neighbours; None if the task
             requires none.
         iterations: Number of solved or attempted quadratic programs.
@@ -207,13 +208,13 @@ class Stand(Pictured, Tabular):
 
         {contact point: target of the sphere centre, shape (3,) [m], in the world frame}. If feet
         have separate planes, the ``foot_targets`` are moved out of the ground by the penetration
-        (`remove_penetration`). Otherwise these are the ``foot_targets``: only their horizontal
-        positions place a level step under a foot, and penetration is vertical.
+        (`remove_penetration`). Otherwise these are the ``foot_targets``. Only horizontal positions
+        are needed to place a level step under a foot, and penetration does not change them.
         """
         return remove_penetration(self.task.ground, self.foot_targets, self.depths, self.normals)
 
     def for_task(self, task: StandTask) -> Stand:
-        """Return a copy of this stand with another task, which it must satisfy (not checked).
+        """Return a copy of this stand with another task. It must satisfy the task (not checked).
 
         The ground remains that of this stand, since it includes the planes of the contacts.
         """
@@ -251,7 +252,7 @@ class Stand(Pictured, Tabular):
     def com_shortfall(self) -> float:
         """Required minus actual CoM margin [m], at least 0.
 
-        0 for a task with an ``offset`` of the base and without a required margin: the position of
+        0 if the task has an ``offset`` of the base and no required margin, since the position of
         the CoM is then a result.
         """
         if self.task.offset is not None and self.task.com_margin == 0.0:
@@ -345,8 +346,8 @@ class Stand(Pictured, Tabular):
     def ctrl(self) -> Array:
         """Servo commands of ``robot.mj_model`` that hold the stand, shape (mj_model.nu,).
 
-        Feed-forward of the joint torques: gear (q* + tau / kp) for a position servo at a joint.
-        Actuators elsewhere, for example on tendons, are commanded not to exert a force
+        The command of a position servo at a joint contains the joint torque as feed-forward: gear
+        (q* + tau / kp). Other actuators, for example on tendons, are commanded not to exert a force
         (`Servos.command`). MuJoCo clips commands to ``ctrlrange``.
 
         Raises:
@@ -440,10 +441,10 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
 def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
     """Return True if height and orientation of the base put the base link into the ground.
 
-    A stand of the goal does not exist then: a collision shape of the base link, or of a link that
-    is fixed to the base, has less than the required clearance above the plane z = 0. False on a
-    slope, and for robots with a weld or grip, which are not tested. Steps and separate planes of
-    feet are not tested either.
+    If True, no stand of the goal exists. A collision shape of the base link, or of a link that is
+    fixed to the base, then has less than the required clearance above the plane z = 0. Slopes, and
+    robots with a weld or grip, are not tested: the result is False. Steps and separate planes of
+    feet are ignored.
     """
     if goal.task.ground.slope or shapes.robot.fixed_parts:
         return False

@@ -30,9 +30,10 @@ from pupper_analysis.stance.judge import Stand, attach_robot
 from pupper_analysis.stance.task import StandTask
 
 _MAX_CLOSING_DISPLACEMENT = 1e-3
-"""Largest displacement [rad, m] by which a joint position that the user gave may be changed to
-close a loop: rounding of typed positions. Also the displacement above which the error of a joint
-beyond its range names the loops. Chosen, not tuned."""
+"""Largest displacement [rad, m] of a joint position that the user gave, to close a loop. The
+displacement corrects the rounding of typed positions. Also used in the error of a joint beyond its
+range: if loops moved the joint by more than this value, the error names the loops. Chosen, not
+tuned."""
 
 LIMIT_TOLERANCE = 1e-6
 """Distance beyond a joint limit [rad, m] that `steady_state` accepts as rounding. Chosen, not
@@ -82,16 +83,17 @@ def find_posture(
 ) -> Posture:
     """Complete given joint positions to a posture of all joints of a robot with a fixed base.
 
-    Other joints are taken from a keyframe, or are in the middle of the ranges (with an infinite
-    limit: zero, or the limit that is nearest to zero). Coupled joints are changed to close loops.
+    The positions of other joints are taken from a keyframe. Without a keyframe, other joints are in
+    the middle of their ranges. With an infinite limit, the position is zero, or the limit that is
+    nearest to zero. Coupled joints are changed to close loops.
 
     Args:
         robot: Robot with a fixed base.
-        joints: {joint, or a pattern such as ``*elbow*``: position [rad, m]}; if several patterns
+        joints: {joint, or a pattern such as ``*elbow*``: position [rad, m]}. If several patterns
             match a joint, the last counts.
         keyframe: Keyframe of the MJCF for other joints. Default: ``home``, or the first keyframe if
-            there is no ``home``; no keyframe if its positions are outside of the joint ranges by
-            more than rounding.
+            there is no ``home``. If the positions of this default keyframe are outside of the joint
+            ranges by more than rounding, no keyframe is used.
 
     Raises:
         ConfigurationError: If the base is free, a position is out of range, or closed loops and
@@ -119,8 +121,8 @@ def find_posture(
 def _close_loops(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
     """Return joint positions (nu,) near ``qpos`` (nu,) with closed loops and couplings.
 
-    The joints with the indices ``placed`` do not move, or move by `_MAX_CLOSING_DISPLACEMENT` at
-    most if the loops cannot be closed otherwise.
+    The joints with the indices ``placed`` do not move. Only if the loops cannot be closed
+    otherwise, they move by at most `_MAX_CLOSING_DISPLACEMENT`.
 
     Raises:
         ConfigurationError: If the loops cannot be closed.

@@ -1,11 +1,11 @@
 """Find the tasks and joint limits that keep a task of a posture from its target.
 
-Input is the configuration with the smallest residuals that was found; output is a
-`PostureConflict`. If this configuration is a minimum of the weighted squared residuals, each step
-that reduces the residual of the task increases residuals of other tasks, moves joints beyond their
-limits, or has no first-order effect. The gradients of the weighted squared residuals, by central
-finite differences, show which tasks and limits (Karush-Kuhn-Tucker conditions of the least-squares
-problem of `stance.whole_body`).
+The input is the configuration with the smallest residuals that a solver found. The output is a
+`PostureConflict`. Let this configuration be a minimum of the weighted squared residuals. A step
+that reduces the residual of the task then increases residuals of other tasks, or moves joints
+beyond their limits, or no step has a first-order effect. The gradients of the weighted squared
+residuals, by central finite differences, show which tasks and limits oppose the task. This follows
+from the Karush-Kuhn-Tucker conditions of the least-squares problem of `stance.whole_body`.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ _AT_LIMIT = 1e-6
 not tuned."""
 
 _MIN_SHARE = 0.01
-"""Share of the gradient of the failed task, by base or by joints, above which an opposing task or
-limit is reported. Chosen, not tuned: smaller shares are those of rounding, and of tasks that are
-nearly satisfied."""
+"""Bound of the share of an opposing task or limit in the gradient of the failed task (see
+`find_conflict`). A task or limit with a larger share is reported. Chosen, not tuned: rounding, and
+tasks that are nearly satisfied, have smaller shares."""
 
 _MIN_RATE = 1e-3
-"""Upper bound of the derivative of the residual by a step of norm 1 (m and rad mixed) in a posture
-without motion towards the target, for example a stretched limb. Motions of the base, or of the
-joints, with a smaller derivative are not compared between tasks. Chosen, not tuned: the levers of
+"""Norm of the derivative of the failed residual by base or joint displacements (m and rad mixed),
+below which these displacements count as without effect. This occurs for example for a stretched
+limb. Displacements without effect are not compared between tasks. Chosen, not tuned: the levers of
 joints exceed 1 cm."""
 
 
@@ -46,8 +46,8 @@ class PostureConflict(NamedTuple):
         tasks: Indices of the tasks whose residuals increase if the residual of the failed task
             decreases; empty if ``out_of_reach``.
         at_limit: {joint: limit [rad, m]} of all joints at a limit.
-        blocking: {joint: limit [rad, m]} of the joints at a limit that would have to move beyond
-            this limit; empty if ``out_of_reach``.
+        blocking: {joint: limit [rad, m]} of the joints that would have to move beyond their limit;
+            empty if ``out_of_reach``.
         out_of_reach: Whether no motion of joints or base reduces the residual to first order, even
             without the other tasks and the limits: for example a stretched limb.
     """
@@ -69,12 +69,13 @@ def find_conflict(
     """Find the tasks and limits that keep a task from its target in a configuration.
 
     The gradient of task i is g_i = w_i r_i dr_i/dv, with weight w_i, residual r_i and displacement
-    v. A task opposes the failed task f if -g_i g_f > `_MIN_SHARE` |g_f|^2 for the displacements of
-    the base, or for those of the joints, unless |dr_f/dv| is below `_MIN_RATE` for these
-    displacements. Base and joints are separate, because the base has longer levers. A limit of a
-    joint opposes the task if the joint is at the limit, and the element of -dr_f/dv beyond the
-    limit exceeds `_MIN_SHARE` |dr_f/dv|. If |dr_f/dv| is below `_MIN_RATE`, nothing opposes the
-    task (``out_of_reach``).
+    v. A task i opposes the failed task f if -g_i g_f > `_MIN_SHARE` |g_f|^2. This is tested
+    separately for the displacements of the base and of the joints, because the base has longer
+    levers. If |dr_f/dv| is below `_MIN_RATE` for these displacements, the test is omitted. The
+    limit of a joint opposes the task f under two conditions. The joint is at the limit. And the
+    descent direction -dr_f/dv of the joint points beyond the limit, with a magnitude above
+    `_MIN_SHARE` |dr_f/dv|. If |dr_f/dv| is below `_MIN_RATE`, nothing opposes the task
+    (``out_of_reach``).
 
     Args:
         robot: Robot.

@@ -95,8 +95,8 @@ def keep_contacts(robot: Robot, stand: Stand) -> tuple[KeptContact, ...]:
 def make_posture_stand(robot: Robot, stand: Stand, qpos: Array, iterations: int) -> Stand:
     """Create the `Stand` of a posture that keeps the contacts of another stand.
 
-    The task of the result requires the base orientation, height and CoM of the posture, the
-    positions of joints that move no foot, and the positions of lifted feet (`_place_lifted_feet`).
+    The task of the result requires the base orientation, height and CoM of the posture. It also
+    requires the positions of joints that move no foot, and of lifted feet (`_place_lifted_feet`).
     The joint positions of the posture are its ``ik_seed``. The ground, the contacts, the positions
     of the other feet, margins and clearances are those of the given stand. For an arm, which has
     hands only, the task requires the position of the base instead of the CoM.
@@ -150,7 +150,7 @@ def _require_base(robot: Robot, stand: Stand, at: Configuration) -> StandTask:
 
 
 def _list_lifted_points(robot: Robot, stand: Stand) -> tuple[str, ...]:
-    """Return the contact points that neither carry load nor are welded or grip in a stand."""
+    """Return the contact points of a stand that carry no load, are not welded and do not grip."""
     fixed = {point for name in robot.fixed_parts for point in robot.feet.get(name, ())}
     return tuple(
         point
@@ -162,9 +162,9 @@ def _list_lifted_points(robot: Robot, stand: Stand) -> tuple[str, ...]:
 def _place_lifted_feet(robot: Robot, stand: Stand, task: StandTask, at: Configuration) -> StandTask:
     """Return a task in which lifted feet have the positions and heights of a configuration.
 
-    The lifted feet are those of ``stand``; the configuration is ``at``. A lifted hand, and a
-    lifted foot whose contact states a place, keep their horizontal positions in the task; their
-    heights are those of ``at``.
+    The lifted feet are those of ``stand``; the configuration is ``at``. A lifted hand, and a lifted
+    foot whose contact states a place, keep their horizontal positions in the task. Only their
+    heights are taken from ``at``.
 
     Raises:
         ConfigurationError: If a lifted foot is not above its ground.

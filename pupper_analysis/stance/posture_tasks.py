@@ -27,9 +27,9 @@ Chosen: more than the rounding of matrices with seven digits."""
 
 
 CLEARANCE_WEIGHT = 1e2
-"""Weight of the squared violation of the self clearance, relative to other tasks: in a conflict,
-other tasks miss their targets. Measured on Pupper v3: with 1e4, PlaCo's programs are so badly
-conditioned that 18 iterations become 180."""
+"""Weight of the squared violation of the self clearance, relative to other tasks. In a conflict,
+the clearance is kept and other tasks miss their targets. Measured on Pupper v3: with 1e4, PlaCo's
+quadratic programs are so badly conditioned that 180 iterations are needed instead of 18."""
 
 
 class WholeBody(Protocol):
@@ -53,8 +53,8 @@ class WholeBody(Protocol):
     def linearise_self_clearances(self) -> tuple[Array, Array]:
         """Return the derivatives of `self_clearances` by the configuration, and the configuration.
 
-        The configuration q is that of PlaCo's robot, shape (nq,), always with a free base. The
-        derivatives of n distances have the shape (n, nq); those by the pose of the base are zero.
+        The configuration is that of PlaCo's robot, always with a free base. Derivatives by the pose
+        of the base are zero.
 
         Returns:
             Derivatives, shape (n, nq); configuration, shape (nq,).
@@ -82,8 +82,8 @@ class PostureTask(ABC):
 
     Attributes:
         unit: Unit of the residual.
-        required: Whether the residual must vanish, up to a tolerance. Otherwise the task selects
-            among the postures that satisfy the required tasks.
+        required: Whether the residual must be zero, up to a tolerance. A task that is not required
+            selects one of the postures that satisfy the required tasks.
     """
 
     unit: ClassVar[str]
@@ -182,7 +182,7 @@ class RelativePositionTask(PostureTask):
     """Position of the origin of a link in the frame of another link.
 
     Attributes:
-        frame: Name of the other link, whose axes are used.
+        frame: Name of the reference link, in whose axes ``position`` is expressed.
         target: Name of the link whose position is required.
         position: Required position (x, y, z) [m] in the axes of ``frame``.
     """
@@ -265,9 +265,9 @@ class AxisAlignTask(PostureTask):
     Attributes:
         frame: Name of the link.
         axis: Axis (3,) in the axes of the link, for example the optical axis of a camera.
-        direction: Required direction (3,) in world axes; None with ``point``.
-        point: Point (3,) [m] in the world at which the axis points from the origin of the link;
-            None with ``direction``.
+        direction: Required direction (3,) in world axes; None if ``point`` is given.
+        point: Point (3,) [m] in the world. The axis must point from the origin of the link to this
+            point; None if ``direction`` is given.
     """
 
     frame: str
@@ -333,8 +333,8 @@ class JointsTask(PostureTask):
 
     Attributes:
         positions: {joint: target [rad, m]}.
-        required: False for preferred positions, which select among the postures that satisfy the
-            required tasks: a posture with small squared distances.
+        required: False for preferred positions. These select, among the postures that satisfy the
+            required tasks, a posture with small squared distances.
     """
 
     positions: Mapping[str, float]
@@ -385,9 +385,9 @@ class SelfClearanceTask(PostureTask):
         return self._shortfall(body.self_clearances())
 
     def _shortfall(self, distances: Array) -> float:
-        """Return how much the smallest of ascending distances is below ``distance`` [m].
+        """Return the required ``distance`` minus the smallest distance of a sorted array [m].
 
-        0 if it is not below, or if there are no distances.
+        0 if the smallest distance is sufficient, or if there are no distances.
         """
         return max(0.0, self.distance - float(distances[0])) if len(distances) else 0.0
 
@@ -413,7 +413,7 @@ class SelfClearanceTask(PostureTask):
 
 
 class _MeasuredClearance:
-    """Interface of a PlaCo task for the residual of a constraint."""
+    """Stand-in for a PlaCo task, with the residual of a constraint as its error."""
 
     residual = 0.0
 

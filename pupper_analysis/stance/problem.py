@@ -1,8 +1,8 @@
 """Numerical goal of a stand task: targets of the feet, base pose, CoM position and joint limits.
 
-`make_goal` combines a robot and a `StandTask` into a `Goal`. It places the contact points on the
-ground, determines the support region, and rejects tasks that no stand can satisfy, for example a
-CoM outside the support region. Positions are in the world frame.
+`make_goal` combines a robot and a `StandTask` into a `Goal`. The function places the contact points
+on the ground and determines the support region. It rejects tasks that no stand can satisfy, for
+example a CoM outside the support region. Positions are in the world frame.
 """
 
 from __future__ import annotations
@@ -32,14 +32,15 @@ from pupper_analysis.statics.contacts import list_grips, prescribed_forces
 from pupper_analysis.statics.support_polygon import Corner, margin_of_position, support_corners
 
 _MIN_SUPPORT_WIDTH = 1e-3
-"""Width of the support region [m], below which the contacts count as collinear and the task is
+"""Width of the support region [m], below which the contacts count as collinear. The task is then
 rejected, because the stand would tip. The width is the smaller singular value of the corners minus
 their mean. Chosen, not tuned."""
 
 
 _FIXED_COORDINATES = {1: 3, 2: 5}
-"""{number of contact points of a foot: coordinates that these points fix}; three or more fix all 6.
-A line of two points may rotate about itself."""
+"""{number of contact points of a foot: number of coordinates of the foot that these points fix}.
+Three or more points fix all 6. With two points, the foot may rotate about the line through the
+points."""
 
 
 _NUM_RANDOM_POSES = 3
@@ -47,22 +48,22 @@ _NUM_RANDOM_POSES = 3
 configuration may be singular. Chosen, not tuned."""
 
 _MIN_COM_RATE = 1e-6
-"""Smallest horizontal CoM displacement [m] per unit displacement of base and joints (norm; rad and
-m mixed), with planted feet, above which the robot can move the CoM in a direction. Chosen, not
-tuned."""
+"""Smallest horizontal CoM displacement [m] per unit displacement of base and joints (norm, rad and
+m mixed), with planted feet. The robot can move the CoM in a direction if the displacement is
+larger. Chosen, not tuned."""
 
 _MIN_COM_RATE_RATIO = 1e-3
-"""CoM displacement per unit displacement (`_MIN_COM_RATE`) in a horizontal direction, relative to
-that in the direction with the largest value, above which the robot can move the CoM in this
-direction. Feet, base height and base orientation are fixed. Soles that are a microradian off level
-cause smaller values. Chosen, not tuned."""
+"""Second criterion for a horizontal direction in which the robot can move the CoM, besides
+`_MIN_COM_RATE`. The CoM displacement per unit displacement, relative to the direction with the
+largest displacement, must exceed this ratio. Feet, base height and base orientation are fixed.
+Soles that are a microradian off level cause smaller ratios. Chosen, not tuned."""
 
 
 def has_redundant_joints(robot: Robot) -> bool:
     """Return True if joints remain free when the base and all feet keep their poses.
 
-    This is a count: nv is larger than the number of fixed coordinates, 6 of the base plus the
-    number in `_FIXED_COORDINATES` for the contact points of each foot.
+    Only coordinates are counted: nv must exceed the number of fixed coordinates. These are 6 of the
+    base, plus the number in `_FIXED_COORDINATES` for the contact points of each foot.
     """
     fixed = sum(_FIXED_COORDINATES.get(len(points), 6) for points in robot.feet.values())
     return 6 + fixed < robot.nv
@@ -72,9 +73,9 @@ def can_move_com(robot: Robot) -> bool:
     """Return True if the legs can move the CoM in x and y with planted feet.
 
     The base keeps height and orientation. Legs with three joints suffice. Legs with two joints in
-    one plane cannot move the CoM sideways. Joints that move no foot (neck, arms) do not count: the
-    0.5 mm by which a turned head shifts the CoM do not centre it. Also True for a robot without
-    contact points.
+    one plane cannot move the CoM sideways. Joints that move no foot (neck, arms) do not count,
+    since they cannot centre the CoM: a turned head shifts the CoM by 0.5 mm. Also True for a robot
+    without contact points.
     """
     return robot.compute_once(_compute_com_mobility)
 
@@ -140,27 +141,27 @@ class Support:
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """Numerical goal of a stand task for one robot. Goals may share arrays: do not change them.
+    """Numerical goal of a stand task for one robot. Do not change its arrays: goals share arrays.
 
     Attributes:
         task: Task, with height and CoM filled in.
         targets: {contact point: target of the sphere centre, shape (3,) [m]}.
         depths: {stance foot: penetration of the ground at the target [m]}.
-        stance_feet: Contact points that carry load, the keys of ``depths``, ``contact_by_foot`` and
-            ``normals``.
+        stance_feet: Contact points that carry load. They are the keys of ``depths``,
+            ``contact_by_foot`` and ``normals``.
         contacts: Positions of the contacts of the n stance feet, shape (n, 3) [m].
         contact_by_foot: {stance foot: position of the contact, shape (3,) [m]}.
         normals: {stance foot: unit normal out of the ground, shape (3,)}.
         support: Support region.
-        centre: Mean of the contacts, shape (3,) [m]. Hands and feet on steep planes are left out of
-            the mean, and feet with separate planes are left out of the height of the mean, unless
-            no contact remains. `feet_centre` describes welded and lifted feet.
+        centre: Mean of the contacts, shape (3,) [m]. Hands, and feet on steep planes, are left out
+            of the mean. Feet with separate planes are left out of the height of the mean. If no
+            contact would remain, none is left out. `feet_centre` describes welded and lifted feet.
         height: Height of the base frame [m].
         base_quaternion: Orientation of the base (w, x, y, z).
         place: Horizontal target of the CoM, or of the base if ``by_base``, shape (2,) [m].
         by_base: Whether ``place`` is the target of the base.
-        lower: Lower joint limits plus margin, shape (nu,) [rad, m]. For joints in a posture, lower
-            and upper limits are equal.
+        lower: Lower joint limits plus margin, shape (nu,) [rad, m]. For a joint in the task's
+            posture, both limits are the position in the posture.
         upper: Upper joint limits minus margin, shape (nu,) [rad, m].
         give: Opening of closed loops by static deflection, one value per equation [m, rad]; None if
             loops are closed exactly.
@@ -192,15 +193,15 @@ class Goal:
     def rigid_targets(self) -> Mapping[str, Array]:
         """Targets of the contact points as on rigid ground, to place steps and planes below feet.
 
-        {contact point: target of the sphere centre, shape (3,) [m], in the world frame}. These are
-        the ``targets``; if a foot has a separate plane, without the penetration of all stance feet
-        (`remove_penetration`).
+        {contact point: target of the sphere centre, shape (3,) [m], in the world frame}. Without
+        separate planes of feet, these are the ``targets``. If a foot has a separate plane, the
+        penetration of all stance feet is removed from the targets (`remove_penetration`).
         """
         return remove_penetration(self.task.ground, self.targets, self.depths, self.normals)
 
     @property
     def com_is_free(self) -> bool:
-        """Whether the task permits any CoM position inside the support region, with the margin."""
+        """Whether the task permits each CoM position with the margin in the support region."""
         return self.task.com == "inside" and not self.by_base
 
 
@@ -220,10 +221,11 @@ def make_goal(
         depths: {contact point that carries load: penetration of the ground [m]}; 0 for points that
             are not included.
         like: Goal of the same robot with the same depths. Foot targets and joint limits of this
-            goal are reused if the task requires equal values. Default: the goal of the nominal
-            stand, if ``depths`` is empty and the robot's joint limits have not changed.
-        checked: Reject tasks that no stand can satisfy, for example with a CoM outside the support
-            region.
+            goal are reused if the task requires equal values, which saves time. Default: the goal
+            of the nominal stand, if ``depths`` is empty and the robot's joint limits have not
+            changed.
+        checked: If True, reject tasks that no stand can satisfy, for example with a CoM outside the
+            support region.
 
     Raises:
         ConfigurationError: If the base is fixed, the robot has no feet, the task is rejected, or
@@ -363,11 +365,11 @@ def feet_centre(
 ) -> Array:
     """Compute the mean position of the contacts of the stance feet, shape (3,) [m], world frame.
 
-    Hands and feet on steep planes are left out, and feet with separate planes are left out of the
-    height, unless no contact remains (`Goal.centre`). Welded and gripping feet count as contacts.
-    If all feet are lifted, the result is the horizontal mean of all targets, at z = 0. For a robot
-    with a weld or grip and without feet other than hands (an arm), the result is the point at z = 0
-    below the base in the home pose.
+    Hands, and feet on steep planes, are left out. Feet with separate planes are left out of the
+    height. If no contact would remain, none is left out. Welded and gripping feet count as
+    contacts. If all feet are lifted, the result is the horizontal mean of all targets, at z = 0.
+    For an arm (a robot with a weld or grip, and without feet other than hands), the result is the
+    point at z = 0 below the base in the home pose.
 
     Args:
         robot: Robot.
@@ -399,8 +401,8 @@ def feet_centre(
 def _compute_joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tuple[Array, Array]:
     """Return the lower and upper joint limits of a task, shape (nu,) each [rad, m].
 
-    The limits of the robot are narrowed by the task's joint margin. Both limits of a joint in the
-    task's posture are its position.
+    The limits of the robot are narrowed by the task's joint margin. If a joint is in the task's
+    posture, both limits are its position in the posture.
 
     Raises:
         ConfigurationError: If a joint of the posture carries a foot, a position is not valid, or
@@ -425,8 +427,8 @@ def _compute_joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tu
 
 
 _PROPOSED_INSET = 1e-4
-"""Distance [m] from the edge of the support region, beyond the required margin, of the CoM position
-that an error message proposes. Chosen, not tuned."""
+"""Extra distance [m] of a proposed CoM position from the edge of the support region, in addition to
+the required margin. An error message proposes this position. Chosen, not tuned."""
 
 
 def _check_com_place(task: StandTask, place: Array, corners: tuple[Corner, ...]) -> None:
@@ -473,7 +475,7 @@ def _fill_task(robot: Robot, task: StandTask, com: str) -> StandTask:
 
 
 def _have_equal_limits(one: StandTask, other: StandTask) -> bool:
-    """Return True if two tasks require equal joint limits. The order of patterns counts."""
+    """Return True if two tasks have equal joint margins, and equal postures in equal order."""
     postures = [*one.posture.items()] == [*other.posture.items()]
     return one.joint_margin == other.joint_margin and postures
 
@@ -557,8 +559,9 @@ than 60 deg from horizontal) is left out of the centre of the feet, and such a p
 a wall in the error of an unreachable stand. Chosen, not tuned."""
 
 _COLLINEAR_TOLERANCE = 1e-9
-"""Extent of a sole's contact points perpendicular to the fitted line (second singular value of the
-centred points) [m], below which the points count as collinear. Chosen, not tuned."""
+"""Extent [m] of a sole's contact points perpendicular to their fitted line, below which the points
+count as collinear. The extent is the second singular value of the centred points. Chosen, not
+tuned."""
 
 
 def nominal_point_positions(robot: Robot) -> dict[str, Array]:
@@ -614,8 +617,8 @@ def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
 
     Targets are in the world frame. A sole is flat on the plane or slope, rotated from the default
     orientation by the shortest rotation. A welded hand is at the requested position. A swing foot
-    is translated by the swing height: along the normal if the foot has a separate plane, otherwise
-    upward.
+    is translated by the swing height. The direction is the normal of the foot's separate plane, or
+    else upward.
     """
     nominal, ground = nominal_point_positions(robot), task.ground
     targets: dict[str, Array] = {}
@@ -644,9 +647,9 @@ def compute_foot_targets(robot: Robot, task: StandTask) -> dict[str, Array]:
 def _place_on_plane(robot: Robot, task: StandTask, foot: str, place: Array) -> dict[str, Array]:
     """Compute the sphere centres of a foot or hand on a separate plane, shape (3,) each [m].
 
-    The contact, of a sole the mean of the contacts, is the point of the plane nearest to the
-    requested position. A swing foot is translated from there by the swing height, along the normal
-    of the plane.
+    The contact (for a sole, the mean of the contacts) is the point of the plane that is nearest to
+    the requested position. A swing foot is translated from there by the swing height, along the
+    normal of the plane.
     """
     points = robot.feet[foot]
     on = task.ground.planes[foot].project(_requested_position(robot, task, foot, place))
@@ -668,8 +671,8 @@ def _requested_position(robot: Robot, task: StandTask, foot: str, place: Array) 
         robot: Robot.
         task: Task.
         foot: Foot or hand.
-        place: Horizontal position of the foot, shape (2,) [m]. For a hand, or a contact with a
-            ``place`` of its own, only the offset from the nominal position counts.
+        place: Horizontal position of the foot, shape (2,) [m]. For a hand, or a contact that states
+            a ``place``, only the difference from the nominal position counts.
     """
     if task.contacts[foot].place is not None or foot in robot.hands:
         near = np.array(task.contacts[foot].place or default_contact_position(robot, foot).tolist())

@@ -38,34 +38,34 @@ from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.task import StandTask
 
 _DEAD_POINT_RATIO = 1e-2
-"""Ratio of a foot's mobility (singular value of the foot Jacobian) with closed loops to that
-without the loops [1], below which a dead point of the loops is reported. 1 mrad from a dead point
-the ratio is about 1e-3. A singular value without the loops counts only if it exceeds this fraction
-of the largest. Chosen, not tuned."""
+"""Ratio [1] of a foot's mobility with closed loops to its mobility without the loops, below which a
+dead point of the loops is reported. Mobility is a singular value of the foot Jacobian. At 1 mrad
+from a dead point the ratio is about 1e-3. A singular value without the loops is tested only if it
+exceeds this fraction of the largest one. Chosen, not tuned."""
 
 _MIN_FOOT_ERROR = 1e-6
-"""Foot error [m] below which a foot is not reported as out of reach, if the closed loops are at a
-dead point: the error is then due to the tolerance of the search. Chosen, not tuned."""
+"""Foot error [m] up to which the search tolerance explains the error of a foot. If the closed loops
+are at a dead point, such a foot is not reported as out of reach. Chosen, not tuned."""
 
 _EXTRA_RELAXATIONS = (0.0, 1e-3, 4e-3, 1.6e-2, 6.4e-2)
 """Fractions by which the relaxation of an unreachable task is increased, in this order, until the
-relaxed task with rounded values has a stand. Without an increase, a search that does not start near
-the stand may fail at the limit of reach. Chosen, not tuned."""
+relaxed task with rounded values has a stand. Without an increase, the relaxed task is at the limit
+of reach, where a search from other initial guesses may fail. Chosen, not tuned."""
 
 _NONZERO_DEMANDS = ("swing", "com_margin")
-"""Relaxable requirements whose value must not become close to zero: a foot that is not lifted
-carries load, and without a margin a CoM with an offset may be outside the support polygon."""
+"""Relaxable requirements whose value must not become close to zero. A foot with a swing height of
+zero would carry load. With a CoM margin of zero, the CoM of a task with an offset may be outside
+the support polygon."""
 
 _NEGLIGIBLE_VALUE = 1e-3
 """Value of a requirement in `_NONZERO_DEMANDS`, relative to the base height of the nominal stand,
 below which the value counts as zero, and the relaxed task is rejected. Chosen, not tuned."""
 
 _REDUCTION_SHARES = (0.03, 0.01)
-"""Fractions by which `_relax_one` reduces the relaxation (change of the numbers) of a task, to test
-for a local minimum of the nonlinear program. If the task with less relaxation has a stand, the
-program starts again from this stand; otherwise the next fraction is tried. Chosen below the
-improvements measured on a slope of Pupper v3: the program left two local minima in turn, and the
-relaxation decreased by 6 % and by 1 %."""
+"""Fractions by which `_relax_one` reduces the relaxation of a task, to test for a local minimum of
+the nonlinear program. If the task with less relaxation has a stand, the program starts again from
+this stand. Otherwise the next fraction is tried. Chosen from a measurement with Pupper v3 on a
+slope: the program left two local minima, and the relaxation decreased by 6 % and by 1 %."""
 
 _MIN_RELAXATION = 1e-6
 """Relaxation [stand heights, rad] up to which a requirement counts as unchanged and is not
@@ -174,7 +174,8 @@ class _RelaxationSearch:
         """Return relaxations of a task that make it reachable, each with its stand.
 
         Each relaxation changes a single requirement. If no single requirement suffices, the result
-        is one relaxation of a small set of requirements; it is empty if no set is found.
+        is one relaxation of a small set of requirements. The result is empty if no such set is
+        found.
         """
         robot, task = self.context.robot, self.goal.task
         differing = [demand for demand in DEMANDS if differs_from_nominal(robot, task, [demand])]
@@ -188,10 +189,10 @@ class _RelaxationSearch:
     def _find_smallest(self, demands: Sequence[str], starts: Iterable[Array]) -> Relaxation | None:
         """Return the smallest relaxation of requirements (``demands``) with which a stand exists.
 
-        The nonlinear program starts from each initial configuration (nq,) in ``starts``, and from
-        the stand of the task with nominal values of these demands, if the default guesses find it.
-        If several demands must be relaxed, this stand gave the best result in 27 of 28 refusals.
-        None if no feasible relaxation is found.
+        The nonlinear program starts from each initial configuration (nq,) in ``starts``. It also
+        starts from the stand of the task with nominal values of these demands, if the default
+        guesses find this stand. Measured with several relaxed demands: this stand gave the best
+        result in 27 of 28 refusals. None if no feasible relaxation is found.
         """
         elastic = StanceProgram(self.context.shapes, self.goal, demands)
         basis = [elastic.solve(start) for start in starts]
@@ -278,9 +279,9 @@ class _RelaxationSearch:
     ) -> StandTask | None:
         """Return the relaxed task with rounded values; None if it becomes infeasible.
 
-        The fields ``demands`` are rounded one after another, the largest relaxation first; after
-        each, the relaxation of the remaining fields is computed again. Before rounding, the
-        distance of a value from the requested value is increased by the fraction ``share``.
+        The fields ``demands`` are rounded one after another, the largest relaxation first. After
+        each rounding, the relaxation of the remaining fields is computed again. Before rounding,
+        the distance of a value from the requested value is increased by the fraction ``share``.
         """
         robot, left = self.context.robot, [*demands]
         requested = task = self.goal.task

@@ -1,8 +1,8 @@
 """Stands on MuJoCo's soft ground: feet penetrate under load, base and CoM keep their positions.
 
-`solve_stand_on_soft_ground` extends the legs by the penetration depths [m]. Since depths and
-contact forces depend on each other, it iterates between both until the depths converge; a sole
-stays a rigid body (`_fit_soles`). Closed loops open under load in the same way
+`solve_stand_on_soft_ground` extends the legs by the penetration depths [m]. Depths and contact
+forces depend on each other. Therefore the function computes both in turn until the depths converge.
+A sole stays a rigid body (`_fit_soles`). MuJoCo's soft closed loops also open under load
 (`compute_loop_opening`). `solve_stand_as_simulated` returns the stand at which simulations of a
 task start: on soft ground, or else on rigid ground.
 """
@@ -40,8 +40,8 @@ from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 DEPTH_TOLERANCE = 1e-9
-"""Largest change of a penetration depth or loop opening [m, rad] in an iteration, below which the
-fixed-point iteration has converged. Chosen, not tuned."""
+"""Bound of the largest change of a penetration depth or loop opening [m, rad] in an iteration.
+Below this bound the fixed-point iteration has converged. Chosen, not tuned."""
 
 
 _MAX_ITERATIONS = 50
@@ -50,13 +50,13 @@ feet. Chosen, not tuned."""
 
 _MAX_STALLED_ITERATIONS = 8
 """Number of successive iterations without a new smallest change of the feet's penetration depths,
-after which the fixed-point iteration fails. Example: a sole that is loaded at its edge tilts ever
-further. Chosen, not tuned."""
+after which the fixed-point iteration fails. Example: a sole that is loaded at its edge tilts
+further in each iteration. Chosen, not tuned."""
 
 _MAX_PLAIN_RATIO = 0.5
-"""Ratio of two successive changes of the feet's penetration depths above which the steps of the
-fixed-point iteration are scaled by a relaxation factor. Chosen, not tuned: with this ratio, the
-plain iteration needs 20 rounds from 1 mm to `DEPTH_TOLERANCE`."""
+"""Ratio of two successive changes of the feet's penetration depths. If a ratio is larger, the steps
+of the fixed-point iteration are scaled by a relaxation factor. Chosen, not tuned: with this ratio,
+the iteration without relaxation needs 20 rounds from 1 mm to `DEPTH_TOLERANCE`."""
 
 _RELAXATION_RANGE = 0.05, 1.0
 """Lower and upper bound of the factor [1] on a step of the fixed-point iteration for the feet's
@@ -69,18 +69,19 @@ def solve_stand_on_soft_ground(
 ) -> Stand:
     """Solve a stand task on ground with MuJoCo's contact softness.
 
-    MuJoCo's ground yields under the load of a foot, by 4 mm for Pupper v3. A robot that is
-    commanded the joints of `solve_stand` sinks and, with unequal loads, tilts. Here the legs are
-    extended by the penetration of the feet, so that base and CoM are at the positions of the task.
-    The contact forces are those with minimum tangential components. Depths and forces depend on
-    each other; fixed-point iteration mostly converges in 1 to 3 rounds. If the change of the depths
-    is more than half of the change before, this step and later steps are relaxed. Measured: with
-    springs at the ankles, the load alternates between opposite edges of the soles.
+    MuJoCo's ground yields under the load of a foot, by 4 mm for Pupper v3. If a robot is commanded
+    to the joint positions of `solve_stand`, it sinks. With unequal loads it also tilts. This
+    function extends the legs by the penetration of the feet, so that base and CoM are at the
+    positions of the task. The contact forces are those with minimum tangential components. Depths
+    and forces depend on each other. The fixed-point iteration mostly converges in 1 to 3 rounds. If
+    the change of the depths is more than half of the previous change, this step and later steps are
+    relaxed. Relaxation is necessary for example for springs at the ankles: without it, the load
+    alternates between opposite edges of the soles.
 
     Args:
         robot: Robot with a floating base and a ground.
-        task: Stand task, or a stand that satisfies a task on rigid ground and is not solved again.
-            Default: the nominal stand, ``StandTask()``.
+        task: Stand task, or a stand that satisfies a task on rigid ground. Such a stand is not
+            solved again. Default: the nominal stand, ``StandTask()``.
         explain: If the stance is unreachable, compute the smallest foot error and the requirements
             to relax, for the error; takes about a second.
 
@@ -161,7 +162,7 @@ def _update_relaxation(relaxation: float, before: Array, residual: Array) -> flo
 
     Args:
         relaxation: Factor w of the last step.
-        before: Change of the penetration depths in the iteration before, shape (n,) [m].
+        before: Change of the penetration depths in the previous iteration, shape (n,) [m].
         residual: Change of the penetration depths in this iteration, shape (n,) [m].
     """
     difference = residual - before
@@ -175,10 +176,11 @@ def _update_relaxation(relaxation: float, before: Array, residual: Array) -> flo
 def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None) -> Stand:
     """Solve a stand task as simulations use it: on soft ground if possible, else on rigid ground.
 
-    The result is the stand of `solve_stand_on_soft_ground`. If this stance is out of reach, or the
-    penetration depths of a robot with soft closed loops do not converge, the result is the stand on
-    rigid ground, with ``depths`` of 0. A posture of a robot with a fixed base (`held_stand`) has no
-    ground: its joint couplings are deflected as under the static load in MuJoCo.
+    The result is the stand of `solve_stand_on_soft_ground`. In two cases, the result is the stand
+    on rigid ground, with ``depths`` of 0: the stance on soft ground is out of reach, or the
+    penetration depths of a robot with soft closed loops do not converge. A posture of a robot with
+    a fixed base (`held_stand`) has no ground: its joint couplings are deflected as under the static
+    load in MuJoCo.
 
     Args:
         robot: Robot with a floating base and a ground; for a posture, a robot with a fixed base.
@@ -228,15 +230,16 @@ def solve_loaded_stand(
     """Add a payload to a robot, and solve a stand of the loaded robot.
 
     `payload_limit`, its simulations and ``stand --payload`` use this stand. The task applies to the
-    loaded robot; with the default task the CoM is above the centre of the feet, so that the base
-    shifts.
+    loaded robot. In the default task, the CoM of the loaded robot is above the centre of the feet,
+    so that the base is shifted.
 
     Args:
         robot: Robot.
         stance: Stand task, or a stand whose task is used.
         mass: Payload mass [kg].
-        point: Position of the payload, shape (3,) [m] in the base frame; or in the frame of a link,
-            site, body or geom, as ``("right_hand", 0.0, 0.0, 0.05)``; or a ``Tool``.
+        point: Position of the payload, shape (3,) [m] in the base frame. A position in the frame of
+            a link, site, body or geom begins with its name: ``("right_hand", 0.0, 0.0, 0.05)``. A
+            ``Tool`` is also accepted.
 
     Returns:
         The loaded robot, and its stand from `solve_stand_as_simulated`: on soft ground if possible,
@@ -284,9 +287,9 @@ def compute_loop_opening(robot: Robot, stand: Stand, held: GravityCompensation) 
 def _fit_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[str, float]:
     """Return {contact point: penetration [m]} of the contact points of rigid soles.
 
-    ``depths`` are the penetrations {contact point: depth [m]} if each contact point moved on its
-    own. The contact points of a rigid sole instead stay in one plane; resultant force and moment
-    of their contact forces are the same. A corner may lift: its penetration is then negative.
+    ``depths`` are the penetrations {contact point: depth [m]} as if each contact point moved
+    independently. The contact points of a rigid sole stay in one plane, with the same resultant
+    force and moment of the contact forces. If a corner lifts, its penetration is negative.
     """
     sole_depths: dict[str, float] = {}
     for foot in robot.feet_with(depths):

@@ -1,9 +1,9 @@
 """Read the initial guess of a stand from a file: joint positions by name, or a configuration.
 
-Accepted are results of this package as JSON (for example `stand --json`, or ``to_json()`` of a
-stand or posture), a JSON object {joint: position}, the CSV table of `stand --csv`, and numbers
-alone, in JSON or CSV: a configuration ``qpos`` (nq,), or the joint positions (nu,) in actuator
-order. All positions are in rad, or m for a slide.
+Four contents are accepted: results of this package as JSON (for example `stand --json`, or
+``to_json()`` of a stand or posture); a JSON object {joint: position}; the CSV table of `stand
+--csv`; and a list of numbers in JSON or CSV. A list is a configuration ``qpos`` (nq,), or the joint
+positions (nu,) in actuator order. All positions are in rad, or m for a slide.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ def read_start(path: str | Path, robot: Robot) -> Array:
         Configuration, shape (nq,).
 
     Raises:
-        ConfigurationError: If the file cannot be read, contains no configuration, a number that is
-            not finite, several rows of numbers in a CSV, or a configuration without joint names
-            that has another length or belongs to another robot. Of several configurations in a
-            JSON file, the first is read.
-        UnknownNameError: If the robot has no joint of a name in the file.
+        ConfigurationError: If the file cannot be read, or contains no configuration, a number that
+            is not finite, or several rows of numbers in a CSV. Also if a configuration without
+            joint names has a wrong length or belongs to another robot. If a JSON file contains
+            several configurations, the first is read.
+        UnknownNameError: If the file contains a joint name that the robot lacks.
         OutputError: If the run will write this file.
     """
     path = Path(path)
@@ -86,7 +86,7 @@ _Positions = Mapping[str, float] | Sequence[float] | None
 
 
 def _read_table(text: str) -> Any:
-    """Return the content of a CSV: {joint: position} of a table of joints, or a list of numbers.
+    """Return the content of a CSV: a mapping {joint: position}, or a list of numbers.
 
     Cells that contain no number stay texts, which `_find_positions` rejects. None if the text is
     neither, for example if several rows of numbers follow each other.

@@ -32,11 +32,11 @@ Point = tuple[float, float]
 class StandTask:
     """Requirements of a stand.
 
-    The default is the nominal stand: level ground at z = 0, all feet on the ground, each foot at
-    its horizontal position for the robot's nominal joint positions with the base at the origin, and
-    the CoM above the centre of the feet, the mean of the stance contacts. Legs with two joints
-    cannot place feet sideways, so they cannot move the CoM to each place; the default of ``com`` is
-    then ``"inside"``.
+    The default is the nominal stand. All feet are on level ground at z = 0. Each foot is at its
+    horizontal position for the robot's nominal joint positions, with the base at the origin. The
+    CoM is above the centre of the feet, which is the mean of the stance contacts. Legs with two
+    joints cannot move the CoM to each place, since they cannot place feet sideways. The default of
+    ``com`` is then ``"inside"``.
 
     Attributes:
         height: Height of the base frame above the centre of the feet (m), positive without
@@ -45,17 +45,17 @@ class StandTask:
             Rx(roll).
         pitch: Rotation about y, left (rad); positive tilts the front down.
         yaw: Rotation about z, up (rad), relative to the feet.
-        offset: (x, y) of the base from the centre of the feet, in world axes (m). With an offset,
-            the position of the CoM is a result, and must have ``com_margin`` if that is not 0.
-            Without, ``com`` determines the position of the base.
+        offset: (x, y) of the base from the centre of the feet, in world axes (m). If an offset is
+            given, the position of the CoM is a result, which must keep a positive ``com_margin``.
+            Otherwise ``com`` determines the position of the base.
         feet: {foot: (x, y) in the world (m)}, instead of the nominal position.
         foot_offsets: {foot: (x, y) from the nominal position (m)}.
         swing: {foot without load: height of the sphere above the ground (m)}.
         ground: Plane and steps.
         contacts: {foot, link, site, body or geom: surface in contact instead of the ground
             (``Contact``), or fixation in the world (``Weld``)}. The ``base`` can be welded as well.
-            Hands, and feet on planes steeper than 60 deg, do not count for the centre of the feet;
-            feet on separate planes do not count for the height of the centre.
+            Hands, and feet on planes steeper than 60 deg, do not count for the centre of the feet.
+            Feet on separate planes do not count for the height of the centre.
         com: ``"centre"``, a point (x, y) in the world (m), or ``"inside"``: any place in the
             support polygon with ``com_margin``, above the centre if possible. Default: centre, or
             inside if the legs cannot move the CoM in two directions.
@@ -65,8 +65,8 @@ class StandTask:
         self_clearance: Smallest distance between links that are not neighbours (m); unchecked by
             default.
         posture: {joint that carries no foot, or a pattern such as ``*elbow*``: position (rad, m)}.
-            If several patterns match a joint, the last counts. A search starts with other joints of
-            this kind at ``ik_seed``, or else at ``home``.
+            If several patterns match a joint, the last counts. Other joints that carry no foot
+            start at ``ik_seed`` in a search, or else at ``home``.
         ik_seed: Initial guess of the joint positions, shape (nu,) (rad), which selects an IK branch
             of the legs. Default: the robot's ``home``.
     """
@@ -149,7 +149,7 @@ class StandTask:
     def replace_unchecked(self, **values: Any) -> StandTask:
         """Return a copy of this task with other attributes, without checking the values.
 
-        The checks would take a noticeable part of the time of a sequence of stands.
+        Checks would be a noticeable part of the solve time of a sequence of stands.
 
         Args:
             **values: {attribute: valid value}.
@@ -171,9 +171,9 @@ class StandTask:
 
         Args:
             values: {name of the field in ``stance/fields.toml``: value}; other fields are kept.
-            checked: Check the values. Numbers and points that are known to be valid, in the types
-                of this class, need no check. Values of the ground, contacts and posture are always
-                checked.
+            checked: If True, check the values. Numbers and points need no check if they are known
+                to be valid and have the types of this class. Values of the ground, contacts and
+                posture are always checked.
 
         Raises:
             ConfigurationError: If a value is invalid, or contradicts another value.

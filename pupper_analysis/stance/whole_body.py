@@ -3,9 +3,9 @@
 `solve_posture` finds joint positions, and the pose of a free base, for targets of links, CoM and
 joints (`stance.posture_tasks`) [m, rad]. Each iteration linearises all tasks and solves a quadratic
 program within the joint limits (Gauss-Newton). Feet that carry load keep their positions. The
-result contains the residual of each task by Pinocchio's kinematics of the URDF and by MuJoCo's of
-the MJCF. A posture on the contacts of a stand, or of a robot with a fixed base, contains a `Stand`
-for statics and simulations.
+result contains two residuals per task: one by Pinocchio's kinematics of the URDF, one by MuJoCo's
+kinematics of the MJCF. If the posture keeps the contacts of a stand, or the base is fixed, the
+result also contains a `Stand` for statics and simulations.
 """
 
 from __future__ import annotations
@@ -64,7 +64,8 @@ and without preferred tasks). Chosen, not tuned."""
 
 _MAX_FULL_STEPS = 30
 """Upper bound of the number of full Gauss-Newton steps before the trust-region iteration. Measured
-on four postures: 4 to 10; steps of `_MAX_STEP` cross the range of a joint in 20."""
+on four postures: 4 to 10 steps. With steps of `_MAX_STEP`, a joint crosses its range in about
+20."""
 
 _MAX_STEP = 0.3
 """Largest displacement of a joint in an iteration [rad, m]. Chosen, not tuned."""
@@ -74,13 +75,13 @@ _MAX_MEASURED_DISTANCE = 1e3
 """
 
 _CONTACT_WEIGHT = 1e4
-"""Weight of the squared residuals of contacts that a posture must keep, relative to required tasks:
-in a conflict, the tasks miss their targets. Chosen, not tuned."""
+"""Weight of the squared residuals of contacts that a posture must keep, relative to required tasks.
+In a conflict, the contacts are kept and the tasks miss their targets. Chosen, not tuned."""
 
 _PREFERENCE_WEIGHT = 1e-4
-"""Weight of the squared residuals of preferred joint positions, relative to required tasks. Chosen:
-small against required tasks, large against `_REGULARIZATION`. A second iteration without
-preferences removes the remaining residuals of required tasks."""
+"""Weight of the squared residuals of preferred joint positions, relative to required tasks. Chosen
+much smaller than the weight of required tasks, and much larger than `_REGULARIZATION`. A second
+iteration without preferences removes the remaining residuals of required tasks."""
 
 _NEAR_BASE_WEIGHT = 1e-2
 """Weight of the squared displacement of the base [m^2, rad^2] from the stand at which a posture
@@ -108,8 +109,8 @@ _NUM_RESTARTS = 8
 +-pi of the first guess. Chosen, not tuned."""
 
 _REGULARIZATION = 1e-9
-"""Weight of the squared step of the joints, relative to a task's weight of 1. Chosen small: it
-selects a step of redundant joints, and does not bias the solution."""
+"""Weight of the squared step of the joints, relative to a task's weight of 1. Chosen so small that
+the regularization selects a step of redundant joints, but does not bias the solution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +127,8 @@ class SolvedPosture(Pictured, Tabular):
         contacts: Contact points, and welded and gripping parts, that kept their positions.
         iterations: Number of solved or attempted quadratic programs.
         stand: Stand of the posture, for ``stand_statics``, ``verify_stand`` and other functions for
-            stands; None if the base is free and the start was no stand. Margins and clearances that
-            the posture violates are in ``stand.blocked``.
+            stands. None if the base is free and the start was not a stand. ``stand.blocked`` lists
+            the margins and clearances that the posture violates.
     """
 
     qpos: Array = field(metadata={"unit": "m, 1 (quaternion) and rad"})
@@ -168,9 +169,10 @@ def solve_posture(
 ) -> SolvedPosture:
     """Solve for a configuration that satisfies tasks within the joint limits.
 
-    PlaCo minimises the weighted squared residuals. The iteration starts at ``start``; after a
-    failure, at up to eight random postures. Links may collide without a ``SelfClearanceTask``. See
-    ``examples/first_look.ipynb`` for pictures of the result (``posture.show()``).
+    PlaCo minimises the weighted squared residuals. The iteration starts at ``start``. If it fails,
+    it starts again at up to eight random postures. Without a ``SelfClearanceTask``, links of the
+    result may collide. See ``examples/first_look.ipynb`` for pictures of the result
+    (``posture.show()``).
 
     If ``start`` is a stand, its feet, hands and welds stay in place, and base and joints stay
     near the stand if the tasks permit. ``posture.stand`` is then the stand of the posture:
@@ -180,12 +182,12 @@ def solve_posture(
     Args:
         robot: Robot without closed loops and couplings.
         tasks: Tasks, for example ``pa.stance.PositionTask("hand", (0.3, 0, 0.4))``.
-        start: Initial configuration (nq,), or a stand, whose contacts are kept and whose joint
-            margin applies; of a solved posture, the stand if it has one and the base is free, else
-            ``qpos``. Default: ``robot.home``.
-        contacts: Contact points that keep their positions of ``start``, for a free base. Default:
-            those of the stand, or ``robot.bearing_points``; with none, the base moves freely. A
-            robot with a fixed base has none.
+        start: Initial configuration (nq,), or a stand. The contacts of a stand are kept, and its
+            joint margin applies. A solved posture with a stand and a free base counts as this
+            stand. Of other solved postures, ``qpos`` is used. Default: ``robot.home``.
+        contacts: Contact points that keep their positions in ``start``, for a robot with a free
+            base. Default: the contact points of the stand, or ``robot.bearing_points``. If the list
+            is empty, the base moves freely. Must be None for a fixed base.
 
     Raises:
         PostureUnreachableError: If the residual of a required task exceeds `POSTURE_TOLERANCE`. The
@@ -299,7 +301,7 @@ class _Problem:
         requested: Tasks of the caller.
         kept: Contacts that the posture keeps.
         limits: Joint limits.
-        near: Weighted tasks that select among the postures that satisfy the other tasks.
+        near: Weighted tasks that select one of the postures that satisfy the other tasks.
     """
 
     def __init__(
@@ -445,7 +447,7 @@ class _PostureSolver:
         num_contacts: Number of kept contacts.
         collision: Collision shapes.
         limits: Joint limits.
-        near: Weighted tasks of the first stage, beside the preferred tasks among ``tasks``.
+        near: Weighted tasks of the first stage, in addition to the preferred tasks in ``tasks``.
 
     Attributes:
         iterations: Number of solved or attempted quadratic programs.
@@ -514,7 +516,8 @@ class _PostureSolver:
         """Move PlaCo's robot by full steps; return True if they converge without a larger error.
 
         The error is compared with the initial error only at the end. Contacts are nonlinear
-        constraints with a large weight, so that a trust region would follow a narrow valley.
+        constraints with a large weight. A trust-region iteration would therefore need many short
+        steps.
         """
         initial_error = self._evaluate(stage)
         stage.solver.dt = _MAX_STEP

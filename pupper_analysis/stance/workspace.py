@@ -1,8 +1,9 @@
 """Workspace of the base with planted feet: reachable intervals of height [m], angles [rad], x, y.
 
 `base_workspace` searches each coordinate separately from the stand of a task, outward in both
-directions. A step is halved if its stand is unreachable (bisection). Each step starts at the last
-stand; before an end is accepted, all initial guesses of `search_stand` are tried as well.
+directions. A step is halved if no stand is found after the step (bisection). The IK of each step
+starts at the last stand. Before an end of an interval is accepted, all initial guesses of
+`search_stand` are tried as well.
 """
 
 from __future__ import annotations
@@ -32,19 +33,22 @@ BISECTION_RTOL = 1e-3
 (`_FIRST_STEPS`). Chosen, not tuned."""
 
 _FULL_SEARCH_RATIO = 0.4
-"""Step of the outward search, relative to the first step, above which a failed IK from the last
-stand is followed by a full search from all initial guesses. With shorter steps the full search is
-used before an end is accepted, and after the search has crossed a gap. Chosen, not tuned."""
+"""Step length of the outward search, relative to the first step (`_FIRST_STEPS`). If IK from the
+last stand fails and the step is longer than this value, a full search from all initial guesses
+follows. If the step is shorter, it is halved without a full search. Full searches are also used
+before the end of an interval is accepted, and after the search has crossed a gap. Chosen, not
+tuned."""
 
 _RESTART_RATIO = 0.2
-"""Step of the search for the end of a reachable interval after the search has crossed a gap,
-relative to the first step (`_FIRST_STEPS`). A gap is a part of the interval in which IK from the
-last stand fails, and beyond which a full search finds a stand. Chosen, not tuned."""
+"""Step length after the outward search has crossed a gap, relative to the first step
+(`_FIRST_STEPS`). A gap is a part of the interval in which IK from the last stand fails, but beyond
+the gap a full search finds a stand. Chosen, not tuned."""
 
 _GAP_RATIO = 8e-3
-"""Distance from the last reachable value of the coordinate, relative to the first step of the
-search, at which one more stand is tried before the search ends: another IK branch may start there.
-Chosen larger than the gap of 1.3 mrad in the pitch of Pupper v3 (3.2 mrad are tried)."""
+"""Distance beyond the last reachable value of the coordinate, relative to the first step of the
+search. Before the search ends, one more stand is tried at this distance, since another IK branch
+may begin there. For pitch the distance is 3.2 mrad. Chosen larger than a gap of 1.3 mrad in the
+pitch of Pupper v3."""
 
 DIRECTIONS = ("height", "roll", "pitch", "yaw", "x", "y")
 """Base coordinates whose reachable intervals `base_workspace` determines."""
@@ -53,7 +57,7 @@ _FIRST_STEPS = {"height": 0.1, "roll": 0.4, "pitch": 0.4, "yaw": 0.4, "x": 0.05,
 """{base coordinate: first step of the outward search from the initial stand [m or rad]}. Chosen,
 not tuned."""
 _MAX_VALUES = {"roll": math.pi, "pitch": math.pi / 2, "yaw": math.pi}
-"""{angle: largest absolute value that is searched [rad]}: larger angles describe equal
+"""{angle: largest absolute value [rad] that is searched}. Larger angles describe the same
 rotations."""
 
 
@@ -72,15 +76,15 @@ class Interval(Result):
 
 @dataclass(frozen=True, eq=False)
 class BaseWorkspace(Result):
-    """Reachable intervals of the base, each direction alone, with planted feet.
+    """Reachable intervals of the base with planted feet, for each direction separately.
 
     Attributes:
         name: Name of the robot.
         start: Stand at which the search starts.
         intervals: {``height`` (m, of the base above the centre of the feet), ``roll``, ``pitch``,
             ``yaw`` (rad, absolute), ``x``, ``y`` (m, of the base from the centre of the feet)}.
-        limits: {direction: (limit at the lower end, limit at the upper end)}: for example joints at
-            their limits, or the reach of the legs.
+        limits: {direction: (reason for the lower end, reason for the upper end)}. Examples are
+            joints at their limits and the reach of the legs.
     """
 
     name: str
@@ -91,7 +95,7 @@ class BaseWorkspace(Result):
 
 @check_arguments
 def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
-    """Find the reachable interval of base heights [m]; all other requirements stay as in the task.
+    """Find the reachable interval of base heights [m], with all other requirements of the task.
 
     Feet stay planted. The CoM keeps the horizontal position that the task requires. If the task
     permits any position inside the support polygon, the CoM keeps its position in the task's stand,
@@ -116,9 +120,9 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
 def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace:
     """Find the reachable intervals of the base in height [m], roll, pitch, yaw [rad], x and y [m].
 
-    Each coordinate is varied alone, outward from its value in the task to the first value without
-    a stand. Gaps shorter than 0.8 % of the first search step are skipped, and longer gaps may be
-    missed between two steps. Feet stay planted.
+    Each coordinate is varied separately, outward from its value in the task to the first value
+    without a stand. A gap in the interval is skipped if it is shorter than 0.8 % of the first
+    search step. Longer gaps may be missed between two steps. Feet stay planted.
 
     The CoM keeps the horizontal position that the task requires. If the task permits any position
     inside the support polygon, the CoM keeps its position in the task's stand, or stays free if the
@@ -155,24 +159,26 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
 
 
 _LIMIT_DISTANCE = 0.01
-"""Distance of a joint from its limit [rad, m], less the joint margin, at the end of an interval,
-below which the joint limit is the reported limit; and motion since the start [rad, m] above which a
-joint is reported. Chosen: the ends are accurate to 0.4 mrad or 0.1 mm, and joints move several
-times as fast as the base."""
+"""A joint limit is reported as the reason for the end of an interval under two conditions. The
+distance of the joint from its limit with margin is below this value [rad, m], and the joint has
+moved by more than this value since the start. Chosen: the ends are accurate to 0.4 mrad or 0.1 mm,
+and joints move several times as fast as the base."""
 
 _EDGE_DISTANCE = 1e-3
-"""Distance of a margin or clearance from the required value [m] at the end of an interval, below
-which it is the reported limit. Chosen: ten times the accuracy of the ends in height."""
+"""Difference [m] between a margin or clearance and its required value at the end of an interval. If
+the difference is smaller, this requirement is reported as the reason for the end. Chosen: ten times
+the accuracy of the ends in height."""
 
 
 def _describe_base_limit(
     robot: Robot, start: Stand, end: Stand, direction: str, value: float
 ) -> Diagnostic:
-    """Create the text about the limit of a base coordinate, a requirement that the end just meets.
+    """Create the text about the requirement that limits an interval of a base coordinate.
 
-    If several requirements are just met, the first is reported: largest searched angle, joint
-    limits of joints that have moved, clearances, and for x and y the support polygon. If none is
-    just met, the reach of the legs is reported.
+    A requirement limits the interval if the stand at the end just meets it. The requirements are
+    tested in this order, and the first match is reported: largest searched angle, limits of joints
+    that have moved, clearances, and for x and y the support polygon. Without a match, the reach of
+    the legs is reported.
 
     Args:
         robot: Robot.
@@ -219,7 +225,8 @@ def find_interval(
         robot: Robot.
         start: Stand at which the search starts.
         direction: An element of ``DIRECTIONS``.
-        enough: Distance [m or rad] from the start beyond which the search ends.
+        enough: Distance [m or rad] from the start at which the search ends, even if larger values
+            are reachable.
         default_guesses_only: Search from `default_initial_guesses` only, not in all IK branches.
     """
     (low, _), (high, _) = (
@@ -239,10 +246,11 @@ def _find_limit(
 ) -> tuple[float, Stand]:
     """Find an end of the reachable interval of a base coordinate.
 
-    The search moves outward from the stand ``start``. Each step is halved if no stand is found.
-    Each step starts at the last stand found; long steps also at the initial guesses of
-    `search_stand`. Before the end is accepted, these guesses are tried once more, at the next value
-    and beyond a short gap. The result moves back until these guesses also reach it.
+    The search moves outward from the stand ``start``. Each step is halved if no stand is found. The
+    IK of each step starts at the last stand. If it fails after a long step, the initial guesses of
+    `search_stand` are tried. Before the end is accepted, these guesses are tried once more, at the
+    next value and beyond a short gap. The end is moved back until these guesses also lead to a
+    stand.
 
     Args:
         robot: Robot.
