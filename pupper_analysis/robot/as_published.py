@@ -182,8 +182,8 @@ class OwnRun(BodyMotion):
             displacement. None if no such displacement exceeds ``MIN_UNHELD_DISPLACEMENT``.
         held: If the keyframe has no ctrl, a second run in which the servos hold the joint
             positions.
-        standing: Whether the robot stands on the ground. If False, the base is fixed, and
-            `has_left_posture` is evaluated instead.
+        standing: Whether the robot stands on the ground. If False, the base is fixed, and a joint
+            that ends ``MIN_POSTURE_DEVIATION`` away has left the posture.
         causes: Causes of a failure, if found.
         missing: Files that the published MJCF lacks, so that MuJoCo refuses it.
     """
@@ -266,9 +266,9 @@ class PublishedRun:
             deviation.
         height_error: Final minus computed height of the CoM (m); None if the base is fixed.
         joint_error: Largest joint deviation.
-        collapses: Whether the robot has collapsed or the simulation has diverged: see
-            `pupper_analysis.robot.fall.has_collapsed`. For a fixed base, whether a joint has left
-            the posture.
+        collapses: Whether the robot has fallen over, has sunk or risen by ``MAX_HEIGHT_LOSS_RATIO``
+            (in ``robot.fall``) of its height, or has travelled by its height. Also True if the
+            simulation diverged. For a fixed base, whether a joint has left the posture.
         differs: Whether the robot collapses, or deviates by more than a verified stand may.
         imported: Whether the model is MuJoCo's import of a URDF.
         worst_joint: Joint with the largest displacement if the robot collapses; otherwise the joint

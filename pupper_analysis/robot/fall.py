@@ -355,8 +355,8 @@ def initial_height(
     the ground is below ``_CONTACT_DISTANCE``. MuJoCo finds the contacts with fixed geoms within
     ``_SEARCH_MARGIN``. Contacts count if the vertical component ``normal_z`` of the unit normal
     exceeds ``_MIN_UPWARD_NORMAL``. The step is ``min(distance / normal_z)`` over these contacts,
-    and at most ``_SEARCH_MARGIN``. Such a step penetrates no convex geom. The clearance is 0 if no
-    ground is found within ``MAX_CLEARANCE``.
+    but at most ``_SEARCH_MARGIN``, also if there is no such contact. The step penetrates no convex
+    geom. The clearance is 0 if no ground is found within ``MAX_CLEARANCE``.
 
     Args:
         model: MuJoCo model. The option ``o_margin`` and the flag ``override`` are changed during
