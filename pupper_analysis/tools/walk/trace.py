@@ -195,6 +195,9 @@ def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
         raise ModelError(path, diagnose("trace-unreadable", problem=problem))
     arrays = {"time": table[:, names.index("time")]} if "time" in names else {}
     joints = tuple(name[2:] for name in names if name.startswith("q_"))
+    is_numbered = all(name.isdecimal() for name in joints)
+    if is_numbered:
+        joints = tuple(sorted(joints, key=int))
     for signal, prefix in _SIGNALS.items():
         columns = {name[len(prefix) + 1 :]: index for index, name in enumerate(names)
                    if name.startswith(f"{prefix}_")}  # fmt: skip
@@ -206,7 +209,7 @@ def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
         if set(order) != set(columns):
             raise ModelError(path, diagnose("trace-lacks", name=f"{prefix}_..."))
         arrays[signal] = table[:, [columns[key] for key in order]]
-    return arrays, () if all(name.isdecimal() for name in joints) else joints
+    return arrays, () if is_numbered else joints
 
 
 @dataclass(frozen=True, eq=False)

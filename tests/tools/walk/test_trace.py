@@ -285,6 +285,18 @@ def test_file_that_is_no_trace_is_refused(tmp_path: Path) -> None:
             read_trace(tmp_path / name)
 
 
+def test_numbered_columns_of_joints_are_read_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    """Columns in any order: the value in column ``q_k`` is k."""
+    names = ("time", "obs_0", "action_0", "q_10", "q_2", "v_2", "v_10")
+    rows = [f"{sample},0,0,10,2,2,10" for sample in range(30)]
+    path = tmp_path / "trace.csv"
+    path.write_text("\n".join([",".join(names), *rows]))
+    trace = read_trace(path)
+    assert trace.joints == ()
+    for signal in ("positions", "velocities"):
+        assert trace.arrays[signal][0].tolist() == [2.0, 10.0]
+
+
 def test_damaged_npz_file_is_refused(tmp_path: Path) -> None:
     """Each byte of a valid file is inverted in turn: the only error is the one of the package."""
     path = tmp_path / "trace.npz"
