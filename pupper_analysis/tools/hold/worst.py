@@ -254,8 +254,8 @@ def _maximize_sampled(
     Argument and samples are displacements [rad, m] in ascending order. The function is evaluated at
     ``samples``. With ``fine``, and unless all values are equal up to rounding, a bounded scalar
     minimisation (scipy) follows around the largest value, or, with ``everywhere``, around each
-    local maximum: between samples of a closed loop the
-    global maximum need not be next to the largest sample.
+    local maximum. Between samples of a closed loop, the global maximum need not be next to the
+    largest sample.
     """
     from scipy import optimize  # slow to import
 

@@ -127,8 +127,8 @@ def linspace(low: float, high: float, count: int) -> Variable:
         count: Number of values, 2 to `MAX_LEVELS`.
 
     Raises:
-        ConfigurationError: If the interval is empty, a bound is not finite, or the count is out of
-            range.
+        ConfigurationError: If the interval is empty, a bound is not finite, or the count is no
+            integer or out of range.
     """
     first, last = _check_interval("linspace", low, high)
     check_type("count", count, int)
@@ -144,8 +144,8 @@ def values(numbers: Sequence[float]) -> Variable:
     """Create a variable of a study that takes the values of a list, in the unit of the variable.
 
     Raises:
-        ConfigurationError: If the list is empty or too long, or a value is not finite or occurs
-            twice.
+        ConfigurationError: If ``numbers`` is no sequence, is empty or too long (`MAX_LEVELS`), or a
+            value is no finite number or occurs twice.
     """
     check_type("values", numbers, Sequence[float])
     listed = tuple(check_finite("values", value) for value in numbers)

@@ -121,9 +121,10 @@ def read_trace(path: str | Path) -> Trace:
     or ``quaternion``.
 
     Raises:
-        ModelError: If the file cannot be read, an array is missing or has an invalid shape, a
-            number is not finite, a quaternion has not norm 1 (`MAX_NORM_DEVIATION`), times do not
-            ascend, or there are less than `MIN_SAMPLES` samples.
+        ModelError: If the file cannot be read, ``time``, ``observations`` or ``actions`` is
+            missing, an array has an invalid shape, a number is not finite, a quaternion has not
+            norm 1 (`MAX_NORM_DEVIATION`), times do not ascend, or there are less than `MIN_SAMPLES`
+            samples.
     """
     path = Path(path)
     try:
@@ -175,11 +176,13 @@ def _read_npz(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
 def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...]]:
     """Return {array: values} of a CSV file, and the joint names in its columns ``q_JOINT``.
 
-    The names are empty if the columns are numbered, or absent.
+    The names are empty if the columns are numbered, or absent. Numbered columns of a signal are
+    sorted by their numbers.
 
     Raises:
         ModelError: If the file is no table of numbers, signals have different joints, or columns of
             other signals are not numbered.
+        InputError: If the text cannot be decoded.
     """
     text = decode_input(path, data)
     header, _, body = text.partition("\n")
