@@ -40,12 +40,12 @@ _BRANCH_DISTANCE = 0.05
 Chosen, not tuned."""
 
 _FOOT_ERROR_STEP = 1e-6
-"""Foot errors are rounded to multiples of this length [m] before branches are sorted, so that the
-order rarely depends on rounding errors. Chosen, not tuned."""
+"""Foot errors are rounded to multiples of this length [m] before branches are sorted. The order
+then rarely depends on rounding errors. Chosen, not tuned."""
 
 _JOINT_DISTANCE_STEP = 1e-3
-"""Costs of branch combinations are rounded to multiples of this value [rad or m] before sorting, so
-that the order of equal costs rarely depends on rounding errors. Chosen, not tuned."""
+"""Costs of branch combinations are rounded to multiples of this value [rad or m] before sorting.
+The order of equal costs then rarely depends on rounding errors. Chosen, not tuned."""
 
 _MAX_BRANCHES = 6
 """Upper bound of the IK branches that are kept per limb, in ascending order of foot error. A
@@ -186,8 +186,9 @@ def _sort_branches(
     def sort_key(branch: Branch) -> tuple[int, float]:
         """Return the sort key of an IK branch: foot error, then position of the joints.
 
-        The foot error is rounded to multiples of 1e-6 m, so that the position decides between
-        equivalent branches: the sum of the x coordinates of the joint origins along base x [m].
+        The foot error is rounded to multiples of 1e-6 m, so that the joint positions decide between
+        equivalent branches. The position of the joints is the sum of the x coordinates of the joint
+        origins along base x [m].
         """
         bent = qpos.copy()
         bent[robot.nq - robot.nu + limb.joints] = branch.positions
@@ -407,8 +408,8 @@ class _Descent:
     def _evaluate(self, joints: Array, targets: Array) -> tuple[Array, Array]:
         """Return position errors of f contact points in k configurations, (k, f, 3) [m].
 
-        The second result is the derivative by the j joints of the limbs, shape (k, f, 3, j), which
-        is zero for joints that do not move the point.
+        The second result is the derivative of the errors by the j joints of the limbs, shape (k, f,
+        3, j). It is zero for joints that do not move the point.
         """
         convention, model, data = self._robot.pin_convention, self._model, self._data
         ends = np.empty((len(joints), len(self._last), 3, 4))

@@ -168,8 +168,9 @@ class ClearanceShapes:
     def _pairs(self) -> IntArray:
         """Index pairs, shape (n, 2), of shapes whose distances count.
 
-        Pairs on neighbouring links are left out: links on equal or adjacent joints, links that the
-        MJCF excludes from contact, and links that overlap or touch in the home configuration.
+        Pairs on neighbouring links are left out. Links are neighbours if they are on equal or
+        adjacent joints, the MJCF excludes their contact, or they overlap or touch in the home
+        configuration.
         """
         model, shapes = self.robot.pin_model, self.shapes
         base = 1 if self.robot.floating else 0  # 0 is Pinocchio's universe
@@ -318,8 +319,8 @@ class ClearanceShapes:
         ``parts`` are the shapes that must be above the ground. If no step is above the slope and no
         foot has a separate plane, all heights are measured from the slope, even over lower steps.
 
-        The penetration of a foot is added to the height of a part that intersects the sphere of
-        this foot, such as a calf: the part may be as deep in the ground as the foot.
+        If a part, such as a calf, intersects the sphere of a foot, the penetration of this foot is
+        added to the height of the part. The part may then be as deep in the ground as the foot.
 
         Args:
             at: Kinematics of the configuration.
@@ -412,8 +413,8 @@ class ClearanceShapes:
     def _list_parts(self) -> Iterator[OffGround]:
         """Yield each shape of the robot that is no foot and must stay above the ground.
 
-        Shapes on a fixed or welded base, and on the joint of a sole, weld or grip, are left out:
-        the file or the task determines the pose of the link.
+        Shapes on a fixed or welded base, and on the joint of a sole, weld or grip, are left out,
+        since the file or the task determines their pose.
         """
         robot, model = self.robot, self.robot.pin_model
         feet: dict[str, str] = {}  # {joint: foot}

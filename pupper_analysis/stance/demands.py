@@ -2,9 +2,9 @@
 
 A demand is an attribute of `StandTask`, for example the base height, a foot position or a margin.
 Its field in ``fields.toml`` has another value of ``gives`` than ``"no"``. `DemandVector` converts
-demands of a task to a vector [m, rad] with bounds and back. Other functions relax a demand further,
-reset it to its value in the nominal stand (the stand of the default `StandTask`), round it for a
-report, and describe it.
+demands of a task to a vector [m, rad] with bounds and back. Other functions relax demands further,
+round them for a report, describe them, and reset them to their values in the nominal stand (the
+stand of the default `StandTask`).
 """
 
 from __future__ import annotations
@@ -313,8 +313,8 @@ def round_outward(
     """Round relaxed values of a task to reporting precision, away from the requested values.
 
     The reported stand is thus at least as relaxed as the computed stand. A value changes by at most
-    0.5 % of its distance from the value in the stand of the default `StandTask`, and by at most
-    0.1 mm or 0.1 deg.
+    0.1 mm or 0.1 deg, and by at most 0.5 % of its distance from the value in the nominal stand (of
+    the default `StandTask`).
 
     Args:
         robot: Robot.

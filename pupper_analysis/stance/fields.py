@@ -1,8 +1,8 @@
 """Table of the requirements of a stand: a `Field` per requirement, read from ``fields.toml``.
 
-The checks and texts of `StandTask`, the command-line options, the sliders and exports of the live
-page, and the variables of a study are derived from this table. The module imports no engine, so
-that ``--help`` is fast.
+Several parts of the package are derived from this table: the checks and texts of `StandTask`, the
+command-line options, the sliders and exports of the live page, and the variables of a study. The
+module imports no engine, so that ``--help`` is fast.
 """
 
 from __future__ import annotations

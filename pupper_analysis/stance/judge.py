@@ -152,8 +152,9 @@ class Stand(Pictured, Tabular):
         """Return the lift-off directions of the stance feet and their contact points.
 
         Returns:
-            {foot or contact point: unit vector, shape (3,), in the world frame}: upward, or for a
-            foot on a separate plane (such as a wall) the outward normal of this plane.
+            {foot or contact point: unit vector, shape (3,), in the world frame}. The direction is
+            upward. For a foot on a separate plane, such as a wall, it is the outward normal of this
+            plane.
         """
         apart, found = self.task.ground.planes, dict[str, Array]()
         for foot in robot.feet_with(self.stance_feet):

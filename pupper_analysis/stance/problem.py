@@ -406,7 +406,7 @@ def _compute_joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tu
 
     Raises:
         ConfigurationError: If a joint of the posture carries a foot, a position is not valid, or
-            the posture does not determine and close the loops of its joints; if ``checked``, also
+            the posture does not determine and close the loops of its joints. With ``checked``, also
             if the margin leaves no range, or a position is out of the range.
         UnknownNameError: If a pattern of the posture matches no joint.
     """
@@ -515,9 +515,9 @@ def _select_stance_feet(robot: Robot, task: StandTask) -> tuple[str, ...]:
     """Check robot and names of a task, and return the contact points that carry load.
 
     Raises:
-        ConfigurationError: If the base is fixed, the robot has no feet, welds or grips, gravity
-            does not point downward, or the robot lacks the contacts of the task; for a robot
-            without weld or grip, also if fewer than three contact points carry load.
+        ConfigurationError: If the base is fixed, gravity does not point downward, the robot has no
+            feet, welds or grips, or the robot lacks the contacts of the task. For a robot without
+            weld or grip, also if fewer than three contact points carry load.
         UnknownNameError: If the task contains an unknown foot.
     """
     robot.check_floating()
@@ -554,9 +554,9 @@ _NUM_FIT_ITERATIONS = 4
 contact points depend on the normal of the plane. Chosen, not tuned."""
 
 MIN_SUPPORT_NORMAL_Z = 0.5
-"""Lower bound of the vertical component of a plane's unit normal. A foot on a steeper plane (more
-than 60 deg from horizontal) is left out of the centre of the feet, and such a plane is described as
-a wall in the error of an unreachable stand. Chosen, not tuned."""
+"""Lower bound of the vertical component of a plane's unit normal. A steeper plane is more than 60
+deg from horizontal. A foot on such a plane is left out of the centre of the feet. The error of an
+unreachable stand describes such a plane as a wall. Chosen, not tuned."""
 
 _COLLINEAR_TOLERANCE = 1e-9
 """Extent [m] of a sole's contact points perpendicular to their fitted line, below which the points
@@ -698,7 +698,7 @@ def _add_planes(robot: Robot, task: StandTask) -> StandTask:
 def default_contact_position(robot: Robot, foot: str) -> Array:
     """Return the default contact position of a foot, or the home position of a hand, (3,) [m].
 
-    Positions are in the world frame. The contact of a foot is at z = 0; the position of a hand is
+    Positions are in the world frame. The contact of a foot is at z = 0. The position of a hand is
     its sphere centre in the home pose at the default base height.
     """
     if foot in robot.hands:

@@ -58,8 +58,8 @@ zero would carry load. With a CoM margin of zero, the CoM of a task with an offs
 the support polygon."""
 
 _NEGLIGIBLE_VALUE = 1e-3
-"""Value of a requirement in `_NONZERO_DEMANDS`, relative to the base height of the nominal stand,
-below which the value counts as zero, and the relaxed task is rejected. Chosen, not tuned."""
+"""Bound of the values of `_NONZERO_DEMANDS`, relative to the base height of the nominal stand. A
+smaller value counts as zero, and the relaxed task is rejected. Chosen, not tuned."""
 
 _REDUCTION_SHARES = (0.03, 0.01)
 """Fractions by which `_relax_one` reduces the relaxation of a task, to test for a local minimum of

@@ -47,8 +47,9 @@ if no stand has its feet in place and the last round has at least halved the sma
 Chosen, not tuned."""
 
 _CLOSE_MISS = 3e-3
-"""Foot error [m] of the best stand so far below which a search also tries initial guesses with a
-displaced base, since a clearance may be the obstacle. Chosen, not tuned."""
+"""Bound of the foot error [m] of the best stand so far. If the error is smaller, a search also
+tries initial guesses with a displaced base, since a clearance may be the obstacle. Chosen, not
+tuned."""
 
 _MAX_DISPLACED_GUESSES = 32
 """Upper bound of the number of initial guesses with a displaced base. Chosen, not tuned."""
@@ -89,9 +90,10 @@ def search_stand(
     Args:
         context: Search context of the robot.
         goal: Goal.
-        default_guesses_only: Use the IK from `default_initial_guesses` only.
-        com_at_centre_only: Omit the nonlinear program, so that a free CoM is above the centre of
-            the feet (except if soles on legs with fewer than six joints are flattened).
+        default_guesses_only: If True, use only IK from `default_initial_guesses`.
+        com_at_centre_only: If True, omit the nonlinear program, so that a free CoM is above the
+            centre of the feet. Exception: the CoM may move to lay soles flat on legs with fewer
+            than six joints.
 
     Returns:
         A solved stand. Otherwise the best failure: feet in place with another violation, or the
@@ -381,8 +383,9 @@ class _StandSearch:
     def best_stand(self) -> Stand:
         """Return the best stand of the search, which may violate the goal.
 
-        In this order: a solved stand; the stand with all feet in place and the smallest violation;
-        the result of the nonlinear program, else of IK, with the smallest foot error.
+        A solved stand comes first, then the stand with all feet in place and the smallest
+        violation. Without these, the result of the nonlinear program (or else of IK) with the
+        smallest foot error is returned.
         """
         if self.reached:
             return max(self.reached, key=lambda stand: (stand.solved, stand.constraint_slack))
@@ -467,7 +470,7 @@ def has_underactuated_feet(robot: Robot) -> bool:
     """Return True if a sole (several contact points) is on a leg with fewer than six joints.
 
     Such a leg does not determine all six coordinates of the sole: with four joints, for example,
-    roll and yaw may follow from position and pitch. IK may then leave the sole tilted.
+    roll and yaw may follow from position and pitch. IK may therefore leave the sole tilted.
     """
     return any(
         len(points) > 1 and _count_leg_joints(robot, points[0]) < _NUM_POSE_JOINTS
@@ -604,8 +607,8 @@ def bound_com_shift(
 
     If a leg changes the IK branch, the CoM moves relative to the base. To keep the horizontal
     position of the CoM, the base moves by this distance. The estimate is ``_SHIFT_SAFETY_FACTOR *
-    sum_limbs max_b |c_b - c_0| + NEAR_MISS``, with c_b the horizontal CoM with branch b of a limb
-    [m], and c_0 with the first branch.
+    sum_limbs max_b |c_b - c_0| + NEAR_MISS``. c_b is the horizontal CoM [m] if the limb is in
+    branch b, and c_0 if it is in its first branch.
 
     Args:
         robot: Robot.

@@ -216,9 +216,9 @@ def solve_stands(
     free CoM or ``self_clearance``, and all tasks of robots with redundant joints, since the result
     then depends on the initial guess.
 
-    Each stand satisfies its task as a stand of `solve_stand` does: to 1e-9 m or rad, or 0.05 mm for
-    a sole on a leg with fewer than six joints. If a leg has several IK branches, a sequence keeps
-    the branch of the first stand as long as possible.
+    The errors of each stand are bounded as in `solve_stand`: 1e-9 m or rad, or 0.05 mm for a sole
+    on a leg with fewer than six joints. If a leg has several IK branches, a sequence keeps the
+    branch of the first stand as long as possible.
 
     Args:
         robot: Robot with a floating base.

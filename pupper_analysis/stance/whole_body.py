@@ -90,7 +90,8 @@ starts, relative to required tasks. Chosen, not tuned: small against required ta
 _NEAR_JOINTS_WEIGHT = 1e-6
 """Weight of the squared displacement of the joints [rad^2, m^2] from the stand at which a posture
 starts, relative to required tasks. Chosen so that 1 rad of a joint costs as much as 1 cm of the
-base: with equal weights, Go2 with an arm lowered its base by 12 cm to bend the arm less."""
+base. Measured with equal weights: Go2 with an arm lowered its base by 12 cm to bend the arm
+less."""
 
 _ROUNDING_ERROR = 1e-24
 """Weighted sum of squared residuals [m^2 and rad^2 mixed] below which the iteration ends. Chosen as
@@ -187,17 +188,17 @@ def solve_posture(
             stand. Of other solved postures, ``qpos`` is used. Default: ``robot.home``.
         contacts: Contact points that keep their positions in ``start``, for a robot with a free
             base. Default: the contact points of the stand, or ``robot.bearing_points``. If the list
-            is empty, the base moves freely. Must be None for a fixed base.
+            is empty, the base moves freely. Contact points of a fixed base are not accepted.
 
     Raises:
         PostureUnreachableError: If the residual of a required task exceeds `POSTURE_TOLERANCE`. The
             error states the required task with the largest residual, and the tasks and joint limits
             that oppose this task.
-        ConfigurationError: If there is no task, ``start`` is not valid, a task is not valid,
-            ``contacts`` are given for a fixed base or beside a stand, the stand belongs to another
-            robot, a lifted foot of the stand is not above the ground, or the robot has closed loops
-            or couplings; with a ``SelfClearanceTask`` also if the robot has a continuous joint,
-            which PlaCo's half-spaces do not support.
+        ConfigurationError: If there is no task, ``start`` or a task is not valid, or ``contacts``
+            are given for a fixed base or together with a stand. Also if the stand belongs to
+            another robot, a lifted foot of the stand is not above the ground, or the robot has
+            closed loops or couplings. With a ``SelfClearanceTask`` also if the robot has a
+            continuous joint, since PlaCo's half-space constraint does not support such joints.
         UnknownNameError: If a link, joint or contact point is unknown.
         ModelError: On the contacts of a stand, if the mass or inertia of a body is invalid, or the
             model with the contacts cannot be built.

@@ -104,7 +104,8 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
 
     Args:
         robot: Robot.
-        task: Task at whose height the search starts. Default: the nominal stand, ``StandTask()``.
+        task: Task whose height is the start of the search. Default: the nominal stand,
+            ``StandTask()``.
 
     Raises:
         StanceUnreachableError: If the task is unreachable.

@@ -363,9 +363,9 @@ class Balance:
     def _cone_rows(self, friction: Array) -> Array:
         """Return the rows of the second-order cones of n contacts and g grips, (4 n + 4 g, size).
 
-        A contact and a grip have four rows each. The product of these rows with the forces (size,)
-        is, for a contact, (mu f_n, t_x, t_y, t_z): mu is the friction coefficient, reduced by
-        `_CONE_MARGIN`, f_n the normal force, and t the tangential force, in the world frame.
+        A contact and a grip have four rows each. For a contact, the product of these rows with the
+        forces (size,) is (mu f_n, t_x, t_y, t_z). mu is the friction coefficient, reduced by
+        `_CONE_MARGIN`, f_n is the normal force, and t is the tangential force in the world frame.
         If mu exceeds `_LARGE_FRICTION`, all four numbers are divided by mu. For a grip, the product
         is 0 and the three components of the grip force.
         """
@@ -448,9 +448,9 @@ class Balance:
         """Minimise z^T quadratic z / 2 + linear z with ``particular + free @ z`` in the cones.
 
         ``bounds`` contains A and b of the inequality A z <= b. Returns z (k,). None if Clarabel
-        finds the problem infeasible or unbounded, or if the solution violates a friction cone or
-        grip limit by more than 1e-9 times the norm of the first three elements of the base load
-        (1e-9 N if that is zero). A violation of ``bounds`` is not checked.
+        finds the problem infeasible or unbounded. Also None if the solution violates a friction
+        cone or grip limit by more than 1e-9 of the force in the base load (1e-9 N if this force is
+        zero). A violation of ``bounds`` is not checked.
         """
         scale = np.linalg.norm(self.base_load[:3]) or 1.0  # a robot in free fall has no weight
         rows = self._cone_rows(friction)

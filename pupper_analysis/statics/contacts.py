@@ -132,9 +132,9 @@ class Contacts:
         """Compute the transposed Jacobian J^T of n contacts, w welds and g grips.
 
         Returns:
-            Shape (nv, 3 n + 6 w + 3 g). The product with contact forces [N], weld wrenches [N, N m]
-            and grip forces [N], in this order and in world axes, is the generalised force dual to
-            ``qvel``.
+            Shape (nv, 3 n + 6 w + 3 g). Its product with a vector f is the generalised force dual
+            to ``qvel``. f contains contact forces [N], weld wrenches [N, N m] and grip forces [N],
+            in this order and in world axes.
         """
         twists = config.foot_twist_jacobians(self.feet).reshape(-1, self.nv)
         contacts = (self._twist_to_velocity @ twists).T
@@ -223,9 +223,10 @@ def make_contacts(
     Raises:
         UnknownNameError: If a contact point is unknown.
         ConfigurationError: If a friction coefficient is missing or not in [0, `MAX_FRICTION`], a
-            normal is not a direction, a depth is not a valid length, a contact point is named
-            twice, the ground's friction is unknown, or a robot with a fixed base has contacts.
-            Without contact points, ``friction``, ``normals`` and ``depths`` are not checked.
+            normal is not a direction, a depth is not a valid length, or a contact point is named
+            twice. Also if the ground's friction is unknown, or a robot with a fixed base has
+            contacts. Without contact points, ``friction``, ``normals`` and ``depths`` are not
+            checked.
     """
     feet = tuple(robot.bearing_points if contacts is None and robot.floating else contacts or ())
     if friction is None and normals is None and depths is None:
@@ -311,9 +312,10 @@ def prescribed_forces(robot: Robot, feet: Sequence[str]) -> tuple[Array, Array] 
         feet: Names of the n contact points that carry load.
 
     Returns:
-        Groups, shape (k, n): 1.0 if a contact point belongs to the foot of prescribed force k, else
-        0.0; and forces, shape (k,): total normal force of each group, in units of the robot's
-        weight. None if no force of these feet is prescribed.
+        Groups, shape (k, n), and forces, shape (k,). Element (i, j) of the groups is 1.0 if contact
+        point j belongs to the foot with prescribed force i, else 0.0. The forces are the total
+        normal forces of the groups, in units of the robot's weight. None if no force of these feet
+        is prescribed.
     """
     forces = {
         name: contact.force for name, contact in robot.touching.items() if contact.force is not None

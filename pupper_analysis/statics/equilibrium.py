@@ -1,9 +1,9 @@
 """Gravity compensation: motor torques and contact forces of a robot in static equilibrium.
 
 `gravity_compensation` solves g(q) = J^T f + S^T tau for contact forces f in friction cones and
-motor torques tau. If no such forces exist, the raised `StaticsInfeasibleError` states the reason:
-friction too low, a foot that would have to pull, the centre of mass outside the support region, a
-grip too weak, or a prescribed contact force out of reach.
+motor torques tau. If no such forces exist, the raised `StaticsInfeasibleError` states the reason.
+Possible reasons are: friction is too low, a foot would have to pull, the centre of mass is outside
+the support region, a grip is too weak, or a prescribed contact force is out of reach.
 """
 
 from __future__ import annotations
@@ -244,10 +244,11 @@ def gravity_compensation(
 
     Solves g(q) = J^T f + S^T tau. S selects the joints. J is the Jacobian of the contact points. f
     are contact forces in world axes [N]. tau are torques at the joints [N m]. g(q), shape (nv,), is
-    the generalised force of gravity minus the passive forces of the MJCF, which are springs,
-    gravity compensation and wind (`Configuration.static_load`). The six base rows determine the
-    total wrench of f; ``distribution`` selects a force vector f in the friction cones. Without
-    contacts, welds and grips, an external wrench holds the base, and tau is the joint part of g.
+    the generalised force of gravity minus the passive forces of the MJCF
+    (`Configuration.static_load`). Passive forces are those of springs, gravity compensation and
+    wind. The six base rows determine the total wrench of f; ``distribution`` selects a force vector
+    f in the friction cones. Without contacts, welds and grips, an external wrench holds the base,
+    and tau is the joint part of g.
 
     In closed loops and couplings, joints without a motor have no torque: the constraints transfer
     the load of such joints to the motors (`Configuration.transfer_to_motors`). Passive joints
@@ -277,9 +278,9 @@ def gravity_compensation(
     Raises:
         UnknownNameError: If a contact point is unknown.
         ConfigurationError: If an argument has a wrong type, a friction coefficient, a normal, a
-            depth or ``distribution`` is invalid, a contact point is named twice, the friction of
-            the ground is unknown, a robot with a fixed base has contacts, or a closed loop is open
-            or singular.
+            depth or ``distribution`` is invalid, or a contact point is named twice. Also if the
+            friction of the ground is unknown, a robot with a fixed base has contacts, or a closed
+            loop is open or singular.
         StaticsInfeasibleError: If no feasible forces exist. The error states the reason.
     """
     carrying = make_contacts(config.robot, contacts, friction, normals, depths)

@@ -1,10 +1,10 @@
 """Force polytope: external forces on a point of a robot that its motors withstand.
 
-With the static load l, the Jacobian J (3, nu) of the point and the effort limits, an external force
-f on the point is withstood if ``|l - J^T f| <= limits``. Loops and couplings transfer l and J^T f
-to the motors. The base is held. These forces form a convex polytope, with at most one pair of
-parallel faces per motor (Chiacchio, Bouffard-Vercelli and Pierrot 1997, "Force polytope and force
-ellipsoid for redundant manipulators").
+The motors withstand an external force f on the point if ``|l - J^T f| <= limits``. l is the static
+load of the motors, J is the Jacobian (3, nu) of the point, and ``limits`` are the effort limits.
+Loops and couplings transfer l and J^T f to the motors. The base is held. These forces form a convex
+polytope, with at most one pair of parallel faces per motor (Chiacchio, Bouffard-Vercelli and
+Pierrot 1997, "Force polytope and force ellipsoid for redundant manipulators").
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ coordinate of all vertices. A largest coordinate below 1 N counts as 1 N. Chosen
 class ForcePolytope(Tabular):
     """External forces on a point of a robot that its motors withstand while the base is held.
 
-    A force f on the point is withstood if ``|l - J^T f| <= limits``, with l the static load of the
-    motors. The robot pushes with -f against its environment.
+    The motors withstand a force f on the point if ``|l - J^T f| <= limits``, with the static load l
+    of the motors. The robot then pushes with -f against its environment.
 
     Attributes:
         point: Position of the point in the world, shape (3,) (m).
@@ -55,9 +55,9 @@ class ForcePolytope(Tabular):
         limits: Effort limits of the motors, shape (n,) (N m or N); infinite if no file states the
             limit.
         vertices: Vertices of the polytope in world axes, shape (k, 3) (N). Empty if no force keeps
-            all motors within their limits. None if the polytope is unbounded, because no motor
-            bears the force in some direction (fewer than three motors, or a straight limb), or if
-            a limit is unknown.
+            all motors within their limits. None if a limit is unknown, or if the polytope is
+            unbounded. The polytope is unbounded if no motor bears a force in some direction (fewer
+            than three motors, or a straight limb).
     """
 
     point: Array = field(metadata={"unit": "m"})
@@ -71,8 +71,8 @@ class ForcePolytope(Tabular):
         """Return the largest external force [N] along a direction.
 
         NaN if a motor that bears the force has an unknown limit. Otherwise 0 if the static load
-        alone exceeds the limit of a motor of ``joints``, even if the force would relieve the motor,
-        and infinite if no motor bears the force.
+        alone exceeds the limit of a motor of ``joints``, even if the force would relieve the motor.
+        Otherwise infinite if no motor bears the force.
 
         Args:
             direction: Direction (3,) of the force, in world axes; normalised here.

@@ -83,8 +83,8 @@ def support_region(
         sum f = m g e_z,    sum p x f = m g com x e_z,
 
     and if the sum of the normal forces is at most `MAX_TOTAL_NORMAL_FORCE` weights. If
-    ``torque_limits`` is True, the joint torques l - J^T f must also be within the effort limits,
-    with the static load l and the Jacobian J of the contact points.
+    ``torque_limits`` is True, the joint torques l - J^T f must also be within the effort limits. l
+    is the static load, and J is the Jacobian of the contact points.
 
     On level ground, without torque limits and prescribed forces, the region is the convex hull of
     the contact points. Otherwise the result is the convex hull of extreme points of the region, to
@@ -103,10 +103,10 @@ def support_region(
 
     Raises:
         UnknownNameError: If a contact point is unknown.
-        ConfigurationError: If an argument has a wrong type; if a friction coefficient, a normal or
-            a depth is invalid; if a contact point is named twice; if the friction of the ground is
-            unknown; if the base is fixed, there are no contacts, a part is welded or grips; or,
-            with ``torque_limits``, if no file states the effort limit of a motor, or a closed loop
+        ConfigurationError: If an argument has a wrong type, a friction coefficient, normal or depth
+            is invalid, or a contact point is named twice. Also if the friction of the ground is
+            unknown, the base is fixed, there are no contacts, or a part is welded or grips. With
+            ``torque_limits``, also if no file states the effort limit of a motor, or a closed loop
             is singular.
     """
     robot = config.robot
@@ -177,8 +177,9 @@ def _limit_torques(config: Configuration, carrying: Contacts) -> tuple[Array, Ar
 def _make_polygon(positions: Iterable[tuple[float, float]]) -> Array:
     """Return the corners of the convex hull of positions, counter-clockwise, shape (n, 2).
 
-    Corners within `_MIN_DEPTH` of the line between their neighbours are removed, but not if only
-    three remain: positions on a line up to rounding may have three corners.
+    A corner is removed if it is within `_MIN_DEPTH` of the line between its neighbours. The last
+    three corners are kept. Therefore positions that are on a line up to rounding may have three
+    corners.
     """
     import shapely  # slow to import
 

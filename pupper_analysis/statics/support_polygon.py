@@ -1,9 +1,9 @@
 """Support polygon and support region: horizontal CoM positions that allow equilibrium.
 
-On contacts of a single plane the region is the convex hull of the contact points, seen from above.
-On contacts of several planes, with grips or with prescribed contact forces, the region is the
-projection of all CoM positions for which contact forces in the friction cones exist
-(`support_corners`).
+If all contacts are on a single plane, the region is the convex hull of the contact points, seen
+from above. With contacts on several planes, grips or prescribed contact forces, the region depends
+on friction. It is then the projection of all CoM positions for which contact forces in the friction
+cones exist (`support_corners`).
 """
 
 from __future__ import annotations

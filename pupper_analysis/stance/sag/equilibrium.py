@@ -5,8 +5,8 @@ contact. The unknowns are the configuration and the contact forces. The set of t
 fixed in a solve; `SagEquilibrium.switch_contact` changes it. `stance.sag.steady_state` follows a
 solution while feed-forward is removed and feet creep.
 
-The "contact frame" of a contact has two tangents of the ground as x and y axes, and its normal as
-z axis. "Height" as a unit is `EquilibriumScales.length`.
+The "contact frame" of a contact has two tangents of the ground as x and y axes. Its z axis is the
+ground normal. "Height" as a unit means `EquilibriumScales.length`.
 """
 
 from __future__ import annotations
@@ -764,9 +764,9 @@ class SagEquilibrium:
     def weld_rows(self, qpos: Array) -> Array:
         """Return the Jacobian of welded bodies and gripped points, shape (6 w + 3 g, nv).
 
-        The first 6 w rows give the linear and angular velocity of the w welded bodies, the others
-        the linear velocity of the g gripped points, all in the world frame. If only the base is
-        welded, the rows select the six components of the base in qvel.
+        The first 6 w rows give the linear and angular velocities of the w welded bodies. The other
+        rows give the linear velocities of the g gripped points. All velocities are in the world
+        frame. If only the base is welded, the rows select the six components of the base in qvel.
 
         Args:
             qpos: Configuration, shape (nq,).

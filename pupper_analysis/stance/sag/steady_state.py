@@ -481,8 +481,8 @@ class SteadyState(Result):
             the predicted height for about D / |height_drift| seconds.
         residual: Largest element of the residual of the equations (N or m).
         stiffness: Smallest eigenvalue of the energy's Hessian in the motions that the feet permit,
-            relative to the mass matrix (rad^2/s^2): the square of the lowest natural frequency
-            without damping.
+            relative to the mass matrix (rad^2/s^2). It is the square of the lowest natural
+            frequency without damping.
         stable: Whether ``stiffness`` is positive.
         release_margin: Smallest friction reserve of a foot, as a fraction of the weight, in the
             overshoot after the feed-forward is removed in one step. To first order, the overshoot
