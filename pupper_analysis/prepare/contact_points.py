@@ -273,7 +273,7 @@ class ContactPoint:
         center: Centre of the contact shape, shape (3,) [m], expressed in the frame of the geom's
             body. The contact shape is a sphere, the end of a capsule or lying cylinder, a fitted
             sphere, or a small ball (`BALL_RADIUS`). If there is none, the contact point itself.
-            radius: Radius of the contact shape [m]; 0 if there is none.
+        radius: Radius of the contact shape [m]; 0 if there is none.
     """
 
     geom: int

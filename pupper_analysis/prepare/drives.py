@@ -59,18 +59,22 @@ from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import Stand, stand_statics
 
 _SAG_CANDIDATES = (0.02, 0.05, 0.1)
-"""Deflections [rad, m] of the most loaded joint in the nominal stand, from which stiffness is
-derived, in the order of the trials. Stiffer servos hold the posture better, but oscillate on
-soft contacts; with softer servos a biped's ankles tip over."""
+"""Deflections [rad, m] of the most loaded joint in the nominal stand, in the order of the trials.
+The stiffness of added servos is derived from a deflection. Stiffer servos hold the posture better,
+but oscillate on soft contacts. With softer servos a biped tips over at the ankles. Chosen, not
+tuned.
+"""
 
 _LIGHT_DAMPING_FACTOR = 0.25
-"""Factor on the default damping of added servos in the trials with reduced damping. The time step
-bounds the damping of a light leg. Measured: a tripod oscillates at 2 ms with kd = 130 N m s/rad,
-and not with 25."""
+"""Factor [1] on the default damping of added servos in the trials with reduced damping. These
+trials are needed since the time step bounds the damping of a light leg. Measured at 2 ms: a tripod
+oscillates with kd = 130 N m s/rad, and not with 25.
+"""
 
 _LIGHT_SAG_CANDIDATES = (0.02, 0.035, 0.05)
-"""Deflections [rad, m] of the most loaded joint for which gains are tried with reduced damping, in
-order, after the deflections of `_SAG_CANDIDATES`. Chosen, not tuned."""
+"""Deflections [rad, m] of the most loaded joint in the trials with reduced damping, in the order of
+the trials. These trials follow those with `_SAG_CANDIDATES`. Chosen, not tuned.
+"""
 
 _BRIEF_DURATION = 2.0
 """Duration of the first comparison of candidate gains with the prediction [s]. If the results
@@ -88,9 +92,9 @@ def list_dependent_joints(robot: Robot) -> list[int]:
 def add_loop_motors(robot: Robot) -> Robot:
     """Add motors to independent joints without a motor, if there are closed loops or couplings.
 
-    The actuator order lists joints with motors first. With these motors, which later become servos,
-    the order does not change after stands have been solved. Without closed loops and couplings the
-    robot is returned unchanged.
+    Reason: the actuator order lists joints with motors first. The added motors later become servos,
+    so the order does not change after stands have been solved. Without closed loops and couplings
+    the robot is returned unchanged.
     """
     lacking = set(np.flatnonzero(robot.mj_convention.actuator_index < 0)) - set(
         list_dependent_joints(robot)
@@ -137,21 +141,22 @@ class AddedServos(NamedTuple):
 def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> AddedServos:
     """Add position servos to the joints without one, with gains that hold a stand.
 
-    Candidates of gains and time step are tried in order. A candidate is chosen if the robot comes
-    to rest in the stand with and without feed-forward, if the motion after nudges of the base
-    decays, if the rest position agrees with the prediction (unless both files describe different
-    robots), and if the published MJCF with these servos comes to rest, too. The last test is
-    omitted for a robot that has a URDF alone, and with a reduced time step, which is used only if
-    no candidate with the time step of the file calms down after nudges of the base and agrees with
-    the prediction.
+    Candidates of gains and time step are tried in order. A candidate must meet four conditions:
 
-    Contacts that chatter after a nudge of the base need a smaller time step: of a robot that has a
-    URDF alone, further candidates with the same time step are then omitted.
+    - The robot comes to rest in the stand, with and without feed-forward. - The motion after nudges
+    of the base decays. - The rest position agrees with the prediction, unless both files describe
+    different robots. - The published MJCF with these servos comes to rest, too. This condition is
+    omitted for a robot with a URDF alone, and with a reduced time step.
 
-    If no candidate meets all conditions, the choice is, in this order: the first that calms down
-    and agrees with the prediction; the first that agrees with the prediction; the first that comes
-    to rest with and without feed-forward; the first that comes to rest with feed-forward and calms
-    down; the first that comes to rest with feed-forward; the first candidate.
+    A reduced time step is tried only if no candidate with the time step of the file meets the
+    second and third condition. If contacts chatter after a nudge of the base, a smaller time step
+    is needed: for a robot with a URDF alone, further candidates with the same time step are then
+    omitted.
+
+    If no candidate meets all conditions, the first candidate with the best partial result is
+    chosen. The partial results are, best first: decay and agreement; agreement; rest with and
+    without feed-forward; rest with feed-forward, and decay; rest with feed-forward. If there is
+    none, the first candidate is chosen.
 
     Args:
         robot: Robot.
@@ -186,9 +191,10 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
 def _list_candidates(robot: Robot, stand: Stand, *, of_urdf: bool) -> list[_ServoCandidate]:
     """Return the gains and time steps that are tried, in this order.
 
-    First are the deflections of `_SAG_CANDIDATES` with the time step of the file; then, unless the
-    robot is described by a URDF alone (``of_urdf``), those of `_LIGHT_SAG_CANDIDATES` with reduced
-    damping; then `_SAG_CANDIDATES` with smaller time steps. Joints with servos keep their gains.
+    There are three groups, in this order: the deflections `_SAG_CANDIDATES` with the time step of
+    the file; `_LIGHT_SAG_CANDIDATES` with reduced damping; `_SAG_CANDIDATES` with smaller time
+    steps. The second group is omitted if the robot is described by a URDF alone (``of_urdf``).
+    Joints with servos keep their gains.
     """
     own_gains = list_position_servos(robot)
     torques = stand_statics(robot, stand).joint_torques
@@ -239,12 +245,12 @@ class _ServoTrials:
         self._chattering_divisors: set[int] = set()
 
     def find_resting_candidates(self, *feedforward: bool) -> Iterator[_ServoCandidate]:
-        """Yield the candidates with which the robot comes to rest, and set the robot's time step.
+        """Yield the candidates with which the robot comes to rest; set the robot's time step.
 
         ``feedforward`` lists the simulations: with (True) or without (False) feed-forward.
-        Simulations without feed-forward run first: most candidates that fall do so in such a
-        simulation, within seconds. If the robot has a URDF alone, candidates with a divisor of the
-        time step with which contacts chattered are omitted (`calms_down`).
+        Simulations without feed-forward run first: in them most bad candidates fall within seconds.
+        For a robot with a URDF alone, candidates with a time step are omitted if contacts chattered
+        with this time step (`calms_down`).
         """
         for number, candidate in enumerate(self.candidates):
             report_progress("servos", number, len(self.candidates))
@@ -285,10 +291,10 @@ class _ServoTrials:
         return is_calm
 
     def choose_calm_candidate(self) -> _ServoCandidate | None:
-        """Return the first candidate with feed-forward that calms down, or else the first.
+        """Return the first candidate that calms down, of those that rest with feed-forward.
 
-        The candidates are those with which the robot comes to rest with feed-forward. None without
-        such candidates.
+        If no candidate calms down, the first candidate that comes to rest with feed-forward is
+        returned. If there is none, the result is None.
         """
         first = None
         for candidate in self.find_resting_candidates(True):
@@ -301,11 +307,11 @@ class _ServoTrials:
 def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Add position servos with suggested gains at joints without one, and return notes.
 
-    Dependent joints of loops get none; servos at passive joints exert no torque. The robot comes to
-    rest in the nominal stand with these gains, if possible; otherwise a note reports the failure.
-    The time step may be reduced. Without a nominal stand the gains are for a fixed base. Torque
-    limits of zero or below, except those of passive joints, are ignored in the choice, and apply
-    again to the returned robot.
+    Dependent joints get no servo; servos at passive joints exert no torque. The gains are chosen so
+    that the robot comes to rest in the nominal stand; a note reports if no gains suffice. The time
+    step may be reduced. Without a nominal stand the gains are those for a fixed base. Torque limits
+    of zero or below are ignored in this choice, except at passive joints; the returned robot has
+    these limits again.
 
     Returns:
         Robot with servos, and notes.
@@ -318,8 +324,8 @@ def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
 def mark_passive_joints(robot: Robot, mjcf: MjcfFile) -> Robot:
     """Return a robot whose description lists the passive joints (`Description.passive_joints`).
 
-    The robot is returned unchanged if there are none, or if the MJCF has no actuators or was
-    derived from the URDF: an effort of zero in one file alone may be a mistake.
+    The robot is returned unchanged if there are no passive joints, if the MJCF has no actuators, or
+    if it was derived from the URDF. Reason: an effort of zero in only one file may be a mistake.
     """
     model, dependent = mjcf.model, list_dependent_joints(robot)
     if mjcf.of_urdf or not model.nactuator:
@@ -482,9 +488,9 @@ def _merge_gains(
 def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
     """Return True if the simulated robot comes to rest as predicted.
 
-    Also True if URDF and MJCF describe different robots, since no gains help then. First a
-    simulation of `_BRIEF_DURATION` is tried; without agreement, the usual duration is simulated.
-    The servos have stiffness ``kp`` [N m/rad] and damping ``kd`` [N m s/rad], (nu,) each.
+    Also True if URDF and MJCF describe different robots, since no gains help then. The first
+    simulation lasts `_BRIEF_DURATION`. If it does not agree, the usual duration is simulated. The
+    servos have stiffness ``kp`` [N m/rad] and damping ``kd`` [N m s/rad], (nu,) each.
     """
     with contextlib.suppress(PupperAnalysisError):
         stand = solve_stand_on_soft_ground(robot, stand, explain=False)
@@ -513,9 +519,9 @@ def make_missing_servos(
 ) -> list[Addition]:
     """Create the additions to an MJCF that give a position servo to each joint without one.
 
-    Dependent joints get none. The force range is the motor's limit, if that is finite and not
-    empty. The time step becomes ``timestep``, and the integrator ``implicitfast``: explicit damping
-    makes light joints oscillate.
+    Dependent joints get no servo. The force range is the motor's limit, if the limit is finite and
+    not zero. The time step becomes ``timestep``. The integrator becomes ``implicitfast``, since
+    explicit damping makes light joints oscillate.
 
     Args:
         robot: Robot.

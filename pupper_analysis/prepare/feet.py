@@ -35,26 +35,30 @@ from pupper_analysis.robot.contact import ground_geom, limb_ends
 from pupper_analysis.robot.robot import Robot
 
 _MAX_LEG_HEIGHT_FRACTION = 0.15
-"""Upper bound of the height of a limb's lowest point above the lowest limb, relative to the height
-of the base above the lowest limb, with which the limb counts as a leg. Chosen, not tuned: hands and
-heads are higher; feet in a start pose rarely differ by more than a few percent."""
+"""Factor a [1] of the bound max(a h, b r) [m]: a limb counts as a leg if its lowest point is less
+than this bound above that of the lowest limb. h is the height of the base above the lowest limb;
+for b and r see `_MAX_LEG_RISE_FRACTION`. Chosen, not tuned: hands and heads are higher; feet in a
+start pose rarely differ by more than a few percent.
+"""
 
 _MAX_LEG_RISE_FRACTION = 0.05
-"""Factor b of the bound max(a h, b r) [m]: a limb counts as a leg if its lowest point is less than
-this bound above the lowest limb. a is `_MAX_LEG_HEIGHT_FRACTION`, h the height of the base above
-the lowest limb, r the largest distance of a limb's last body from the base. The term b r is for
-spread legs, such as a spider's, which end near the height of the base. Chosen, not tuned."""
+"""Factor b [1] of the bound max(a h, b r) [m] that `_MAX_LEG_HEIGHT_FRACTION` describes. r is the
+largest distance of a limb's last body from the base [m]. The term b r is needed for spread legs,
+such as a spider's, which end near the height of the base. Chosen, not tuned.
+"""
 
 _MAX_SPHERE_DISTANCE = 0.02
 """Upper bound of the distance [m] between a foot frame that the user names and the centre of a
-sphere, for the sphere to be the foot. Chosen, not tuned."""
+sphere. Below the bound, this sphere alone is the foot. Chosen, not tuned.
+"""
 
 
 _FOOT_PLACE_ATOL = 2e-3
-"""Distance [m] up to which a link of the URDF counts as placed at a contact point of the MJCF: at
-the point itself, or at the point shifted by the offset of the last joint between both files.
-Without such a link, the point is shifted by the part of the offset perpendicular to the axis.
-Chosen, not tuned."""
+"""Tolerance [m] with which a link of the URDF is at a contact point of the MJCF. Two positions are
+compared with the link: the contact point, and the contact point shifted by the offset of the last
+joint between both files. If no link is at one of them, the point is shifted by the part of the
+offset perpendicular to the joint axis. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,24 +77,25 @@ class Foot:
 
 
 _MIN_DIRECTION_COSINE = 0.7
-"""Lower bound of the component of the mean limb direction along an axis of the base, with which the
-limbs are reported to point along this axis: about 45 deg. Chosen, not tuned."""
+"""Lower bound [1] of the component of the mean limb direction along an axis of the base, about 45
+deg. Above the bound, the limbs point along this axis, and a note reports it. Chosen, not tuned.
+"""
 
 
 _MIN_LIMB_LENGTH = 1e-3
-"""Lower bound of a limb's length [m] by which its direction is divided: the length of a wheel is
-zero. Chosen, not tuned."""
+"""Lower bound of the limb length [m] by which a limb vector is divided to get its direction. It
+avoids a division by zero: the length of a wheel is zero. Chosen, not tuned.
+"""
 
 
 def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
     """Report the axis of the world frame along which the limbs point, if not downwards.
 
-    With a free base the world frame is that of the base, which is not rotated.
-
-    The direction of a limb is the unit vector from the origin of its first body to the mean CoM of
-    its last bodies, at joint positions of zero, clipped to the limits. The reported axis is the
-    axis along which the mean direction of all limbs has the largest component. Nothing is reported
-    if the robot has fewer than two limbs, or if this component is below `_MIN_DIRECTION_COSINE`.
+    A free base is not rotated, so the world axes are the base axes. The joint positions are zero,
+    clipped to the limits. The direction of a limb is the unit vector from the origin of its first
+    body to the mean CoM of its last bodies. The reported axis is that with the largest component of
+    the mean direction of all limbs. Nothing is reported if the robot has fewer than two limbs, or
+    if this component is below `_MIN_DIRECTION_COSINE`.
     """
     joints = np.clip(np.zeros(robot.nu), robot.lower_limits, robot.upper_limits)
     data = robot.compute_kinematics(robot.make_qpos(joints))
@@ -147,8 +152,8 @@ def list_ground_geoms(model: mujoco.MjModel, body: int, *, welded: bool = True) 
 def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
     """Find the feet of a robot: the collision geoms at the ends of the limbs that are lowest.
 
-    Of several poses, the pose with the most feet counts: fewer are found if the robot lies, or its
-    legs are folded.
+    The feet are those of the pose with the most feet. In other poses the legs may be folded, or the
+    robot may lie.
 
     Args:
         robot: Robot without feet; its MJCF has a floor.
@@ -273,7 +278,7 @@ def _select_sphere(
 ) -> list[int]:
     """Return the sphere nearest to a position, shape (3,) [m], in the world frame: [geom id].
 
-    All ``geoms`` are returned if no sphere of these is nearer than `_MAX_SPHERE_DISTANCE`.
+    All ``geoms`` are returned if no sphere among them is nearer than `_MAX_SPHERE_DISTANCE`.
     """
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
     spheres = [geom for geom in geoms if model.geom_type[geom] == sphere]
@@ -333,8 +338,8 @@ def add_contact_frames(
 ) -> Description:
     """Return the description of a robot with an added frame at each contact point, in both files.
 
-    Shapes of the feet in ``replaced`` whose contact points are balls (`is_ball`) no longer collide;
-    the balls replace the shapes.
+    If a contact point of a foot in ``replaced`` is a ball (`is_ball`), the ball replaces the
+    collision shapes of the foot, which no longer collide.
 
     Args:
         robot: Robot without feet.
@@ -406,8 +411,9 @@ def has_ellipsoids(robot: Robot, feet: Sequence[Foot]) -> bool:
 
 
 _CONTACT_POINT_TOLERANCE = 1e-6
-"""Displacement [m] of a fitted contact sphere of an ellipsoid between two fits, above which the fit
-is repeated. Chosen: a hundredth of the depth of a loaded contact."""
+"""Upper bound of the displacement of a contact sphere between two fits to an ellipsoid [m]. Above
+the bound, the fit is repeated. Chosen: a hundredth of the depth of a loaded contact.
+"""
 
 
 def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> bool:
@@ -445,11 +451,10 @@ def _map_to_urdf(
 ) -> Array:
     """Convert a world position (3,) [m] in the MJCF to the URDF, both at joint positions of zero.
 
-    The joint axes of both files may differ. The position is shifted by the perpendicular distance
-    of the axes of the last joint that is no slide; the position of a joint frame along its axis has
-    no meaning. If
-    the URDF has a link at the unshifted position, or at the position relative to the joint frame,
-    that position is returned.
+    The joint axes of both files may differ. The result is shifted by the perpendicular distance of
+    both axes of the last joint that is no slide; the position of a joint frame along its axis has
+    no meaning. There is an exception: if the URDF has a link at the unshifted position, or at the
+    same position relative to the joint frame, the position of this link is returned.
     """
     joint = _find_last_joint(robot, body, turning=True)
     if joint is None:
@@ -484,9 +489,9 @@ def _find_moved_link(robot: Robot, body: int) -> str:
 
 
 def _find_last_joint(robot: Robot, body: int, *, turning: bool = False) -> str | None:
-    """Return the last joint between a body and the base; None without such a joint.
+    """Return the last joint between a body and the base; None without a joint.
 
-    Also None if a joint that is not one of the robot's joints is reached first.
+    The result is also None if the last joint is not one of the robot's joints.
 
     Args:
         robot: Robot.

@@ -25,8 +25,10 @@ from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.robot import Robot
 
 _LIMIT_ATOL = 1e-3
-"""Difference [rad, m] above which a narrower limit of the MJCF replaces that of the URDF, since
-files are rounded. Chosen, not tuned."""
+"""Tolerance [rad, m] of the comparison of joint limits. A limit of the MJCF replaces that of the
+URDF if it is narrower by more than the tolerance. Smaller differences are rounding. Chosen, not
+tuned.
+"""
 
 _CONTINUOUS_LIMIT = 2 * math.pi
 """Limit of a continuous joint of a robot with closed loops, in both directions [rad], if the MJCF
@@ -59,7 +61,7 @@ def limit_continuous_joints(robot: Robot) -> Description | None:
 def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
     """Narrow the joint limits of the URDF [rad, m] to the overlap with the limits of the MJCF.
 
-    Otherwise, MuJoCo would push joints back that are beyond the limits of the MJCF in a stand.
+    Reason: if a joint of a stand were beyond the limits of the MJCF, MuJoCo would push it back.
     Limits are kept if both ranges do not overlap, or if no limit of the MJCF is narrower by more
     than ``_LIMIT_ATOL``.
 
@@ -95,9 +97,9 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
 def couple_mimics(matched: Match, description: Description) -> tuple[Description, list[Diagnostic]]:
     """Add the ``<mimic>`` couplings of the URDF to the MJCF; return the description, and notes.
 
-    A joint remains uncoupled if it has an actuator in the MJCF, if a joint equality of the MJCF,
-    active or not, refers to it, or if the MJCF lacks the joint or its leader. A joint that depends
-    on other joints already is skipped, without a note.
+    A joint remains uncoupled in three cases: it has an actuator in the MJCF; a joint equality of
+    the MJCF, active or not, refers to it; or the MJCF lacks the joint or its leader. If a joint
+    already depends on other joints, it is skipped without a note.
 
     Args:
         matched: Matched joints of both files.

@@ -84,9 +84,9 @@ def judge_simulation(
         alone: Simulation with position commands alone; None if there is none.
         statics: Static motor torques; None if torque limits are not part of the question.
         question: Question that the verdict answers.
-        trial: Result of nudges in all directions. If None, if ``fed`` passes and ``statics`` is
-            given, a stand on a free base is nudged here: in all directions if it is near a limit
-            in ``statics`` or fails without feed-forward, otherwise by ``simulate_large_nudges``.
+        trial: Result of ``simulate_nudges``. If None, a stand on a free base is nudged here, if
+            ``fed`` passes and ``statics`` is given. It is nudged by ``simulate_nudges`` if it is
+            near a limit or fails without feed-forward, otherwise by ``simulate_large_nudges``.
         kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
         kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 
@@ -157,9 +157,9 @@ def _apply_zero_torque_limits(
 ) -> tuple[Outcome, Outcome | None, Diagnostic | None]:
     """Add the failures that follow from motors with a torque limit of zero to both simulations.
 
-    Both simulations fail if such a motor is loaded in ``statics``, or if ``statics`` is None. If no
-    such motor is loaded, the message is only added to the failures of ``fed``, if ``fed`` has
-    failed: first if more than half of the joints have such a motor, otherwise last.
+    If ``statics`` is None, or if such a motor is loaded in ``statics``, both simulations fail. If
+    no such motor is loaded and ``fed`` has failed, the message is added to the failures of ``fed``.
+    It is the first failure if more than half of the joints have such a motor, otherwise the last.
 
     Args:
         robot: Robot.
@@ -168,8 +168,8 @@ def _apply_zero_torque_limits(
         statics: Static motor torques; None if unknown.
 
     Returns:
-        Both simulations, and the message about the motors, which is None if there are no such
-        motors or if ``fed`` contains the message.
+        Both simulations, and the message about the motors. The message is None if there are no such
+        motors, or if ``fed`` contains it.
     """
     null = describe_zero_torque_limits(robot)
     if null is None:
@@ -195,7 +195,8 @@ def _list_model_remarks(
     Args:
         robot: Robot.
         stand: Stand; replaced soles are reported only if the stand has stance feet.
-        statics: Contact forces of the stand, for feet that sink too deep; None: not reported.
+        statics: Contact forces of the stand, to find feet that sink too deep. None: such feet are
+            not reported.
         given_gains: Whether the caller passed the servo gains; tendons are then not reported.
     """
     return (
@@ -210,8 +211,8 @@ def _list_model_remarks(
 def _fail_without_torque(run: Outcome, null: Diagnostic, *, springs: bool) -> Outcome:
     """Return a simulation, marked as failed because motors without torque must hold a load.
 
-    The simulation still counts as standing if ``springs`` hold these joints, and the robot stood;
-    otherwise its other failures are consequences of the missing torque, and are left out.
+    If ``springs`` is True and the robot stood, the simulation still counts as standing. Otherwise
+    its other failures are omitted, since they are consequences of the missing torque.
 
     Args:
         run: Simulation, in which these motors exert no torque.
@@ -225,7 +226,7 @@ def _fail_without_torque(run: Outcome, null: Diagnostic, *, springs: bool) -> Ou
 
 
 def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic | None:
-    """Create a message if no contact point of a stand has friction: each push moves the robot.
+    """Create a message if no contact point of a stand has friction, so that each push moves it.
 
     None if a contact point has friction, if there are no contact points, or if the robot has a
     weld, a grip or a fixed base.
@@ -240,10 +241,11 @@ def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic 
 def _list_overloaded_joints(
     robot: Robot, statics: GravityCompensation, positions: NDArray[np.float64] | None
 ) -> tuple[str, ...]:
-    """Return the joints whose motor exceeds its torque limit; limits of zero or below do not count.
+    """Return the joints whose motor exceeds its torque limit; limits of zero or below are ignored.
 
     The torques of actuators at tendons are evaluated at the joint ``positions``, shape (nu,) [rad,
-    m]; ``positions`` is None if servos at the joints replace these actuators.
+    m]. If ``positions`` is None, these actuators are not evaluated, since servos at the joints
+    replace them.
     """
     null = {limit.joint for limit in robot.efforts if limit.without_torque}
     overloaded = (
@@ -255,8 +257,9 @@ def _list_overloaded_joints(
 
 
 _MASS_RTOL = 1e-9
-"""Relative increase of the robot's mass since loading [1] above which the robot counts as loaded
-more. Chosen as a bound of rounding errors."""
+"""Tolerance [1] of the relative increase of the robot's mass since it was loaded from its files.
+Above it, the robot carries an additional mass. Chosen as a bound of rounding errors.
+"""
 
 
 def _report_buried_foot(
@@ -287,11 +290,12 @@ def _fail_if_upset(
 ) -> Outcome:
     """Return the result of a simulation, marked as failed if the stand fails after a nudge.
 
-    ``fed`` is the result of the simulation with feed-forward. A nudge is a velocity of the base. If
-    ``trial``, the result of the nudges of ``simulate_nudges``, is None, these nudges are simulated
-    here if the stand is near a limit, or ``fragile``: it fails without feed-forward. Other stands
-    get the nudges of ``simulate_large_nudges``, after which only shaking and divergence are
-    failures. A base that is fixed, or a stand without CoM margin, is not nudged.
+    A nudge is an initial velocity of the base. ``fed`` is the result of the simulation with
+    feed-forward. ``trial`` is the result of ``simulate_nudges``; None if not yet simulated. It is
+    then simulated here if the stand is near a limit, or if ``fragile`` is True (the stand fails
+    without feed-forward). For other stands ``simulate_large_nudges`` is simulated, in which only
+    shaking and divergence are failures. Without a free base or without a CoM margin, there is no
+    nudge.
     """
     speed = BASE_NUDGE_SPEED
     if trial is None:
@@ -333,8 +337,9 @@ _FILE_ERROR_CODES = {
     *("inertia-repaired", "meshes-left", "files-missing", "points-made-spheres"),
     *("flat-shape-left", "shape-left", "empty-shape-left", "empty-range-left", "effort-negative"),
 }
-"""Codes of notes on loading about errors of the file that do not prevent a simulation. Verdicts
-contain these notes, because the results depend on the assumptions in the notes."""
+"""Codes of loading notes about errors of the file. The errors do not prevent a simulation. Verdicts
+contain these notes, since the results depend on the assumptions in the notes.
+"""
 
 
 def describe_missing_masses(robot: Robot) -> Diagnostic | None:
@@ -342,9 +347,9 @@ def describe_missing_masses(robot: Robot) -> Diagnostic | None:
 
     None without such links.
 
-    Moving links without a positive mass are simulated with 1 g; MuJoCo refuses the URDF. The
-    negative mass of a link that is fixed to another link is subtracted from the mass of the other
-    link; MuJoCo's import ignores the negative mass.
+    A moving link without a positive mass is simulated with 1 g; MuJoCo refuses such a URDF. If a
+    link with a negative mass is fixed to another link, its mass is subtracted from that of the
+    other link; MuJoCo's import ignores the negative mass.
     """
     given = [
         note.subject.name for note in robot.notes if note.code == "mass-given" and note.subject
@@ -401,12 +406,14 @@ def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
 
 
 _MAX_DENSITY, _MIN_RADIUS = 19_300.0, 0.02
-"""Density of tungsten [kg/m^3], above which the mean density of the ball around a body is reported,
-and lower bound of the radius of this ball [m]. The radius is chosen, not tuned."""
+"""Upper bound of the mean density of the ball around a body [kg/m^3], and lower bound of the radius
+of this ball [m]. Above the density, the mass of the body is reported as impossible. The density is
+that of tungsten. The radius is chosen, not tuned.
+"""
 
 
 def describe_impossible_masses(model: mujoco.MjModel) -> Diagnostic | None:
-    """Create the message about bodies that are denser than tungsten, however they are shaped.
+    """Create the message about bodies that are denser than tungsten for any possible shape.
 
     The volume is that of the ball around the CoM that contains the bounding spheres of all geoms,
     the frame of the body and the frames of its children; the radius is at least `_MIN_RADIUS`.

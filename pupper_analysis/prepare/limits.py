@@ -1,8 +1,9 @@
 """Torque limits in verdicts: motors with a limit of zero, overloaded motors, and unknown limits.
 
-Inputs are a robot and the static torques of a stance [N m, N]; outputs are joints, and messages
-with a proposed limit from the other file or a similar limb, or with the torque that the motors must
-hold. A motor that holds up to `MIN_TORQUE_PER_MASS` times the robot's mass counts as unloaded.
+Inputs are a robot and the static torques of a stance [N m, N]. Outputs are joints and messages. A
+message about a limit of zero proposes the limit from the other file or from a similar limb. Other
+messages contain the torque that the motors must hold. A motor counts as unloaded if its torque is
+at most `MIN_TORQUE_PER_MASS` times the robot's mass.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ def list_driven_limits(robot: Robot) -> list[EffortLimit]:
 def describe_loaded_passive_joints(robot: Robot, statics: GravityCompensation) -> Diagnostic | None:
     """Create the message about passive joints that would have to hold a torque in a stance.
 
-    The message names the passive joints (`Description.passive_joints`) and the largest torque. None
-    if no passive joint is loaded; torques [N m] up to ``MIN_TORQUE_PER_MASS`` times the mass of the
-    robot are rounding.
+    The message names the passive joints (`Description.passive_joints`) and the largest torque. The
+    result is None if no passive joint is loaded. A torque [N m] of at most ``MIN_TORQUE_PER_MASS``
+    times the mass of the robot is no load, but rounding.
     """
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques).tolist(), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass
@@ -71,12 +72,12 @@ def list_overloaded_joints(
 ) -> tuple[str, ...]:
     """Return the joints whose motors exceed their torque limits in a stance.
 
-    Joints that the MJCF drives through tendons are evaluated with the forces F of the tendons'
-    actuators, which follow from the torques tau of these joints: tau = M F with the levers M at the
-    joint positions. A motor at another joint of such a tendon exerts the remaining torque,
-    tau - M F. A joint counts as overloaded as well if the tendons cannot exert its torque. The
-    tendons of a robot with closed loops or couplings, which transfer torques between joints, are
-    not evaluated.
+    If the MJCF drives joints through tendons, the forces F of the tendons' actuators are compared
+    with their limits. F follows from the torques tau of these joints: tau = M F, with the levers M
+    at the joint positions. A joint also counts as overloaded if the tendons cannot exert its
+    torque. If another joint of such a tendon has a motor, the motor exerts the remaining torque,
+    tau - M F. Tendons are not evaluated if the robot has closed loops or couplings, which transfer
+    torques between joints.
 
     Args:
         robot: Robot.
@@ -141,8 +142,8 @@ def _find_tendon_drives(
 def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:
     """Create the message about motors whose torque limit is zero, or negative, in a file.
 
-    The message proposes the limit that the other file, or the same joint of a similar limb, has, if
-    any.
+    The message proposes another limit if one is known: that of the other file, or that of the same
+    joint of a similar limb.
 
     Returns:
         The message; None if no limit is zero or negative, or if it is unknown which attribute of a
@@ -188,8 +189,8 @@ def _proposed_limit_fields(
 def _sibling_limit(robot: Robot, null: list[EffortLimit]) -> tuple[str, EffortStatement] | None:
     """Return the corresponding joint of a similar limb and the statement of its effort limit.
 
-    ``null`` are the limits that are zero or negative. The result belongs to the first of these
-    limits for which the files state a limit in a similar limb. None if there is none.
+    ``null`` are the limits that are zero or negative. The first of them is taken for which the
+    files state a limit in a similar limb. The result is None if there is no such limit.
     """
     limits, siblings = {limit.joint: limit for limit in robot.efforts}, sibling_joints(robot)
     for limit in null:
@@ -209,11 +210,11 @@ def loads_motor_without_torque(robot: Robot, statics: GravityCompensation) -> bo
 
 
 def springs_replace_motors(robot: Robot, statics: GravityCompensation) -> bool:
-    """Return True if the MJCF has a spring at each joint that needs torque but cannot exert any.
+    """Return True if the MJCF has a spring at each joint with a loaded motor without torque.
 
-    These are the joints whose motor has a torque limit of zero or below, and that must hold a
-    torque in the stance. A simulation then shows whether the springs hold the stance. Only linear
-    stiffness counts as a spring. Also True without such joints.
+    These are the joints that must hold a torque in the stance, and whose motor has a torque limit
+    of zero or below. Only linear stiffness counts as a spring. The result is also True if there are
+    no such joints. A simulation must show whether the springs hold the stance.
     """
     model = robot.mj_model
     joints = [model.joint(name).id for name in _list_loaded_zero_motors(robot, statics)]

@@ -1,8 +1,8 @@
 """Notes on the preparation: matched joints, feet, couplings, added servos.
 
-Inputs are the results of preparation passes; outputs are diagnostics, which ``robot.notes`` (or a
-verdict, for `report_tendon_joints`) contains. The functions only describe changes; the passes make
-the changes.
+Inputs are the results of preparation passes; outputs are diagnostics. ``robot.notes`` contains
+these diagnostics; a verdict contains those of `report_tendon_joints`. The functions only describe
+changes; the passes make the changes.
 """
 
 from __future__ import annotations
@@ -131,8 +131,8 @@ def report_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnosti
 def report_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
     """Return {foot: message} of the feet whose collision shapes are replaced by spheres.
 
-    There are three messages, each of which names all feet of a kind: ellipsoids, soles (several
-    contact points), and other feet.
+    There are three kinds of feet: ellipsoids, soles (several contact points), and others. The feet
+    of a kind have the same message, which names all of them.
     """
     soles, others, ellipsoids = list[str](), list[str](), list[str]()
     for foot in feet:
@@ -148,13 +148,13 @@ def report_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
 
 
 def report_planar_legs(robot: Robot) -> Iterator[Diagnostic]:
-    """Report that the legs cannot move the CoM in both horizontal directions, if this is so."""
+    """Report if the legs cannot move the CoM in both horizontal directions."""
     if not can_move_com(robot):
         yield diagnose("com-anywhere-inside")
 
 
 def report_coupled_joints(robot: Robot) -> Iterator[Diagnostic]:
-    """Report the joints that depend on other joints by closed loops or couplings, if any."""
+    """Report the dependent joints, whose positions follow from closed loops or couplings."""
     if robot.closure is not None:
         yield robot.closure.describe()
 

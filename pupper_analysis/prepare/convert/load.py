@@ -204,7 +204,7 @@ def _pair_files(
         read_file: Function that reads a file of either format.
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
-        take: ``"urdf"`` or ``"mjcf"``: of two files, use this file alone.
+        take: ``"urdf"`` or ``"mjcf"``: if two files are given, use only the file of this format.
         body: Root body of the robot in an MJCF with several robots.
         folders: {ROS package: its folder}.
         defer_visuals: True to convert the visual meshes of a URDF later.
@@ -280,8 +280,8 @@ def load_robot(
             a variant, such as ``"v3"``.
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
-        take: ``"urdf"`` or ``"mjcf"``: of two files, use this file alone.
-        body: Root body of the robot in an MJCF of several robots, or any body of the robot.
+        take: ``"urdf"`` or ``"mjcf"``: if two files are given, use only the file of this format.
+        body: Root body or any other body of the robot, for an MJCF with several robots.
         feet: Frames of the feet, or {foot: frame}. A frame is a link of the URDF; a geom, site or
             body of the MJCF; or a pair of both. By default feet are detected: they are the
             collision geoms at the ends of the lowest limbs. The pose for this is the keyframe with
