@@ -46,8 +46,9 @@ _SHARED_OPTIONS = {field.name for field in fields(RobotOptions)} | {
     *("words", "output", "priors", "kp", "everything"),
     *("style", "json_path", "report_path", "force"),
 }
-"""Options of ``fit`` that all modes accept, except ``priors`` and ``kp`` with ``--record`` and
-``--listen``."""
+"""Options of ``fit`` that all modes accept, with one exception: ``--record`` and ``--listen`` do
+not accept ``priors`` and ``kp``.
+"""
 _MODE_OPTIONS = {
     "--record": {*_SHARED_OPTIONS, "record", "bridge"} - {"priors", "kp"},
     "--listen": {*_SHARED_OPTIONS, "listen", "bridge"} - {"priors", "kp"},
@@ -295,7 +296,7 @@ def _read_measurements(
     topics: tuple[str, ...],
     joints: str | None,
 ) -> tuple[MeasuredStands | list[Log], float | list[Log] | None]:
-    """Read the measurements of a fit, and the part of them that is held out.
+    """Read the measurements of a fit, and select the held-out measurements.
 
     Args:
         stands: File of stands; None: ``logs`` are read.
@@ -305,7 +306,8 @@ def _read_measurements(
         joints: Names of the joints in bags, separated by commas; None: from the messages.
 
     Returns:
-        Stands or logs; held-out share [1] or logs, None without ``--hold-out``.
+        Measurements: stands or logs. Held-out measurements: share of each log [1], or logs; None
+        without ``--hold-out``.
 
     Raises:
         ConfigurationError: If a value of ``--topic`` has another form, an unknown role or an
@@ -339,8 +341,10 @@ _MEASURING_OPTIONS = (
     "--added",
     "--added-at",
 )
-"""Options of the current command that a suggested next command (recording, fit of stands, or
-``walk``) does not repeat, because the next command refuses them or specifies other values."""
+"""Options of the current command that are not repeated in the suggested next command. The next
+command records, fits stands, or is ``walk``. It refuses these options, or specifies other values
+for them.
+"""
 
 
 def _select_next_step(
@@ -348,9 +352,9 @@ def _select_next_step(
 ) -> NextStep | None:
     """Return the suggested next command; it depends on the type of ``result``.
 
-    A plan is to be written or recorded, a recording completed or fitted, a trace compared with its
-    policy, an unexplained fit shown in detail, an explained fit written. None after an explained
-    fit with an output folder: `command` then suggests a command with the written files.
+    For example, the next step after a plan is to record it, and after a complete recording to fit
+    it. The result is None after an explained fit with an output folder. In this case `command`
+    suggests a command with the written files.
     """
     from pupper_analysis.tools.fit.record.listen import TraceRecording
     from pupper_analysis.tools.fit.record.recorder import Recording
@@ -431,8 +435,8 @@ def _write_models(
 ) -> tuple[str, ...]:
     """Write a fit of the selected robot ``selection`` to a folder, and return the model paths.
 
-    An unexplained fit is only written if ``anyway`` is True, with inflated intervals; otherwise
-    nothing is written, and the result is empty.
+    A fit that does not explain the measurements is written only if ``anyway`` is True. Its
+    intervals are inflated. Otherwise nothing is written, and the result is empty.
     """
     from pupper_analysis.tools.fit.write import write_fit
 

@@ -116,8 +116,9 @@ def _make_estimate_table(
 ) -> doc.Table:
     """Create the table of estimates with intervals, a row per parameter.
 
-    If ``planned``, the values are only the stated values and the half widths of the intervals that
-    a plan predicts. If ``detail``, the short terminal view omits the table.
+    If ``planned`` is True, the table belongs to a plan, before any measurement. It contains the
+    stated values, and the half widths of the predicted intervals. If ``detail`` is True, the short
+    terminal view omits the table.
     """
     units = {
         estimate.unit: READ_IN.get(estimate.unit, (1.0, estimate.unit)) for estimate in estimates
@@ -151,7 +152,8 @@ def _make_estimate_table(
 def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
     """Create the report of a fit of model parameters to measured motions.
 
-    `build_document` calls this function for the result of the fit.
+    `build_document` calls this function for a `MotionFit`. All builders get the robot as the second
+    argument; it is not used here.
     """
     error, repeatability = _describe_errors(fit)
     details = (
@@ -208,7 +210,8 @@ def _make_joint_error_plots(fit: MotionFit) -> Iterator[doc.BarPlot]:
 def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
     """Create the report of a fit of model parameters to measured stands.
 
-    `build_document` calls this function for the result of the fit.
+    `build_document` calls this function for a `StandFit`. All builders get the robot as the second
+    argument; it is not used here.
     """
     answer = (_describe_total_mass(fit.total_mass), *_describe_kp_factor(fit))
     details = (
@@ -256,8 +259,8 @@ def _describe_com(com: Sequence[Estimate]) -> doc.Words:
 def _describe_kp_factor(fit: StandFit) -> Iterator[doc.Words]:
     """Yield the text of the mean factor on kp, if the fit has one.
 
-    A second text names measurements that would separate kp from the mass, if the robot was not
-    weighed, no known mass was added, and the total mass is determined by data.
+    A second text suggests measurements that would separate kp from the mass. It is yielded if the
+    robot was not weighed, no known mass was added, and the data determine the total mass.
     """
     if (factor := fit.kp_factor) is not None:
         values = _format_estimate(factor)
@@ -286,7 +289,8 @@ def _make_stand_residual_plot(fit: StandFit) -> doc.BarPlot:
 def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
     """Create the report of a measurement plan: stands, and predicted interval per parameter.
 
-    `build_document` calls this function for a `StandPlan`.
+    `build_document` calls this function for a `StandPlan`. All builders get the robot as the second
+    argument; it is not used here.
     """
     num_determined = sum(estimate.determined is Determined.DATA for estimate in plan.expected)
     expected = _make_estimate_table(
@@ -373,7 +377,8 @@ def _make_stand_table(plan: StandPlan) -> doc.Table:
 def recording_document(recording: Recording, _: Robot | None = None) -> doc.Document:
     """Create the report of a recording of stands: recorded, existing and missing stands.
 
-    `build_document` calls this function for a `Recording`.
+    `build_document` calls this function for a `Recording`. All builders get the robot as the second
+    argument; it is not used here.
     """
     counts = {
         "taken": len(recording.recorded_stands),
@@ -404,7 +409,8 @@ def recording_document(recording: Recording, _: Robot | None = None) -> doc.Docu
 def recorded_trace_document(recording: TraceRecording, _: Robot | None = None) -> doc.Document:
     """Create the report of a recorded policy: samples, and signals that were not received.
 
-    `build_document` calls this function for a `TraceRecording`.
+    `build_document` calls this function for a `TraceRecording`. All builders get the robot as the
+    second argument; it is not used here.
     """
     summary = text(
         "trace-recorded",

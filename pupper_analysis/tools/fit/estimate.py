@@ -19,56 +19,66 @@ from pupper_analysis.base.errors import FitError
 from pupper_analysis.tools.fit.parameters import PARAMETER_KINDS, Parameter, ParameterTable
 
 _MAX_STEPS = 60
-"""Upper bound of the Gauss-Newton steps of a minimisation. After these, the minimisation fails
-unless the predicted further decrease is small (`_MAX_UNREALISED_DECREASE`, `_STALL_RTOL`). Chosen,
-not tuned."""
+"""Maximum number of Gauss-Newton steps of a minimisation. After this number, the minimisation fails
+unless the predicted further decrease of the cost is small (`_MAX_UNREALISED_DECREASE`,
+`_STALL_RTOL`). Chosen, not tuned.
+"""
 
 _MIN_PREDICTED_DECREASE = 1e-4
-"""Default of the predicted decrease of the cost chi2 + z^T P z below which the iteration has
-converged, with z the deviation from the stated values (in prior widths) and P the prior precision.
-An accepted step may also fall short of the required decrease by this amount. A decrease d
-corresponds to a step of sqrt(d) standard deviations: 1e-4 is a hundredth of a standard deviation.
-Chosen, not tuned."""
+"""Default tolerance of the cost chi2 + z^T P z. The vector z is the deviation from the stated
+values in prior widths, and P is the prior precision. The iteration has converged if the predicted
+decrease of the cost is below this tolerance. An accepted step may also fall short of the required
+decrease by this amount. A decrease d corresponds to a step of sqrt(d) standard deviations: 1e-4 is
+a hundredth of a standard deviation. Chosen, not tuned.
+"""
 
 _STALL_RTOL = 0.01
-"""Predicted decrease, relative to the cost, below which a stalled minimisation ends without error,
-even if the decrease exceeds `_MAX_UNREALISED_DECREASE`. Chosen, not tuned."""
+"""Ratio of the predicted decrease to the cost. If the ratio is smaller, a stalled minimisation ends
+without error, even if the decrease exceeds `_MAX_UNREALISED_DECREASE`. Chosen, not tuned.
+"""
 
 
 _MIN_DECREASE_RATIO = 0.1
-"""Smallest ratio of actual to predicted decrease with which a step is accepted, apart from a
-shortfall of `_MIN_PREDICTED_DECREASE`. Otherwise the step is corrected (`_MAX_CORRECTIONS`) or the
-damping is raised. Chosen, not tuned."""
+"""Required ratio of actual to predicted decrease of the cost. A step is accepted if its decrease is
+at least this ratio times the predicted decrease, minus `_MIN_PREDICTED_DECREASE`. Otherwise the
+step is corrected (`_MAX_CORRECTIONS`), or the damping is raised. Chosen, not tuned.
+"""
 
 _MAX_CORRECTIONS = 2
-"""Maximum number of second-order corrections to an undamped step that decreases the cost too
-little. The cost has curved valleys: inertia is quadratic in large CoM displacements, and without a
-known added mass only the ratios of masses and kp are determined. Chosen, not tuned."""
+"""Maximum number of second-order corrections of an undamped step. A step is corrected if it
+decreases the cost too little. Corrections are useful since the cost has curved valleys: inertia is
+quadratic in large CoM displacements. Without a known added mass, only the ratios of masses and kp
+are determined. Chosen, not tuned.
+"""
 
 _MAX_UNREALISED_DECREASE = 1.0
-"""Predicted decrease of the cost (chi2 plus prior) below which a stalled minimisation ends without
-error. A minimisation has stalled if its steps do not achieve the predicted decrease; the last
-undamped step then widens the covariance. 1 corresponds to one standard deviation. Chosen, not
-tuned."""
+"""Upper bound of the predicted decrease of the cost (chi2 plus prior) at the end of a stalled
+minimisation. A minimisation has stalled if its steps do not achieve the predicted decrease. It ends
+without error if the predicted decrease is below this bound; the last undamped step widens the
+covariance. A decrease of 1 corresponds to one standard deviation. Chosen, not tuned.
+"""
 
 _MIN_DAMPING = 1e-3
 """Smallest nonzero damping of a step, relative to the diagonal of the posterior information matrix.
 Chosen, not tuned."""
 
 _MAX_DAMPING = 1e2
-"""Largest damping of a step, relative to the diagonal of the posterior information matrix. If that
-matrix is diagonal, the step is a hundredth of the undamped step. Chosen, not tuned."""
+"""Largest damping of a step, relative to the diagonal of the posterior information matrix. If this
+matrix is diagonal, the largest damping shortens the step to a hundredth. Chosen, not tuned.
+"""
 
 _MAX_BOUND_CHANGES = 10
-"""Upper bound of the iterations of a bounded step, per parameter: each iteration fixes a parameter
-at its lower bound or releases it. Chosen, not tuned."""
+"""Maximum number of iterations per parameter to compute a step within the lower bounds. Each
+iteration fixes a parameter at its lower bound, or releases it. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class LinearisedResiduals:
-    """Whitened residuals r + A dx of measurements, linearised about a parameter vector, as sums.
+    """Sums over the whitened residuals r + A dx of measurements.
 
-    Whitened residuals have unit covariance at the true parameters, if the noise model is right.
+    The residuals are linearised about a parameter vector. Whitened residuals have unit covariance
+    at the true parameters, if the noise model is right.
 
     Attributes:
         information: Sum of A^T A, shape (n, n).
@@ -120,9 +130,9 @@ class LinearisedResiduals:
     def compute_log_evidence(self, table: ParameterTable, z: Array) -> float:
         """Compute the log marginal likelihood of the measurements, up to a constant.
 
-        The parameters are integrated out under the prior, with residuals that are linear in the
-        parameters. The constant depends on the numbers of residuals and parameters, and on the
-        correlation of the prior.
+        The marginal likelihood is the likelihood, integrated over the parameters under the prior.
+        The residuals are assumed to be linear in the parameters. The constant depends on the
+        numbers of residuals and parameters, and on the correlation of the prior.
 
         Args:
             table: Parameters.
@@ -152,9 +162,9 @@ class Posterior:
             widths: 1 is the information of an uncorrelated prior.
         precision: Inverse of the prior covariance, shape (n, n), in units of the prior widths.
         chi2: Sum of squares of the whitened residuals.
-        moved: Deviation of the mean from the stated values in the coordinates of the fit, in units
-            of the prior widths, shape (n,). A fit of stands has logarithms of masses and kp as
-            coordinates, a fit of motions has first moments.
+        moved: Deviation of the mean from the stated values, shape (n,), in units of the prior
+            widths. It is expressed in the coordinates of the fit. A fit of stands uses logarithms
+            of masses and kp as coordinates, and a fit of motions uses first moments.
         rows: Number of residuals.
     """
 
@@ -199,10 +209,11 @@ class Posterior:
 
     @property
     def degrees_of_freedom(self) -> float:
-        """Expectation of ``chi2``, number of residuals minus effective number of parameters.
+        """Expected value of ``chi2``: number of residuals minus effective number of parameters.
 
-        With prior precision P, information J and n parameters the effective number of parameters,
-        which the measurements determine, is n - trace((P + J)^-1 P).
+        The effective number of parameters is n - trace((P + J)^-1 P), with n parameters, prior
+        precision P and information J of the measurements. It counts the parameters that the
+        measurements determine.
         """
         n = len(self.mean)
         covariance = np.linalg.inv(self.precision + self.information)
@@ -230,16 +241,18 @@ def estimate_parameters(
     more damping.
 
     The iteration has converged if the predicted decrease of the undamped step is below
-    ``min_decrease``. It has stalled if no step is accepted up to `_MAX_DAMPING`, if an accepted
-    step decreases the cost by at most ``min_decrease``, or after 60 steps. This occurs if joints
-    stick and slip, since the cost of such a simulation has jumps. A stalled iteration still gives a
-    result if the predicted decrease is below 1, or below 1 % of the cost; the covariance is then
-    widened by the outer product of the undamped step. Otherwise the iteration continues from an
-    accepted step, up to 60 steps.
+    ``min_decrease``.
 
-    The noise of residuals may depend on the parameters (encoder noise acts on torques by kp). It is
-    evaluated at the last parameters, and not differentiated: otherwise the minimisation would
-    prefer parameters with large noise.
+    The iteration has stalled if no step is accepted up to `_MAX_DAMPING`, if an accepted step
+    decreases the cost by at most ``min_decrease``, or after 60 steps. For example, it stalls if
+    joints stick and slip, since the cost of such a simulation has jumps. A stalled iteration gives
+    a result if the predicted decrease is below 1, or below 1 % of the cost. The covariance of this
+    result is widened by the outer product of the undamped step. If the predicted decrease is
+    larger, the iteration continues from the accepted step, up to 60 steps.
+
+    The noise of the residuals may depend on the parameters: encoder noise, times kp, is a noise of
+    torques. The noise is evaluated at the last parameters and not differentiated. Otherwise the
+    minimisation would prefer parameters with large noise.
 
     Args:
         table: Parameters.
@@ -247,11 +260,12 @@ def estimate_parameters(
             linearised, and the parameters at which the noise is evaluated.
         start: Initial guess, shape (n,); the stated values by default.
         lower_bounds: Lower bounds, shape (n,); by default 0 for kinds that are positive.
-        min_decrease: Predicted decrease of the undamped step below which the iteration has
-            converged, and actual decrease up to which the iteration has stalled.
+        min_decrease: Tolerance of the cost. The iteration has converged if the predicted decrease
+            of the undamped step is smaller. It has stalled if the actual decrease of an accepted
+            step is at most this tolerance.
 
     Raises:
-        FitError: If the iteration neither converges nor gives a result when it stalls, or the
+        FitError: If the iteration does not converge and gives no result when it stalls. Also if the
             gradient or the information of the cost is not finite, or the information is not
             positive definite.
     """
@@ -314,8 +328,8 @@ class _QuadraticCost:
     def has_minimum(self) -> bool:
         """Whether this quadratic model has a minimum.
 
-        It has one if the gradient and the Hessian (information matrix) are finite, and the Hessian
-        is positive definite.
+        A minimum exists if the gradient and the Hessian (information matrix) are finite, and the
+        Hessian is positive definite.
         """
         if not (np.isfinite(self.posterior_information).all() and np.isfinite(self.descent).all()):
             return False
@@ -331,8 +345,8 @@ class _QuadraticCost:
         The step minimises the damped quadratic cost within the lower bounds.
 
         Args:
-            damping: Factor of the damping: ``damping`` times the diagonal of the posterior
-                information is added to the information.
+            damping: Damping factor [1]. The product of ``damping`` and the diagonal of the
+                posterior information is added to the posterior information.
         """
         lower_bounds = (self.lower_bounds - self.x) / self.table.width
         damped = self.posterior_information + damping * np.diag(np.diag(self.posterior_information))
@@ -358,8 +372,8 @@ class _QuadraticCost:
     def make_posterior(self, unrealised_step: Array | None = None) -> Posterior:
         """Return the normal distribution with the parameters ``x`` as the mean.
 
-        The covariance is the inverse of the posterior information, plus the outer product of
-        ``unrealised_step`` if that is given.
+        The covariance is the inverse of the posterior information. If ``unrealised_step`` is given,
+        its outer product is added.
 
         Args:
             unrealised_step: Predicted step, shape (n,), in units of the prior widths, that did not
@@ -385,14 +399,15 @@ class _QuadraticCost:
 def _find_decrease(
     cost: _QuadraticCost, linearise: Callable[[Array, Array], LinearisedResiduals], damping: float
 ) -> tuple[tuple[Array, float] | None, float]:
-    """Find an acceptable step (`_MIN_DECREASE_RATIO`), with increasing damping from ``damping`` on.
+    """Find an acceptable step (`_MIN_DECREASE_RATIO`): increase the damping from ``damping`` on.
 
-    ``linearise`` returns the residuals, linearised at its first argument, with the noise evaluated
-    at the second one.
+    ``linearise`` has two arguments: the parameters at which the residuals are linearised, and the
+    parameters at which the noise is evaluated.
 
     Returns:
-        Accepted parameters and decrease of the cost (which may be negative, by at most
-        ``_MIN_PREDICTED_DECREASE``), or None without an accepted step; and the next damping.
+        Pair of the accepted parameters and the decrease of the cost, or None without an accepted
+        step; damping of the next step. The decrease may be negative, by at most
+        ``_MIN_PREDICTED_DECREASE``.
     """
     table, x = cost.table, cost.x
     while damping <= _MAX_DAMPING:

@@ -38,24 +38,25 @@ def fit(
     Args:
         robot: The robot.
         measurements: Stands of ``read_stands``, or a log or several logs of ``read_log``.
-        priors: Prior standard deviations: ``mass=50%``, ``com:base=5mm``, ``kp=0`` (kp is exact).
+        priors: Prior standard deviations, for example ``mass=50%`` or ``com:base=5mm``. With
+            ``kp=0``, the stated kp is exact and is not estimated.
         kp: Stated servo stiffness [N m/rad, N/m], a scalar or shape (nu,); the model's by default.
         kd: Stated servo damping [N m s/rad, N s/m], a scalar or shape (nu,); the model's by
             default. For logs only.
         weight: Mass of the whole robot on a scale [kg]. For stands only.
         encoder: Standard deviation of a joint position [rad, m]; derived from the encoder step by
             default. For stands only.
-        hold_out: Fraction at the end of each log that is predicted instead of fitted, 0.2 by
-            default; or logs that are predicted. For logs only.
+        hold_out: Measurements that are predicted instead of fitted: a fraction at the end of each
+            log (0.2 by default), or separate logs. For logs only.
 
     Raises:
-        ConfigurationError: If an argument does not apply to the measurements, or is invalid; or,
-            for stands, if the base is fixed, or the robot has closed loops, couplings, welds or
+        ConfigurationError: If an argument is invalid, or does not apply to the measurements. For
+            stands also if the base is fixed, or the robot has closed loops, couplings, welds or
             grips.
         FitError: If the iteration does not converge.
         MeasurementError: If the measurements do not belong to this robot, or cannot be used.
-        ModelError: If a joint has no motor (stands: only if ``kp`` is passed); or if motors of a
-            logged robot are no servos, and kp and kd are not both passed.
+        ModelError: For stands, if ``kp`` is passed and a joint has no motor. For logs, if a joint
+            has no motor, or if a motor is no servo and ``kp`` and ``kd`` are not both passed.
         UnknownNameError: If the measurements name a joint, foot or link that the robot lacks.
     """
     stands = isinstance(measurements, MeasuredStands)

@@ -37,8 +37,8 @@ class ParameterKind:
         share: Default standard deviation, as a fraction of the stated value.
         width: Smallest default standard deviation, in the kind's unit.
         positive: Whether negative values are impossible.
-        factor: Whether errors are multiplicative: a fit of stands then estimates the logarithm, so
-            that twice the stated value is as probable as half.
+        factor: Whether errors are multiplicative. If True, a fit of stands estimates the logarithm,
+            so twice the stated value is as probable as half the stated value.
         common: Prior correlation between two parameters of this kind.
     """
 
@@ -107,9 +107,11 @@ PARAMETER_KINDS: Mapping[str, ParameterKind] = {
 SURROUNDINGS_KINDS = (
     *("slope", "softness", "length", "moment", "deadband", "settling", "load", "added", "place"),
 )
-"""Keys of `PARAMETER_KINDS` that results list last: ground, leg lengths, dead band and friction of
-the servos, scale and known masses. They are not written to robot files. (``offset``, ``delay`` and
-``lag`` are not written either, but are listed with the robot.)"""
+"""Keys of `PARAMETER_KINDS` for the surroundings: ground, leg lengths, dead band and friction of
+the servos, scale and known masses. Results list these parameters last, and they are not written to
+robot files. (The kinds ``offset``, ``delay`` and ``lag`` are not written either, but are listed
+with the robot.)
+"""
 
 
 @dataclass(frozen=True)
@@ -120,8 +122,8 @@ class Parameter:
         kind: Key of ``PARAMETER_KINDS``.
         subject: Link, joint or foot; ``floor``, ``servos`` or ``scale`` for the surroundings.
         component: ``x``, ``y`` or ``z``; ``command`` or ``position`` of a lag; empty for a scalar.
-        stated: Value of the model, in the kind's unit: the mean of the prior. Of the surroundings,
-            the assumed value.
+        stated: Mean of the prior, in the kind's unit: the value of the model, or the assumed value
+            of the surroundings.
         width: Standard deviation of the prior, in the kind's unit.
     """
 
@@ -176,14 +178,16 @@ _PRIOR_PATTERN = re.compile(
 
 
 _MIN_PRIOR_WIDTH = 1e-9
-"""Exclusive lower bound of a nonzero width of a prior that a user enters (``KIND=VALUE[UNIT]``), in
-the unit of the entry. The exclusive upper bound is the reciprocal. Chosen, not tuned."""
+"""Exclusive lower bound of the prior width that a user enters as ``KIND=VALUE[UNIT]``, in the
+entered unit. A width of 0 is also accepted. The exclusive upper bound is the reciprocal of this
+value. Widths outside the bounds are refused. Chosen, not tuned.
+"""
 
 
 def parse_prior(text: str) -> Prior:
     """Parse ``KIND[:SUBJECT]=WIDTH``, for example ``mass=50%``, ``com:base=5mm`` or ``kp=0``.
 
-    A width without unit is in the unit of the kind.
+    The width is the prior standard deviation. If it has no unit, it is in the unit of the kind.
 
     Raises:
         ConfigurationError: If the argument is no text or does not have this form, the kind or the
@@ -230,14 +234,16 @@ def apply_priors(
 ) -> tuple[Parameter, ...]:
     """Return the parameters of a fit with prior standard deviations (widths).
 
-    The width is that of the last matching prior, or the default of the kind. Parameters of width 0
-    (``kp=0``, or a mass of 0) count as known exactly and are left out, and so are parameters whose
-    width is NaN.
+    The width of a parameter is that of the last matching prior. Without a matching prior, it is the
+    default of the kind. A parameter with the width 0 counts as known exactly, and is left out. For
+    example, the prior ``kp=0`` has the width 0. The default width of a mass is relative, so it is 0
+    if the stated mass is 0. Parameters whose width is NaN are left out.
 
     Args:
         stated: Kind, subject, component and stated value (in the kind's unit) of each possible
             parameter.
-        priors: Priors that replace the defaults; of several that match, the last.
+        priors: Priors that replace the defaults. If several match a parameter, the last one
+            applies.
 
     Raises:
         ConfigurationError: If a prior matches no possible parameter.
@@ -307,14 +313,14 @@ class ParameterTable:
     def find_index(self, kind: str, subject: str, component: str = "") -> int | None:
         """Return the index of a parameter in the parameter vector; None if not estimated.
 
-        A parameter is given by the kind, the subject, and the component, if any (`Parameter`).
+        Kind, subject and component identify a `Parameter`. The component of a scalar is empty.
         """
         return self._indices.get((kind, subject, component))
 
     def find_columns(
         self, kind: str, subjects: Sequence[str], components: Sequence[str] = ("",)
     ) -> tuple[list[int], list[int]]:
-        """Find the parameters of a kind that are estimated, among subjects and components.
+        """Find which pairs of a subject and a component are estimated parameters of a kind.
 
         Args:
             kind: Key of ``PARAMETER_KINDS``.
@@ -322,8 +328,9 @@ class ParameterTable:
             components: Components of each subject.
 
         Returns:
-            Positions of the estimated parameters in the list of all subjects, each with all
-            components; and, for each position, the index in the parameter vector.
+            Two lists of equal length. The first contains the positions of the estimated parameters
+            in the list of all pairs: all components of the first subject, followed by those of the
+            next. The second contains the indices of these parameters in the parameter vector.
         """
         keys = [(kind, subject, component) for subject in subjects for component in components]
         indices = [*map(self._indices.get, keys)]
@@ -405,8 +412,9 @@ AXES = ("x", "y", "z")
 def find_moved_link(model: pin.Model, number: int) -> str:
     """Return the URDF link that a Pinocchio joint moves.
 
-    If fixed joints connect several links, the result is the first link, in the order of the model's
-    frames, whose frame coincides with the joint frame, or else the first link.
+    If fixed joints connect several links, the result is the first link whose frame coincides with
+    the joint frame. If no frame coincides, it is the first of these links. The order is that of the
+    model's frames.
 
     Args:
         model: Pinocchio model.

@@ -2,7 +2,7 @@
 
 Input is the posterior distribution of the parameters; output is, for each parameter, the mean and
 the 95 % interval in the parameter's unit, and whether data, prior or both determine the estimate:
-the smaller the ratio of posterior to prior variance, the larger the effect of the data.
+the smaller the ratio of posterior to prior variance is, the larger is the effect of the data.
 """
 
 from __future__ import annotations
@@ -35,12 +35,14 @@ class Determined(StrEnum):
 
 
 _MAX_DATA_RATIO = 0.1
-"""Ratio of posterior to prior variance below which an estimate is determined by data: the interval
-is narrower than sqrt(0.1), about a third, of the prior's. Chosen, not tuned."""
+"""Ratio of posterior to prior variance. If it is smaller, the data determine the estimate: the
+interval is narrower than sqrt(0.1), about a third, of the prior's. Chosen, not tuned.
+"""
 
 _MIN_PRIOR_RATIO = 0.9
-"""Ratio of posterior to prior variance from which an estimate is determined by the prior: the
-interval is at least sqrt(0.9), 95 %, as wide as the prior's. Chosen, not tuned."""
+"""Ratio of posterior to prior variance. If it is at least this value, the prior determines the
+estimate: the interval has at least sqrt(0.9), 95 %, of the prior's width. Chosen, not tuned.
+"""
 
 
 def classify_determination(variance_ratio: float) -> Determined:
@@ -194,9 +196,9 @@ def estimate_kp_over_mass(posterior: Posterior, *, kp_only: bool = False) -> Est
     """Estimate the ratio (mean factor on kp) / (factor on the carried mass), dimensionless.
 
     The factor on kp is the geometric mean of estimated kp / stated kp over the joints. The factor
-    on the mass is (sum of the masses that are parameters) / (sum of their stated values), times 1 +
-    load. The load is a force on the feet beyond the masses, as a fraction of the weight. A factor
-    without parameters is 1.
+    on the mass is (1 + load) (sum of estimated masses) / (sum of their stated values). The load is
+    the force on the feet in excess of the weight of the masses, as a fraction of the weight. A
+    factor without estimated parameters is 1.
 
     Args:
         posterior: Distribution of the parameters.

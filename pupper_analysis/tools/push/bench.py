@@ -45,60 +45,70 @@ PULSE_DURATION = 0.02
 compared with a fall, which takes about 0.3 s."""
 
 MAX_RESTING_SPEED = 0.01
-"""Largest speed of the base in the last ``_REST_DURATION`` of a robot that has recovered [m/s]; the
-creep speed without a push is added. Chosen, not tuned."""
+"""Largest speed of the base in the last ``_REST_DURATION`` with which a robot has recovered [m/s].
+The creep speed without a push is added to this bound. Chosen, not tuned.
+"""
 
 _REST_DURATION = 0.5
 """Time at the end of a simulation in which the base must be at rest [s]. Chosen, not tuned."""
 
 _MIN_CHECK_INTERVAL = 0.5
-"""Simulated time between two tests whether a simulation can end early [s]; at least the duration of
-the push. Measured on v3-long-leg: with half of the interval, slow phases of a fall are taken for
-rest, and the limits must be searched again."""
+"""Smallest simulated time between two tests whether a simulation can end early [s]. The time is
+also at least the duration of the push. Measured on v3-long-leg: with half of this time, slow phases
+of a fall are mistaken for rest, and the limits must be searched again.
+"""
 
 _SLOW_DURATION = 0.1
-"""Time [s] at the end of an interval in which all velocities must be below `_MAX_SLOW_SPEED` before
-the spectrum is evaluated. Chosen, not tuned."""
+"""Time [s] at the end of an interval. The spectrum is evaluated only if all velocities in this time
+are below `_MAX_SLOW_SPEED`. Chosen, not tuned.
+"""
 
 _MAX_SLOW_SPEED = 0.02
-"""Largest velocity of any degree of freedom within the last ``_SLOW_DURATION`` [m/s, rad/s] with
-which the simulation of a push may end early, before the requested time. A robot that almost tips
-may be as slow for a while; therefore the eigenvalues of the linearised motion (spectrum) are
-evaluated then, which contain the mode of the fall. Chosen, not tuned."""
+"""Largest velocity [m/s, rad/s] of any degree of freedom within the last ``_SLOW_DURATION``. If all
+velocities are smaller, the simulation of a push may end early, before the requested time. A second
+condition is that no eigenvalue of the linearised motion (spectrum) belongs to a growing mode. A
+robot that almost tips can be slow for a while, but the spectrum contains the mode of its fall.
+Chosen, not tuned.
+"""
 
 _SAMPLE_TIME = 0.004
 """Time between the states whose ground contacts are evaluated [s]. Chosen, not tuned."""
 
 _NUM_SAMPLES_NEAR_GROUND = 25
 """Number of successive samples whose contacts are searched after a part was found near the ground.
-Then the distance to the ground is computed again, to skip the samples in which no part can reach
-it. Chosen, not tuned."""
+After these samples, the distance to the ground is computed again. Samples in which no part can
+reach the ground are skipped. Chosen, not tuned.
+"""
 
 MAX_DURATION_RATIO = 10.0
-"""Largest simulated time of a push whose outcome is not decided at the end of the requested time,
-relative to the requested time: 60 s by default. A robot that still moves then has not recovered.
-Chosen, not tuned."""
+"""Upper bound of the simulated time of a push, as a multiple of the requested time: 60 s by
+default. A simulation lasts longer than the requested time if its outcome is not decided. A robot
+that still moves at the upper bound has not recovered. Chosen, not tuned.
+"""
 
 _MAX_REMAINING_RATIO = 0.1
 """Largest predicted motion of the base, relative to the CoM height, with which a pushed robot
-counts as at rest. The motion is predicted from the speed for the remaining time, times
-`_SPEED_FACTOR`. Measured on v3-long-leg: the robot returns from 0.03, and falls slowly from
-0.07."""
+counts as at rest. The motion in the remaining time is predicted from the speed, and multiplied by
+`_SPEED_FACTOR`. Measured on v3-long-leg: the robot returns from 0.03, and falls slowly from 0.07.
+"""
 
 _SPEED_FACTOR = 1.5
-"""Safety factor on the motion of the base that is predicted from its speed for the remaining time,
-since the measured speed of an oscillation may be small for a while. The product is compared with
-`_MAX_REMAINING_RATIO`. Chosen, not tuned."""
+"""Safety factor on the predicted motion of the base in the remaining time. The motion is predicted
+from the speed, which may be small for a while during an oscillation. The product is compared with
+`_MAX_REMAINING_RATIO`. Chosen, not tuned.
+"""
 
 _STILL_RATIO = 0.01
-"""Fraction of the bound `_MAX_REMAINING_RATIO`. If the predicted motion of the base is at most this
-fraction of its bound at the end of the longest simulation, the robot counts as at rest, even if the
-speed does not decrease (rounding or creep) and without a test for growing modes. Chosen, not
-tuned."""
+"""Fraction of the bound `_MAX_REMAINING_RATIO`, used at the end of the longest simulation. If the
+predicted motion of the base is at most this fraction of the bound, the robot counts as at rest.
+Growing modes are not tested in this case, and the speed need not decrease, because of rounding or
+creep. Chosen, not tuned.
+"""
 
 _MAX_BATCH_VALUES = 2**25
-"""Largest number of 8-byte values (states and controls) of one batch of pushes, unless one push has
-more. Chosen, not tuned."""
+"""Largest number of 8-byte values (states and controls) in one batch of simulated pushes; it bounds
+the memory. A batch with a single push may have more. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,11 +207,11 @@ class PushBench:
     ) -> list[Diagnostic | None]:
         """Simulate pushes until each outcome is decided, and return the failure of each or None.
 
-        None means that the robot recovers. A simulation ends early if it diverges, if a body other
-        than a foot touches the ground, or if the robot is at rest and no growing mode of the
-        linearised dynamics leaves that state. If the robot is not at rest after ``duration``, the
-        simulation goes on until the robot rests or falls, up to ``MAX_DURATION_RATIO`` times the
-        duration. A slow fall does not count as rest (``_will_rest``).
+        None means that the robot recovers. A simulation ends early if it diverges, or if a body
+        other than a foot touches the ground. It also ends early if the robot is at rest and the
+        linearised dynamics have no growing mode. If the robot is not at rest after ``duration``,
+        the simulation continues until the robot rests or falls, up to ``MAX_DURATION_RATIO`` times
+        the duration. A slow fall does not count as rest (``_will_rest``).
 
         Args:
             directions: Index of each push's direction in ``axes`` (horizontal unit vectors in the
@@ -259,7 +269,8 @@ class PushBench:
         """Simulate n pushes for the full duration, and yield the states of each, (steps, size).
 
         Args:
-            directions: Index of each push's direction in ``axes``, shape (n,).
+            directions: Index of each push's direction in ``axes`` (horizontal unit vectors in the
+                world frame), shape (n,).
             impulses: Impulses, shape (n,) [N s].
         """
         self.rollouts += len(directions)
@@ -401,16 +412,17 @@ class PushBench:
         """Return True if the base of a slow robot will move little, and no mode grows.
 
         Motion: the predicted motion of the base, ``_SPEED_FACTOR`` v min(T, 1 / d), must be at most
-        ``_MAX_REMAINING_RATIO`` of the CoM height. v is the speed of the base (less the creep speed
-        without a push, if the motion is too large otherwise), d the relative rate at which v
-        decreases (0 if it does not), and T the remaining time of the longest simulation, at least
-        ``HOLD_DURATION``.
+        ``_MAX_REMAINING_RATIO`` of the CoM height. v is the speed of the base. If the motion is too
+        large, it is computed again with v reduced by the creep speed without a push. d is the
+        relative rate at which v decreases (0 if it does not). T is the remaining time of the
+        longest simulation, at least ``HOLD_DURATION``.
 
-        Modes: none may grow within the longest simulation (`Mode.grows_within`) with both
-        finite-difference steps. Modes that grow only without dry friction are ignored. Near a
-        saddle point a robot almost stops before it falls (v3-long-leg: 0.1 mm/s after 14 s, and on
-        its shanks after 35 s). At the end of the longest simulation, modes are ignored if the speed
-        decreases, or if the motion is at most ``_STILL_RATIO`` of the bound.
+        Modes: no mode may grow within the longest simulation (`Mode.grows_within`) with both
+        finite-difference steps. Modes that grow only without dry friction are ignored. This test is
+        necessary, since a robot almost stops near a saddle point before it falls (v3-long-leg: 0.1
+        mm/s after 14 s, and on its shanks after 35 s). At the end of the longest simulation, modes
+        are ignored if the speed decreases, or if the motion is at most ``_STILL_RATIO`` of the
+        bound.
 
         Args:
             states: Last states, at least those of ``_REST_DURATION``, shape (n, size).
@@ -440,9 +452,10 @@ class PushBench:
     def _is_at_rest(self, states: Array) -> bool:
         """Return True if a pushed robot is at rest at the end of its simulated states.
 
-        The robot is upright and slower than `_MAX_SLOW_SPEED` during the last `_SLOW_DURATION`;
-        linearised there, no mode of its motion grows within `HOLD_DURATION`, with or without dry
-        friction, and the predicted motion of the base is small (`_will_rest`).
+        All conditions must be met. The robot is upright, and slower than `_MAX_SLOW_SPEED` during
+        the last `_SLOW_DURATION`. No mode of the motion, linearised at the last state, grows within
+        `HOLD_DURATION`, with or without dry friction. The predicted motion of the base is small
+        (`_will_rest`).
 
         Args:
             states: MuJoCo's full states of the last steps, shape (n, size): time, qpos, qvel, ...
@@ -611,7 +624,7 @@ def simulate_push(
         direction: Direction about the vertical [rad], -2 pi to 2 pi: 0 is the base's forward, pi/2
             the base's left.
         duration: Simulated time from the start of the push [s], 2 to 600. If the robot is not at
-            rest then, the simulation goes on until it rests or falls, up to
+            rest after this time, the simulation continues until the robot rests or falls, up to
             ``MAX_DURATION_RATIO`` times as long.
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own by default.

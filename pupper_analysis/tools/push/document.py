@@ -64,10 +64,11 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
 
 
 def _select_next_step(pushed: PushedStance) -> NextStep:
-    """Return the next command: `best margin` (stance that tips later), or after a failure `stand`.
+    """Return the next command: by default `best margin`, after a failure `stand`.
 
-    If the files explain the failure, the next command is `crosscheck` or `audit`. If the robot
-    stays on its feet and torque limits are unknown, it is `audit`.
+    `best margin` finds a stance with a larger margin, which tips later. If the files explain the
+    failure, the next command is `crosscheck` or `audit`. If the robot stays on its feet and torque
+    limits are unknown, it is `audit`.
     """
     if pushed.peak_torques is not None:
         return NextStep("audit")
@@ -79,8 +80,9 @@ def _select_next_step(pushed: PushedStance) -> NextStep:
 def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
     """Yield a text of the weakest direction [degrees] and its impulse [N s], then its failure.
 
-    A single text is yielded in two cases: for a robot that falls without a push, the mass [kg]; if
-    torque limits are unknown, direction, impulse and the largest torque of a motor without limit.
+    A single text is yielded in two cases. If the robot falls without a push, the text contains the
+    mass [kg]. If torque limits are unknown, it contains direction, impulse, and the largest torque
+    of a motor without a stated limit.
     """
     recovery = pushed.recovery
     if recovery.failures_without_push:
@@ -259,7 +261,8 @@ def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.
 def trial_document(trial: PushTrial, _: Robot | None = None) -> doc.Document:
     """Create the report of a simulated push.
 
-    `build_document` calls this function for a `PushTrial`.
+    `build_document` calls this function for a `PushTrial`. All builders get the robot as the second
+    argument; it is not used here.
     """
     columns = quantity_columns()
     rows = (

@@ -109,8 +109,10 @@ class PushedStance(Result):
 
 
 MAX_BEYOND_TIME = 0.01
-"""Largest total time for which a motor may be beyond its torque-speed region during a push [s]:
-single steps of an impact are permitted. Chosen, not tuned."""
+"""Largest total time for which a motor may be beyond its torque-speed region during a push [s]. If
+the time is longer, the motor cannot exert the torques of the push. The bound permits single time
+steps of an impact. Chosen, not tuned.
+"""
 
 
 def study_pushes(
@@ -134,9 +136,9 @@ def study_pushes(
         kd: Servo damping [N m s/rad, N s/m], a scalar or (nu,); the model's own by default.
         directions: Number of directions, evenly spaced, the first direction forward; 3 to 360.
         resolution: Resolution of the impulses [N s].
-        motors: {name of the robot: {joint: motor}}, whose torque-speed regions the torques of the
-            weakest push are compared with. The simulation limits torques by the effort limits of
-            the robots only.
+        motors: {name of the robot: {joint: motor}}. The torques of the weakest push are compared
+            with the torque-speed regions of these motors. The simulation limits torques by the
+            effort limits of the robots only.
 
     Returns:
         {name of the robot: result}.
@@ -233,8 +235,10 @@ def _compare_with_regions(
 
 
 _REGION_RTOL = 1e-9
-"""Relative tolerance of the edge of a torque-speed region: covers rounding of torques that the
-simulation has limited to the largest torque of the motor. Chosen, not tuned."""
+"""Relative tolerance of the edge of a torque-speed region. A torque beyond the edge by less counts
+as inside. It covers rounding if the simulation limits a torque to the largest torque of the motor.
+Chosen, not tuned.
+"""
 
 
 def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
@@ -251,8 +255,10 @@ def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
 
 
 CHECKED_LEVELS = 8
-"""Largest number of pushes per direction, equally spaced below the limit that the bisection found,
-that are simulated to check that the robot survives smaller pushes, too. Chosen, not tuned."""
+"""Largest number of smaller pushes per direction that are simulated after the bisection. These
+pushes are equally spaced below the limit of the bisection. They check that the robot also survives
+smaller pushes. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,25 +337,27 @@ def push_recovery(
 ) -> PushRecovery:
     """Find the largest horizontal push, in each direction, from which a stand recovers.
 
-    The push is a constant force for about 20 ms (whole time steps) from t = 0 on, at the CoM of the
-    base body, on a robot at rest in balance. The servos hold the stand; without feed-forward the
-    robot starts to sag during the push.
+    The push is a constant force at the CoM of the base body, from t = 0 on, for about 20 ms (whole
+    time steps). Before the push the robot is at rest in balance. The servos hold the stand. Without
+    feed-forward, the robot starts to sag during the push.
 
     A stand that does not stay on the feet in ``verify_stand`` withstands no push.
 
-    The robot recovers if only feet touch the ground in the whole simulation, and if at the end the
-    base tilts by less than 0.5 rad, the CoM has more than half of its height, and the base is at
-    rest. A slow fall is no rest: the motion extrapolated to the remaining time must be at most a
-    tenth of the CoM height, and no mode may grow. Contacts are searched every 4 ms. The robot may
-    slide or turn about the vertical. A simulation ends early if another body touches the ground, or
-    if the robot is at rest and no mode leaves this state; the returned limits were simulated to the
-    end. If the robot is upright at the end and not at rest, the simulation goes on until the robot
-    rests or falls, up to ten times as long.
+    The robot recovers if only feet touch the ground in the whole simulation, and if three
+    conditions are met at the end: the base tilts by less than 0.5 rad, the CoM has more than half
+    of its initial height, and the base is at rest. A slow fall is no rest: the motion extrapolated
+    to the remaining time must be at most a tenth of the CoM height, and no mode may grow. Contacts
+    are searched every 4 ms. The robot may slide or turn about the vertical.
 
-    All directions are simulated at once. Impulses are doubled until the robot falls, then bisected.
-    Recovery need not be monotonic: a robot may fall after a push and survive a larger one, for
-    example by sliding. Bisection finds a single boundary of possibly several. Therefore up to 8
-    smaller pushes are simulated afterwards, if the distance between them is larger than
+    A simulation ends early if another body touches the ground, or if the robot is at rest and no
+    mode grows. The returned limits were simulated to the end. If the robot is upright at the end
+    but not at rest, the simulation continues until the robot rests or falls, up to ten times as
+    long.
+
+    All directions are simulated at once. Impulses are doubled until the robot falls, and then
+    bisected. Recovery need not be monotonic: a robot may fall after a push and survive a larger
+    push, for example by sliding. Bisection finds only one of possibly several boundaries. Therefore
+    up to 8 smaller pushes are simulated afterwards, if the distance between them is larger than
     ``resolution``. If a smaller push fails, a boundary below this push is returned. A failure
     between these pushes may remain undetected.
 
@@ -430,21 +438,22 @@ def tipping_impulses(
 ) -> Array:
     """Compute the horizontal impulses [N s] that would tip over the robot as a rigid body.
 
-    The robot rolls over an edge of the support polygon on two feet, spheres of radius r (the mean
-    over all contact points of the robot). With the inertia I about the edge on the ground and the
-    lever s of the push, an impulse p gives the energy (p s)^2 / (2 I). The feet's centres keep
-    their height, so the CoM rises from the height h over the centres to the distance from the line
-    between the centres, hypot(h, d):
+    The robot rolls on two feet over an edge of the support polygon. The feet are spheres of radius
+    r, the mean over all contact points of the robot. With the inertia I about the edge on the
+    ground and the lever s of the push, an impulse p gives the energy (p s)^2 / (2 I). The centres
+    of the feet keep their height. h is the height of the CoM above these centres, and d its
+    horizontal distance from the line between them. While the robot tips, this height increases from
+    h to hypot(h, d):
 
         p = sqrt(2 I m g (hypot(h, d) - h)) / s, minimum over the edges in the push direction.
 
     For a point mass on pointed feet (r = 0), pushed at the CoM and perpendicular to the edge, and
     d << h, the result is m sqrt(2 g (hypot(h, d) - h)).
 
-    Not included: legs that fold (folding knees absorb energy, but lower the CoM, and may touch the
-    ground); sliding feet (more is needed to tip a robot on ice); rolling friction and other contact
-    damping; the duration of the push; and, towards a corner, rolling on one foot, after which the
-    robot can fall over a side.
+    The estimate neglects five effects. Legs can fold: folding knees absorb energy, but lower the
+    CoM, and may touch the ground. Feet can slide: a larger push is needed to tip a robot on ice.
+    Contacts have rolling friction and other damping. The push has a duration. In a push towards a
+    corner, the robot rolls on one foot, and can then fall over a side.
 
     Args:
         config: Configuration of the robot with a free base on level ground.

@@ -1,7 +1,7 @@
 """Measure thousands of designs.
 
-Variables of the robot and stance are varied, metrics are evaluated for each design, and results are
-stored so that an interrupted run resumes.
+Variables of the robot and stance are varied, and metrics are evaluated for each design. Results are
+stored, so that an interrupted run can be continued.
 """
 
 from pupper_analysis.base.exports import make_lazy_exports

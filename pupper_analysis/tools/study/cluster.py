@@ -1,8 +1,8 @@
 """Workers of a Dask or Ray cluster for the designs of a study.
 
 `connect_dask` connects to a scheduler, or starts workers on this machine, and yields an executor
-for `Study.run`. Designs of a worker that ends are evaluated again by Dask on another worker.
-`RayExecutor` submits designs to a Ray cluster.
+for `Study.run`. If a worker ends, Dask evaluates its designs again on another worker. `RayExecutor`
+submits designs to a Ray cluster.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ def connect_dask(address: str) -> Iterator[tuple[Executor, int]]:
 class RayExecutor(Executor):
     """Executor that submits each call as a task to a Ray cluster; ``ray.init`` connects to it.
 
-    Ray does not repeat the task of a worker that ended: the study evaluates the designs of that
-    task again, one by one.
+    Ray does not repeat a task if its worker ends. In this case the study evaluates the designs of
+    the task again, one by one.
 
     Raises:
         MissingPackageError: If Ray is not installed.

@@ -203,7 +203,10 @@ class Variants(ScalableVariant):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the base variant and all scale factors of a study's robots as plain data."""
+        """Return the name of the base variant and its scale factors, {name: value}, as plain data.
+
+        A study variable may replace a scale factor.
+        """
         return {"base": self.spec.base, **self.scales}
 
 
@@ -215,9 +218,9 @@ def make_robot_source(robot: Any) -> RobotSource:
     """Create the source of robots from the argument ``robot`` of `Study`.
 
     Args:
-        robot: Name of a variant, or names of robot files joined by ``+``; a `VariantSpec`; a
-            mapping with ``base`` (such a name) and scale factors or file options; or a mapping of
-            files and options (`load_file_source`).
+        robot: One of four forms. 1. A text: name of a variant, or names of robot files joined by
+            ``+``. 2. A `VariantSpec`. 3. A mapping with such a text as ``base``, and scale factors
+            or file options. 4. A mapping of files and options (`load_file_source`).
 
     Raises:
         ConfigurationError: If the argument has none of the supported forms, or an unknown key, or
@@ -288,10 +291,9 @@ STANCE_VARIABLES = {
     if name not in METRICS
 }
 """Variables of the stance: {variable: (field, index into the field's axes)}. The model does not
-depend on these variables.
-
-A field whose name is also a metric, such as ``com_margin``, is left out: both would use the same
-column of the table."""
+depend on these variables. A field is left out if its name is also a metric, such as ``com_margin``,
+since both would use the same column of the table.
+"""
 
 ROBOT_VARIABLES = {name: field for name, field in ROBOT_FIELDS.items() if not field.axes}
 """{variable: field} of the robot's variables that apply to the whole robot, without a pattern of
@@ -302,8 +304,10 @@ FIELD_OF_VARIABLE = {name: field for name, (field, _) in STANCE_VARIABLES.items(
 with a pattern of joint or body names are not included."""
 
 MAX_CACHED_ROBOTS = 8
-"""Maximum number of entries in each cache of scaled robots, robots and stands. A few suffice: in a
-product of lists, successive designs mostly differ in the last variable only. Chosen, not tuned."""
+"""Maximum number of entries in each of the caches of scaled robots, of robots and of stands. A few
+entries are sufficient: in a product of lists, successive designs mostly differ in the last variable
+only. Chosen, not tuned.
+"""
 
 
 @dataclass(eq=False)
@@ -312,7 +316,8 @@ class DesignBuilder:
 
     Attributes:
         source: Source of the robots.
-        task: Stand task; variables of the stance take precedence.
+        task: Stand task. If a variable of the stance sets a value of the task, it replaces this
+            value.
         point: Position of the payload [m], optionally after a frame name; see
             `robot.tool.find_place`.
         motors: {code: motor} of the motor variables (`encode_motor`).
@@ -427,9 +432,9 @@ def is_servo_variable(name: str) -> bool:
 
 
 def is_stance_pattern(name: str) -> bool:
-    """Return True if a study variable is a quantity that the stance requires of a joint or link.
+    """Return True if a study variable is a required value of a joint or link in the stance.
 
-    For example ``posture:JOINT``, the required position of a joint.
+    An example is ``posture:JOINT``, the required position of a joint.
     """
     return name.partition(":")[0] in (*JOINT_STANCE_KINDS, *LINK_STANCE_KINDS)
 
@@ -488,8 +493,8 @@ def check_variable_name(name: str, source: RobotSource) -> None:
 def check_variable_range(name: str, low: float, high: float) -> None:
     """Check the smallest and largest value of a variable (``low``, ``high``) against its bounds.
 
-    Not checked here, but when a design is built: infinite values of a distribution, and offsets
-    (`ADDITIVE_KINDS`), whose bounds depend on the robot.
+    Two kinds of values are checked later, when a design is built: infinite values of a
+    distribution, and offsets (`ADDITIVE_KINDS`), whose bounds depend on the robot.
 
     Raises:
         ConfigurationError: If a finite value is out of bounds.
@@ -525,8 +530,10 @@ STAND_FAILURES = (
     NotStandingError,
     NotSettlingError,
 )
-"""Errors that mean that the robot of a design cannot stand in the stance. A metric then has its
-``fallen`` value, if it defines one; after other errors its value is unknown."""
+"""Errors that mean that the robot of a design cannot stand in the stance. After such an error, a
+metric has its ``fallen`` value, if it defines one. After other errors, the value of the metric is
+unknown.
+"""
 
 
 def classify_failure(error: BaseException) -> str:
@@ -554,10 +561,10 @@ def measure_design(
 ) -> DesignRow:
     """Build a design, evaluate all metrics, and return the row of the table with the results.
 
-    If a metric fails, the other metrics are still evaluated; the row records the first failure. If
-    the design cannot be built, no metric is evaluated. A metric may define a value for robots that
-    do not stand (``fallen``), which it gets if the error is in `STAND_FAILURES`. ``numbers`` are
-    {variable: value in the unit of the variable}.
+    If a metric fails, the other metrics are still evaluated, and the row records the first failure.
+    If the design cannot be built, no metric is evaluated. A metric may define the value ``fallen``
+    for robots that do not stand. This value is recorded if the error is in `STAND_FAILURES`.
+    ``numbers`` is {variable: value in the unit of the variable}.
     """
     row: DesignRow = dict.fromkeys(FAILURE_COLUMNS)
     try:

@@ -51,8 +51,9 @@ tuned."""
 def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Document:
     """Create the report of a study of robot designs.
 
-    The report contains tables of metrics, failures, best designs, effects and designs. The report
-    is registered with `build_document` for this kind of result.
+    The report contains tables of metrics, failures, best designs, effects and designs.
+    `build_document` calls this function for a `StudyOutcome`. All builders get the robot as the
+    second argument; it is not used here.
     """
     failed = sum(group.designs for group in outcome.failures)
     count_text = text("count-designs-of-which-failed", count=len(outcome.table), failed=failed)
@@ -88,9 +89,9 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
 def _describe_best(outcome: StudyOutcome) -> Iterator[doc.Words]:
     """Yield the number of designs that meet the requirements, and the best design.
 
-    The best design is named only if there is one objective. If no design meets all requirements,
-    the number of designs that meet each requirement is yielded instead. Without requirements,
-    nothing is yielded unless there is one objective and a Pareto front.
+    The best design is named only if there is exactly one objective. If no design meets all
+    requirements, the text contains the number of designs that meet each single requirement. Without
+    requirements, nothing is yielded unless there is exactly one objective and a Pareto front.
     """
     single = len(outcome.objectives) == 1
     if not outcome.requirements and not single:
@@ -381,9 +382,10 @@ def _make_row_table(
 
 
 def format_duration(seconds: float) -> str:
-    """Format a duration [s] in whole s below 120 s, whole min below 120 min, else h (one decimal).
+    """Format a duration [s] as text in s, min or h.
 
-    "-" if the duration is not finite.
+    The unit is s below 120 s, and min below 120 min, both without decimals. Otherwise it is h, with
+    one decimal. The text is "-" if the duration is not finite.
     """
     if not math.isfinite(seconds):
         return "-"

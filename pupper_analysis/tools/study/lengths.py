@@ -1,14 +1,17 @@
 """Stretched links: geometry, mass and inertia of the links of a robot, in the URDF and the MJCF.
 
-A link is stretched along the line from the joint of the link to the next joint, or to the foot. The
-component of this line along the axis of the next joint (for a foot, of the link's own joint) is
-removed, so that a lateral offset remains. With the unit vector u of the line, the factor s and
-A = 1 + (s - 1) u u^T, positions become p' = A p. The density is constant, so that m' = s m, and the
-second moments become S' = s A S A^T, where S = tr(I)/2 1 - I and I' = tr(S') 1 - S'. Links that are
-fixed to a stretched link are stretched as well. Boxes and meshes with a principal axis along u, and
-cylinders and capsules whose axis is along u, are lengthened. Any other primitive shape keeps its
-size and is moved, and a mesh without such an axis is refused. Both ends of a geom with ``fromto``
-are moved, whatever its axis.
+A link is stretched along the line from the joint of the link to the next joint, or to the foot. A
+component of this line along a joint axis is removed, so that a lateral offset remains. This axis is
+that of the next joint, or of the link's own joint if the line ends at a foot.
+
+With the unit vector u of the line, the factor s and A = 1 + (s - 1) u u^T, positions become p' = A
+p. The density is constant. Therefore the mass becomes m' = s m, and the second moments become S' =
+s A S A^T, where S = tr(I)/2 1 - I and I' = tr(S') 1 - S'.
+
+Links that are fixed to a stretched link are stretched as well. Boxes and meshes with a principal
+axis along u, and cylinders and capsules with the axis along u, are lengthened. A mesh without such
+an axis is refused. Any other primitive shape keeps its size and is moved. Both ends of a geom with
+``fromto`` are moved, whatever its axis.
 """
 
 from __future__ import annotations
@@ -82,8 +85,8 @@ class Stretch:
 def find_stretch(robot: Robot, joint: str, factor: float) -> Stretch:
     """Return the stretch of the link that a joint moves, in the direction of the link's end.
 
-    The end is the next joint or the foot. The direction is perpendicular to the axis of the next
-    joint, or, for a link with a foot, of ``joint``.
+    The end is the next joint, or the foot. The direction is perpendicular to the axis of the next
+    joint. If the end is a foot, it is perpendicular to the axis of ``joint``.
 
     Args:
         robot: Robot.
@@ -151,7 +154,7 @@ def stretch_links(
 ) -> float:
     """Stretch links in the URDF and the MJCF, in place.
 
-    The base height of keyframes changes so that the clearance above the ground is kept.
+    The base heights of the keyframes are changed, so that the clearance above the ground is kept.
 
     Args:
         robot: Robot of the files.
@@ -159,9 +162,9 @@ def stretch_links(
         factors: {joint: factor on the length of the link that the joint moves}.
 
     Returns:
-        New base height of the nominal stand [m]: the old height, scaled by the ratio of new to old
-        base height in the home posture. The largest foot radius is subtracted from all heights
-        before scaling, and added afterwards. Unchanged for a fixed base or without feet.
+        New base height of the nominal stand [m]. With the largest foot radius r, (new height - r) /
+        (old height - r) is the ratio of the same terms for the home posture. The height is
+        unchanged for a fixed base, or without feet.
 
     Raises:
         ConfigurationError: If a link is the base, has no length, or does not end at exactly one
@@ -203,7 +206,7 @@ def stretch_inertia(
 ) -> pin.Inertia:
     """Return the inertia of a link whose points p move to A p + b.
 
-    The mass is multiplied by ``factor``, and its distribution over the points is unchanged.
+    The mass is multiplied by ``factor``. The fraction of the mass at each point is unchanged.
 
     Args:
         inertia: Inertia before the stretch, in the frame of p. The result is in the same frame.
@@ -235,8 +238,8 @@ def _find_axis_factors(matrix: Array, rotation: Array) -> Array | None:
 def _stretch_link(urdf: UrdfTree, name: str, matrix: Array, shift: Array, factor: float) -> None:
     """Stretch a link of the URDF in place, with its inertial, shapes and child joint origins.
 
-    Points p of the link frame [m] move to A p + b; ``matrix`` is A, ``shift`` is b, and ``factor``
-    is the factor on the mass.
+    Points p of the link frame [m] move to A p + b, with A = ``matrix`` and b = ``shift``. The mass
+    is multiplied by ``factor``.
     """
     link: UrdfLink = urdf.links[name]
     inertia = link.inertia
@@ -261,8 +264,8 @@ def _move_origin(element: etree._Element, matrix: Array, shift: Array) -> None:
 def _stretch_form(form: etree._Element, factors: Array | None, link: str) -> None:
     """Scale the size of a URDF shape by factors along its own axes, shape (3,).
 
-    Spheres keep their size; cylinders and capsules keep their radius. ``factors`` is None if the
-    stretch is along none of the axes; the size then is kept.
+    Spheres keep their size; cylinders and capsules keep their radius. If the stretch is along none
+    of the axes, ``factors`` is None, and the shape keeps its size.
 
     Raises:
         ModelError: If the shape is a mesh and ``factors`` is None.
@@ -327,8 +330,8 @@ def _stretch_geom(
 ) -> None:
     """Stretch a geom of the MJCF in place: points p of the body frame [m] move to A p + b.
 
-    Spheres and ellipsoids keep their size; cylinders and capsules keep their radius. Of a geom with
-    ``fromto``, both ends are moved.
+    Spheres and ellipsoids keep their size; cylinders and capsules keep their radius. If a geom has
+    ``fromto``, both of its ends are moved.
 
     Args:
         geom: Geom.
@@ -367,8 +370,8 @@ def _stretch_meshes(
 ) -> None:
     """Scale the mesh assets of an MJCF, in place.
 
-    A mesh gets an additional asset per stretch if its geoms need different stretches, or if some of
-    its geoms are not stretched.
+    If the geoms of a mesh need different stretches, or if some are not stretched, an additional
+    asset is created for each stretch.
 
     Args:
         spec: MJCF.

@@ -1,8 +1,8 @@
 """Metrics of a study: named metrics of a design, and functions of (robot, stand).
 
-A metric is a function that maps a `Design` (robot with a solved stand) to a number or to {name:
-number}, in SI units. Other tools contribute metrics, such as the payload limit, in their modules
-``metrics``.
+A metric is a function of a `Design` (robot with a solved stand). It returns a number or {name:
+number}, in SI units. Other tools define further metrics, such as the payload limit, in their
+modules ``metrics``.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ class Design:
     Attributes:
         robot: Robot with payload and servo gains.
         stand: Solved stand.
-        own_servos: True with the servo gains of the file. The simulation of the published
-            file then counts for ``stands``.
+        own_servos: True if the servo gains are those of the file. The metric ``stands`` then also
+            evaluates the simulation of the published file.
         point: Position of a payload, present or sought; see `robot.tool.find_place`.
         motors: {joint: motor} of the motor variables of the study; empty without any.
     """
@@ -78,7 +78,7 @@ class Design:
     def compute_once(self, function: Callable[[Design], T]) -> T:
         """Return the result of a function of this design, which is evaluated at the first call.
 
-        For metrics of other tools that share a result. An exception is not stored.
+        Metrics of other tools can share a result in this way. An exception is not stored.
         """
         if function not in self._results:
             self._results[function] = function(self)
@@ -103,7 +103,7 @@ class Design:
 
     @cached_property
     def _equilibrium_or_error(self) -> SteadyState | PupperAnalysisError:
-        """Steady state without feed-forward, as by the command ``stand``, or the error.
+        """Steady state without feed-forward, as the command ``stand`` computes it, or the error.
 
         The error is stored, so that a failed computation is not repeated.
         """
@@ -195,11 +195,12 @@ class Metric:
         function: Function of a design. If the metric needs a file, `of_file` creates this function.
         unit: Unit; ``1`` for a ratio, empty for a function of the user.
         simulates: True if the metric needs a simulation, or some seconds.
-        fallen: Value for a design that cannot stand; None if the metric has no such value.
-        of_file: Function of the text after the colon (for example, the path of a policy). It
-            returns the function of a design and a hash that changes with the file. None if the
-            metric needs no file.
-        file: Text after the colon.
+        fallen: Value of the metric for a design that cannot stand; None if the value is unknown in
+            this case.
+        of_file: Function that creates ``function`` for a file. Its argument is the text after the
+            colon, for example the path of a policy. It returns the function of a design, and a hash
+            of the file content. None if the metric needs no file.
+        file: Text after the colon in ``NAME:FILE``.
         content: Hash that `of_file` returned.
     """
 
@@ -222,8 +223,8 @@ def _check_stand(design: Design) -> bool:
     """Return True if the robot stays up without feed-forward and no deviation grows within 12 s.
 
     If the design has the gains of the file, the simulation of the unmodified MJCF from its keyframe
-    must not fail either. If a mode grows in the linearised step but not in simulation, the
-    linearised step decides nothing, and the verdict of `judge_stand` must pass as well.
+    must not fail either. If a mode grows in the linearised step but not in simulation, the growth
+    is ignored, and the verdict of `judge_stand` must pass as well.
 
     Raises:
         NotStandingError: If the robot falls, a deviation grows, the verdict does not pass, or the
@@ -258,10 +259,10 @@ SET_DOWN_DURATION = 5.0
 def survives_set_down(design: Design) -> bool:
     """Return True if the robot stands after it is set down from `SET_DOWN_HEIGHT`.
 
-    The servos hold the positions of the stand, without feed-forward; the base starts at rest. The
-    robot must have an equilibrium in which it stays up. The simulation must not diverge; the robot
-    must neither have fallen in one of the checked states, nor have collapsed in the last state
-    (`StandReference.has_collapsed`).
+    The servos hold the positions of the stand, without feed-forward. The base starts at rest. True
+    requires three conditions: the robot does not fall in a checked state, it has not collapsed in
+    the last state (`StandReference.has_collapsed`), and the simulation does not diverge. A robot
+    without an equilibrium in which it stays up is not simulated.
 
     Raises:
         NotStandingError: If the robot does not stay up in the predicted equilibrium.
@@ -284,8 +285,9 @@ def survives_set_down(design: Design) -> bool:
 
 
 _NUM_SET_DOWN_CHECKS = 50
-"""Smallest number of states of `survives_set_down` that are checked for a fall, if the simulation
-has as many. Chosen, not tuned."""
+"""Smallest number of simulated states that `survives_set_down` checks for a fall. A simulation with
+fewer states is checked at each state. Chosen, not tuned.
+"""
 
 
 def _find_peak(values: NDArray[np.float64]) -> float:
@@ -352,7 +354,8 @@ def make_metric(requested: str | MetricFunction) -> Metric:
 
     Args:
         requested: Name of `METRICS`, followed by ``:FILE`` if the metric needs a file; or a
-            function at the top level of a module, so that other processes can import the function.
+            function. The function must be at the top level of a module, so that other processes can
+            import it.
 
     Raises:
         ConfigurationError: If the name is unknown, a file is missing or not needed, or the argument
@@ -385,7 +388,7 @@ def make_metric(requested: str | MetricFunction) -> Metric:
 
 
 def _bind_file(metric: Metric, requested: str) -> Metric:
-    """Return a metric; if it needs a file, bound to the file in ``requested``.
+    """Return a metric whose function uses the file in ``requested``, if the metric needs a file.
 
     ``requested`` is ``NAME``, or ``NAME:FILE`` for a metric that needs a file.
 
@@ -432,8 +435,8 @@ class UserFunction:
     def fingerprint(self) -> str:
         """Return the import path of the user's function and a hash of its source text.
 
-        The text changes if the source text changes, so that old results are not reused. Without
-        source text, for example of a built-in function, only the path counts.
+        The fingerprint changes with the source text, so that old results are not reused. If no
+        source text is available, for example for a built-in function, the fingerprint is the path.
         """
         try:
             text = inspect.getsource(self.function)
@@ -455,9 +458,10 @@ def format_metric(metric: Metric) -> str:
 def fingerprint_metric(metric: Metric) -> str:
     """Return a text that identifies a metric in the hash of a study.
 
-    The text is the fingerprint of the function for a metric that the user wrote; otherwise the
-    name, and for a metric that reads a file (``NAME:FILE``, such as a policy) also the hash of this
-    file. Changes of the package's own metrics increase `METRICS_REVISION` instead.
+    For a function of the user, the text is the fingerprint of the function. For a metric of this
+    package or another tool, it is the name. If this metric reads a file (``NAME:FILE``, such as a
+    policy), the text also contains the hash of the file. If the meaning of a named metric changes,
+    `METRICS_REVISION` increases instead.
     """
     function = metric.function
     metric_name = f"{metric.name} {metric.content}".rstrip()

@@ -33,11 +33,14 @@ from pupper_analysis.tools.study.parameters import VariablePattern, find_moving_
 from pupper_analysis.tools.study.variables import Variable
 
 MOTOR_KIND = "motor"
-"""Name of the variable of a study whose values are motors, and kind of ``motor:PATTERN``."""
+"""Name of the study variable whose values are motors. It is also the kind in a variable name
+``motor:PATTERN``.
+"""
 
 _CODE_DIGITS = 13
-"""Number of hexadecimal digits of the hash by which tables identify a motor (`encode_motor`): 52
-bits, which a double represents exactly."""
+"""Number of hexadecimal digits of the hash with which tables identify a motor (`encode_motor`). 13
+digits are 52 bits, which a double represents exactly.
+"""
 
 
 def is_motor_variable(name: str) -> bool:
@@ -46,7 +49,7 @@ def is_motor_variable(name: str) -> bool:
 
 
 def encode_motor(motor: Motor) -> float:
-    """Return a number that identifies a motor by its name and its numbers, as a table stores it."""
+    """Return the number with which a table identifies a motor: a hash of its name and numbers."""
     parts = [
         repr(getattr(motor, item.name)) for item in fields(Motor) if item.name not in _SOURCE_FIELDS
     ]
@@ -63,7 +66,7 @@ def make_motor_variable(name: str, requested: object) -> tuple[Variable, dict[fl
 
     Args:
         name: Name of the variable, for messages.
-        requested: Names of motors or files, or a single one; or {"values": names or files}.
+        requested: A name of a motor or of a motor file, a list of these, or {"values": list}.
 
     Returns:
         Variable; {code of the variable: motor}.
@@ -115,10 +118,11 @@ def assign_motors(
 def with_motors(robot: Robot, motors: Mapping[str, Motor], present: Motor) -> Robot:
     """Return a robot with other motors at joints, in the URDF and the MJCF.
 
-    The effort limit becomes the largest torque of the motor at rest, and the velocity limit the
-    speed without load; the armature becomes the inertia of the rotor at the output. The difference
-    in mass is a point mass of the parent link at the origin of the joint. If the motor states no
-    speed, gain, rotor inertia or gear ratio, the corresponding number of the files remains.
+    The effort limit becomes the largest torque of the motor at rest. The velocity limit becomes the
+    speed without load. The armature becomes the inertia of the rotor at the output. The mass
+    difference to the motor ``present`` is added to the parent link, as a point mass at the origin
+    of the joint. If the motor states no speed, gain, rotor inertia or gear ratio, the corresponding
+    number of the files is kept.
 
     Args:
         robot: Robot.
@@ -204,7 +208,8 @@ def _add_point_masses(
     Args:
         link: Name of the link, for messages.
         inertia: Inertia without the point masses.
-        masses: (mass [kg], may be negative; position (3,) [m] in the frame of ``inertia``) of each.
+        masses: (mass, position) of each point: mass [kg], which may be negative; position, shape
+            (3,) [m], in the frame of ``inertia``.
 
     Raises:
         ConfigurationError: If mass or principal moments are not positive, or the moments violate

@@ -1,8 +1,8 @@
 """Outcome of a study: failures by kind, summary of each metric, main effects, Pareto front.
 
-Input is the table of a study, a row per design; output is a `StudyOutcome`. Main effects are eta
-squared on a full product of values, and epsilon squared for samples (`compute_main_effects`). No
-design is evaluated.
+Input is the table of a study, a row per design; output is a `StudyOutcome`. No design is evaluated.
+For a full product of values, main effects are eta squared; for samples, they are epsilon squared
+(`compute_main_effects`).
 """
 
 from __future__ import annotations
@@ -146,9 +146,9 @@ def study_outcome(
     Args:
         study: Study.
         folder: Folder of the results.
-        minimise: Columns that the Pareto front minimises; by default, without ``maximise`` either,
-            those of the study.
-        maximise: Columns that the Pareto front maximises. Without objectives there is no front.
+        minimise: Columns that the Pareto front minimises. If ``minimise`` and ``maximise`` are both
+            empty, the objectives of the study are used. Without objectives there is no front.
+        maximise: Columns that the Pareto front maximises.
 
     Raises:
         ConfigurationError: If a column does not exist or is named twice, or no design is stored.
@@ -230,11 +230,13 @@ def compute_main_effects(
 ) -> dict[str, float]:
     """Compute the fraction of a metric's variance due to each variable alone.
 
-    On the full product of lists this is eta squared: the variance of the metric's means for each
-    value of the variable, divided by the total variance. The remainder to 1 is due to several
-    variables together. For samples, the values of a variable are grouped into intervals of equal
-    width, and the fraction is epsilon squared, which corrects eta squared for the number of
-    designs. Designs without a value of the metric are left out.
+    For the full product of lists, the fraction is eta squared. This is the variance of the means of
+    the metric, one for each value of the variable, divided by the total variance. The remainder to
+    1 is due to several variables together.
+
+    For samples, the values of a variable are grouped into intervals of equal width. The fraction is
+    then epsilon squared, which corrects eta squared for the number of designs. Designs without a
+    value of the metric are left out.
 
     Source: Kelley, "An unbiased correlation ratio measure", 1935.
 
@@ -345,14 +347,14 @@ def _format_source(source: Any) -> str:
 
 
 OBJECTIVE_SIGNS = {"min": 1.0, "max": -1.0}
-"""{sense of an objective: factor that turns the values of a column into costs to minimise}."""
+"""{``min`` or ``max``: factor that converts the values of a column to costs that are minimised}."""
 
 
 def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataFrame:
     """Return the designs on the Pareto front.
 
-    A design is on the front if no other design is at least as good in all objectives and better in
-    one.
+    A design is on the front if no other design dominates it. Design A dominates design B if A is at
+    least as good in all objectives, and better in at least one objective.
 
     Args:
         table: Table of a study. Designs without a value of an objective are left out.
@@ -410,14 +412,16 @@ def _find_unbeaten(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 MAX_VALUE_CELLS, MIN_CELLS, DESIGNS_PER_CELL = 24, 4, 3
-"""Sizes of the groups (cells) of a sampled variable, of which main effects compare the means. Up to
-`MAX_VALUE_CELLS` distinct values are a cell each. More values are divided into sqrt(n /
-`DESIGNS_PER_CELL`) intervals of equal width for n designs, at least `MIN_CELLS` and at most
-`MAX_VALUE_CELLS` intervals. Chosen, not tuned."""
+"""Sizes of the groups (cells) into which main effects divide the values of a sampled variable. If
+the variable has at most `MAX_VALUE_CELLS` distinct values, each value is a cell. Otherwise the
+cells are intervals of equal width. Their number is sqrt(n / `DESIGNS_PER_CELL`) for n designs, but
+at least `MIN_CELLS` and at most `MAX_VALUE_CELLS`. Chosen, not tuned.
+"""
 
 ROUNDING_RTOL = 1e-9
-"""Difference of two values, relative to the larger magnitude, up to which the range between them
-counts as 0 (rounding). Chosen, not tuned."""
+"""Relative tolerance of the difference of two values, relative to the larger magnitude. A range
+counts as 0 if its ends differ by at most this value. It covers rounding. Chosen, not tuned.
+"""
 
 
 def _assign_cells(values: Array) -> Array:
@@ -503,5 +507,8 @@ def list_spread_variables(table: pd.DataFrame, variables: Sequence[str]) -> list
 
 
 def select_standing_designs(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of a study's table whose design stands; all without column ``stands``."""
+    """Return the rows of a study's table whose design stands.
+
+    All rows are returned if the table has no column ``stands``.
+    """
     return table[table["stands"] == 1] if "stands" in table else table

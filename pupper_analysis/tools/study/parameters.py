@@ -1,4 +1,4 @@
-"""Factors and offsets on the numbers of a robot, applied to the URDF and the MJCF.
+"""Factors on and offsets of the numbers of a robot, applied to the URDF and the MJCF.
 
 Inputs are a robot and {variable: number}, for example ``mass:*_1`` with a factor; output is a robot
 whose URDF and MJCF have the same factors and offsets. Links on fixed joints are scaled together.
@@ -40,7 +40,8 @@ JOINT_STANCE_KINDS = tuple(name for name, field in FIELDS.items() if field.per =
 
 LINK_STANCE_KINDS = tuple(name for name, field in FIELDS.items() if field.per == "link")
 """Kinds of variables ``KIND:PATTERN`` that are fields of the stand task with a value per link. The
-pattern is the name of a link whose contact in the study's stance has a plane."""
+pattern is the name of a link. The study's stance must contain a contact of this link with a plane.
+"""
 
 PATTERN_KINDS = {
     "mass": "mass and inertia of bodies",
@@ -111,8 +112,8 @@ def find_moving_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...
     """Return the joints that match a pattern, or that move the matching bodies.
 
     The base is returned as ``""``. If a name equals the pattern, only this name matches
-    (`match_names`). A body matches by the link name in the URDF, the body name in
-    the MJCF, or the name of the joint.
+    (`match_names`). A body matches if its link name in the URDF, its body name in the MJCF, or the
+    name of its joint matches.
 
     Raises:
         UnknownNameError: If nothing matches; the message lists the names.
@@ -154,8 +155,10 @@ def map_joint_bodies(robot: Robot) -> dict[str, str]:
 
 
 _RESULT_RTOL = 1e-9
-"""Tolerance of `_check_result`: relative for masses (plus 1e-15 kg), in m for centres of mass.
-Covers rounding. Chosen, not tuned."""
+"""Tolerance with which `_check_result` compares the changed robot with the request. It is relative
+for masses, plus 1e-15 kg, and absolute [m] for centres of mass. It covers rounding. Chosen, not
+tuned.
+"""
 
 
 def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
@@ -330,8 +333,9 @@ def _measure_bodies(robot: Robot, joint: str, body: str) -> Iterator[tuple[float
 def with_ground_friction(robot: Robot, friction: float) -> Robot:
     """Return a robot with the given coefficient of sliding friction between feet and ground.
 
-    All geoms of the feet and of the world body get the coefficient, so that this coefficient
-    results whether MuJoCo takes the larger value or that of the geom with higher priority.
+    All geoms of the feet and of the world body get this coefficient. MuJoCo uses the larger value
+    of the two geoms, or that of the geom with higher priority. In both cases the contact has this
+    coefficient.
 
     Raises:
         ConfigurationError: If the coefficient is negative or not finite, or a contact of a foot has
@@ -425,8 +429,8 @@ def _has_no_mass(geom: mujoco.MjsGeom) -> bool:
 def move_coms(robot: Robot, trees: tuple[UrdfTree, SpecTree], offsets: Mapping[str, Array]) -> None:
     """Move centres of mass in both files, in place.
 
-    All links fixed to a link are moved by the same offset in the world, so that the common CoM
-    moves by the offset. No inertia about a centre of mass changes.
+    The CoMs of a link and of all links fixed to it are moved by the same offset in the world.
+    Therefore the common CoM moves by this offset. Inertias about centres of mass are not changed.
 
     Args:
         robot: Robot of the files. The links have the orientations of all joints at zero.

@@ -46,7 +46,12 @@ class Requirement:
 
     @classmethod
     def parse(cls, column: str, text: object) -> Requirement:
-        """Create a requirement from a study file: true, false, a number, or a text ``"< 1"``.
+        """Create a requirement from a value in a study file.
+
+        Args:
+            column: Metric or variable, a column of the study's table.
+            text: True, False, a number, or a text of comparison and number, such as ``"< 1"``. A
+                number requires exactly this value. True requires 1, and False requires 0.
 
         Raises:
             ConfigurationError: If the value has another form.

@@ -1,7 +1,7 @@
 """Evaluation of the designs of a study on an executor.
 
-Rows are stored at intervals. A design that raises an error, exceeds the time limit or ends its
-worker becomes a row with the reason, and the run continues.
+Rows are stored at intervals. If a design raises an error, exceeds the time limit or ends its
+worker, its row contains the reason, and the run continues.
 """
 
 from __future__ import annotations
@@ -246,40 +246,48 @@ workers, `CHUNK_SECONDS_PER_WORKER` applies. Chosen, not tuned: sending a chunk 
 this time."""
 
 CHUNK_SECONDS_PER_WORKER = 0.01
-"""Smallest intended duration of the evaluation of a chunk of designs, divided by the number of
-workers [s]. At most 100 chunks per second then reach the scheduler of a large cluster. Measured
-with 1,000 workers: a chunk takes 5.7 ms of processor time of Dask's scheduler and 3.0 ms of this
-process (``benchmarks/studies.py scheduler``)."""
+"""Intended duration of a chunk, per worker of the cluster [s]. A chunk lasts at least this value
+times the number of workers. Therefore at most 100 chunks per second reach the scheduler. Measured
+with 1,000 workers: a chunk needs 5.7 ms of processor time in Dask's scheduler, and 3.0 ms in this
+process (``benchmarks/studies.py scheduler``).
+"""
 
 MAX_CHUNK_DESIGNS = 512
-"""Largest number of designs per chunk. If a worker crashes, all chunks in flight are evaluated
-again. Chosen, not tuned."""
+"""Largest number of designs per chunk. If a worker crashes, all unfinished chunks are evaluated
+again; the bound limits this work. Chosen, not tuned.
+"""
 
 SHARD_ROWS, SHARD_SECONDS = 4096, 5.0
-"""Number of rows, and largest time [s] since the last shard (Parquet file), after which the results
-are written to a shard. Chosen, not tuned."""
+"""Bounds of the results that are not written yet: number of rows, and time [s] since the last
+shard. If either is reached, the rows are written to a shard (Parquet file). The time is smaller at
+the start (`FIRST_SHARD_SECONDS`). Chosen, not tuned.
+"""
 
 FIRST_SHARD_SECONDS = 0.5
-"""Initial time [s] since the last shard (Parquet file) after which the results are written to a
-shard: a run that ends early loses little. Later this time is a fifth of the elapsed time, at most
-`SHARD_SECONDS`, so that a long run has few shards. `SHARD_ROWS` rows are written earlier. Chosen,
-not tuned."""
+"""Initial time [s] between two shards (Parquet files) of results. It is short, so that a run that
+ends early loses little. Later this time is a fifth of the elapsed time, at most `SHARD_SECONDS`, so
+that a long run has few shards. If `SHARD_ROWS` rows are reached, they are written earlier. Chosen,
+not tuned.
+"""
 
 MAX_CRASHES = 2
-"""Number of crashes of a worker with a single design, after which the design is recorded as
-crashed. A first crash may be due to the machine. Chosen, not tuned."""
+"""Number of worker crashes during the evaluation of a single design. After this number, the design
+is recorded as crashed. A first crash may be due to the machine. Chosen, not tuned.
+"""
 
 DESIGNS_PER_PROCESS = 4000
-"""Number of designs per worker after which all processes are replaced, to free memory that engines
-do not release (PlaCo: 0.4 MB for each robot read from a file). A start takes as long as about 50
-designs."""
+"""Number of designs per worker after which all processes are replaced. This frees memory that the
+engines do not release (PlaCo: 0.4 MB for each robot read from a file). The start of a process takes
+as long as about 50 designs.
+"""
 
 WORKER_END_ERRORS = ("KilledWorker", "WorkerCrashedError")
 """Names of the errors of Dask and Ray if a worker ended during a task; other workers continue."""
 
 EXIT_WAIT_SECONDS = 5.0
-"""Maximum time [s] to wait for the end of a process of a broken pool, to read the exit code.
-Chosen, not tuned."""
+"""Maximum waiting time [s] for the end of a process of a broken pool. After the end, the exit code
+is read. Chosen, not tuned.
+"""
 
 TIME_LIMIT_EXIT_CODE = 1
 """Exit code of a process that `faulthandler` ended. A killed process has the negative number of the
@@ -291,7 +299,8 @@ class Progress:
     """Progress of a run of a study: numbers of designs, and times.
 
     Attributes:
-        total: Number of designs of the study; repetitions within a block are subtracted when found.
+        total: Number of designs of the study. Designs that are repeated within a block are
+            subtracted when they are found.
         num_stored: Number of designs that were stored before the run, or that repeat a design of an
             earlier block.
         done: Number of designs that this run has evaluated.
@@ -325,7 +334,8 @@ class Progress:
 class _RecordingContext(multiprocessing.context.SpawnContext):
     """Start method *spawn*, with a list of all processes that were created with it.
 
-    An executor does not make its processes public; their exit codes tell a time limit from a crash.
+    An executor does not make its processes public. The list gives access to their exit codes, which
+    distinguish a time limit from a crash.
     """
 
     def __init__(self) -> None:

@@ -1,8 +1,8 @@
 """Folder of a study: definition, lock, and shards of rows that are written atomically.
 
-A run stores evaluated designs as Parquet files (shards), each a table with a row per design; an
-interrupted run therefore loses only rows that are not written yet. The stored table is the union
-of all shards, identified by the hashes of the designs.
+A run stores evaluated designs as Parquet files (shards). Each shard is a table with a row per
+design. Therefore an interrupted run loses only rows that are not written yet. The stored table is
+the union of all shards. The hash of a design identifies its row.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ class Store:
 def make_design_keys(designs: Sequence[str]) -> NDArray[np.uint64]:
     """Return the first 64 bits of the hexadecimal hashes of n designs, shape (n,).
 
-    They need 8 MB for a million designs; the probability of a collision among these is 3e-8.
+    A million keys need 8 MB, and two of them are equal by chance with a probability of 3e-8.
     """
     key_bytes = bytes.fromhex("".join(design[:16] for design in designs))
     return np.frombuffer(key_bytes, ">u8").astype(np.uint64)

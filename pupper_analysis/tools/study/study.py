@@ -1,8 +1,8 @@
 """A study: variables, designs and metrics, defined in Python or by a TOML file.
 
 `Study.run` evaluates the metrics of all designs that its folder does not contain yet, and returns a
-table with a row per design. A design is identified by a hash of the study's definition and the
-variable values, so that an interrupted or extended study resumes.
+table with a row per design. A hash of the study's definition and of the variable values identifies
+a design. Therefore an interrupted or extended study can be continued.
 """
 
 from __future__ import annotations
@@ -138,12 +138,13 @@ class Study:
         """Check all arguments that can be checked before a design is evaluated.
 
         Args:
-            robot: A file, two files joined by a plus, the name of a variant, a ``VariantSpec``,
-                {``base``, ``leg_scale``, ``torso_mass_scale``}, or {``urdf``: path, ``mjcf``: path}
-                with other arguments of `load_robot`. ``base`` may also name files. ``leg_scale``
-                and ``torso_mass_scale`` can be varied for variants only.
-            vary: {name of a variable: a list, a ``linspace``, a distribution, or a number; for a
-                motor variable, names or files of motors}.
+            robot: A file, two files joined by a plus, the name of a variant, or a ``VariantSpec``.
+                Or a mapping {``base``, ``leg_scale``, ``torso_mass_scale``}, whose ``base`` is a
+                variant or files. Or a mapping {``urdf``: path, ``mjcf``: path}, with other
+                arguments of `load_robot`. ``leg_scale`` and ``torso_mass_scale`` can be varied for
+                variants only.
+            vary: {name of a variable: values}. Values are a list, a ``linspace``, a distribution,
+                or a number. For a motor variable, they are names or files of motors.
             measure: Names of ``METRICS``, or functions of (robot, stand).
             samples: Number of designs, required if a variable has a distribution. Otherwise None:
                 the designs are the product of all lists.
@@ -151,13 +152,13 @@ class Study:
             stand: Stand task; variables of the stance take precedence.
             payload_point: Position of a payload, shape (3,) [m] in the frame of the base, or
                 (frame, x, y, z) in the frame of a link, site or body.
-            time_limit: Time limit per design [s]; None for no limit. A design that exceeds the
-                limit ends the worker process, so that the limit applies to processes and
-                Dask, not to threads.
+            time_limit: Time limit per design [s]; None for no limit. If a design exceeds the limit,
+                the worker process ends. Therefore the limit applies to processes and Dask, but not
+                to threads.
             present_motor: Motor at the joints with motor variables, whose mass the robot's files
                 include: a name, a file, or a motor. Required if a motor is varied.
-            require: {metric or variable: true, false, a number, or a text such as ``"< 1"``} that
-                the designs on the Pareto front meet.
+            require: Requirements on the designs on the Pareto front: {metric or variable: true,
+                false, a number, or a text such as ``"< 1"``}.
             minimise: Columns that the Pareto front minimises.
             maximise: Columns that the Pareto front maximises.
 
@@ -295,10 +296,10 @@ class Study:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 hash, as hexadecimal text, of all that determines the results of a given design.
+        """SHA-256 hash (hexadecimal) of all data that determine the results of a given design.
 
-        For example the robot, stand task, payload position, metrics and package versions, but not
-        the variables and the time limit.
+        For example, the hash contains robot, stand task, payload position, metrics and package
+        versions. It does not contain the variables and the time limit.
         """
         parts = {
             "robot": hash_description(self.base.description),
@@ -345,8 +346,9 @@ class Study:
     def to_dict(self) -> dict[str, Any]:
         """Return the study as {key of a study file: value}, data for `Study.of`.
 
-        ``time_limit`` is None for no time limit. `Study.of` accepts neither motors, whose numbers
-        are in the files of the motors, nor functions of the user; these are for `read_study` only.
+        ``time_limit`` is None for no time limit. `Study.of` cannot restore motors, whose numbers
+        are in separate files, and functions of the user. In these cases the data are only for
+        `read_study`.
         """
         data: dict[str, Any] = {
             "robot": self.source.to_dict(),
@@ -478,7 +480,7 @@ class Study:
     ) -> Progress:
         """Evaluate all designs that are not stored yet, as `run`, but do not load the table.
 
-        Memory use does not grow with the number of designs, except 8 bytes per design.
+        Memory use grows with the number of designs only by 8 bytes per design.
 
         Returns:
             Number of evaluated designs, failures and elapsed time.
@@ -569,7 +571,7 @@ def name_motors(table: pd.DataFrame, variables: Mapping[str, Variable]) -> pd.Da
 
 
 def hash_designs(digest: str, variables: Sequence[str], block: Array) -> list[str]:
-    """Return the hash of each design: of the study's digest, variable names and values.
+    """Return a hash of each design, of the study's digest, the variable names and the values.
 
     The order of the variables does not affect the hash.
 
@@ -589,7 +591,7 @@ def hash_designs(digest: str, variables: Sequence[str], block: Array) -> list[st
 def order_rows(frame: pd.DataFrame, blocks: Iterable[list[str]]) -> pd.DataFrame:
     """Return the table rows of given designs in the given order, without empty columns.
 
-    The failure columns are kept, also if empty.
+    Failure columns are kept, even if they are empty.
 
     Args:
         frame: Table with the columns ``design`` (hash) and results.

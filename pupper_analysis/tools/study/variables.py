@@ -22,8 +22,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _MIN_PROBABILITY = 2.0**-33
-"""Lower bound of a probability and of the complement: an eighth of the step 2^-30 of scipy's Sobol
-sequence. At 0 and 1 the normal quantile is infinite. Chosen, not tuned."""
+"""Lower bound of a probability p and of 1 - p: an eighth of the step 2^-30 of scipy's Sobol
+sequence. The bound is necessary since the normal quantile is infinite at 0 and 1. Chosen, not
+tuned.
+"""
 
 
 def _evaluate_normal(mean: float, deviation: float, probabilities: Array) -> Array:
@@ -56,7 +58,7 @@ class Variable:
         kind: ``values`` (all equally likely), ``linspace``, ``motors``, or a distribution:
             ``uniform`` or ``log_uniform`` with lower and upper bound, ``normal`` with mean and
             standard deviation.
-        numbers: Parameters, as in the study file; the codes of motors.
+        numbers: Parameters, as in the study file. For motors, their codes (`encode_motor`).
         labels: Names of motors, as in the study file; empty for other kinds.
     """
 
@@ -102,7 +104,10 @@ class Variable:
         return {self.kind: list(self.numbers)}
 
     def code_of(self, value: Any) -> float:
-        """Return a value of this variable as a number; of a motor's name, the code of the motor."""
+        """Return a value of this variable as a number.
+
+        The name of a motor is converted to its code.
+        """
         if isinstance(value, str):
             return self.numbers[self.labels.index(value)]
         return float(value)
@@ -274,8 +279,9 @@ def _check_interval(name: str, low: float, high: float) -> tuple[float, float]:
 
 
 BLOCK_SIZE = 4096
-"""Number of designs that `Sampling.blocks` generates at once, which bounds the memory. A power of
-2, because the points of a Sobol sequence are balanced in groups of 2^k. Chosen, not tuned."""
+"""Number of designs that `Sampling.blocks` generates at once. It bounds the memory. It is a power
+of 2, because the points of a Sobol sequence are balanced in groups of 2^k. Chosen, not tuned.
+"""
 
 MAX_SAMPLES = 2**30
 """Maximum number of samples: the length of scipy's Sobol sequence with 30 bits."""
@@ -285,9 +291,9 @@ MAX_SAMPLES = 2**30
 class Sampling:
     """Designs of a study, generated block by block: memory does not grow with their number.
 
-    If all variables are lists, the designs are the product of the lists, with the last variable
-    changing fastest. If a variable has a distribution, the designs are a scrambled Sobol sequence.
-    The first n samples do not depend on the number of samples, so that a study can be extended.
+    If all variables are lists, the designs are the product of the lists; the last variable changes
+    fastest. If a variable has a distribution, the designs are a scrambled Sobol sequence. The first
+    n samples do not depend on the number of samples. Therefore a study can be extended.
 
     Source: Sobol, "On the distribution of points in a cube", 1967; Owen's scrambling (scipy.stats).
 

@@ -1,8 +1,8 @@
 """Writing a design as URDF, MJCF and stance, and evaluating the metrics again from these files.
 
-Input is a study and a row of its results; output is a folder with both models, their meshes and the
-stance as a file of options, and a comparison of the metrics in the study with those of the written
-files.
+Input is a study and a row of its results. Output is a folder with both models, their meshes, and
+the stance as a file of options. A comparison of the metrics in the study with the metrics of the
+written files is returned as well.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ from pupper_analysis.tools.study.store import require_library
 from pupper_analysis.tools.study.study import Study
 
 _METRIC_RTOL = 1e-6
-"""Relative tolerance between the metrics of the study and of the written files, and magnitude below
-which its square is the absolute tolerance: |value - expected| <= tol max(|expected|, tol). The
-files contain all digits; iterative solvers differ within the solver tolerances. Chosen, not tuned.
+"""Tolerance ``tol`` between the metrics of the study (expected) and of the written files (value).
+They agree if |value - expected| <= tol max(|expected|, tol). The files contain all digits, but
+iterative solvers may differ within their tolerances. Chosen, not tuned.
 """
 
 _MESH_FOLDER = "meshes"
@@ -234,7 +234,7 @@ def _warn_of_set_down(design: Design) -> Iterator[Diagnostic]:
 
 
 def format_place(point: FramePoint) -> str:
-    """Return a position as the option ``--payload-at`` accepts it: ``x,y,z`` [m], or with a frame.
+    """Return a position as text for the option ``--payload-at``: ``x,y,z`` [m], or with a frame.
 
     Args:
         point: (x, y, z) or (frame, x, y, z) [m].
@@ -362,8 +362,9 @@ def _render_mjcf(description: Description, choose_path: Any) -> str:
     def register_file(name: str, folder: str) -> str:
         """Choose the output path of a referenced file, and return the file's present absolute path.
 
-        The output path later replaces the absolute path in the rendered XML. The reference is
-        ``name`` in the MJCF, relative to ``folder``; that of a missing file is returned unchanged.
+        The output path later replaces the absolute path in the rendered XML. The reference in the
+        MJCF is ``name``, relative to ``folder``. If the file is missing, the reference is returned
+        unchanged.
         """
         file = find_file(name, folder)
         if file is None:

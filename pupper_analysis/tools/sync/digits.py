@@ -12,16 +12,18 @@ from numpy.typing import ArrayLike
 from pupper_analysis.models.xml import NUMBER_PATTERN
 
 NUMBER_RTOL: Final = 1e-12
-"""Largest deviation of a number in a file from the requested number with which the text in the file
-is kept. Relative to the largest number of the vector, or to a larger scale that the caller passes.
-Also the magnitude below which 0 is written, relative to the same scale. Chosen, not tuned: far
-below the tolerances of comparisons."""
+"""Relative tolerance of numbers in files. If a number in a file deviates less from the requested
+number, its text is kept. The tolerance is relative to the largest number of the vector, or to a
+larger scale that the caller passes. A requested number whose magnitude is below the tolerance is
+written as 0. Chosen, not tuned: far below the tolerances of comparisons.
+"""
 
 
 _ROUNDING_STEPS: Final = ((10, 1e-13), (16, 4e-16))
-"""(largest number of digits, relative tolerance), in the order of the trials: the number with the
-fewest digits within the tolerance replaces a value. The tolerance for up to 10 digits is larger,
-since a number with so few digits is rarely this close by chance."""
+"""(largest number of digits, relative tolerance), in the order of the trials. A value is replaced
+by the number with the fewest digits within the tolerance. The tolerance for up to 10 digits is
+larger, since a number with so few digits is rarely this close by chance.
+"""
 
 
 def format_shortest(value: float, scale: float) -> str:
@@ -31,7 +33,8 @@ def format_shortest(value: float, scale: float) -> str:
 
     Args:
         value: Number.
-        scale: Magnitude that the relative tolerances (`_ROUNDING_STEPS`) refer to.
+        scale: Reference magnitude of the relative tolerances (`_ROUNDING_STEPS`), in the unit of
+            ``value``.
     """
     size = abs(value)
     if size <= NUMBER_RTOL * scale:
@@ -42,12 +45,12 @@ def format_shortest(value: float, scale: float) -> str:
 def format_numbers(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> str | None:
     """Return the text of a vector for an XML attribute; unchanged numbers keep the file's digits.
 
-    A number is unchanged if it differs by at most ``NUMBER_RTOL`` times the largest magnitude in
-    the vector, or times ``floor`` if larger.
+    A number counts as unchanged if it differs by at most ``NUMBER_RTOL`` times the reference
+    magnitude. This is the larger of ``floor`` and the largest magnitude in the vector.
 
     Args:
-        old: Numbers in the file, as written; may be fewer than those of ``new``, or none. Further
-            numbers are ignored.
+        old: Texts of the numbers in the file. There may be fewer texts than numbers in ``new``, or
+            none. Additional texts are ignored.
         new: New vector.
         floor: Lower bound of the reference magnitude.
 

@@ -86,9 +86,9 @@ def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
 def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextStep:
     """Return the command to run next.
 
-    If the files differ and none was chosen, this is a trial of `sync` that keeps the URDF's values;
-    after a trial (``dry_run``) with changes that would be written, `sync` that writes the files;
-    otherwise `crosscheck`.
+    If the files differ and no value was chosen, the result is a trial of `sync` with the values of
+    the URDF. If a trial (``dry_run``) has changes, the result is the `sync` that writes them.
+    Otherwise it is `crosscheck`.
     """
     if not chosen and not sync.agree:
         return doc.NextStep("sync", ("--take", "urdf", "--dry-run"))

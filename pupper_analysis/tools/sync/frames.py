@@ -1,6 +1,7 @@
 """Joint trees of the two matched robots, merged values, and frame transforms between the files.
 
-Also: changes of a single part of a rigid body that give the body a target inertia.
+`list_single_part_changes` lists changes of a single part of a rigid body that give the body a
+target inertia.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ Part = TypeVar("Part", bound=Hashable)
 """Type of the keys of a body's parts, such as the name of a link."""
 
 _TRIANGLE_RTOL = 1e-6
-"""Relative tolerance with which `is_physical` checks the triangle inequality of principal moments
-of inertia, for rounding. Chosen, not tuned."""
+"""Relative tolerance of the triangle inequality of principal moments of inertia in `is_physical`. A
+smaller violation is accepted, since it may be rounding. Chosen, not tuned.
+"""
 
 
 def list_single_part_changes(
@@ -42,8 +44,9 @@ def list_single_part_changes(
         empty: Part that is used if no part has mass.
 
     Returns:
-        (part, new inertia) of each change that is physical, the heaviest part first; may be empty.
-        If at most one part has mass, the new inertia is the target, without a check.
+        (part, new inertia) of each change with a physically possible inertia, the heaviest part
+        first. The list may be empty. If at most one part has mass, its new inertia is the target,
+        and is not checked.
     """
     changes = []
     for part in sorted(parts, key=lambda name: -parts[name].mass) or [empty]:
@@ -59,7 +62,8 @@ def list_single_part_changes(
 def is_physical(body: pin.Inertia) -> bool:
     """Return True if mass and rotational inertia of a body are physically possible.
 
-    The mass is positive; the inertia is positive definite and satisfies the triangle inequality.
+    The mass must be positive. The inertia must be positive definite, and its principal moments must
+    satisfy the triangle inequality.
     """
     if not body.mass > 0:
         return False
@@ -88,7 +92,8 @@ class MatchedRobots:
         matched: Match of the two files.
         urdf: Joint tree of the URDF.
         mjcf: Joint tree of the MJCF, in the same frames.
-        own: Joint tree of the MJCF in the MJCF's frames: each body frame at the joint.
+        own: Joint tree of the MJCF in the MJCF's frames. The frame of each body has its origin at
+            the joint.
         urdf_frames: {base or joint: pose of the URDF link's frame in the frame of the trees}.
         mjcf_frames: {base or joint: pose of the MJCF body's frame at the joint in the frame of the
             trees}.
@@ -121,7 +126,7 @@ class MatchedRobots:
 
 
 def pair_robots(matched: Match, alignment: Alignment) -> MatchedRobots:
-    """Compute the joint trees of a URDF and an MJCF in common frames, and each file's own frames.
+    """Compute the joint trees of a URDF and an MJCF in common frames, and the frames of each file.
 
     Args:
         matched: Match of the two files.

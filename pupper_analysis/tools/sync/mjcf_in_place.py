@@ -1,7 +1,8 @@
 """Elements of an MJCF and the included files, found by name and changed in place.
 
-Each include is replaced by the included elements, which remain elements of their own documents. A
-body that is a copy, such as by ``<replicate>``, has no element and is not found.
+Each <include> is replaced by the included elements, which remain elements of the included
+documents. A body that MuJoCo copies, for example by ``<replicate>``, has no element in the file,
+and is not found.
 """
 
 from __future__ import annotations
@@ -45,14 +46,15 @@ class EditableMjcf:
     def find_body(self, name: str) -> XmlElement | None:
         """Return the XML element of a body of the MJCF.
 
-        None if the body is a copy of another element, such as by <replicate>.
+        None if MuJoCo copies the body from another element, for example by <replicate>.
         """
         return self._bodies.get(name)
 
     def find_joint(self, name: str, body: str) -> XmlElement | None:
-        """Return the XML element of a joint, or else the first joint without a name in its body.
+        """Return the XML element of a joint in a body.
 
-        None if the body is a copy, or has neither joint.
+        If the body has no joint with this name, its first joint without a name is returned. None if
+        there is no such joint either, or if MuJoCo copies the body from another element.
         """
         element = self._bodies.get(body)
         if element is None:
@@ -94,7 +96,10 @@ class EditableMjcf:
             element.set(attribute, text)
 
     def is_in_frame_element(self, element: XmlElement) -> bool:
-        """Return True if an element is inside a <frame>, to which its pose is then relative."""
+        """Return True if an element is inside a <frame>.
+
+        The pose of the element is then relative to the frame.
+        """
         parent = element.parent
         while parent is not None and parent.tag not in ("body", "worldbody"):
             if parent.tag == "frame":

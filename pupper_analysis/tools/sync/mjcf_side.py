@@ -43,9 +43,10 @@ from pupper_analysis.tools.sync.frames import Side, is_same_body, list_single_pa
 from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 
 _NEW_INERTIAL_COST = 100
-"""Cost of adding an <inertial> to a body, in changed attributes. Of several possible changes, the
-change with the smallest cost is made. Chosen larger than the number of attributes of any change of
-existing elements."""
+"""Cost of adding an <inertial> to a body. The cost of another change is its number of changed
+attributes. If several changes are possible, the change with the smallest cost is made. Chosen
+larger than the number of attributes of any change of existing elements.
+"""
 
 _ORIENTATION_ATTRIBUTES = ("axisangle", "euler", "xyaxes", "zaxis")
 """Orientation attributes of an <inertial> that cannot be rewritten: a body whose <inertial> has one
@@ -55,14 +56,15 @@ of them is not changed."""
 def plan_inertial(side: MjcfSide, mover: str, keys: list[PropertyKey]) -> None:
     """Plan the changes of <inertial> that give a group of bodies the target inertia.
 
-    The group moves together. One of its bodies is changed, with as few changed attributes as
-    possible.
+    The bodies of a group are fixed to each other. One of them is changed, with as few changed
+    attributes as possible.
 
     Args:
         side: MJCF with the target values.
         mover: Joint that moves the group, or the base.
-        keys: Differences (kind, element) of the group; those of mass, CoM and inertia are recorded
-            in ``side.unwritten`` if nothing can be changed, or a body to be changed is a copy.
+        keys: Differences (kind, element) of the group. If no change is possible, or MuJoCo copies
+            the body from another element, the differences of mass, CoM and inertia are recorded in
+            ``side.unwritten``.
     """
     keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
     model = side.model
@@ -149,8 +151,9 @@ def _make_principal_numbers(element: XmlElement, target: Array) -> dict[str, Arr
 
 
 COPIED_BODY = diagnose("body-is-a-copy")
-"""Reason why a change of a body is not written to the MJCF: the body is a copy of another element,
-so the file contains no element with this name."""
+"""Reason why a change of a body is not written to the MJCF. MuJoCo copies the body from another
+element, so the file contains no element for it.
+"""
 
 
 @dataclass(eq=False, kw_only=True)
@@ -208,8 +211,9 @@ class MjcfSide(Side):
     def _plan_position(self, key: PropertyKey) -> None:
         """Plan to move the body of a joint, with the child bodies, to the URDF's joint position.
 
-        ``key`` is the difference (kind, joint). The position is not written if the joint is not the
-        first of its body or not at the body's origin, or the body is a copy or within a <frame>.
+        ``key`` is the difference (kind, joint). The position is not written in four cases: the
+        joint is not the first of its body, it is not at the body's origin, the body is a copy of
+        another element, or the body is within a <frame>.
         """
         name = key[1]
         index = self.model.joint(name).id
@@ -267,9 +271,9 @@ class MjcfSide(Side):
         self.elements.write(element, "range", values, 1.0)
 
     def _plan_damping(self, key: PropertyKey) -> None:
-        """Plan to set the damping of a joint to the target less that of the joint's actuators.
+        """Plan to set the damping of a joint to the target, minus the damping of its actuators.
 
-        Higher polynomial coefficients are kept. ``key`` is the difference (kind, joint); it is not
+        Higher polynomial coefficients are kept. ``key`` is the difference (kind, joint). It is not
         written if the result would be negative, or the base has no joint.
         """
         name = key[1]
@@ -290,9 +294,9 @@ class MjcfSide(Side):
         self._plan_number(key, "damping", [target, *higher])
 
     def _plan_armature(self, key: PropertyKey) -> None:
-        """Plan to set the armature of a joint to the target less that of the joint's actuators.
+        """Plan to set the armature of a joint to the target, minus the armature of its actuators.
 
-        ``key`` is the difference (kind, joint); it is not written if the result would be negative.
+        ``key`` is the difference (kind, joint). It is not written if the result would be negative.
         """
         index = self.model.joint(key[1]).id
         dof = int(self.model.jnt_dofadr[index])
@@ -307,8 +311,8 @@ class MjcfSide(Side):
     def _plan_number(self, key: PropertyKey, attribute: str, values: list[float]) -> None:
         """Plan to set an attribute of a joint's element in the MJCF to ``values`` in SI units.
 
-        ``key`` is the difference (kind, joint); it is not written if the element is a copy of
-        another.
+        ``key`` is the difference (kind, joint). It is not written if the element is a copy of
+        another element.
         """
         element = self.find_joint_element(key[1])
         if element is None:
@@ -328,8 +332,8 @@ def plan_gains(side: MjcfSide, name: str, target_gains: dict[PropertyKey, float]
     Args:
         side: MJCF.
         name: Name of the joint.
-        target_gains: {("kp", joint): stiffness at the joint [N m/rad], ("kd", joint): damping [N m
-            s/rad]}.
+        target_gains: Target gains at the joint: {("kp", joint): stiffness [N m/rad], ("kd", joint):
+            damping [N m s/rad]}.
     """
     model = side.model
     actuators = list_joint_actuators(model, model.joint(name).id)
@@ -403,11 +407,13 @@ def _keep_trailing_parameters(
 def plan_effort(side: MjcfSide, key: PropertyKey) -> None:
     """Plan the changes of the MJCF that give a joint the target torque limit.
 
-    The limit is the smallest of ``actuatorfrcrange`` of the joint, ``forcerange`` of the actuator,
-    and ``ctrlrange`` of a plain motor. Each stated bound that is the smallest, or below the target,
-    is changed, as is a range from 0 to 0. Without a stated bound, ``actuatorfrcrange`` is added.
-    Nothing is planned, with a reason in ``side.unwritten``, if several actuators drive the joint,
-    or the joint or an actuator is a copy of another element.
+    The present limit is the smallest of three bounds: ``actuatorfrcrange`` of the joint,
+    ``forcerange`` of the actuator, and ``ctrlrange`` of a <motor> actuator. A stated bound is
+    changed if it is the smallest, if it is below the target, or if its range is from 0 to 0. If no
+    bound is stated, ``actuatorfrcrange`` is added.
+
+    Nothing is planned if several actuators drive the joint, or if the joint or an actuator is a
+    copy of another element. The reason is then recorded in ``side.unwritten``.
     """
     name, model = key[1], side.model
     target = side.target.joints[name].effort

@@ -1,8 +1,8 @@
 """Makes a URDF and an MJCF agree: numbers of one file are written into the other, in place.
 
-Inputs are two files and the file from which each value is taken; outputs are the changed files and
-a `Sync`. Changes are planned, verified on copies by comparing the models, and written together: all
-chosen changes or, without ``partial``, none.
+Inputs are two files, and for each difference the file whose value is taken. Outputs are the changed
+files and a `Sync`. Changes are planned, verified by comparing changed copies of the models, and
+written together. If a chosen change is impossible, nothing is written, unless ``partial`` is True.
 """
 
 from __future__ import annotations
@@ -107,28 +107,31 @@ def sync_models(
     """Make a URDF and an MJCF of the same robot agree, by writing numbers of one into the other.
 
     Only attributes with different numbers are written; all other bytes are unchanged. Changes are
-    first verified on copies: a change that does not remove the difference is not written. Without
-    ``partial``, nothing is written if a chosen number cannot be written or its change does not
-    remove the difference. Chosen differences that are no numbers of both formats, or whose value
-    the chosen file does not state, remain in any case.
+    first verified on copies. A change that does not remove its difference is not written. Without
+    ``partial``, nothing at all is written if this happens, or if a chosen number cannot be written.
+
+    Two kinds of chosen differences remain in any case, and do not prevent other changes. First,
+    differences that are no numbers of both formats. Second, numbers that the chosen file does not
+    state.
 
     Args:
         urdf: Path of the URDF; name of a published robot; or a variant, such as ``"v3"``, for its
             URDF.
         mjcf: Path of the MJCF; name of a published robot; or a variant, for its MJCF. By default
             the MJCF of the variant ``urdf``.
-        take: File whose values are taken: ``"urdf"`` (the MJCF is changed) or ``"mjcf"``, for all
-            differences or some (``"mjcf:mass"``, ``"urdf:link base: mass"``, ``"mjcf:3"``).
-            Differences that are not named remain; a value that is not stated replaces nothing.
+        take: File whose values are taken: ``"urdf"`` (the MJCF is changed) or ``"mjcf"`` (the URDF
+            is changed). A text after a colon selects differences, for example ``"mjcf:mass"``,
+            ``"urdf:link base: mass"`` or ``"mjcf:3"`` (see `choose_files`). Differences that are
+            not selected remain.
         partial: Write the changes that are possible, even if other chosen changes are impossible.
         dry_run: Write nothing; return the planned changes.
         backup: Keep the old files as ``NAME.bak``.
         force: Write to files with uncommitted changes in a git repository.
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
         packages: {ROS package: folder}, for ``package://`` paths.
-        tolerances: Tolerances of differences; by default as in `compare_models`, so that numbers
-            with 5 or 6 digits are unchanged. ``Tolerances.strict()`` ignores rounding of
-            floating-point numbers only.
+        tolerances: Differences within these tolerances are ignored. The default is that of
+            `compare_models`: numbers that agree to 5 or 6 digits are unchanged.
+            ``Tolerances.strict()`` only ignores rounding of floating-point numbers.
 
     Returns:
         Written or planned changes, and remaining differences.
@@ -248,8 +251,9 @@ def _make_verified_plan(
 ) -> tuple[Plan, FilesCompared]:
     """Return a plan whose changes remove the differences, and the comparison after these changes.
 
-    The plan is applied to copies, which are compared. Changes that do not remove their difference
-    are removed from the plan; if an engine refuses a copy, all changes are removed.
+    The plan is applied to copies of the files, and the copies are compared. A change that does not
+    remove its difference is removed from the plan. If an engine refuses a copy, all changes are
+    removed.
     """
     refused: dict[PropertyKey, Diagnostic] = {}
     while True:
@@ -321,8 +325,8 @@ def _list_unmended(
 ) -> Iterable[Unmended]:
     """Yield the differences that remain after the changes of a plan, each with the reason.
 
-    Also yielded are parts and joints that only one file contains and, without other differences,
-    the reasons for which the files do not agree.
+    Parts and joints that only one file contains are also yielded. If nothing else is yielded, the
+    result contains the reasons why the files do not agree.
 
     Args:
         plan: Planned changes.
@@ -401,7 +405,7 @@ def format_owner_name(difference: Difference) -> str:
 
 
 def find_subject_link(difference: Difference) -> str:
-    """Return the name of the link with a difference; for other elements, the element's name.
+    """Return the name of the link or other element that differs.
 
     Args:
         difference: Difference between URDF and MJCF.
@@ -423,10 +427,10 @@ def choose_files(
 
     Args:
         differences: Differences, numbered from 1.
-        take: ``"urdf"``, ``"mjcf"``, or either with a colon and a selection: numbers (``3``,
-            ``1,4-6``), a kind (``mass``), an owner (``base``, ``joint FL_hip``), or both (``link
-            FL_hip: mass``). The more specific choice has precedence; of equally specific
-            choices, the last.
+        take: Choices of the form ``FILE`` or ``FILE:SELECTION``, where FILE is ``urdf`` or
+            ``mjcf``. A selection is a list of numbers (``3``, ``1,4-6``), a kind (``mass``), an
+            owner (``base``, ``joint FL_hip``), or owner and kind (``link FL_hip: mass``). The most
+            specific choice has precedence. If choices are equally specific, the last one applies.
 
     Raises:
         ConfigurationError: If a choice is not valid or matches no difference.
@@ -447,9 +451,10 @@ def choose_files(
 def _match_choice(differences: Sequence[Difference], which: str) -> Iterator[tuple[int, int]]:
     """Yield (index, rank) of the differences that a choice selects; empty ``which``: all.
 
-    ``which`` is a label, link, element or kind, or numbers such as ``1,3-5``. If several choices
-    select a difference, the one with the highest rank (the most specific) applies: 4 for numbers, 3
-    for a label, 2 for a link or element, 1 for a kind, 0 for all.
+    ``which`` is a label, a link, an element, a kind, or a list of numbers such as ``1,3-5``. If
+    several choices select a difference, the caller applies the choice with the highest rank, the
+    most specific. The rank is 4 for numbers, 3 for a label, 2 for a link or element, 1 for a kind,
+    and 0 for all.
 
     Raises:
         ConfigurationError: If ``which`` matches no difference, or a number is not valid.

@@ -1,7 +1,7 @@
 """Writing of given numbers into the URDF and the MJCF of a robot.
 
-In another folder, the files of a model keep their relative paths, so that no path in a file
-changes.
+The files of a model keep their relative paths in the output folder. Therefore paths in the files
+need not be changed.
 """
 
 from __future__ import annotations
@@ -132,19 +132,22 @@ def write_numbers(
 ) -> WrittenNumbers:
     """Write numbers into the URDF and the MJCF of a robot in memory, and verify the result.
 
-    Only attributes with changed numbers are written; all other bytes are unchanged. Both files get
-    the numbers, whatever the files stated, each file in its own frames and attributes. The mass of
-    a body is that of all links that move together, of which one link is changed. If a mass is given
-    without inertia, the inertia about the CoM is scaled by the ratio of the masses.
+    Only attributes with changed numbers are written; all other bytes are unchanged. The numbers are
+    converted to the frames and attributes of each file. Links that are fixed to each other form one
+    body. Mass, CoM and inertia in ``numbers`` are those of the whole body, and one of its links is
+    changed. If a mass is given without an inertia, the inertia about the CoM is scaled by the ratio
+    of the masses.
 
     Args:
-        robot: Robot. A model that was generated from the other model has no file.
-        numbers: {(kind, element): value}. For a link or body: ``mass`` [kg], ``com`` (3,) [m] and
-            ``inertia`` (3, 3) about the CoM [kg m^2], of all links that move with it, in the frame
-            of the URDF's link that the joint moves (or of the base). For a joint: ``damping`` [N m
-            s/rad, N s/m], ``friction`` [N m, N] and, in the MJCF only, ``armature`` [kg m^2, kg],
-            all without the values of motors, and ``kp`` [N m/rad, N/m] and ``kd`` [N m s/rad,
-            N s/m] of the position servo, at the joint.
+        robot: Robot. A model that was generated from the other model has no file, and is not
+            written.
+        numbers: {(kind, element): value}. The kinds of a link or body are ``mass`` [kg], ``com``,
+            shape (3,) [m], and ``inertia`` about the CoM, shape (3, 3) [kg m^2]. They belong to all
+            links that move together with the element. Their frame is that of the URDF's link that
+            the joint moves, or that of the base. The kinds of a joint are ``damping`` [N m s/rad,
+            N s/m], ``friction`` [N m, N] and ``armature`` [kg m^2, kg], without the contributions
+            of motors, and ``kp`` [N m/rad, N/m] and ``kd`` [N m s/rad, N s/m] of the position
+            servo, at the joint. A URDF cannot state ``armature``, ``kp`` and ``kd``.
         files: URDF and MJCF, if different from the files from which the robot was loaded.
 
     Returns:
@@ -286,9 +289,11 @@ def _map_renamed_joints(robot: Robot, urdf: UrdfFile) -> dict[str, str]:
 
 
 _READ_RTOL = 1e-9
-"""Largest difference between a requested number and the number that an engine reads from the new
-file: relative, and in m for a centre of mass. With a larger difference the files are not written.
-Covers rounding and rotations. Chosen, not tuned."""
+"""Tolerance of the difference between a requested number and the number that an engine reads from
+the new file. It is relative, but absolute [m] for a centre of mass. If a difference is larger, the
+files are not written. The tolerance covers the rounding errors of digits and of rotations. Chosen,
+not tuned.
+"""
 
 
 def try_files(
@@ -332,7 +337,7 @@ def try_files(
 def _find_wrong_numbers(
     changes: NumberChanges, after: Robot, sides: Iterable[str]
 ) -> Iterator[PropertyKey]:
-    """Yield the numbers (kind, element) that the written files state differently than requested.
+    """Yield the numbers (kind, element) whose value in the written files differs from the request.
 
     Args:
         changes: Requested numbers.
@@ -372,11 +377,12 @@ SERVO_KINDS = ("kp", "kd")
 """Kinds of numbers of a position servo that `write_numbers` accepts."""
 
 _SAME_ROBOT_RTOL = 1e-6
-"""Largest deviation of a body of the loaded robot from the same body in the files, with which the
-robot counts as unchanged since loading. It applies to the relative difference of the mass, to the
-difference of the CoM [m], and, multiplied by 1e3, to the relative difference of the inertia.
-Conversion and alignment are accurate to about 1e-9; later changes are larger than the last written
-digit. Chosen, not tuned."""
+"""Tolerance of the difference between a body of the loaded robot and the same body in the files. If
+a difference is larger, the robot was changed after loading, and nothing is written. The tolerance
+applies to the relative difference of the mass, and to the difference of the CoM [m]. Multiplied by
+1e3, it applies to the relative difference of the inertia. Conversion and alignment are accurate to
+about 1e-9, and later changes exceed the last written digit. Chosen, not tuned.
+"""
 
 
 def make_refusal(robot: Robot, reasons: Mapping[PropertyKey, Diagnostic]) -> ModelError:
@@ -426,9 +432,9 @@ def resolve_numbers(
 
 
 def check_robot_matches_files(robot: Robot, changes: NumberChanges) -> None:
-    """Check that all bodies of a robot have mass, CoM and inertia as the files state.
+    """Check that all bodies of a robot have the mass, CoM and inertia that the files state.
 
-    Of a base that is fixed in the world, the mass alone is compared.
+    If the base is fixed in the world, only its mass is compared.
 
     Raises:
         ModelError: If a body differs: the robot was changed after loading, or has other files.

@@ -1,9 +1,9 @@
 """Plan of a sync: changes of both files, reasons for differences that remain, layout of copies.
 
 Input is, for each selected difference, the file whose value is taken. `make_plan` changes both
-documents in memory, and records a reason for each difference that no file receives. `FileLayout`
-arranges copies of the model's files, so that the changed files can be verified before they are
-written.
+documents in memory. If the value of a difference cannot be written, the reason is recorded.
+`FileLayout` determines the paths of copies of the model's files. The copies are verified before the
+files are written.
 """
 
 from __future__ import annotations
@@ -272,10 +272,10 @@ def is_absent(
 ) -> bool:
     """Return True if a file states no value for a number in which URDF and MJCF differ.
 
-    Engines read a missing limit as infinite, a missing damping or friction as 0, and the mass of a
-    link without <inertial> as 0; a stated mass of 0 or below counts as no value. A URDF must state
-    an effort; exporters write 0 if unknown, so an effort of 0 or below counts as no value, like an
-    infinite one.
+    Engines replace missing values: a missing limit by infinity, a missing damping or friction by 0,
+    and the mass of a link without <inertial> by 0. A stated mass of 0 or below counts as no value.
+    A URDF must state an effort, and exporters write 0 if it is unknown. Therefore an effort of 0 or
+    below, or an infinite effort, counts as no value.
 
     Args:
         key: Kind and element of the differing number.
@@ -306,16 +306,17 @@ def is_absent(
 
 
 _MJCF_FOLDER = "mjcf"
-"""Subfolder of the output folder for the MJCF and the files that it needs, if neither model is
-within the top folder of the other model."""
+"""Subfolder of the output folder for the MJCF and the files that it needs. It is used if neither
+model is within the common folder (`FileLayout.top`) of the other model.
+"""
 
 
 @dataclass(frozen=True)
 class FileLayout:
     """Files of a model, and their paths in a copy of the model in an output folder.
 
-    No path in the files is changed: the output folder repeats the folders around the files as far
-    as relative paths require.
+    No path in the files is changed. Therefore the output folder contains the same subfolders as the
+    original folder, as far as relative paths require.
 
     Attributes:
         main: Main file of the model.
@@ -357,8 +358,8 @@ class FileLayout:
 def combine_layouts(urdf: FileLayout, mjcf: FileLayout) -> tuple[FileLayout, FileLayout]:
     """Return the layouts of a URDF's and an MJCF's files for a common output folder.
 
-    If the top folder of one model contains that of the other, all files keep their relative
-    positions. Otherwise the files of the MJCF get a separate folder.
+    If the common folder (``top``) of one model contains that of the other model, all files keep
+    their relative positions. Otherwise the files of the MJCF get a separate folder.
 
     Returns:
         Layout of the URDF's files; layout of the MJCF's files.
@@ -377,9 +378,9 @@ def _normalise_path(path: Path) -> Path:
 def list_urdf_files(urdf: UrdfFile) -> FileLayout:
     """List the files of a URDF that a copy needs: meshes and textures at relative paths.
 
-    A ``package://`` path to a folder that contains the URDF counts as relative; the ``package.xml``
-    of this folder is then included. Left out are files at absolute paths and in other packages,
-    which do not depend on the location of the URDF.
+    If the URDF is inside a ROS package, a ``package://`` path to this package counts as relative,
+    and the ``package.xml`` is included. Files at absolute paths and in other packages are left out,
+    since their paths do not depend on the location of the URDF.
     """
     files: list[Path] = []
     packages: list[Path] = []
@@ -412,9 +413,9 @@ def list_mjcf_files(mjcf: MjcfFile) -> FileLayout:
 def _iterate_assets(mjcf: MjcfFile) -> Iterator[Path]:
     """Yield the existing mesh, height field, skin and texture files to which an MJCF refers.
 
-    A relative path is searched in the folder of the MJCF and in that of each included file; every
-    existing file is yielded. References with an absolute path, or with an absolute ``meshdir`` or
-    ``texturedir``, are left out.
+    A relative path is searched in the folder of the MJCF, and in the folder of each included file.
+    Every existing file is yielded. References with an absolute path are left out, and also those
+    with an absolute ``meshdir`` or ``texturedir``.
     """
     spec = mjcf.spec
     folders = tuple(dict.fromkeys(file.parent for file in (mjcf.path, *mjcf.files)))

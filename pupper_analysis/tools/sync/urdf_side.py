@@ -30,8 +30,10 @@ Changes = dict[tuple[str, str], str]
 
 UNKNOWN_LIMITS = {"effort": join_numbers(UNSTATED), "velocity": "1000"}
 """{attribute of a URDF's <limit>: text that is written if no file states the required value}. The
-velocity is in rad/s or m/s. Cross-checks treat an effort of 0 as unknown, as exporters write it; a
-velocity of 0 would be used by motion planners. Chosen, not tuned."""
+velocity is in rad/s or m/s. An effort of 0 counts as unknown in cross-checks, since exporters write
+it for unknown efforts. The velocity is not 0, since motion planners would use this value. Chosen,
+not tuned.
+"""
 
 _LIMIT_KINDS = ("lower limit", "upper limit")
 """Kinds of the two position limits of a joint, which a URDF must state together."""
@@ -113,8 +115,8 @@ class UrdfSide(Side):
             joint: Joint.
             kind: Kind of the attribute, such as ``effort`` or ``damping``.
             value: Number.
-            floor: Lower bound of the scale of the relative tolerance `NUMBER_RTOL`, in the unit of
-                the number; by default the tolerance is relative to the number.
+            floor: Lower bound of the reference magnitude of the relative tolerance `NUMBER_RTOL`,
+                in the unit of the number. By default the tolerance is relative to the number.
         """
         attribute = BY_KIND[kind]
         assert attribute.urdf is not None
@@ -177,7 +179,8 @@ class UrdfSide(Side):
     def _list_members(self, mover: str) -> list[str]:
         """Return the compared links that move with ``mover``, a joint or the base.
 
-        The link that the joint itself moves, or the base's own link, is first if it is compared.
+        If the child link of the joint is compared, it is the first entry. For the base, this is the
+        base link.
         """
         top = self.sides.matched.urdf_link[mover]
         members, waiting = [], [top]
@@ -193,8 +196,8 @@ class UrdfSide(Side):
 
         Args:
             mover: Joint, or the base.
-            keys: Differences (kind, ``mover``); without a suitable link, those of mass, CoM and
-                inertia are recorded in ``unwritten``.
+            keys: Differences (kind, ``mover``). If no link is suitable, the differences of mass,
+                CoM and inertia are recorded in ``unwritten``.
         """
         keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
         frame = self.sides.urdf_frames[mover].inverse()

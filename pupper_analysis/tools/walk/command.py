@@ -250,9 +250,10 @@ def _simulate_checked_walk(
     motors: dict[str, Motor],
     arguments: Mapping[str, Any],
 ) -> Walk | TraceCheck:
-    """Simulate a walk, with tests of the causes of falls, after a check of a recorded trace.
+    """Check a recorded trace, then simulate a walk with tests of the causes of falls.
 
-    If the trace does not agree with the policy, the check alone is returned.
+    If the trace does not agree with the policy, nothing is simulated, and the result is the check.
+    Without a trace, only the walk is simulated.
 
     Args:
         robot: Robot.

@@ -45,14 +45,15 @@ TERM_SIZES = {
     "accelerometer": 3,
     "contacts": None,
 }
-"""Number of elements of each term; None if it follows from the joints, the phases or the feet.
-
-Velocities and gravity refer to the base, in the base frame. Joint positions are relative to the
-default positions. The up-command is the commanded vertical in the base frame. The phase contains
-the cosines and then the sines of all phases; ``phase-sine`` and ``phase-cosine`` are its parts, as
-``command-velocity`` and ``command-turning`` are of the command. The accelerometer measures
-acceleration minus gravity at the origin of the base, in the base frame. Contacts are 1 for each
-foot that touches anything, else 0, in the order of the robot's feet."""
+"""{term of an observation: number of elements}. None means that the number of joints, phases or
+feet determines the number. Velocities and gravity are those of the base, in the base frame. Joint
+positions are relative to the default positions. The up-command is the commanded vertical in the
+base frame. The phase contains the cosines of all phases, followed by the sines. ``phase-sine`` and
+``phase-cosine`` are parts of the phase. ``command-velocity`` and ``command-turning`` are parts of
+the command. The accelerometer measures acceleration minus gravity at the origin of the base, in the
+base frame. Contacts are 1 for each foot that touches anything, otherwise 0, in the order of the
+robot's feet.
+"""
 
 _TERM_ALIASES = {
     "base_lin_vel": "linear-velocity",
@@ -73,8 +74,9 @@ _TERM_ALIASES = {
     "last_last_act": "second-last-action",
     "feet_contacts": "contacts",
 }
-"""{common name (`OBSERVATION_ALIASES`) or other name of a term in Isaac Lab, mjlab, Unitree's
-environments and others: term}."""
+"""{name of a term in training libraries: term of `TERM_SIZES`}. The libraries are for example Isaac
+Lab, mjlab and Unitree's environments. Common names are those of `OBSERVATION_ALIASES`.
+"""
 
 
 def find_term_name(name: str) -> str:
@@ -89,7 +91,9 @@ def find_term_name(name: str) -> str:
 
 
 BY_FRAME, BY_TERM = "by-frame", "by-term"
-"""Layouts of a history: frame after frame, or all frames of a term after each other."""
+"""Layouts of an observation with several frames (time steps). ``by-frame``: all terms of a frame,
+then those of the next frame. ``by-term``: all frames of a term, then those of the next term.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +119,10 @@ class PolicyContract:
 
     Attributes:
         terms: Terms of a frame of the observation, in order.
-        joints: Joint names in the order of the policy; empty if the file states none. The order is
-            then that of the robot's actuators.
-        default: Joint positions that observed positions are relative to, in the directions of the
-            policy's joints (`signs`), shape (n,) [rad].
+        joints: Joint names in the order of the policy. If the file states no names, this is empty,
+            and the order is that of the robot's actuators.
+        default: Reference of the observed joint positions, in the directions of the policy's joints
+            (`signs`), shape (n,) [rad]. The reference is subtracted from the positions.
         offset: Joint positions for an action of zero, shape (n,) [rad]; None for ``default``.
         action_scale: Joint displacement for an action of 1, shape (n,) [rad].
         lower: Lower bounds of the commanded positions, in the policy's directions, shape (n,)
@@ -208,9 +212,10 @@ class PolicyContract:
     def reorder_joints(self, order: Sequence[int]) -> PolicyContract:
         """Return a contract (definition of observation and action) with permuted robot joints.
 
-        Output i of the policy then drives the joint that output ``order[i]`` has driven. Default
-        positions, scales, limits and gains remain with the outputs of the policy, as on a robot
-        with exchanged cables. The contract must name the joints.
+        Output i of the policy drives the joint that output ``order[i]`` drove before. Default
+        positions, scales, limits and gains are not permuted: they belong to the outputs of the
+        policy. The result corresponds to a robot with exchanged cables. The contract must name the
+        joints.
         """
         return replace(self, joints=tuple(self.joints[index] for index in order))
 
@@ -228,8 +233,9 @@ _KEY_OF_QUANTITY = {
     "latency": "latency",
 }
 """{quantity that a source, such as a policy file, states: key in the TOML file of a policy
-contract}. A policy contract defines the observation and the action of a policy. The key ``rate``
-[Hz] is not listed: it is the reciprocal of the quantity ``policy step`` [s]."""
+contract}. The key ``rate`` [Hz] is not listed, since it is the reciprocal of the quantity ``policy
+step`` [s].
+"""
 
 
 def convert_source_statements(source: JointSource) -> dict[str, Any]:
@@ -267,7 +273,7 @@ def make_rtneural_values(values: Mapping[str, Any], inputs: int, outputs: int) -
     The observation of a time step (frame) is that of ``neural_controller.cpp``: angular velocity,
     gravity, command, commanded up direction in the base frame, joint positions, last action. With
     twelve joints these are 36 elements, or 33 without the up direction. The newest frame is the
-    first; elements are clipped at 100; there is an action every 20 ms.
+    first. Elements are clipped to magnitudes of at most 100. The interval between actions is 20 ms.
 
     Args:
         values: Content of the JSON. The result is empty if it has no ``observation_history``.
@@ -313,7 +319,8 @@ class _MergedValues:
     def vector(self, key: str, fallback: float | None, size: int | None = None) -> Array | None:
         """Return the vector of a contract key, shape (size,), from one number or `size` numbers.
 
-        None if the key is missing and `fallback` is None.
+        `fallback` replaces each element of a missing key. None if the key is missing and `fallback`
+        is None.
 
         Raises:
             ModelError: If the value is no such number or list, or an element is not finite (limits
@@ -494,8 +501,8 @@ def _check_scales(merged: _MergedValues, contract: PolicyContract) -> None:
 def _set_number_of_feet(contract: PolicyContract, inputs: int) -> PolicyContract:
     """Return a contract in which the number of feet follows from the size of the observation.
 
-    The contacts of the feet have the elements that the other terms leave of the ``inputs`` of the
-    network. Without contacts in the observation, the contract is unchanged.
+    The number of elements for the contacts of the feet is ``inputs`` of the network, minus the
+    elements of all other terms. Without contacts in the observation, the contract is unchanged.
     """
     contacts = [term for term in contract.terms if term.name == "contacts"]
     if not contacts:
@@ -654,8 +661,10 @@ _UNSTATED_ORIGINS = dict.fromkeys(
     ),
     Origin.ASSUMED,
 )
-"""Origin of each key that no file states and that has a neutral value, such as a latency of 0. The
-origin of other keys is ``unknown``: gains and torque limits are then those of the robot's files."""
+"""Origins of keys that no file states. The keys listed here have a neutral value, such as a latency
+of 0. The origin of other unstated keys is ``unknown``. Unstated gains and torque limits are those
+of the robot's files.
+"""
 
 
 def convert_deployment(deployment: Deployment, inputs: int, outputs: int) -> Statements:
@@ -716,8 +725,9 @@ _KEYS_OF_DEPLOYMENT = {
     "kd": "kd",
     "effort": "effort",
 }
-"""{quantity of joints in a deployment: contract key}. Position limits and signs are missing: they
-belong to the motors, not to the policy."""
+"""{quantity of joints in a deployment: contract key}. Position limits and signs are not listed,
+since they belong to the motors and not to the policy.
+"""
 
 _SETTINGS_OF_DEPLOYMENT = {
     "policy step": "rate",
@@ -750,9 +760,10 @@ KNOWN_LAYOUTS: Mapping[str, tuple[tuple[str, ...], float]] = {
     "legged_gym 1.0 without linear velocity": (_BASIC_TERMS, 0.0),
     "unitree_rl_gym, deploy_mujoco.py": ((*_BASIC_TERMS, "phase-sine", "phase-cosine"), 1.25),
 }
-"""{framework: terms of an observation, and gait frequency [Hz], 0 without a gait phase}, for
-frameworks whose files do not state the terms. legged_robot.py, compute_observations;
-deploy_mujoco.py, period 0.8 s."""
+"""{framework: (terms of an observation, gait frequency [Hz])} for frameworks whose files do not
+state the terms. The frequency is 0 without a gait phase. Sources: ``compute_observations`` in
+``legged_robot.py``; ``deploy_mujoco.py``, period 0.8 s.
+"""
 
 _SCALES_OF_TERMS = {
     "linear-velocity": "lin_vel",
@@ -768,8 +779,8 @@ def _put_known_layout(
 ) -> None:
     """State the observation of the first of `KNOWN_LAYOUTS` that has the network's size.
 
-    The observation and its gait frequency are stated by calls of ``put``. Nothing is stated unless
-    the files contain scales as in legged_gym, and a layout has the size.
+    The observation and its gait frequency are stated by calls of ``put``. Nothing is stated if the
+    files do not contain scales as in legged_gym, or if no layout has this size.
 
     Args:
         deployment: Numbers of a deployment.

@@ -86,8 +86,8 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
 def _select_next_step(walk: Walk) -> doc.NextStep:
     """Return the command to run next.
 
-    It is ``walk --vary`` if all runs track. After a fall that a change prevents, it is ``walk
-    --response`` for a command of zero, and ``gains`` for other gains. Otherwise it is ``walk
+    If all runs track, the command is ``walk --vary``. If a command of zero prevents a fall, it is
+    ``walk --response``. If other gains prevent a fall, it is ``gains``. Otherwise it is ``walk
     --orders``.
     """
     if all(gait.tracks for gait in walk.gaits):
@@ -176,9 +176,10 @@ def _list_figures(walk: Walk) -> Iterable[doc.Words]:
 
 
 def _list_warnings(walk: Walk) -> Iterable[doc.Words]:
-    """Yield the numbers of runs that track the command and that fall, and the touching bodies.
+    """Yield texts on the runs of a walk: tracking, falls, and bodies that touch the ground.
 
-    The numbers are omitted for a single run. Touching bodies are no feet, and touch the ground.
+    The first text contains two numbers: runs that track the command, and runs that fall. It is
+    omitted for a single run. The bodies are those other than feet.
     """
     gaits = walk.gaits
     if len(gaits) > 1:
@@ -195,8 +196,8 @@ def _list_warnings(walk: Walk) -> Iterable[doc.Words]:
 def _describe_largest_torque(walk: Walk) -> doc.Words:
     """Return the text of the motor with the largest rms torque / torque limit.
 
-    It states rms and peak torque [N m, N], and the time at the limit [%]. For a motor without a
-    positive limit, the largest rms torque of all motors takes the place of the limit.
+    The text states rms and peak torque [N m, N], and the time at the limit [%]. If a motor has no
+    positive limit, its rms torque is divided by the largest rms torque of all motors instead.
     """
     rms, peak = _max_over_runs(walk, "torque_rms"), _max_over_runs(walk, "torque_peak")
     limited = np.isfinite(walk.limits) & (walk.limits > 0)
@@ -214,7 +215,9 @@ def _describe_largest_torque(walk: Walk) -> doc.Words:
 
 
 def _describe_region(walk: Walk) -> Iterable[doc.Words]:
-    """Yield the motor closest to the edge of its torque-speed region, or longest beyond the region.
+    """Yield the text of the motor closest to the edge of its torque-speed region.
+
+    If motors are beyond their regions, it is the motor that is beyond for the longest time.
 
     Nothing is yielded without assigned motors.
     """
@@ -255,8 +258,9 @@ def _list_limit_warnings(walk: Walk) -> Iterable[doc.Words]:
 
 
 _MIN_TORQUE = 1e-9
-"""Smallest divisor [N m] of the motor torques when the most loaded motor is selected; prevents a
-division by zero in a run without torques. Chosen, not tuned."""
+"""Lower bound of a divisor [N m] in the selection of the most loaded motor. It prevents a division
+by zero in a run without torques. Chosen, not tuned.
+"""
 
 
 def _max_over_runs(walk: Walk, name: str) -> Array:
@@ -370,15 +374,16 @@ def _make_run_table(walk: Walk) -> doc.Table:
 
 
 _NEUTRAL_VALUES = {"clip": math.inf, "action-clip": math.inf, "history": 1}
-"""{key: value without effect}, which is left out of the table if no file states the key."""
+"""{key: value without effect}. A key with this value is left out of the table if no file states it.
+"""
 
 
 def make_key_table(contract: PolicyContract) -> doc.Table:
     """Create the table of the contract's main keys, with value, origin and source of each.
 
-    A key that no file states is left out if it has no value or a neutral one (`_NEUTRAL_VALUES`),
-    unless its origin is unknown: then the robot's files count. Position limits, signs and phases
-    are not shown.
+    If no file states a key, and it has no value or a neutral value (`_NEUTRAL_VALUES`), the key is
+    left out. Keys of unknown origin are not left out, since the values of the robot's files apply
+    to them. Position limits, signs and phases are not shown.
     """
     values: dict[str, Any] = {
         "observation": ", ".join(
@@ -490,9 +495,10 @@ def intervals_document(result: TrackedIntervals, robot: Robot | None = None) -> 
 def _select_step_after_intervals(result: TrackedIntervals, *, outside: bool) -> doc.NextStep:
     """Return the next command after a search for tracked intervals.
 
-    It is ``walk --orders`` if the policy tracks the command with no seed; ``walk`` with more seeds
-    if the result is not passed, a margin is narrow, or ``outside`` (a measured interval is not
-    inside the tracked one); else ``walk --response``.
+    If the policy does not track the command with any seed, the command is ``walk --orders``. It is
+    ``walk`` with more seeds in three cases: the result is not passed, a margin is narrow, or
+    ``outside`` is True. ``outside`` means that a measured interval is not inside the tracked
+    interval. Otherwise it is ``walk --response``.
     """
     omitted = ("--vary", "--fit")
     if not result.seeds:
@@ -533,9 +539,10 @@ def _describe_nominal_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
 
 
 def _describe_ends(failures: tuple[str, ...]) -> doc.Words:
-    """Return the criteria that end an interval, the most frequent first; "-" for an open end.
+    """Return the criteria that end an interval as text, the most frequent first.
 
-    ``failures`` contains, for each seed, the key of the criterion that fails beyond the end, or "".
+    The text is "-" for an open end. ``failures`` contains, for each seed, the key of the criterion
+    that fails beyond the end, or "".
     """
     names = Counter(name for name in failures if name)
     words = [text(f"walk-ends-{name}") for name, _ in names.most_common()]
@@ -834,9 +841,10 @@ def orders_document(result: Orders, robot: Robot | None = None) -> doc.Document:
 def _select_step_after_orders(result: Orders) -> doc.NextStep:
     """Return the next command after a ranking of interpretations.
 
-    It is ``audit`` of the model if no interpretation walks, ``walk --init`` (a TOML file for the
-    correction) if another one walks better, ``walk --vary`` if the stated one walks best, and
-    ``walk --response`` if the ranking is not determined.
+    If no interpretation walks, the command is ``audit`` of the model. If another interpretation
+    than the stated one walks better, it is ``walk --init``, which writes a TOML file for the
+    correction. If the stated interpretation walks best, it is ``walk --vary``. If the ranking is
+    not determined, it is ``walk --response``.
     """
     if not result.candidates[0].tracked:
         return doc.NextStep("audit")

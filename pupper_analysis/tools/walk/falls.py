@@ -1,7 +1,8 @@
 """Tests of the cause of a fall: the run is repeated with one quantity changed at a time.
 
-`find_fall_tests` repeats the first run of a walk that falls. A change without a fall names a cause;
-if the robot falls with each change, the policy probably reads or drives the joints wrongly.
+`find_fall_tests` repeats the first run of a walk that falls. If the robot does not fall with a
+change, the changed quantity is a possible cause. If the robot falls with each change, the policy
+probably reads or drives the joints wrongly.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ def find_fall_tests(
         seconds: Duration of each run [s].
 
     Returns:
-        A test per changed quantity. Changes without effect are left out: a command of zero for the
-        command zero, no delay for a policy without latency, larger torque limits for motors without
-        limits. Empty if no run of the walk falls.
+        A test per changed quantity; empty if no run of the walk falls. Three changes are left out
+        if they have no effect: a command of zero if the command is zero, no delay if the policy has
+        no latency, and larger torque limits if the motors have no limits.
     """
     fallen = next((gait for gait in walk.gaits if gait.fall is not None), None)
     if fallen is None:

@@ -49,33 +49,41 @@ DEFAULT_SECONDS, WARM_UP_SECONDS = 8.0, 2.0
 second to start walking."""
 
 SPEED_RTOL, SPEED_ATOL = 0.25, 0.05
-"""Tolerance of the velocity error with which a run tracks a commanded speed v: `SPEED_RTOL` v +
-`SPEED_ATOL` [m/s], but at most (1 - `MIN_FOLLOWED_FRACTION`) v if v is not 0. Chosen: Pupper's
-public policy reaches 0.93 of the command."""
+"""Relative and absolute [m/s] tolerance of the velocity error. A run tracks the commanded speed v
+if the error is at most `SPEED_RTOL` v + `SPEED_ATOL`. If v is not 0, the tolerance is at most (1 -
+`MIN_FOLLOWED_FRACTION`) v. Chosen: Pupper's public policy reaches 0.93 of the command.
+"""
 
 TURN_ATOL = 0.1
-"""Absolute tolerance of a tracked turning rate [rad/s], in place of `SPEED_ATOL` in the same
-formula. Chosen, not tuned."""
+"""Absolute tolerance of the error of the turning rate [rad/s]. It replaces `SPEED_ATOL` in the
+formula for the speed. Chosen, not tuned.
+"""
 
 MIN_FOLLOWED_FRACTION = 0.5
-"""Smallest fraction of a nonzero speed or turning command that a tracking robot reaches. Needed for
-slow commands: at 0.13 m/s the tolerances (`SPEED_RTOL`, `SPEED_ATOL`) are most of the command.
-Chosen, not tuned."""
+"""Smallest fraction of a nonzero command (speed or turning rate) that a run must reach to track the
+command. This bound is needed for slow commands: at 0.13 m/s the tolerances (`SPEED_RTOL`,
+`SPEED_ATOL`) are most of the command. Chosen, not tuned.
+"""
 
 LIMIT_FRACTION = 0.99
 """Fraction of the torque limit from which a motor is counted as saturated. Chosen, not tuned."""
 
 MAX_BEYOND_FRACTION = 0.01
-"""Largest fraction of the time in which a motor may be outside of its torque-speed region, so that
-a walk passes: single steps after an impact are permitted. Chosen, not tuned."""
+"""Largest fraction of the time in which a motor may be outside of its torque-speed region. If the
+fraction is larger, the walk does not pass. The bound permits single time steps after an impact.
+Chosen, not tuned.
+"""
 
 _REGION_RTOL = 1e-9
-"""Relative tolerance of the edge of a torque-speed region: covers rounding of torques that the
-simulation has limited to the largest torque of the motor. Chosen, not tuned."""
+"""Relative tolerance of the edge of a torque-speed region. A torque beyond the edge by less counts
+as inside. It covers rounding if the simulation limits a torque to the largest torque of the motor.
+Chosen, not tuned.
+"""
 
 _MAX_COMMAND = 100.0
-"""Largest magnitude of a command [m/s, rad/s]. A larger number has a wrong unit. Chosen, not
-tuned."""
+"""Largest accepted magnitude of a command [m/s, rad/s]. A larger number is refused, since its unit
+is probably wrong. Chosen, not tuned.
+"""
 
 _MOTION_PERIOD = 1 / 25
 """Time between the recorded configurations of a run [s], for the animation. Chosen, not tuned."""
@@ -322,22 +330,23 @@ def simulate_walk(
 ) -> Walk:
     """Simulate a policy on a robot in MuJoCo and evaluate the gait.
 
-    The model is taken from the robot's files. The servos get the gains of the policy, if the policy
-    states gains, and keep the torque limits. The robot starts in the default pose of the policy,
-    with the lowest foot on the ground, and gets the command at the start.
+    The model is that of the robot's files. If the policy states gains, the servos get these gains;
+    the torque limits are kept. The robot starts in the default pose of the policy, with the lowest
+    foot on the ground. The command is constant from the start.
 
     Args:
         robot: Robot.
         policy: Policy.
         command: Forward speed, speed to the left [m/s], and turning rate to the left [rad/s].
-        seeds: Number of runs. Initial states differ from the default pose at rest by at most 0.05
-            rad at the joints, and 0.05 m/s and 0.05 rad/s of the base; the first does not differ.
+        seeds: Number of runs. The first run starts in the default pose at rest. The initial states
+            of the other runs deviate by at most 0.05 rad at the joints, and by at most 0.05 m/s and
+            0.05 rad/s at the base.
         seconds: Duration of each run [s], 3 to 600.
         warm_up: Duration of the warm-up [s].
         workers: Number of threads; by default the number of cores. The result does not depend on
             this number.
-        motors: {joint: motor}, whose torque-speed regions the torques are compared with. The
-            simulation limits torques by the effort limits of the robot only.
+        motors: {joint: motor}. The torques are compared with the torque-speed regions of these
+            motors. The simulation limits torques by the effort limits of the robot only.
 
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, the robot has no
@@ -370,12 +379,12 @@ def simulate_walk(
 
 
 def joint_torques(stage: Stage, run: PolicyRun) -> Array:
-    """Compute the motor torques [N m, N] of a run at the start of each step but the first, (n, nu).
+    """Compute the motor torques [N m, N] of a run, shape (n, nu).
 
-    n is the number of recorded states minus 1.
-
-    MuJoCo's actuator law is evaluated: clip(gain u + bias, force range) x gear, with u the clipped
-    control, or the activation of an actuator with dynamics. 0 for joints without a motor.
+    There is a row for the start of each step except the first; n is the number of recorded states
+    minus 1. MuJoCo's actuator law is evaluated: clip(gain u + bias, force range) x gear. u is the
+    clipped control, or the activation if the actuator has dynamics. The torque is 0 for joints
+    without a motor.
     """
     model, convention = run.case.model, stage.robot.mj_convention
     driven = np.flatnonzero(convention.actuator_index >= 0)
@@ -441,8 +450,8 @@ def evaluate_tracking(stage: Stage, run: PolicyRun, warm_up: float) -> Tracking:
 
     Returns:
         Velocity forward and to the left [m/s], turning rate [rad/s], and tracking. If fewer than
-        two states follow the warm-up, or one of these is not finite: velocities zero, margins
-        -infinite and failure ``falls``.
+        two states follow the warm-up, or one of these states is not finite, the velocities are
+        zero, the margins are -infinite, and the failure is ``falls``.
     """
     start = round(warm_up / stage.timestep)
     index = stage.robot.mj_convention.qpos_index
@@ -484,14 +493,15 @@ def measure_gait(
 ) -> Gait:
     """Compute the gait of a run after the warm-up: tracking, torques, power and contacts.
 
-    Of a run that falls during the warm-up, the last step is evaluated. Torques, power and joint
-    speeds of a run with a single state are unknown (NaN).
+    If the robot falls during the warm-up, only the last step is evaluated. If the run has a single
+    state, torques, power and joint speeds are unknown (NaN).
 
     Args:
         stage: Robot, policy and model of the simulation.
         run: Simulated run with the command.
         warm_up: Time that is ignored at the start [s].
-        motors: {joint: motor}, for the use of the torque-speed regions.
+        motors: {joint: motor}. The torques are compared with the torque-speed regions of these
+            motors.
     """
     robot, step = stage.robot, stage.timestep
     first = min(round(warm_up / step), max(0, len(run.states) - 2))
@@ -582,8 +592,9 @@ class GroundSupport(NamedTuple):
     The static torques are zero if `sample_ground_support` does not compute them.
 
     The static torques hold the same joint positions without motion. Vertical forces at the contact
-    points carry the weight, with the centre of pressure as close below the centre of mass as
-    possible. If the centre of mass is outside the contact points, a standing robot would tip.
+    points carry the weight. The centre of pressure is as close as possible to the projected centre
+    of mass. If the projected centre of mass is outside the support polygon, a standing robot would
+    tip.
     """
 
     feet: tuple[str, ...]
@@ -638,8 +649,10 @@ def sample_ground_support(
 
 _SUM_WEIGHT, _REGULARISATION = 1e3, 1e-5
 """Weights [m] of two residuals in the least-squares problem of static contact forces. `_SUM_WEIGHT`
-multiplies the sum of the force fractions minus 1, `_REGULARISATION` multiplies each fraction. The
-distance [m] from the centre of pressure to the projected CoM has weight 1. Chosen, not tuned."""
+multiplies the residual (sum of the force fractions) - 1. `_REGULARISATION` multiplies each
+fraction. The third residual, the distance [m] from the centre of pressure to the projected CoM, has
+weight 1. Chosen, not tuned.
+"""
 
 
 def _compute_static_torques(

@@ -1,8 +1,9 @@
 """Intervals of robot parameters within which a policy tracks the command.
 
-Inputs are a robot, a policy and a command; output is, for each quantity and seed, the range that is
-tracked. Each quantity is changed alone, in both directions from the nominal value, and the range
-between a tracked and an untracked value is bisected (`tracked_intervals`).
+Inputs are a robot, a policy and a command. Output is, for each quantity and seed, the range of
+values with which the policy tracks the command. Each quantity is changed alone, in both directions
+from the nominal value. The range between a tracked and an untracked value is bisected
+(`tracked_intervals`).
 """
 
 from __future__ import annotations
@@ -44,10 +45,10 @@ DEFAULT_SEEDS = 5
 """Number of initial states per value. Chosen, not tuned."""
 
 NUM_HALVINGS = 5
-"""Number of bisections between a value of a varied quantity at which the policy tracks the command
-and a value at which it does not. Derived: five bisections locate the end of the interval to 1/32 of
-the distance from the nominal value to the bound of the range (of logarithms, if the quantity is a
-factor)."""
+"""Number of bisections between a tracked and an untracked value of a varied quantity. Derived: five
+bisections locate the end of the interval to 1/32 of the distance from the nominal value to the
+bound of the range. If the quantity is a factor, the distance is that of the logarithms.
+"""
 
 QuantitySetter = Callable[[Stage, mujoco.MjModel, float], None]
 """Function (stage, model, value) that sets a varied quantity in a copy of the MuJoCo model."""
@@ -60,7 +61,7 @@ class VariedQuantity:
     Attributes:
         unit: Unit; ``x`` for a factor.
         nominal: Value of the unchanged robot.
-        range: Smallest and largest value that are tried. Chosen, not tuned.
+        range: Smallest and largest value that are simulated. Chosen, not tuned.
         apply: Function that changes a copy of the model; None for a delay or a push.
     """
 
@@ -70,9 +71,10 @@ class VariedQuantity:
     apply: QuantitySetter | None
 
     def compute_midpoint(self, first: float, second: float) -> float:
-        """Return the arithmetic mean of two values of the quantity; of factors, the geometric mean.
+        """Return the midpoint of two values of the quantity.
 
-        The quantity is a factor if its unit is "x".
+        This is the arithmetic mean. If the quantity is a factor (unit "x"), it is the geometric
+        mean.
         """
         return math.sqrt(first * second) if self.unit == "x" else (first + second) / 2
 
@@ -129,8 +131,8 @@ def _scale_strength(stage: Stage, model: mujoco.MjModel, value: float) -> None:
 def _scale_legs(stage: Stage, model: mujoco.MjModel, value: float) -> None:
     """Multiply the lengths of the legs by ``value``, in ``model``; sizes and masses are unchanged.
 
-    In each limb with a foot, the positions of the bodies after the first body are multiplied, and
-    the positions of the CoMs, geoms and sites of these bodies.
+    This changes all bodies of a limb with a foot, except its first body. The positions of these
+    bodies are multiplied, and also the positions of their CoMs, geoms and sites.
     """
     base, bodies_beyond = _get_base_id(stage, model), set()
     for body, _ in stage.robot.contact_places.values():
@@ -159,10 +161,11 @@ VARIED_QUANTITIES: Mapping[str, VariedQuantity] = {
     "push-forward": VariedQuantity("m/s", 0.0, (-3.0, 3.0), None),
     "push-left": VariedQuantity("m/s", 0.0, (-3.0, 3.0), None),
 }
-"""Varied quantities. ``mass`` and ``com`` (forward) refer to the base body. ``friction`` is the
-sliding friction of all contacts. ``legs`` scales lengths beyond the first body of each limb with a
-foot, at constant mass. ``payload`` is a fraction of the robot's mass, at the CoM of the base. A
-push lasts one action; its value is impulse / mass of the robot."""
+"""{name: varied quantity}. ``mass`` and ``com`` (forward) belong to the base body. ``friction`` is
+the sliding friction of all contacts. ``legs`` is a factor on the lengths beyond the first body of
+each limb with a foot, at constant mass. ``payload`` is a fraction of the robot's mass, at the CoM
+of the base. A push lasts one action; its value is impulse / mass of the robot.
+"""
 
 _PUSH_DIRECTIONS = {"push-forward": (1.0, 0.0), "push-left": (0.0, 1.0)}
 """{name of a push: unit vector (x, y) in the world frame}."""
@@ -272,8 +275,9 @@ class TrackedIntervals(Result):
     def narrow(self) -> tuple[str, ...]:
         """Criteria (``speed``, ``turning``) whose margin is smaller than its spread over the seeds.
 
-        Another initial state may violate such a criterion: an end of an interval that it causes is
-        determined by the initial state, not by the quantity. Empty with less than two seeds.
+        Another initial state may violate such a criterion. If this criterion ends an interval, the
+        end depends on the initial state rather than on the quantity. Empty with less than two
+        seeds.
         """
         margins = {"speed": self.speed_margins, "turning": self.turning_margins}
         return tuple(
@@ -302,8 +306,8 @@ def make_changed_case(stage: Stage, name: str, value: float, command: Array, see
     Args:
         stage: Robot, policy and model of the simulation.
         name: Key of `VARIED_QUANTITIES`, such as ``"mass"`` or ``"push-left"``.
-        value: Value in the unit of the quantity (`VARIED_QUANTITIES`); of a push, the velocity
-            change of the robot [m/s].
+        value: Value in the unit of the quantity (`VARIED_QUANTITIES`). For a push, this is the
+            velocity change of the robot [m/s].
         command: Command, shape (3,) [m/s, m/s, rad/s].
         seed: Seed of the case.
     """
@@ -395,9 +399,10 @@ def _make_interval(
 def _make_brackets(names: Iterable[str], seeds: Iterable[int]) -> dict[_BracketKey, list[float]]:
     """Return the initial bracket [satisfied, violated] of each quantity, side, seed and criterion.
 
-    A bracket contains a value of the quantity that satisfies the criterion, at first the nominal
-    value, and a value that violates the criterion, at first the bound of the range. The second
-    value is NaN if the bound is the nominal value: there is nothing to search.
+    A bracket contains two values of the quantity. The first value satisfies the criterion;
+    initially it is the nominal value. The second value violates the criterion; initially it is the
+    bound of the range, before this is simulated. If the bound is the nominal value, there is
+    nothing to search, and the second value is NaN.
 
     Args:
         names: Names of `VARIED_QUANTITIES`.
@@ -417,7 +422,7 @@ def _make_brackets(names: Iterable[str], seeds: Iterable[int]) -> dict[_BracketK
 def _select_trial_values(
     brackets: Mapping[_BracketKey, list[float]], *, halve: bool
 ) -> dict[_BracketKey, float]:
-    """Return the value of the quantity to simulate next for each bracket, except finished brackets.
+    """Return, for each unfinished bracket, the value of the quantity to simulate next.
 
     Args:
         brackets: Brackets [satisfied, violated]; finished if the second value is NaN.
@@ -447,11 +452,12 @@ def tracked_intervals(
 
     A simulation tracks the command if the robot does not fall, and if the errors of the mean
     velocity and turning rate are within the tolerances (`evaluate_tracking`). Each quantity is
-    changed alone, in both directions, for each seed that tracks without changes. First the end of
-    the quantity's range is simulated. If it does not track, the range between a tracked and an
-    untracked value is bisected `NUM_HALVINGS` times, and likewise the range between a value without
-    and with a fall. If tracked and untracked values alternate, the bisection finds one of the
-    boundaries. The result does not depend on the number of workers.
+    changed alone, in both directions, for each seed that tracks without changes. At first the bound
+    of the quantity's range is simulated. If the command is not tracked at the bound, the range
+    between a tracked and an untracked value is bisected `NUM_HALVINGS` times. The range between a
+    value without and a value with a fall is bisected in the same way. If tracked and untracked
+    values alternate, the bisection finds one of the boundaries. The result does not depend on the
+    number of workers.
 
     Args:
         robot: Robot.
@@ -480,7 +486,7 @@ def tracked_intervals(
     outcomes: dict[tuple[str, float, int], Tracking] = {}
 
     def simulate(trials: list[tuple[str, float, int]]) -> None:
-        """Simulate the trials that are no key of ``outcomes``, and add their tracking to it.
+        """Simulate all trials without an entry in ``outcomes``, and add the results to it.
 
         A trial is a name of a quantity, a value of the quantity, and a seed.
         """
@@ -539,8 +545,10 @@ QUANTITY_OF_FIT_KIND: Mapping[str, str] = {
     "kd": "kd",
     "delay": "delay",
 }
-"""{kind of a parameter estimated by ``fit``: quantity that ``walk`` varies}. Friction is missing:
-``fit`` estimates the friction of joints, ``walk`` varies the sliding friction of contacts."""
+"""{kind of a parameter estimated by ``fit``: quantity that ``walk`` varies}. Friction is not
+listed, since ``fit`` estimates the friction of joints, and ``walk`` varies the sliding friction of
+contacts.
+"""
 
 
 def read_measured_intervals(
@@ -548,11 +556,12 @@ def read_measured_intervals(
 ) -> dict[str, tuple[float, float]]:
     """Read the 95 % intervals of a fit of the real robot, as values of `VARIED_QUANTITIES`.
 
-    ``mass`` (factor on the stated mass) and ``com`` (forward displacement [m]) are those of the
-    base. ``kp`` and ``kd`` are factors on the stated gains, from the lowest to the highest end of
-    the intervals of all joints. ``delay`` [s] is the fitted delay less the latency of the policy,
-    at least 0. Ignored are all other parameters of the fit, parameters with an infinite interval or
-    stated value, and masses and gains whose stated value is not positive.
+    ``mass`` is a factor on the stated mass of the base, and ``com`` the forward displacement of its
+    CoM [m]. ``kp`` and ``kd`` are factors on the stated gains. Their interval contains the
+    intervals of all joints. ``delay`` [s] is the fitted delay minus the latency of the policy, at
+    least 0. All other parameters of the fit are ignored. A parameter is also ignored if its
+    interval or stated value is infinite. A mass or gain is ignored if its stated value is not
+    positive.
 
     Args:
         path: JSON of a fit: ``fit.json``, or the output of ``--json``.

@@ -1,8 +1,9 @@
 """Logs from MCAP files and ROS bags: joint positions and commands, resampled to a common clock.
 
 A bag contains messages of several topics, each with separate times. `read_bag` selects the topics
-of joint states and commands, and returns values of all joints at the sample times of the joint that
-is measured most frequently: positions are interpolated, and commands hold until the next message.
+of joint states and commands. It returns the values of all joints at common times: the sample times
+of the joint that is measured most frequently. Positions are interpolated, and commands hold until
+the next message.
 """
 
 from __future__ import annotations
@@ -22,15 +23,19 @@ from pupper_analysis.base.errors import ConfigurationError, MeasurementError, Mi
 BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 """File suffixes of MCAP files, of the storage of ROS 2 bags (SQLite) and of ROS 1 bags."""
 _MAX_GAP_RATIO = 1.5
-"""Upper bound of a gap in median sampling intervals. Larger gaps are not interpolated. Chosen, not
-tuned."""
+"""Largest time between two samples, in units of the median sampling interval, within which
+positions are interpolated. In longer gaps the positions are missing. Chosen, not tuned.
+"""
 
 _MAX_STEP_BACK = 1.0
-"""Upper bound of a backward step of time stamps [s]. Two publishers cause smaller steps; larger
-ones mean that the clock was set. Chosen, not tuned."""
+"""Largest backward step of time stamps that is accepted [s]. Two publishers cause smaller steps. A
+larger step means that the clock was set, and the bag is refused. Chosen, not tuned.
+"""
 
 _STATE_TYPE, _ARRAY_TYPE = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
-"""ROS types of messages with joint positions and names, and with commands of joints in order."""
+"""ROS message types: joint positions with joint names; commands without names, in a fixed joint
+order.
+"""
 
 _TRAJECTORY_TYPE = "trajectory_msgs/msg/JointTrajectory"
 """ROS type of messages with commanded joint positions and names."""
@@ -42,26 +47,31 @@ _ROLE_TYPES = {
     "state": (_STATE_TYPE, _CONTROLLER_TYPE),
     "command": (_ARRAY_TYPE, _TRAJECTORY_TYPE, _CONTROLLER_TYPE),
 }
-"""{role of a topic: message types of the topics that are selected automatically}. The role is
-``state`` for measured and ``command`` for commanded joint positions. A topic of commands that the
-user selects may also have `_STATE_TYPE`."""
+"""{role of a topic: message types}. Topics of these types are selected automatically. The role is
+``state`` for measured and ``command`` for commanded joint positions. If the user selects the topic
+of the commands, its type may also be `_STATE_TYPE`.
+"""
 
 _CONTROLLER_FIELDS = {"state": ("feedback", "actual"), "command": ("reference", "desired")}
 """{role: names of the field with the joint positions in a controller's state message}: the current
 name, then the older name. The role is ``state`` (measured) or ``command``."""
 
 MAX_BAG_BYTES: Final = 2_000_000_000
-"""Upper bound of the size of a file of a bag, packed and unpacked [bytes]. A larger file is
-refused; usually it contains camera topics that can be left out. Chosen, not tuned."""
+"""Largest accepted size of a file of a bag, packed and unpacked [bytes]. A larger file is refused.
+Such files usually contain camera topics, which can be left out. Chosen, not tuned.
+"""
 
 MAX_MESSAGE_BYTES: Final = 500_000_000
-"""Upper bound of the total size of the messages that are read [bytes]. With more, the bag is
-refused. Chosen, not tuned."""
+"""Largest accepted total size of the messages that are read [bytes]. A bag with more is refused.
+Chosen, not tuned.
+"""
 
 
 MAX_CHUNK_BYTES: Final = 500_000_000
-"""Upper bound of the size of an unpacked chunk or message [bytes]; a bag with a larger one is
-refused. Writers make chunks of some MB; 500 kB of packed zeros are 2 GB. Chosen, not tuned."""
+"""Largest accepted size of an unpacked chunk or message [bytes]. A bag with a larger chunk or
+message is refused. Usual chunks have some MB. The bound is necessary since 500 kB of packed zeros
+can be unpacked to 2 GB. Chosen, not tuned.
+"""
 
 
 def is_bag(path: Path) -> bool:
@@ -79,13 +89,14 @@ def read_bag(
 
     Args:
         path: Bag.
-        topics: {``state`` or ``command``: topic}, chosen by the user. A role without an entry uses
-            the only topic with a suitable message type.
-        joints: Names of the joints, for messages without the names of joints.
+        topics: {role: topic}, chosen by the user. The role is ``state`` (measured positions) or
+            ``command``. For a role without an entry, the bag must have a single topic with a
+            suitable message type.
+        joints: Names of the joints, in order, for messages that contain no joint names.
 
     Returns:
-        Times from the first sample on, shape (n,) [s], and {``position`` or ``command``: {joint:
-        values, shape (n,) [rad, m]}}; NaN if missing.
+        Times from the first sample on, shape (n,) [s]. Values {kind: {joint: values, shape (n,)
+        [rad, m]}}, with the kinds ``position`` and ``command``; NaN if missing.
 
     Raises:
         ConfigurationError: If a topic in ``topics`` has an unknown role or an unsuitable type.
@@ -126,8 +137,8 @@ def limit_unpacking() -> Iterator[None]:
     The decompression functions of rosbags are replaced while the block runs.
 
     Raises:
-        MeasurementError: In the block, if a chunk or message exceeds ``MAX_CHUNK_BYTES``, or a file
-            of a bag ``MAX_BAG_BYTES``.
+        MeasurementError: In the block, if a chunk or message exceeds ``MAX_CHUNK_BYTES``, or if a
+            file exceeds ``MAX_BAG_BYTES``.
     """
     from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
     from rosbags.rosbag1 import reader as ros1
@@ -169,9 +180,9 @@ def limit_unpacking() -> Iterator[None]:
 def limit_decompressor(decompressor: Callable[[], Any]) -> Callable[[bytes], bytes]:
     """Return a function that unpacks a chunk frame by frame, up to ``MAX_CHUNK_BYTES``.
 
-    A chunk is here any packed data, for example a message. ``decompressor`` creates the object that
-    unpacks a frame. The returned function raises a MeasurementError if the unpacked chunk is
-    larger, and a ValueError if a frame is incomplete.
+    A chunk is any packed data here, for example a message. ``decompressor`` creates an object that
+    unpacks one frame. The returned function raises a MeasurementError if the unpacked chunk is
+    larger than ``MAX_CHUNK_BYTES``. It raises a ValueError if a frame is incomplete.
     """
 
     def unpack(data: bytes) -> bytes:
@@ -216,11 +227,12 @@ def _check_unpacked_size(size: int, maximum: int) -> None:
 
 
 def _choose_topics(types: Mapping[str, str], requested: Mapping[str, str]) -> dict[str, str]:
-    """Return {role: topic}: the requested topic, or the only topic with a type of the role.
+    """Return {role: topic}: the requested topic, or the only topic with a suitable message type.
 
-    The role is ``state`` (measured positions) or ``command``; ``command`` is left out without a
-    topic. For ``state``, a ``JointState`` topic that is not selected for ``command`` is preferred
-    to the state of a controller, which may be late.
+    The role is ``state`` (measured positions) or ``command``. If the bag has no topic of commands,
+    ``command`` is left out. For ``state``, a ``JointState`` topic is preferred to the state topic
+    of a controller, which may be late. This does not apply to a topic that is selected for
+    ``command``.
 
     Args:
         types: {topic of the bag: message type}.
@@ -267,9 +279,9 @@ def _read_series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) 
         joints: Joint names of messages without names.
 
     Raises:
-        MeasurementError: If the messages are larger than `MAX_MESSAGE_BYTES` together; if a message
-            has no joint names, or another number of positions than names, unless it has none; or if
-            a trajectory does not have exactly one point.
+        MeasurementError: If the total size of the messages exceeds `MAX_MESSAGE_BYTES`. If a
+            message has no joint names, or has positions whose number differs from that of the
+            names. If a trajectory does not have exactly one point.
     """
     series: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
     used = chosen.values()
@@ -328,9 +340,9 @@ def _resample_to_common_clock(
 ) -> tuple[Array, dict[str, dict[str, Array]]]:
     """Return sample times of the most frequently measured joint, and all values at these times.
 
-    Times start at 0, shape (n,) [s]. Values are {kind: {joint: shape (n,) [rad, m]}}: positions
-    are interpolated, commands hold until the next message; NaN if missing. ``series`` is the result
-    of `_read_series`.
+    Times start at 0, shape (n,) [s]. Values are {kind: {joint: shape (n,) [rad, m]}}; NaN if
+    missing. Positions are interpolated, and commands hold until the next message. ``series`` is the
+    result of `_read_series`.
 
     Raises:
         MeasurementError: If there are no positions, or time stamps go back by more than

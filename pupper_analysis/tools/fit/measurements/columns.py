@@ -1,8 +1,9 @@
 """CSV files of measurements: columns of numbers with names and units.
 
 `read_columns` reads a file into arrays in SI units, and texts. Each column must match one of the
-columns that the caller accepts, whose physical quantity determines the units that the header may
-state in brackets. Missing numbers are NaN. Errors of a row contain the number of the line.
+columns that the caller accepts. The header may state a unit in brackets, which must belong to the
+physical quantity of the column. Missing numbers are NaN. Errors of a row contain the number of the
+line.
 """
 
 from __future__ import annotations
@@ -31,12 +32,14 @@ _MISSING_CELLS = ("", "nan", "na", "null", "none")
 """Contents of cells without a measurement."""
 
 MAX_CSV_BYTES = 100_000_000
-"""Largest size of a CSV file that is read [bytes]: about 7 minutes of commands and positions of
-twelve joints at 1 kHz, with 9 characters per number. Chosen, not tuned."""
+"""Largest accepted size of a CSV file [bytes]. It corresponds to about 7 minutes of commands and
+positions of twelve joints at 1 kHz, with 9 characters per number. Chosen, not tuned.
+"""
 
 _CELL_SEPARATORS = (",", ";", "\t")
-"""Possible separators of cells; the most frequent separator in the first line that is not blank is
-used."""
+"""Possible separators of cells. The separator of a file is the most frequent of these in the first
+line that is not blank.
+"""
 
 _DECIMAL_COMMA = re.compile(r"^([-+]?\d*),(?=\d+([eE][-+]?\d+)?$)")
 """Start of a number with a decimal comma, up to the comma; the group is the integer part."""
@@ -66,8 +69,8 @@ class Columns:
         source: Path of the file.
         numbers: {name: values in SI units, shape (n,)}; NaN for missing cells.
         words: {name: n texts} of columns that contain texts.
-        lines: Number of each row in the file, shape (n,); the header has the number 1, if no blank
-            line precedes. A cell that contains a line end counts as one line.
+        lines: Line number of each row in the file, shape (n,), counted from 1 at the first line. A
+            cell that contains a line end counts as one line.
     """
 
     source: str
@@ -94,18 +97,18 @@ class Columns:
 def read_columns(path: str | Path, known: Sequence[MeasurementColumn]) -> Columns:
     """Read a CSV file of measurements.
 
-    The first line that is not blank has the names of the columns, with units in brackets if not SI
-    units: ``position.FL_knee [deg]``. Separators are commas, semicolons or tabs; with semicolons,
-    numbers may have decimal commas. Empty cells, and words such as ``nan`` (`_MISSING_CELLS`), are
-    missing values.
+    The first line that is not blank contains the names of the columns. A unit other than the SI
+    unit is stated in brackets: ``position.FL_knee [deg]``. Separators are commas, semicolons or
+    tabs. If semicolons separate the cells, numbers may have decimal commas. Missing values are
+    empty cells, and words such as ``nan`` (`_MISSING_CELLS`).
 
     Args:
         path: CSV file.
         known: Columns that the file may contain.
 
     Raises:
-        MeasurementError: If the file cannot be read: for example a column is unknown, repeated or
-            has an unknown unit, or a cell is not a number.
+        MeasurementError: If the file cannot be read; for example, if a column is unknown, is
+            repeated or has an unknown unit, or if a cell is not a number.
     """
     check_type("path", path, str | Path)
     file = Path(path)
@@ -122,8 +125,8 @@ def _parse_csv(source: str, text: str, known: Sequence[MeasurementColumn]) -> Co
     ``source`` is the path of the file, for error messages.
 
     Raises:
-        MeasurementError: If the text is no such table: for example a column is unknown, repeated or
-            has an unknown unit, or a cell is not a number.
+        MeasurementError: For example, if a column is unknown, is repeated or has an unknown unit,
+            or if a cell is not a number.
     """
     first = text.lstrip("\r\n").partition("\n")[0]
     separator = max(_CELL_SEPARATORS, key=first.count)

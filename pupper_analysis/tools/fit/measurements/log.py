@@ -1,8 +1,8 @@
 """Logs of motions: joint commands and measured positions over time.
 
-A log is read from a CSV file or a ROS bag, and contains a row per sample. Checks that need no robot
-(times, completeness of the columns) are made when a log is read; `inspect_log` checks a log for a
-robot.
+A log is read from a CSV file or a ROS bag, and contains a row per sample. The times and the
+completeness of the columns are checked when a log is read. `inspect_log` checks whether a log fits
+a robot.
 """
 
 from __future__ import annotations
@@ -29,8 +29,10 @@ from pupper_analysis.tools.fit.measurements.bags import MAX_BAG_BYTES, is_bag, r
 from pupper_analysis.tools.fit.measurements.columns import MeasurementColumn, read_columns
 
 _MIN_JUMP = 0.5
-"""Time [s] between two samples above which the clock has jumped; ten median intervals if these are
-longer. A jump ends a run. Chosen, not tuned."""
+"""Lower bound of a clock jump [s]. The clock has jumped if the time between two samples exceeds
+this bound and also ten median intervals. A jump ends a run, which is a part of a log without jumps.
+Chosen, not tuned.
+"""
 
 MIN_SAMPLES = 100
 """Smallest number of samples of a log, half a second at 200 Hz. A shorter log is refused. Chosen,
@@ -45,8 +47,8 @@ class Log:
         source: File.
         time: Sample times, strictly increasing, shape (n,) [s].
         joints: Joints of the columns.
-        command: Commanded positions, each from a sample to the next, shape (n, joints) [rad, m];
-            NaN if missing.
+        command: Commanded positions, shape (n, joints) [rad, m]; NaN if missing. Each command holds
+            from its sample to the next.
         position: Measured positions, shape (n, joints) [rad, m]; NaN if missing.
     """
 
@@ -70,8 +72,8 @@ class Log:
     def jumps(self) -> list[int]:
         """Index of the last sample before each clock jump.
 
-        The next sample follows more than 0.5 s and more than ten median intervals later: the clock
-        was set, or the log was interrupted.
+        A jump is a time of more than 0.5 s, and of more than ten median intervals, between two
+        samples. It means that the clock was set, or the log was interrupted.
         """
         min_jump = max(_MIN_JUMP, 10 * self.interval)
         return [int(index) for index in np.flatnonzero(np.diff(self.time) > min_jump)]
@@ -117,8 +119,8 @@ def make_log(
         lines: Line number of each sample in the file, shape (n,).
 
     Raises:
-        MeasurementError: If columns are missing, a joint has commands without positions or no
-            commands, a time is missing, time does not increase, or samples are too few.
+        MeasurementError: If columns are missing, if a joint lacks positions or commands, if a time
+            is missing or does not increase, or if the samples are too few.
     """
     position = kinds["position"]
     if not len(time) or not position:
@@ -190,19 +192,21 @@ def read_log(
     ``torque.<joint>`` are accepted and ignored. Units are SI units, or stated in brackets:
     ``time [ms]``, ``position.FL_knee [deg]``. Empty cells are missing values.
 
-    In a bag, states are ``sensor_msgs/JointState`` messages; commands are
-    ``std_msgs/Float64MultiArray`` messages, ``trajectory_msgs/JointTrajectory`` messages with one
-    point, or a ``JointState`` topic that ``topics`` names. A
-    ``control_msgs/JointTrajectoryControllerState`` contains both. Times are those of the headers,
-    or of recording if any message that is read lacks a header time. The log has the sample times of
-    the joint with the most samples: positions of other joints are interpolated unless samples are
-    missing, and a command holds until the next.
+    In a bag, states are ``sensor_msgs/JointState`` messages. Commands are
+    ``std_msgs/Float64MultiArray`` messages, or ``trajectory_msgs/JointTrajectory`` messages with
+    one point. They may also be ``JointState`` messages of a topic that ``topics`` names.
+    ``control_msgs/JointTrajectoryControllerState`` messages contain states and commands.
+
+    The times of a bag are those in the message headers. If a message lacks this time, the times of
+    recording are used for all messages. The log has the sample times of the joint with the most
+    samples. Positions of other joints are interpolated unless samples are missing, and a command
+    holds until the next command.
 
     Args:
         path: File, or folder of a ROS 2 bag.
-        topics: Topics of a bag, {``"state"`` or ``"command"``: topic}. By default the only topic of
-            a suitable type.
-        joints: Joints of a bag's messages without names, in order.
+        topics: Topics of a bag, {role: topic}, with the roles ``"state"`` and ``"command"``. For a
+            role without an entry, the bag must have a single topic of a suitable type.
+        joints: Joint names, in order, for messages of a bag that contain no joint names.
 
     Returns:
         The log. ``inspect_log`` checks the log for a robot.

@@ -1,8 +1,9 @@
 """Checks of a log before a fit: units, exchanged columns, clock and resting joints.
 
-`inspect_log` returns the findings for a robot. Units are checked by the joint limits and by the
-ratio of commands to positions, exchanged columns by correlations and by the sign of the work of the
-servos. `find_column_step` determines the encoder step from the differences of the positions.
+`inspect_log` returns the findings for a robot. Units are checked with the joint limits, and with
+the ratio of commands to positions. Exchanged columns are found by correlations, and by the sign of
+the work of the servos. `find_column_step` determines the encoder step from the differences of the
+positions.
 """
 
 from __future__ import annotations
@@ -20,52 +21,65 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.log import Log
 
 _MAX_GAP_RATIO = 1.5
-"""Upper bound of the time between two samples, in median intervals. Above, samples are missing.
-Chosen, not tuned."""
+"""Largest time between two successive samples, in units of the median interval. If the time is
+longer, samples are missing between both. Chosen, not tuned.
+"""
 
 _MIN_JOINT_RANGE = 2e-3
-"""Range [rad, m] up to which a joint has not moved; three encoder steps if these are larger. Also
-the standard deviation of positions up to which a joint is left out of the comparison of units.
-Chosen, not tuned."""
+"""Largest range of positions [rad, m] with which a joint counts as at rest. The bound is three
+encoder steps if these are larger. The constant is also a bound of the standard deviation of
+positions: the comparison of units leaves out joints with at most this deviation. Chosen, not tuned.
+"""
 
 _MAX_REACH_RATIO = 2.0
-"""Upper bound of the ratio of the median absolute position or command to the larger absolute joint
-limit. Above, the unit is wrong. Chosen, not tuned."""
+"""Largest plausible ratio of a median absolute position or command to the larger absolute joint
+limit. If the ratio is larger, the unit is considered wrong. Chosen, not tuned.
+"""
 
 _DEGREES_PER_RADIAN = 180 / np.pi
 """Degrees per radian."""
 
 _SAME_UNIT_RATIOS = (0.2, 5.0)
-"""Bounds of the ratio between the standard deviations of commands and positions. Outside, the log
-is refused, since the columns have two units: with degrees and radians the ratio is about 57.3 or
-1/57.3. Chosen, not tuned."""
+"""Bounds of the ratio between the standard deviations of commands and positions. If the ratio is
+outside these bounds, commands and positions have different units, and the log is refused. With
+degrees and radians the ratio is about 57.3 or 1/57.3. Chosen, not tuned.
+"""
 
 _MAX_SWAPPED_CORRELATION = -0.1
-"""Correlation of the servo error (command - position) with the changes of the position, and with
-those of the command, between samples. Below, commands and positions are swapped. A servo supplies
-the energy that friction dissipates, so that the correlation is positive: 0.1 to 0.9 in simulated
-and public logs. Swapped columns give -0.9 to -0.1."""
+"""Upper bound of two correlations if commands and positions are swapped. The servo error (command -
+position) is correlated with the changes of the position between samples, and with the changes of
+the command. If both correlations are below this bound, the columns are swapped. A servo supplies
+the energy that friction dissipates, so the correlation is positive in correct columns. Measured in
+simulated and public logs: 0.1 to 0.9, and -0.9 to -0.1 if the columns are swapped.
+"""
 
 _OFFSET_ALLOWANCE = 0.1
-"""Encoder offset [rad, m] that is allowed in the energy balance of a motion with different start
-and end positions: three standard deviations of the prior."""
+"""Encoder offset [rad, m] that the check for swapped columns allows for. The offset changes the
+energy balance of a motion if start and end positions differ. The value is three standard deviations
+of the prior of offsets.
+"""
 
 _MAX_OPPOSED_CORRELATION = -0.7
-"""Correlation of commands and positions below which the sign is wrong. A delay of a quarter period
-gives 0, and servos are not slower. Chosen, not tuned."""
+"""Correlation of the commands and positions of a joint below which one of the signs is considered
+wrong. A delay of a quarter period gives 0, and servos are not slower. Chosen, not tuned.
+"""
 
 _MIN_OWN_CORRELATION = 0.5
-"""Correlation of the positions in a log column with the commands of the same joint, below which the
-column may contain the positions of another joint. Chosen, not tuned."""
+"""Correlation of the positions and commands of a joint. If it is smaller, the column of positions
+may belong to another joint (`_MIN_OTHER_CORRELATION`). Chosen, not tuned.
+"""
 
 _MIN_OTHER_CORRELATION = 0.9
-"""Correlation of the positions in a log column with the commands of another joint, above which the
-column is reported as that joint's, if the correlation with the own commands is also below
-`_MIN_OWN_CORRELATION`. With similar commands both correlations are high. Chosen, not tuned."""
+"""Correlation of the positions of a joint with the commands of another joint. If it is larger, the
+column of positions is reported as that of the other joint. A second condition is that the
+correlation with the own commands is below `_MIN_OWN_CORRELATION`, since both are high if the
+commands are similar. Chosen, not tuned.
+"""
 
 _MAX_INTERVAL_DEVIATION = 0.3
-"""Standard deviation of the sampling intervals, as a share of the median, above which a log has
-uneven intervals. Measured: 0.01 to 0.1 with a scheduler that is late."""
+"""Ratio of the standard deviation to the median of the sampling intervals. If it is larger, the
+intervals are reported as uneven. Measured with a late scheduler: 0.01 to 0.1.
+"""
 
 _MAX_INTERVAL = 0.1
 """Median sampling interval [s] above which a log is refused as too slow. Servos respond faster; a
@@ -149,8 +163,9 @@ def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterato
     """Yield diagnostics on joints whose measured position follows the wrong command.
 
     The first diagnostic lists joints whose position correlates with the command of another joint,
-    the second lists joints whose position correlates negatively with their own command. Either is
-    left out if its list is empty, and both with fewer than ten complete samples.
+    the second lists joints whose position correlates negatively with their own command. A
+    diagnostic without joints is left out. With fewer than ten complete samples there are no
+    diagnostics.
 
     Args:
         robot: Robot.
@@ -187,13 +202,15 @@ def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterato
 def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
     """Yield a diagnostic that lists the joints whose command follows the position.
 
-    Their columns are probably swapped. If these are at most half of the moving joints, the
-    diagnostic is a warning, otherwise an error. Joints with fewer than ten complete samples are
-    left out. A servo supplies the energy that friction dissipates, so over a motion the integral of
-    (command - position) d position is positive. With swapped columns it is negative, and so is the
-    integral of (command - position) d command. A joint is listed if both are clearly negative
-    (`_MAX_SWAPPED_CORRELATION`); a single one may be negative because the load of the servo differs
-    between start and end.
+    The columns of commands and positions of these joints are probably swapped. The diagnostic is a
+    warning if at most half of the moving joints are listed, otherwise an error. Joints with fewer
+    than ten complete samples are left out.
+
+    A servo supplies the energy that friction dissipates. Therefore the integral of (command -
+    position) d position over a motion is positive. With swapped columns this integral is negative,
+    and also the integral of (command - position) d command. A joint is listed if both integrals are
+    clearly negative (`_MAX_SWAPPED_CORRELATION`). A single integral may be negative because the
+    load of the servo differs between start and end.
     """
     backwards = []
     for index in moving:
@@ -255,8 +272,8 @@ def find_degrees(
 def _compute_column_ratio(first: Array, second: Array) -> float | None:
     """Return the median over the joints of std(first) / std(second), dimensionless.
 
-    Both arrays have the shape (n, joints); NaN is ignored. Left out are joints with a constant
-    ``first`` or with std(second) of at most `_MIN_JOINT_RANGE`; None if no joint remains.
+    Both arrays have the shape (n, joints); NaN is ignored. Joints are left out if ``first`` is
+    constant, or if std(second) is at most `_MIN_JOINT_RANGE`. None if no joint remains.
     """
     is_finite = np.isfinite(first) & np.isfinite(second)
     pairs = [
@@ -271,10 +288,10 @@ def _compute_column_ratio(first: Array, second: Array) -> float | None:
 def find_column_step(column: Array) -> float:
     """Estimate the step (resolution) of a joint's encoder from measured positions.
 
-    The step is the largest number of which the differences between successive sorted positions are
-    multiples. The `_MAX_TESTED_STEPS` smallest differences above `_MIN_ENCODER_STEP` are tested.
-    Candidate steps are the smallest difference and its integer fractions, down to 1 / `_MAX_PARTS`
-    of it and to `_MIN_ENCODER_STEP`.
+    The positions are sorted, and the differences of successive positions are computed. The step is
+    the largest number such that all tested differences are multiples of it. The `_MAX_TESTED_STEPS`
+    smallest differences above `_MIN_ENCODER_STEP` are tested. Candidate steps are d / k with the
+    smallest difference d and k = 1 to `_MAX_PARTS`, not smaller than `_MIN_ENCODER_STEP`.
 
     Args:
         column: Positions of a joint, shape (n,) [rad, m].
@@ -297,22 +314,27 @@ _MIN_ENCODER_STEP = 1e-5
 bits."""
 
 _MIN_STEPS = 7
-"""Smallest number of differences between readings that determine an encoder step. Derived: a random
-difference is within `_MULTIPLE_TOLERANCE` of a multiple of a candidate step with probability 0.1.
-The smallest difference is a multiple by construction; the six others are multiples of the same
-candidate with probability 1e-6."""
+"""Smallest number of differences between readings from which an encoder step is determined.
+Derived: a random difference is within `_MULTIPLE_TOLERANCE` of a multiple of a candidate step with
+probability 0.1. The smallest difference is a multiple by construction. The six other differences
+are multiples by chance with probability 1e-6.
+"""
 
 _MAX_PARTS = 400
-"""Largest number of encoder steps that `find_column_step` tries to fit into the smallest difference
-between readings. Chosen larger than 260, the number of steps of a 14-bit encoder within 0.1 rad."""
+"""Largest number of encoder steps in the smallest difference between readings that
+`find_column_step` tries. Chosen larger than 260, the number of steps of a 14-bit encoder within 0.1
+rad.
+"""
 
 _MULTIPLE_TOLERANCE = 0.05
-"""Deviation of the ratio ``difference of two readings / encoder step`` from a whole number, up to
-which the difference counts as a multiple of the step. Covers rounding in the file. Chosen, not
-tuned."""
+"""Tolerance of the ratio ``difference of two readings / encoder step``. The difference counts as a
+multiple of the step if the ratio deviates from a whole number by at most this tolerance. It covers
+rounding in the file. Chosen, not tuned.
+"""
 
 _MAX_TESTED_STEPS = 50
-"""Largest number of differences between readings (the smallest ones) that are tested as multiples
-of an encoder step. A tested step has the rounding error of the smallest difference, which has a
-larger effect on the ratios of large differences. Fifty random differences are multiples of the same
-candidate step with a probability of 1e-49. Chosen, not tuned."""
+"""Maximum number of differences between readings that are tested as multiples of an encoder step;
+the smallest differences are tested. A candidate step has the rounding error of the smallest
+difference, whose effect on the ratio grows with the tested difference. Fifty random differences are
+multiples of a candidate step with a probability of 1e-49. Chosen, not tuned.
+"""

@@ -39,8 +39,10 @@ STAND_COLUMNS = (
 """Columns that a file of stands may contain."""
 
 _MAX_REPEAT_RANGE = 5e-3
-"""Upper bound of the range [rad, m] of repeated readings of a stand. Above, the robot moved. The
-step of a 12-bit encoder is 1.5e-3 rad."""
+"""Largest range [rad, m] of a joint position in repeated readings of a stand. A larger range means
+that the robot moved, and the file is refused. The value exceeds the step of a 12-bit encoder,
+1.5e-3 rad.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,8 +166,8 @@ class MeasuredStands:
     def average_repeats(self) -> MeasuredStands:
         """Return the measured stands with the commands and positions of repeated readings averaged.
 
-        Repeated readings are rows with the same name, feet in the air, heading and added masses
-        with their positions. Missing values are left out of the mean.
+        Rows are repeated readings if name, feet in the air, heading, and added masses with their
+        positions are equal. Missing values are left out of the mean.
 
         Raises:
             MeasurementError: If repeated positions differ by more than `_MAX_REPEAT_RANGE`, so that
@@ -233,13 +235,15 @@ def _average_finite(values: Array) -> Array:
 def read_stands(path: str | Path) -> MeasuredStands:
     """Read stands at rest from a CSV file, a stand per row.
 
-    At least one column ``command.<joint>`` and one ``position.<joint>`` are required. Optional
-    columns are ``stand`` (name; rows of the same name are repeated readings), ``swing`` (feet in
-    the air, separated by blanks), ``heading`` (rotation of the robot about the vertical), and
-    ``added.<link>`` with ``added_x.<link>``, ``added_y.<link>`` and ``added_z.<link>`` (known mass
-    and position in the link frame). Units are SI units, or stated in brackets:
-    ``position.FL_knee [deg]``, ``added.base [g]``. Empty cells are missing values; an empty heading
-    is 0.
+    At least one column ``command.<joint>`` and one ``position.<joint>`` are required. The column
+    ``stand`` is the name of the stand; rows with the same name are repeated readings. The column
+    ``swing`` lists the feet in the air, separated by blanks. The column ``heading`` is the rotation
+    of the robot about the vertical. The column ``added.<link>`` is a known mass on a link. Its
+    position in the link frame is in ``added_x.<link>``, ``added_y.<link>`` and ``added_z.<link>``.
+    These columns are optional.
+
+    Units are SI units, or stated in brackets: ``position.FL_knee [deg]``, ``added.base [g]``. Empty
+    cells are missing values; an empty heading is 0.
 
     Args:
         path: CSV file.
@@ -322,9 +326,8 @@ def _read_loads(table: Columns) -> Iterator[tuple[str, Array]]:
 def estimate_encoder_step(stands: MeasuredStands) -> float:
     """Estimate the resolution of the joint encoders [rad, m].
 
-    The step of a joint is the largest step of which all differences between its positions are
-    multiples (`find_column_step`). The result is the median over the joints with a step, or 0 if at
-    most half of the joints have a step.
+    The step of each joint is determined by `find_column_step`. The result is the median over the
+    joints with a step. It is 0 if at most half of the joints have a step.
 
     Args:
         stands: Measured stands.

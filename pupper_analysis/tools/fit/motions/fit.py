@@ -42,15 +42,16 @@ HOLD_OUT_FRACTION = 0.2
 
 
 _MAX_NOISE_RATIO = 2.0
-"""Upper bound of the ratio of RMS position error to encoder noise, as the median over the joints
-whose readings vary. Above, the fit fails: the model does not explain the motion. Chosen, not
-tuned."""
+"""Largest accepted median, over the joints whose readings vary, of the ratio of RMS position error
+to encoder noise. If the median is larger, the fit fails since the model does not explain the
+motion. Chosen, not tuned.
+"""
 
 _MAX_JOINT_NOISE_RATIO = 10.0
-"""Upper bound of the ratio of RMS position error to encoder noise of a single joint. Above, the fit
-fails. Measured: clock jitter of a tenth
-of the sampling interval gives 3; a joint that touches something, or has another joint's column,
-gives hundreds."""
+"""Largest accepted ratio of RMS position error to encoder noise of a single joint. If the ratio is
+larger, the fit fails. Measured: clock jitter of a tenth of the sampling interval gives a ratio of
+3. A joint that touches something, or whose column is that of another joint, gives hundreds.
+"""
 
 
 @check_arguments
@@ -65,17 +66,18 @@ def fit_motion(
 ) -> MotionFit:
     """Estimate a robot's parameters from logs of motions.
 
-    The base of the robot was held. The motion under the commands is simulated (MuJoCo), and
-    the parameters minimise the difference from the measured positions by Gauss-Newton steps, with
-    priors about the stated values. The residuals are modelled as autocorrelated noise, from which
-    the intervals follow.
+    The base of the robot must have been held. MuJoCo simulates the motion under the logged
+    commands. Gauss-Newton steps minimise the difference between simulated and measured positions,
+    with priors about the stated values. The residuals are modelled as autocorrelated noise, which
+    determines the intervals.
 
     Args:
         robot: Robot. A free base is fixed at the pose in the MJCF.
         logs: Logs of the robot's motions.
-        priors: Prior standard deviations: ``mass=50%``, ``com:base=5mm``, ``kp=0`` (kp is exact).
-        hold_out: Fraction at the end of each log that is predicted instead of fitted; or logs that
-            are predicted.
+        priors: Prior standard deviations, for example ``mass=50%`` or ``com:base=5mm``. With
+            ``kp=0``, the stated kp is exact and is not estimated.
+        hold_out: Measurements that are predicted instead of fitted: a fraction at the end of each
+            log, or separate logs.
         kp: Stated servo stiffness [N m/rad, N/m], a scalar or shape (nu,); the model's by default.
         kd: Stated servo damping [N m s/rad, N s/m], a scalar or shape (nu,); the model's by
             default.
@@ -243,7 +245,7 @@ def _report_motions(
 def _inflate_covariance(posterior: Posterior, noise_ratio: float) -> Posterior:
     """Return the distribution for a larger standard deviation of the measurement noise.
 
-    Errors beyond the encoder noise are errors of the model, which shift parameters in unknown
+    Errors beyond the encoder noise are errors of the model. They shift parameters in unknown
     directions. The prior is unchanged.
 
     Args:
@@ -262,8 +264,9 @@ def _inflate_covariance(posterior: Posterior, noise_ratio: float) -> Posterior:
 def _compute_noise_ratios(by_joint: Array, noise: Array) -> tuple[float, Array]:
     """Compute the ratio of position error to encoder noise: median, and value of each joint (nu,).
 
-    A joint with constant readings has a noise of 0: its ratio is to the median noise of the other
-    joints (at least `_MIN_NOISE_STD`), and is left out of the median. NaN without measurements.
+    A joint with constant readings has a noise of 0. Its error is divided by the median noise of the
+    other joints, or by `_MIN_NOISE_STD` if that is larger, and its ratio is left out of the median.
+    NaN without measurements.
     """
     has_noise = noise > 0
     typical_noise = float(np.median(noise[has_noise])) if has_noise.any() else _MIN_NOISE_STD
@@ -323,17 +326,20 @@ def _report_notes(
 
 
 _MIN_REPLAY_CORRELATION = 0.95
-"""Correlation of the commands of two runs above which both are the same motion. Held-out runs of a
-fitted motion do not test the fit: such a log is refused, such a part of a log reported. Measured:
-repeated logs have at least 0.99, other motions of the same joints hardly 0.5."""
+"""Correlation of the commands of two runs. If it is larger, both runs count as the same motion. A
+held-out motion does not test the fit if it repeats a fitted motion. A held-out log of this kind is
+refused, and a held-out part of a log is reported. Measured: at least 0.99 in repeated logs, and
+hardly 0.5 in other motions of the same joints.
+"""
 
 
 def _align_commands(pattern: Array, series: Array) -> tuple[float, float]:
     """Return the shift at which a pattern agrees best with part of a series, and the correlation.
 
     Both arrays are commands, shape (samples, nu) [rad, m]. The shift is in samples. All joints are
-    correlated jointly, and the shift is refined with a parabola through the maximum, if that is not
-    at an end. (0, 0) if the series is shorter than the pattern, or the pattern is constant.
+    correlated jointly. A parabola through the maximum refines the shift, unless the maximum is at
+    an end. The result is (0, 0) if the series is shorter than the pattern, or the pattern is
+    constant.
     """
     centred_pattern = pattern - pattern.mean(axis=0)
     is_constant = np.abs(centred_pattern).max(initial=0.0) <= _MIN_NOISE_STD
@@ -366,12 +372,13 @@ def _get_middle_half(rows: Array) -> Array:
 
 
 def measure_replay(runs: Sequence[LogSegment]) -> float:
-    """Measure how well held-out commands repeat fitted commands: the largest correlation, -1 to 1.
+    """Compute the largest correlation, from -1 to 1, between held-out and fitted commands.
 
-    Held-out samples are excluded from the fit, to validate it. The middle half of the held-out part
-    of each run is compared with the fitted part of each run at all time shifts. The result is 0 if
-    no run has a held-out part. A comparison has the result 0 if the fitted part is shorter, or the
-    held-out commands are constant.
+    Held-out samples are excluded from the fit, to validate it. A correlation near 1 means that the
+    held-out motion repeats a fitted motion. The middle half of the held-out part of each run is
+    compared with the fitted part of each run, at all time shifts. The correlation of two parts is 0
+    if the fitted part is shorter, or the held-out commands are constant. The result is 0 if no run
+    has a held-out part.
     """
     fitted = [run.command[run.counts.any(axis=1)] for run in runs]
     parts = [_get_middle_half(run.command[run.held_out.any(axis=1)]) for run in runs]
@@ -382,7 +389,7 @@ def measure_replay(runs: Sequence[LogSegment]) -> float:
 
 
 def measure_repeatability(runs: Sequence[LogSegment]) -> float:
-    """Measure the RMS error with which joint positions repeat under equal commands [rad, m mixed].
+    """Compute the RMS error with which joint positions repeat under equal commands [rad, m mixed].
 
     This is the RMS difference of the positions in two runs, divided by sqrt(2). The middle half of
     each run is compared with the first earlier run of the same commands, aligned in time. NaN if no
@@ -411,9 +418,9 @@ def measure_repeatability(runs: Sequence[LogSegment]) -> float:
 def _estimate_encoder_noise(series: Sequence[Array]) -> float:
     """Estimate the standard deviation [rad, m] of the encoder noise from third differences.
 
-    For white noise of variance s^2 the variance of the differences is 20 s^2; motions of some Hz
-    contribute little. The median is used, since joints jump for a moment after a new command. The
-    result is at least the encoder step (if one is found) / sqrt(12); NaN without differences.
+    For white noise of variance s^2, the variance of third differences is 20 s^2. Motions of some Hz
+    contribute little. The median is used, since joints jump for a moment after a new command. If an
+    encoder step is found, the result is at least step / sqrt(12). NaN without differences.
 
     Args:
         series: Positions of one joint in each run, shape (n,) [rad, m].
@@ -429,8 +436,9 @@ def _estimate_encoder_noise(series: Sequence[Array]) -> float:
 
 
 _NORMAL_MEDIAN = 0.6744897501960817
-"""Median of the absolute value of a standard normal variable, which converts the median of
-differences of readings to the standard deviation of the noise."""
+"""Median of the absolute value of a standard normal variable. The median of absolute differences of
+readings is divided by this value to obtain a standard deviation.
+"""
 
 _MIN_DECREASE = 0.04
 """Predicted decrease of the cost below which the iteration has converged: sqrt(0.04) is a fifth of
@@ -438,13 +446,15 @@ a standard deviation. An interval with this error of the mean is 2 % too narrow.
 tuned."""
 
 _ROUGH_MIN_DECREASE = 10.0
-"""Predicted decrease of the cost (chi2 plus prior) below which the first pass ends, in which the
-noise is still assumed to be white. Chosen, not tuned."""
+"""Predicted decrease of the cost (chi2 plus prior) below which the first pass ends. The first pass
+assumes white noise. Chosen, not tuned.
+"""
 
 _MAX_DERIVATIVE_DISTANCE = 4.0
-"""Largest squared distance of the parameters from those of the last derivatives, in posterior
-variances, with which these derivatives are reused, since derivatives need many simulations: 4 is
-two standard deviations. Chosen, not tuned."""
+"""Largest squared distance [posterior variances] of the parameters from the point of the last
+derivatives. Up to this distance the derivatives are reused, since they need many simulations. A
+value of 4 corresponds to two standard deviations. Chosen, not tuned.
+"""
 
 _FINE_STEP_FACTOR = 4
 """Factor on the number of simulation steps for predictions. The error of dry friction decreases
@@ -478,10 +488,12 @@ class MotionResiduals:
         """Linearise the whitened residuals of all runs, for ``estimate_parameters``.
 
         The residuals are predicted minus measured joint positions, divided by the long-run standard
-        deviation of the noise. If ``moments`` is the same object as ``noise_point``, the noise is
-        estimated again from these residuals, and the derivatives are evaluated again if there are
-        none, or the squared distance of the parameters from those of the last evaluation exceeds
-        `_MAX_DERIVATIVE_DISTANCE`. Otherwise noise and derivatives of earlier calls are used.
+        deviation of the noise.
+
+        If ``moments`` is the same object as ``noise_point``, the noise is estimated again from
+        these residuals. The derivatives are then evaluated again if none exist, or if the squared
+        distance from the point of the last derivatives exceeds `_MAX_DERIVATIVE_DISTANCE`.
+        Otherwise noise and derivatives of earlier calls are used.
 
         Args:
             moments: Parameters in first-moment coordinates (`MomentCoordinates`), shape (n,).
@@ -552,9 +564,10 @@ class MotionResiduals:
 
         The residuals of each joint are divided by the long-run standard deviation of the joint's
         noise. The covariance is the sandwich estimate H^-1 (B + P) H^-1, in units of the prior
-        widths, with H = A + P, information A, prior precision P, and B the covariance of the
-        gradient under the autocorrelated noise. If the iteration stalled, the outer product of the
-        last step, which did not decrease the cost as predicted, is added to the covariance.
+        widths, with H = A + P. A is the information of the measurements, P the prior precision, and
+        B the covariance of the gradient under the autocorrelated noise. If the iteration stalled,
+        the last step did not decrease the cost as predicted. The outer product of this step is then
+        added to the covariance.
 
         Raises:
             FitError: If the iteration does not converge.
@@ -588,16 +601,20 @@ class MotionResiduals:
 
 
 _MAX_LAGS = 20
-"""Order of the autoregressive noise model [samples]: 100 ms at 200 Hz. Longer correlations are
-represented by their effect within that time. Chosen, not tuned."""
+"""Largest order of the autoregressive noise model [samples]: 100 ms at 200 Hz. Longer correlations
+are represented by their effect within this time. Chosen, not tuned.
+"""
 
 _MIN_NOISE_STD = 1e-6
-"""Lower bound of a noise standard deviation [rad, m], so that weights are finite; and largest
-deviation from the mean with which commands count as constant. Chosen, not tuned."""
+"""Lower bound of a noise standard deviation [rad, m]. It keeps the weights finite. It is also a
+tolerance: commands count as constant if their deviations from the mean are at most this value.
+Chosen, not tuned.
+"""
 
 _SAMPLES_PER_LAG = 20
-"""Smallest number of samples per coefficient of the autoregressive noise model; with fewer the
-noise is assumed to be white. Chosen, not tuned."""
+"""Smallest number of samples per coefficient of the autoregressive noise model. With fewer samples,
+the noise is assumed to be white. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -663,9 +680,10 @@ class SeriesNoise:
         return max(self.innovation / (1 - float(self.coefficients.sum())), self.deviation)
 
     def propagate_weights(self, weights: Array) -> Array:
-        """Return a factor of the covariance of m weighted sums of n samples of the noise.
+        """Return a factor B of the covariance B^T B of m weighted sums of n noise samples.
 
-        Sums of filtered noise are sums of white noise whose weights are filtered backwards in time.
+        The noise is filtered white noise. Its weighted sums are equal to sums of the white noise,
+        with weights that are filtered backwards in time.
 
         Args:
             weights: Weights of the samples in each sum, shape (n, m).
@@ -691,13 +709,15 @@ def compute_rms(series: Iterable[Array]) -> float:
 
 
 _DIFFERENCE_STEP = 0.1
-"""Finite-difference step along an eigenvector of the information, in posterior standard deviations
-of that direction. Measured on v3: with steps of 0.1 to 1 the intervals of the estimated parameters
-agree to 1 %."""
+"""Finite-difference step along an eigenvector of the information matrix, in posterior standard
+deviations along this eigenvector. Measured on v3: with steps of 0.1 to 1, the intervals of the
+estimated parameters agree to 1 %.
+"""
 
 _INITIAL_DIFFERENCE_STEP = 1e-2
-"""Finite-difference step of the parameters in prior standard deviations, for the first derivatives,
-before the posterior is known. Chosen, not tuned."""
+"""Finite-difference step of the first derivatives, in prior standard deviations. The posterior is
+not known at that time. Chosen, not tuned.
+"""
 
 
 def differentiate_motion(
@@ -709,18 +729,20 @@ def differentiate_motion(
 ) -> Mapping[int, tuple[IntArray, Array]]:
     """Compute the derivatives of predicted joint positions by the parameters of a fit.
 
-    The parameters are in first-moment coordinates: a CoM c of a body with an estimated mass m is
-    replaced by c0 + (m / m0) (c - c0), with stated values c0, m0 (`MomentCoordinates`).
+    The parameters are in first-moment coordinates (`MomentCoordinates`). In these, the CoM c of a
+    body with an estimated mass m is replaced by c0 + (m / m0) (c - c0), with the stated values c0
+    and m0.
 
-    Finite-difference steps are along the principal directions of the information of each group of
-    joints, scaled by the uncertainties. Steps along single parameters made intervals a quarter too
-    narrow: their errors add up to a false effect of a common factor on kp, friction and masses,
-    which has none. Groups of joints without mutual effect are changed in one simulation.
+    Joints that affect each other form a group. In each group, the finite-difference steps are along
+    the eigenvectors of the information matrix, scaled by the uncertainties. Parameters of different
+    groups are changed in the same simulation. Steps along single parameters are not used, since
+    they made the intervals a quarter too narrow. A common factor on kp, friction and masses has no
+    effect on the motion, but the errors of single steps add up to a false effect of this factor.
 
     Args:
         simulator: Simulator.
         moments: Conversion of first-moment coordinates to parameters.
-        run: Run.
+        run: Part of a log that is simulated.
         point: First-moment coordinates, shape (n,).
         information: Information of the coordinates, shape (n, n), in units of the prior widths;
             None if only the priors are known, with steps along single parameters.
@@ -765,8 +787,8 @@ def _make_steps(columns: list[int], information: Array | None) -> Array:
     """Return finite-difference steps of the k parameters with indices ``columns``, shape (k, k).
 
     Each row is a step, in units of the prior standard deviations. Without ``information`` (inverse
-    covariance in these units), a row changes a single parameter. Otherwise it is an eigenvector,
-    `_DIFFERENCE_STEP` posterior standard deviations long.
+    covariance in these units), each step changes a single parameter. Otherwise each step is along
+    an eigenvector of ``information``, and is `_DIFFERENCE_STEP` posterior standard deviations long.
     """
     if information is None:
         return _INITIAL_DIFFERENCE_STEP * np.eye(len(columns))

@@ -1,8 +1,8 @@
 """Simulation of logs: predicted encoder positions of a robot whose base is held.
 
 `Simulator` predicts the positions of a `LogSegment` for parameter vectors. `MovingBodies` writes
-masses and CoM positions into a MuJoCo model, `MomentCoordinates` replaces CoM positions by first
-moments, scaled to lengths.
+masses and CoM positions into a MuJoCo model. `MomentCoordinates` replaces CoM positions by first
+moments (mass times CoM), scaled to lengths.
 """
 
 from __future__ import annotations
@@ -36,32 +36,39 @@ DELAY_PARAMETERS = (
     ("delay", SERVOS_SUBJECT, "", 0.0),
     *(("lag", SERVOS_SUBJECT, p, 0.0) for p in ("command", "position")),
 )
-"""Estimated delays [s], common to all servos: delay of commands, including their lag; time constant
-of a first-order lag of commands; and time constant of a first-order lag of positions. A slow motor
-has both lags, a bus delays only commands. The entries are the fields of `Parameter`: kind, subject,
-component, and the value in the model, 0 s, which is the mean of the prior."""
+"""Estimated delays [s], common to all servos. They are: the delay of commands, including their lag;
+the time constant of a first-order lag of commands; the time constant of a first-order lag of
+positions. A slow motor has both lags, and a bus delays only commands. Each entry contains fields of
+a `Parameter`: kind, subject, component and stated value. The stated value, 0 s, is the mean of the
+prior.
+"""
 
 BURN_IN_DURATION = 0.25
-"""Time [s] at the start of a run that is not compared; runs shorter than four times this time are
-left out. The initial velocity is only known from encoder readings; the velocity error decays within
-some time constants kd / kp of the servos (for example 20 to 50 ms). Chosen, not tuned."""
+"""Time [s] at the start of each run in which positions are not compared. Runs shorter than four
+times this time are left out. The initial velocity is only known from encoder readings. The error of
+this velocity decays within some time constants kd / kp of the servos (for example 20 to 50 ms).
+Chosen, not tuned.
+"""
 
 _MAX_STEP_RATE = 0.5
-"""Upper bound of the product of time step and fastest rate (kd + damping) / inertia, as far as
-`_MAX_STEPS_PER_SAMPLE` allows. Chosen, not tuned: the error of the Runge-Kutta method is then about
-1e-4 of the motion."""
+"""Upper bound of the product of time step [s] and fastest rate (kd + damping) / inertia [1/s]. The
+time step is chosen to keep this bound, unless `_MAX_STEPS_PER_SAMPLE` prevents it. At the bound,
+the error of the Runge-Kutta method is about 1e-4 of the motion. Chosen, not tuned.
+"""
 
 _MAX_STEPS_PER_SAMPLE = 20
 """Upper bound of the default number of simulation steps per sample. Chosen, not tuned."""
 
 _SOLVER_TOLERANCE = 1e-11
-"""Tolerance of MuJoCo's CG solver (``mjOption.tolerance``, dimensionless). The solver's error in
-dry friction would appear in finite differences. Models with equality constraints keep their own
-solver and tolerance. Chosen, not tuned."""
+"""Tolerance of MuJoCo's CG solver (``mjOption.tolerance``, dimensionless). It is small since the
+solver's error in dry friction would appear in finite differences. Models with equality constraints
+keep their own solver and tolerance. Chosen, not tuned.
+"""
 
 _MAX_BATCH_SIZE = 8
-"""Largest number of simulations whose states are kept in memory at once: each has 25 MB for a
-minute of twelve joints. Chosen, not tuned."""
+"""Largest number of simulations whose states are in memory at the same time. The states of one
+simulation need 25 MB for a minute of twelve joints. Chosen, not tuned.
+"""
 
 _NUM_START_SAMPLES = 9
 """Number of samples at the start of a run to which a parabola is fitted, for initial position and
@@ -75,8 +82,8 @@ class LogSegment:
     Attributes:
         time: Sample times from the start of the run, shape (n,) [s].
         position: Measured positions, shape (n, nu) [rad, m]; NaN if missing.
-        command: Commands from each sample on, shape (n, nu) [rad, m]; resting positions of joints
-            without measurements in this part.
+        command: Commands, each from its sample to the next, shape (n, nu) [rad, m]. Joints without
+            measurements in this part have a constant resting position.
         start: Encoder positions [rad, m] and velocities [rad/s, m/s] at the start, shape (2, nu).
         counts: Whether a position is fitted, shape (n, nu).
         held_out: Whether a position is predicted instead, shape (n, nu).
@@ -91,7 +98,7 @@ class LogSegment:
 
 
 def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[LogSegment]:
-    """Yield the runs of a log, split at clock jumps, that last at least one second.
+    """Split a log at clock jumps, and yield the parts (runs) of at least one second.
 
     Args:
         log: Log, joints in actuator order.
@@ -122,8 +129,8 @@ def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[LogSegment]:
 def _fill_commands(command: Array) -> Array:
     """Return commands, shape (n, nu) [rad, m], in which missing commands (NaN) are replaced.
 
-    The previous command of the joint replaces a missing one, at the start its first command. A
-    joint without commands keeps NaN.
+    A missing command is replaced by the previous command of the joint. At the start it is replaced
+    by the joint's first command. A joint without commands keeps NaN.
     """
     filled = command.copy()
     for column in filled.T:
@@ -158,8 +165,8 @@ class Simulator:
     """Simulator of runs of a robot whose base is held, for parameter vectors.
 
     Servo law: tau = kp (command(t - delay) - encoder) - kd velocity. A command holds until the next
-    sample; the encoder position is joint position plus offset. A part of the delay may be a
-    first-order lag of the commands; a first-order lag of the encoder positions is replaced by its
+    sample. The encoder position is the joint position plus an offset. A part of the delay may be a
+    first-order lag of the commands. A first-order lag of the encoder positions is replaced by its
     effect on damping and armature (`set_parameters`).
 
     Args:
@@ -285,8 +292,8 @@ class Simulator:
     def _get_joint_values(self, vector: Array, kind: str, stated: Array) -> Array:
         """Return the values of a parameter kind for all joints, shape (nu,), in its unit.
 
-        They are taken from the parameter ``vector``, shape (n,), and from ``stated``, shape (nu,),
-        for joints whose parameter is not estimated.
+        Estimated values are taken from the parameter ``vector``, shape (n,). Values of joints
+        without an estimated parameter are taken from ``stated``, shape (nu,).
         """
         return self.table.get_values(vector, kind, self.robot.joint_names, stated)
 
@@ -300,10 +307,11 @@ class Simulator:
     def replace_lag_derivatives(self, vector: Array, indices: IntArray, jacobians: Array) -> None:
         """Compute the derivative with respect to the position lag from those of other parameters.
 
-        To second order, a lag T of positions is equivalent to a damping of -kp T and an armature of
-        kp T^2. Therefore the derivative by T is the sum over the joints of -kp times the derivative
-        by the damping and 2 kp T times that by the armature. Computed so, finite-difference errors
-        do not distinguish equivalent parameters. Nothing changes unless damping and armature are
+        To second order, a first-order lag of positions with time constant T is equivalent to a
+        damping of -kp T and an armature of kp T^2. Let D be the derivative by the damping of a
+        joint, and A the derivative by its armature. The derivative by T is the sum of -kp D + 2 kp
+        T A over the joints. This formula gives equivalent parameters equal derivatives, without
+        finite-difference errors between them. Nothing changes unless damping and armature are
         estimated for each joint that has a parameter.
 
         Args:
@@ -332,9 +340,11 @@ class Simulator:
     def set_parameters(self, model: mujoco.MjModel, vector: Array) -> None:
         """Write a parameter vector into a model: servos, damping, friction, armature, masses, CoMs.
 
-        kp, dry friction and armature are clipped at 0, masses at `MIN_MASS_FRACTION` of the stated
-        mass. Damping is not, since finite differences need both sides. A lag T [s] of the positions
-        adds kp T^2 to the armature, and -kp T to the damping of the servo.
+        Negative kp, dry friction and armature are replaced by 0. Masses are at least
+        `MIN_MASS_FRACTION` times the stated mass. Damping may be negative, since central finite
+        differences about 0 need it. A first-order lag of the measured positions with time constant
+        T [s] is approximated: kp T^2 is added to the armature, and -kp T to the damping of the
+        servo.
 
         Args:
             model: Copy of the simulator's model; changed in place.
@@ -383,8 +393,8 @@ def _apply_lag(command: Array, lag: float) -> Array:
 
     Args:
         command: Mean commands per time step, shape (k, nu) [rad, m].
-        lag: Time constant [time steps]. A negative lag has the opposite effect, so that central
-            differences are possible about 0.
+        lag: Time constant [time steps]. A negative value has the opposite effect, which permits
+            central differences about 0.
     """
     decay = math.exp(-1 / abs(lag)) if lag else 0.0
     deviations = command - command[0]
@@ -398,9 +408,9 @@ def _apply_lag(command: Array, lag: float) -> Array:
 class MovingBodies:
     """Bodies that a robot's joints move, each merged with the bodies fixed to it.
 
-    Each body is named by its joint's URDF link; the CoM is expressed in the frame of the Pinocchio
-    joint, called link frame here. The rotational inertia about the CoM is proportional to the
-    mass, and independent of the CoM.
+    The name of a body is the URDF link of its joint. The CoM is expressed in the frame of the
+    Pinocchio joint, which is called link frame here. If a mass is changed, the rotational inertia
+    about the CoM changes in proportion. It does not depend on the CoM position.
 
     Args:
         robot: Robot with a fixed base.
@@ -492,8 +502,8 @@ class MovingBodies:
     def find_independent_groups(self, table: ParameterTable) -> list[tuple[list[int], list[int]]]:
         """Return groups of joints that do not affect each other, with the parameters of each group.
 
-        Since the base is held, the joints of a branch of the tree at the base are a group. Models
-        with equality constraints or tendons have a single group.
+        The base is held. Therefore the joints of each branch of the tree at the base form a group.
+        Models with equality constraints or tendons have a single group.
 
         Returns:
             (Indices of the joints, indices of the parameters of these joints and their links) of
@@ -572,15 +582,18 @@ body is hardly determined, and the simulation may be unstable. Chosen, not tuned
 
 
 class MomentCoordinates:
-    """Coordinates in which gravity and inertia forces are linear: first moments for CoMs.
+    """Coordinates in which gravity and inertia forces are linear: first moments instead of CoMs.
 
-    Forces depend on m and m c. A step in m and c has the error d(m c) - (m dc + c dm) = dm dc. If
-    measurements determine only the product, this error was 20 standard deviations.
+    Forces depend on the mass m and on the first moment m c, with the CoM c. A linear step in m and
+    c has the error d(m c) - (m dc + c dm) = dm dc. If measurements determine only the product m c,
+    this error was 20 standard deviations.
 
-    A CoM c is replaced by c0 + (m / m0) (c - c0), with stated values c0 and m0: a length, equal to
-    c at the stated mass, and linear in moment and mass. The prior of this length is the prior of c.
-    If both are estimated, the delay is replaced by the delay minus the lag of commands: the
-    difference and the lag are not negative, and motions determine their sum.
+    A CoM c is replaced by c0 + (m / m0) (c - c0), with the stated values c0 and m0. This coordinate
+    is a length, is equal to c at the stated mass, and is linear in moment and mass. Its prior is
+    the prior of c.
+
+    If the delay and the lag of commands are both estimated, the delay is replaced by the delay
+    minus the lag. The difference and the lag are not negative, and motions determine their sum.
 
     Args:
         table: Parameters.
@@ -659,7 +672,7 @@ class MomentCoordinates:
         """Convert a distribution of first-moment coordinates to a distribution of the parameters.
 
         First-moment coordinates contain mass times CoM instead of the CoM, scaled to a length. The
-        conversion is linearised about the mean. ``moved`` remains in the coordinates.
+        conversion is linearised about the mean. ``Posterior.moved`` is not converted.
 
         Args:
             posterior: Distribution of the coordinates.

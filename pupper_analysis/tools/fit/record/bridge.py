@@ -20,9 +20,10 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.stands.plan import PlannedStand
 
 ENTRY_POINT_GROUP = "pupper_analysis.bridges"
-"""Group of entry points by which other packages add bridges (connections to robots). An entry point
-is a function of the robot and of the text after the colon in ``NAME:ARGUMENTS``; it returns a
-`Bridge` and an `Operator`."""
+"""Name of the entry point group with which other packages add bridges (connections to robots). An
+entry point is a function with two arguments: the robot, and the text after the colon in
+``NAME:ARGUMENTS``. It returns a `Bridge` and an `Operator`.
+"""
 
 
 class Operator(Protocol):
@@ -62,7 +63,8 @@ class Bridge(Protocol):
     """Connection to a robot that sends joint commands and reads positions, in actuator order.
 
     Attributes:
-        ramps: True if commands move the robot, and are therefore ramped and checked.
+        ramps: Whether commands move the robot. If True, the recorder ramps the commands and checks
+            the response.
     """
 
     ramps: bool

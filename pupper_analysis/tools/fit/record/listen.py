@@ -33,8 +33,10 @@ MIN_ACTIONS = 20
 written. Chosen, not tuned."""
 
 LISTENERS_GROUP = "pupper_analysis.listeners"
-"""Group of entry points by which other packages add listeners. An entry point is a function of the
-robot and of the text after the colon in ``NAME:ARGUMENTS``; it returns a `Listener`."""
+"""Name of the entry point group with which other packages add listeners. An entry point is a
+function with two arguments: the robot, and the text after the colon in ``NAME:ARGUMENTS``. It
+returns a `Listener`.
+"""
 
 _BUILTIN_LISTENERS = {"ros2": "pupper_analysis.tools.fit.record.ros:open_ros_listener"}
 """{name of a listener of this package: ``module:function`` that opens the listener}."""
@@ -46,9 +48,10 @@ class Listener(Protocol):
     def listen(self, seconds: float) -> Series:
         """Return the messages of a duration [s].
 
-        Signals are ``observations``, ``actions``, and those of `SIGNALS`. Joints are in actuator
-        order [rad, rad/s], commands are forward, left [m/s], turning [rad/s], the angular velocity
-        is in the base frame [rad/s], the quaternion is (w, x, y, z).
+        Signals are ``observations``, ``actions``, and those of `SIGNALS`. Positions, velocities and
+        targets are in actuator order [rad, rad/s]. Commands are the forward and left velocity [m/s]
+        and the turning rate [rad/s]. The angular velocity is in the base frame [rad/s]. The
+        quaternion is (w, x, y, z).
         """
 
 
@@ -129,18 +132,19 @@ def _open_listener(name: str, robot: Robot) -> Listener:
 def assemble_trace(series: Series, source: str) -> tuple[dict[str, Array], int]:
     """Return the arrays of a trace with a row per action, and the number of omitted actions.
 
-    An action belongs to the observation that is nearest in time. A row contains, of each signal of
-    the robot, the last message up to this observation. An action is left out if another action is
-    nearer to its observation (or as near, and earlier), or if a signal was first received after the
-    observation. A signal without messages is no array of the trace.
+    An action belongs to the observation that is nearest in time. A row contains the last message of
+    each signal up to this observation. If several actions belong to the same observation, only the
+    nearest is recorded; of equally near actions, the earlier one. An action is also left out if a
+    signal was first received after the observation. A signal without messages has no array in the
+    trace.
 
     Args:
         series: Messages.
-        source: Bridge, for messages of errors.
+        source: Name of the listener, for error messages.
 
     Returns:
-        {name: array with a row per action}, with ``time`` [s] from the first row; number of actions
-        that were left out.
+        Arrays {name: array with a row per action}; number of omitted actions. The array ``time``
+        [s] starts at 0.
 
     Raises:
         MeasurementError: If there are fewer than `MIN_ACTIONS` observations, actions or rows.

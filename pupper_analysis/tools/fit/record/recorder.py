@@ -1,12 +1,11 @@
 """Record planned stands with a robot: ramp, wait for rest, average and write positions.
 
-Each stand is approached from both sides: by commands beyond and short of those planned. Dry
-friction then acts with both signs, and hardly changes the mean of both positions at rest. Typed
-positions are read once.
+Each stand is approached twice: with commands beyond the planned commands, and with commands short
+of them. Dry friction acts with opposite signs in both approaches. Therefore it hardly changes the
+mean of both positions at rest. Typed positions are read once.
 
-When the recording ends, the last command is sent again: for example at the end of the plan, after a
-key, if no positions arrive, or if a servo does not follow. Each row is written before the next
-stand begins, and stands that are already in the file are not recorded again.
+The last command is sent again when the recording ends, for whatever reason. Each row is written
+before the next stand begins. Stands that are already in the file are not recorded again.
 """
 
 from __future__ import annotations
@@ -52,51 +51,63 @@ _COMMAND_INTERVAL = 0.02
 """Time [s] between two commands of a ramp. Chosen, not tuned."""
 
 _MAX_POSITION_AGE = 0.3
-"""Upper bound of the age of a position [s]. Older positions mean lost messages or a stopped
-controller. Chosen, not tuned."""
+"""Largest accepted age of a measured position [s]. Older positions mean lost messages or a stopped
+controller. Chosen, not tuned.
+"""
 
 _MAX_TRACKING_ERROR = 0.5
-"""Upper bound of the difference [rad, m] between position and command. A larger difference means a
-servo without torque. Chosen, not tuned."""
+"""Largest accepted difference [rad, m] between measured position and command. A larger difference
+means a servo without torque, and the recording ends. Chosen, not tuned.
+"""
 
 _MIN_COMMANDED_TRAVEL = 0.25
-"""Commanded travel [rad, m] from one stand to the next above which the response of a joint is
-checked. Chosen, not tuned."""
+"""Commanded travel [rad, m] of a joint from one stand to the next. If it is larger, the response of
+the joint is checked (`_MIN_TRAVEL_RATIO`). Chosen, not tuned.
+"""
 
 _MIN_TRAVEL_RATIO = 0.25
-"""Ratio of measured to commanded travel, from one stand to the next, below which a joint counts as
-not following, and the recording stops. Positions are compared after the robot was lifted: feet that
-stick to the ground can hold a joint of a working leg at 0.1 of its travel. Chosen, not tuned."""
+"""Ratio of measured to commanded travel of a joint from one stand to the next. If it is smaller,
+the servo does not follow, and the recording ends. Positions are compared after the robot was
+lifted, because feet that stick to the ground can limit a working joint to 0.1 of its travel.
+Chosen, not tuned.
+"""
 
 _LIVE_TRAVEL_RATIO = 0.6
-"""Ratio of measured to commanded travel, above `_MIN_COMMANDED_TRAVEL`, above which a servo counts
-as
-working: gravity and the servos of other joints do not move a joint that far. If the servo fails
-later, rows recorded since then are withdrawn. Chosen, not tuned."""
+"""Ratio of measured to commanded travel of a joint whose commanded travel exceeds
+`_MIN_COMMANDED_TRAVEL`. If the ratio is larger, the servo counts as working at that time, since
+gravity and other servos do not move a joint that far. If the servo fails later, rows recorded since
+that time are withdrawn. Chosen, not tuned.
+"""
 
 _REST_RANGE = 1e-3
-"""Exclusive upper bound of the range of each joint position [rad, m] within `_REST_WINDOW` with
-which the robot counts as at rest. Chosen, not tuned."""
+"""Range of a joint position [rad, m] within `_REST_WINDOW`. The robot counts as at rest if the
+range of each joint is smaller. Chosen, not tuned.
+"""
 
 _REST_WINDOW = 1.0
-"""Duration [s] of the last measurements whose range decides whether the robot is at rest, and over
-which the joint positions are averaged. Chosen, not tuned."""
+"""Duration [s] of the most recent measurements. Their range decides whether the robot is at rest
+(`_REST_RANGE`), and their mean is the measured joint position. Chosen, not tuned.
+"""
 
 LEAD_RATIOS = (1.3, 0.7)
-"""Factors of the lead (command minus position at rest) with which a stand is approached before the
-positions are read. Measured in simulations: if dry friction at rest is 0.65 of its limit, 0.15 of
-the limit remains in the mean of both readings."""
+"""Factors on the lead (planned command minus position at rest) in the two approaches to a stand,
+beyond and short of the planned command. The positions are read after each approach. Measured in
+simulations: if dry friction at rest is 0.65 of its limit, 0.15 of the limit remains in the mean of
+both readings.
+"""
 
 _RETURN_SECONDS = 2.0
-"""Least duration [s] of the ramp from a command beyond or short of the plan (`LEAD_RATIOS`) to the
-planned command, so slow that the joints follow without oscillation. Chosen, not tuned."""
+"""Shortest duration [s] of the ramp back to the planned command after an approach (`LEAD_RATIOS`).
+The joints follow so slow a ramp without oscillation. Chosen, not tuned.
+"""
 
 _REST_TIMEOUT = 20.0
 """Time [s] after which a stand that does not come to rest is skipped. Chosen, not tuned."""
 
 _MIN_COM_MARGIN_RATIO = 0.02
-"""Smallest distance of the CoM from the edge of the support polygon, with the file's masses, as a
-fraction of the nominal height, with which a planned stand is accepted. Chosen, not tuned."""
+"""Smallest accepted CoM margin of a planned stand, as a fraction of the nominal height. It is
+computed with the masses of the files. A plan with a smaller margin is refused. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True)
@@ -136,7 +147,7 @@ class _RecordingEndedError(Exception):
 
     Args:
         finding: Reason.
-        rows: Number of rows recorded now that are reliable (the first ones); None for all.
+        rows: Number of reliable rows, counted from the first row of this recording; None for all.
     """
 
     def __init__(self, finding: Diagnostic, rows: int | None = None) -> None:
@@ -308,8 +319,8 @@ class _RecordingSession:
     ) -> tuple[Array, Sequence[str]]:
         """Move the robot to a stand, and return joint positions at rest and the feet in the air.
 
-        Positions are averaged at rest, after approaches from both sides (`LEAD_RATIOS`); those of a
-        bridge without ramps (typed) are read once.
+        Positions are averaged at rest, after approaches from both sides (`LEAD_RATIOS`). Positions
+        of a bridge without ramps (typed positions) are read once.
 
         Args:
             stand: Planned stand.
@@ -351,8 +362,8 @@ class _RecordingSession:
     ) -> None:
         """Check that each joint followed its command from the previous stand to this one.
 
-        For each servo that worked (`_LIVE_TRAVEL_RATIO`), ``rows`` is stored: if the servo stops
-        later, this number limits the rows that are kept.
+        For each servo that worked (`_LIVE_TRAVEL_RATIO`), ``rows`` is stored. If the servo stops
+        later, only this number of rows is kept.
 
         Args:
             stand: Stand, which the robot has reached; it was lifted and set down there.
@@ -529,8 +540,8 @@ def _list_instructions(
         stand: Stand to be measured next.
         loads: {link: mass [kg] and position (x, y, z) in the link frame [m], shape (4,)} of the
             known masses in this stand.
-        previous: Stand before; None for the first. An unchanged heading and an unchanged total of
-            the known masses are not repeated.
+        previous: Preceding stand; None for the first stand. An unchanged heading and an unchanged
+            total of the known masses are not repeated.
     """
     if previous is None or previous.heading != stand.heading:
         heading = Quantity(stand.heading, "rad")
@@ -623,9 +634,10 @@ def _read_recorded_names(path: Path, planned: MeasuredStands) -> set[str]:
 
 
 _COMMAND_ATOL = 2e-6
-"""Largest difference [rad, m] between recorded and planned commands with which a recorded stand
-belongs to the plan, in addition to 1e-5 of the command (the default of ``np.allclose``). Files
-contain six decimals. Chosen, not tuned."""
+"""Tolerance [rad, m] of the difference between recorded and planned commands. A recorded stand
+belongs to the plan if the differences are at most this value plus 1e-5 of the command (the default
+of ``np.allclose``). Files contain six decimals. Chosen, not tuned.
+"""
 
 
 def _make_planned_stand(planned: MeasuredStands, row: int) -> PlannedStand:

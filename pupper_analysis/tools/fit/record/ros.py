@@ -31,8 +31,10 @@ _SPIN_INTERVAL = 0.02
 """Time [s] between two checks for messages while the bridge is opened. Chosen, not tuned."""
 
 _DISCOVERY_TIMEOUT = 5.0
-"""Time [s] after which the bridge fails if a joint has no position or nobody receives the commands:
-ROS nodes discover each other within 0.1 to 1 s on the same machine. Chosen, not tuned."""
+"""Time limit [s] for opening the bridge. After this time, opening fails if a joint has no position,
+or if no node subscribes to the commands. ROS nodes on the same machine discover each other within
+0.1 to 1 s. Chosen, not tuned.
+"""
 
 
 class RosBridge(WallClock):
@@ -47,9 +49,9 @@ class RosBridge(WallClock):
         order: Joints of the controller; actuator order by default.
 
     Raises:
-        ConfigurationError: If ``order`` lacks a joint of the robot, or contains another joint or a
-            joint twice, or if within five seconds the states of some joints are missing or nothing
-            subscribes to commands.
+        ConfigurationError: If ``order`` does not contain each joint of the robot exactly once. Also
+            if, after five seconds, the state of a joint is missing or no node subscribes to the
+            commands.
     """
 
     ramps = True
@@ -245,8 +247,8 @@ class RosListener(WallClock):
     def _receive_state(self, message: Any) -> None:
         """Update joint positions and velocities, and append them to their signals.
 
-        Units are rad and rad/s, or m and m/s. A signal gets no values before those of all joints
-        have been received.
+        Units are rad and rad/s, or m and m/s. A signal gets its first values when the values of all
+        joints have been received.
         """
         for kind, state in self._state.items():
             for name, value in zip(message.name, getattr(message, kind), strict=False):

@@ -27,8 +27,10 @@ from pupper_analysis.tools.fit.stands.plan import PlannedStand
 from pupper_analysis.tools.study.parameters import scale_robot
 
 MASS_LOG_STD, COM_STD, OFFSET_STD, KP_LOG_STD = 0.1, 0.006, math.radians(1.0), 0.07
-"""Standard deviations of the perturbations: log mass of each body, CoM components [m], encoder
-offsets [rad, m], and log kp, of each servo and in common. Chosen, not tuned."""
+"""Standard deviations of the perturbations of the simulated robot. In this order: logarithm of the
+mass of each body, CoM components [m], encoder offsets [rad, m], logarithm of kp. The last value is
+used twice: for a factor on the kp of each servo, and for a common factor. Chosen, not tuned.
+"""
 
 _ENCODER_STEP = 2 * math.pi / 2**14
 """Encoder step [rad, m] to which the simulated robot rounds joint positions: 14 bits per turn.
@@ -43,8 +45,10 @@ _MAX_FOOT_FRICTION = (1e-3, 2e-4)
 rubber feet. Chosen, not tuned."""
 
 _MIN_LOAD_RATIO = 0.005
-"""Normal force on a foot, as a fraction of the robot's weight without known masses, below which the
-simulated operator reports the foot in the air. Chosen, not tuned."""
+"""Ratio of the normal force on a foot to the weight of the robot. The weight does not include
+attached known masses. If the ratio is smaller, `SimulatedRobot.feet_up` reports the foot as in the
+air. Chosen, not tuned.
+"""
 
 
 class SimulatedRobot:
@@ -178,8 +182,8 @@ class SimulatedRobot:
     ) -> tuple[str, ...] | Diagnostic:
         """Return the feet with hardly any normal force (`_MIN_LOAD_RATIO`) in the simulation.
 
-        The result is a diagnostic, the reason for skipping the stand, if there is a contact without
-        a foot, or if fewer than three feet carry.
+        If the robot has contacts other than its feet, or if fewer than three feet carry load, the
+        result is a diagnostic: the reason for skipping the stand.
 
         Args:
             feet: All feet of the robot.

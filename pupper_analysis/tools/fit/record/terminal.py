@@ -112,7 +112,9 @@ class TypedBridge(WallClock):
 
 
 def open_typed(robot: Robot, _: str) -> tuple[TypedBridge, Terminal]:
-    """Return a bridge whose joint positions are typed by a person, and an operator's terminal.
+    """Open a bridge with joint positions that a person types, and an operator at the terminal.
+
+    The second argument is required by `open_bridge`, and ignored.
 
     Returns:
         Bridge; operator.

@@ -30,52 +30,61 @@ The other base coordinates (horizontal position, yaw) are free: the measurements
 them."""
 
 _LAST_MOTION_FRACTION = 0.75
-"""Standard deviation of six common terms of the moments on all feet, as a fraction of
-`StandNoise.moment`: a term for each motion in which the base may come to rest. About half of the
-variance of the moments is independent for each foot. Measured on v3 set down in MuJoCo: with this
-value the whitened residuals of robots with exact parameters have unit variance."""
+"""Standard deviation of six terms in the moments on all feet, as a fraction of `StandNoise.moment`.
+Each term belongs to one base motion (translation or rotation) that may precede rest, and acts on
+all feet together. About half of the variance of the moments is independent for each foot. Measured
+on v3 set down in MuJoCo: with this value the whitened residuals of robots with exact parameters
+have unit variance.
+"""
 
 _RANK_RTOL = 1e-6
-"""Singular value of the contact points' Jacobian by the joints, relative to the largest singular
-value, below which the value counts as 0: its joint motions do not move the feet. Chosen, not
-tuned."""
+"""Relative tolerance of the singular values of the Jacobian of the contact points by the joints. A
+singular value counts as 0 if its ratio to the largest is smaller. The corresponding joint motions
+do not move the feet. Chosen, not tuned.
+"""
 
 _VELOCITY_ATOL = 1e-9
-"""Smallest divisor [rad/m, rad/rad] when foot rotations per unit motion of the base are scaled to a
-largest value of 1. Prevents a division by zero. Chosen, not tuned."""
+"""Lower bound of a divisor [rad/m, rad/rad]. Foot rotations per unit motion of the base are divided
+by the largest rotation. The bound prevents a division by zero. Chosen, not tuned.
+"""
 
 _BALANCE_STD_RATIO = 1e-5
-"""Standard deviation of the base's equations of balance, as a fraction of the weight, or of weight
-times height. The value is small, because a robot at rest obeys statics. It is not 0, because the
-weighted least squares divide by it. Chosen, not tuned."""
+"""Standard deviation of the balance equations of the base. It is a fraction of the weight for
+forces, and of weight times height for moments. The value is small, because a robot at rest obeys
+statics. It is not 0, because the weighted least squares divide by it. Chosen, not tuned.
+"""
 
 _TORQUE_STD_RATIO = 1e-4
-"""Assumed standard deviation of a servo's torque about kp times the servo error, as a fraction of
-robot weight times `Robot.stand_height`. The least squares divide the residual of this equation by
-the standard deviation, which also includes dry friction. A leg joint carries about a tenth of
-weight times height, so this value is about a thousandth of the joint torque. Chosen, not tuned."""
+"""Assumed standard deviation of the difference between servo torque and kp times servo error, as a
+fraction of robot weight times `Robot.stand_height`. Together with dry friction, it weights the
+torque equation of a joint in the least squares. A leg joint carries about a tenth of weight times
+height, so this value is about a thousandth of the joint torque. Chosen, not tuned.
+"""
 
 _UNKNOWN_TORQUE_STD_RATIO = 1e3
 """Standard deviation of the torque of a joint without a usable command, as a fraction of weight
 times height. It is so large that this torque has no effect on the fit. Chosen, not tuned."""
 
 _MIN_SIGN_BAND = 1e-3
-"""Smallest servo error [rad, m] over which the sign of friction changes smoothly, so that
-derivatives exist. Chosen, not tuned."""
+"""Lower bound of the sign band [rad, m]: the servo error over which the sign of friction changes
+smoothly (`_SIGN_BAND_RATIO`). With a width of 0, derivatives would not exist. Chosen, not tuned.
+"""
 
 _SIGN_BAND_RATIO = 0.7
-"""Sign band (servo error over which the sign of friction changes smoothly), as a fraction of the
-dead band (servo error at which the servo torque equals the dry friction). The change is gradual,
-since dry friction holds a joint with any torque up to its limit, as at joints of Go1 and MEVIUS.
-Chosen; the confidence intervals of fits with this value were verified on simulated robots with
-dead bands (``docs/explanation/fit.md``)."""
+"""Ratio of the sign band to the dead band. The sign band is the servo error over which the sign of
+friction changes smoothly. The dead band is the servo error at which the servo torque equals the dry
+friction. The change is gradual, since dry friction can hold a joint with any torque up to its
+limit, as in Go1 and MEVIUS. Chosen; the confidence intervals of fits with this value were verified
+on simulated robots with dead bands (``docs/explanation/fit.md``).
+"""
 
 _HELD_FRICTION_STD = 0.45
 """Standard deviation of the friction torque of a joint that dry friction holds, as a fraction of
-dead band x kp (the friction torque at the edge of the dead band). It is multiplied by b / sqrt(e^2
-+ b^2), with the servo error e and the sign band b (`_SIGN_BAND_RATIO`): a large error determines
-the sign of the friction. Derived from joints of Go1 and MEVIUS, whose friction has any value up to
-the limit."""
+dead band times kp. This product is the friction torque at the edge of the dead band. The standard
+deviation is multiplied by b / sqrt(e^2 + b^2), with the servo error e and the sign band b
+(`_SIGN_BAND_RATIO`), because a large error determines the sign of the friction. Derived from joints
+of Go1 and MEVIUS, whose friction has any value up to the limit.
+"""
 
 
 @dataclass(frozen=True)
@@ -84,12 +93,12 @@ class StandNoise:
 
     Attributes:
         encoder: Standard deviation of a joint position [rad, m].
-        moment: Standard deviation of the moment about each axis on a contact point, divided by the
-            normal force [m]: friction of a foot that turned or rolled on the ground.
+        moment: Standard deviation of (moment about an axis / normal force) at a contact point [m].
+            The moment is due to friction of a foot that turned or rolled on the ground.
         flatness: Standard deviation of the height of the ground under a contact point [m]; it
             includes errors of the link lengths.
-        friction: Bound of the random dry friction of a joint, which has a uniform distribution, as
-            a factor on the stated friction.
+        friction: Bound of the random dry friction of a joint, as a factor on the stated friction.
+            The random friction has a uniform distribution.
     """
 
     encoder: float
@@ -143,16 +152,18 @@ def make_readings(robot: Robot, stands: MeasuredStands) -> Iterator[StandReading
 
 
 _MIN_FORCE_SIGNAL = 1.0
-"""Singular value [1/N] times robot weight [N], above which a combination of a stand's own unknowns
-(contact forces, base tilt, base height) is eliminated from the whitened equations of the stand: at
-the bound, a force equal to the weight changes the residuals by one standard deviation. Smaller
-singular values belong, for example, to distributions of the force within a sole. Chosen, not
-tuned."""
+"""Bound of (singular value [1/N] times robot weight [N]) in the elimination of a stand's own
+unknowns: contact forces, base tilt and base height. A combination of these unknowns is eliminated
+from the whitened equations if the product is larger. At the bound, a force equal to the weight
+changes the residuals by one standard deviation. Smaller singular values belong, for example, to
+distributions of the force within a sole. Chosen, not tuned.
+"""
 
 _MIN_READING_INFORMATION = 1e-4
-"""Lower bound of the information (1 / variance) about the error of a joint reading that follows
-from all other readings, relative to 1 / (encoder noise)^2. It prevents a division by zero in
-`StandRows.find_contradictions`. Chosen, not tuned."""
+"""Lower bound of the information (1 / variance) about the error of a joint reading, relative to 1 /
+(encoder noise)^2. The information is that of all other readings. The bound prevents a division by
+zero in `StandRows.find_contradictions`. Chosen, not tuned.
+"""
 
 
 class StandRows:
@@ -374,9 +385,10 @@ class StandRows:
     def _fill_balance(self) -> None:
         """Fill in the residual of S tau - g + passive + sum J_p^T w_p - load = 0, with derivatives.
 
-        This is the static balance. tau are the torques of the servos and of one-sided friction
-        (``settling``), which S maps to generalised forces; g is gravity, w_p the force and the
-        moment on contact point p, load the force on the feet beyond the masses.
+        This is the static balance. The vector tau contains the torques of the servos and of
+        one-sided friction (``settling``). S maps these torques to generalised forces. g is gravity,
+        and w_p the force and moment on contact point p. load is the force on the feet in excess of
+        the weight of the masses.
         """
         values, nv, nu, forces = self._values, self._robot.nv, self._robot.nu, self._forces
         num_points = len(forces)
@@ -432,10 +444,10 @@ class StandRows:
     def _compute_last_motions(self) -> Array:
         """Return the rotation rates of the feet in six base motions, shape (p, 3, 6), for p points.
 
-        Each motion is a translation or rotation of the base, with the contact points fixed as far
-        as the joints permit. The rates of a motion are divided by the largest absolute rate of a
-        foot, and have no unit. Friction on a foot at rest acts against the last motion, a
-        combination of these six.
+        Each motion is a translation or rotation of the base. The contact points are fixed as far as
+        the joints permit. The rates of a motion are divided by the largest absolute rate of a foot,
+        and have no unit. Friction on a foot at rest acts against its last motion, which is a
+        combination of these six motions.
         """
         nv, twists = self._robot.nv, self._twists
         contact_jacobian = self.jacobians.reshape(-1, nv)
@@ -566,11 +578,12 @@ class StandValues:
         last_links: {contact point: vector from the axis of the leg's last joint to the point, shape
             (3,) [m], in the frame of the contact}.
         gravity: Gravity in the axes of the ground, shape (3,) [m/s^2].
-        gravity_by_slope: Derivatives of ``gravity`` by the slope along x and y, shape (2, 3)
-            [m/s^2]. The slope is the sine of the angle.
+        gravity_by_slope: Derivatives of ``gravity`` by the slope of the ground along x and y, shape
+            (2, 3) [m/s^2]. The slope is the sine of its angle.
         deadband: Servo error without torque [rad, m]; negative for friction against the load.
         settling: {link with a known mass: one-sided friction as a fraction of ``friction``}.
-        unweighed_load: Load on the feet beyond the masses, as a fraction of the weight of ``mass``.
+        unweighed_load: Load on the feet in excess of the weight of the masses, as a fraction of the
+            weight of ``mass``.
         gravity_norm: Norm of gravity [m/s^2].
         mass: Mass of the whole robot, without known masses [kg].
         noise_mass: Mass with which the noise is scaled [kg].
@@ -680,7 +693,9 @@ def compute_level_base(robot: Robot, joints: Array, points: Sequence[str]) -> Ar
 
 
 class GravityRegressor:
-    """Generalised forces of gravity, linear in masses and first moments, for any gravity vector.
+    """Generalised forces of gravity as a linear function of masses and first moments.
+
+    A first moment is mass times CoM.
 
     Args:
         robot: Robot.
@@ -736,17 +751,18 @@ in each evaluation. Chosen, not tuned."""
 class StandEquations:
     """Equations of balance and contact of all stands.
 
-    Unknowns are the parameters, common to all stands, and for each stand the base's tilt (2) and
-    height (1) and the forces on its contact points (3 each). The equations of a stand are
+    The unknowns are the parameters, which are common to all stands, and the own unknowns of each
+    stand. The own unknowns are the base tilt (2), the base height (1), and the forces on the
+    contact points (3 each). The equations of a stand are
 
         S tau - g(q; masses, CoM) + passive + sum J_p^T w_p - load = 0    (nv)
         z_p(q) - r_p + softness depth(f_p) = 0                            (1 per contact point)
 
-    with q = position - offset, the force f_p and the moment in w_p, and tau = kp (command -
-    position - dead band), plus the one-sided friction ``settling`` if a known mass is attached. The
-    dead band has the sign of the servo error (smoothed). Encoder noise acts on q and on tau. Each
-    stand's own unknowns are eliminated: the remaining combinations of its equations depend on no
-    contact force and no motion of the base.
+    with q = position - offset, and the force f_p and the moment in w_p. The torque is tau = kp
+    (command - position - dead band), plus the one-sided friction ``settling`` if a known mass is
+    attached. The dead band has the smoothed sign of the servo error. Encoder noise acts on q and on
+    tau. The own unknowns of each stand are eliminated: only those combinations of its equations
+    remain that depend on no contact force and no motion of the base.
 
     Args:
         robot: Robot, with the values of the files.
@@ -816,8 +832,8 @@ class StandEquations:
         """Set servo stiffness, mass and dead band that scale the noise, from a parameter vector.
 
         Until the first call, the noise is scaled by the stated stiffness and mass, and by the
-        initial ``noise_deadband``. The values are constant during a minimisation, which would
-        otherwise prefer parameters with large noise.
+        initial ``noise_deadband``. The values are constant during a minimisation. Otherwise the
+        minimisation would prefer parameters with large noise.
 
         Args:
             x: Parameters, shape (n,).
@@ -832,8 +848,9 @@ class StandEquations:
     ) -> LinearisedResiduals:
         """Linearise the whitened residuals of a stand with respect to the parameters.
 
-        Base tilt, base height and contact forces are the own unknowns of a stand. They are solved
-        for by Newton steps, stored, and eliminated. The sums belong to the last step's start.
+        Base tilt, base height and contact forces are the own unknowns of a stand. They are computed
+        by Newton steps, stored, and eliminated. The returned sums are evaluated at the start of the
+        last step.
 
         Args:
             stand: Index of the stand.
@@ -1008,8 +1025,8 @@ class StandEquations:
     def compute_rms_residuals(self, x: Array) -> list[float]:
         """Return the root mean square of the whitened residuals of each stand; 1 is expected.
 
-        The own unknowns of the stands are eliminated from the residuals, and updated. 0 without
-        residuals.
+        The own unknowns of the stands (base tilt, base height, contact forces) are updated, and
+        eliminated from the residuals. A stand without residuals has the value 0.
 
         Args:
             x: Parameters, shape (n,).
