@@ -39,8 +39,8 @@ IK solve after the program reduces the violation further. Chosen, not tuned."""
 _SOLVE_ITERATIONS = (20, 50)
 """Upper bounds of the SLSQP iterations of a solve: the first value without slacks, the second value
 with slacks (of relaxable requirements). The second value also bounds the first run of
-`minimise_foot_distances`. Measured on solves that led to a stand: without slacks, all of 1,500 took
-12 or fewer; with slacks, 90 % of 350 took 45 or fewer."""
+`minimise_foot_distances`. Measured on solves that led to a stand: without slacks, all of 1,500
+solves took 12 iterations or fewer; with slacks, 90 % of 350 solves took 45 or fewer."""
 
 _FINE_UNIT_DIVISOR = 200.0
 """Divisor [1] of the stand height. The quotient is the smallest unit of length in the second run of
@@ -66,8 +66,8 @@ eighth of 633."""
 
 _INDEPENDENCE_RTOL = 1e-6
 """Bound of the linear independence of equality constraints. An equality is dropped as dependent if
-its diagonal element in the pivoted QR factor of the equalities' Jacobian, relative to the largest
-element, is not larger. SLSQP fails with dependent equalities. Chosen, not tuned."""
+its diagonal element in the pivoted QR factor of the equalities' Jacobian is at most this fraction
+of the largest element. SLSQP fails with dependent equalities. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,13 +55,13 @@ _MAX_DISPLACED_GUESSES = 32
 """Upper bound of the number of initial guesses with a displaced base. Chosen, not tuned."""
 
 _MISS_TOLERANCE = 0.1
-"""Relative difference up to which the foot errors of two initial guesses count as equal. With
-`_MIN_AGREEING_GUESSES` equal errors the search ends. Chosen, not tuned."""
+"""A foot error counts as equal to the smallest foot error if it exceeds that error by at most this
+fraction. The search ends after `_MIN_AGREEING_GUESSES` equal errors. Chosen, not tuned."""
 
 _MIN_AGREEING_GUESSES = 8
-"""Number of initial guesses of the nonlinear program with nearly the same smallest foot error after
-which the search ends. Measured on 400 stands, most at the limit of reach: all but one were found
-before two guesses agreed, the last one after four."""
+"""The search ends if this number of initial guesses of the nonlinear program lead to nearly the
+same smallest foot error (`_MISS_TOLERANCE`). Measured on 400 stands, most at the limit of reach:
+all but one were found before two guesses agreed, the last one after four."""
 
 _NUM_RANDOM_GUESSES = 32
 """Number of random initial guesses for robots with a sole on a leg of fewer than six joints. Such a
@@ -283,7 +283,7 @@ class _StandSearch:
         return has_underactuated_feet(self.robot)
 
     def _have_guesses_converged(self) -> bool:
-        """Return True if enough initial guesses lead to nearly the same smallest foot error."""
+        """Return True if `_MIN_AGREEING_GUESSES` guesses nearly reach the smallest foot error."""
         least = min(self.misses, default=0.0)
         bound = (1 + _MISS_TOLERANCE) * least
         return sum(error <= bound for error in self.misses) >= _MIN_AGREEING_GUESSES

@@ -30,8 +30,8 @@ errors."""
 
 _PARALLEL_TOLERANCE = 1e-9
 """Tolerance [1] of the linear dependence of unit normals of faces. Three faces meet in a vertex if
-their triple product is larger. The polytope is bounded if the third singular value of all unit
-normals is not smaller. Rounding is 1e-16; chosen, not tuned."""
+the triple product of their normals is larger than this value. The polytope is bounded if the third
+singular value of all unit normals is at least this value. Rounding is 1e-16; chosen, not tuned."""
 
 _VERTEX_RTOL = 1e-9
 """Relative tolerance of vertices [1]. A vertex may be outside of a face by this fraction of its

@@ -794,7 +794,7 @@ class SagEquilibrium:
         If the point is assumed in contact, the violation is the force [N] with which the ground
         would pull the point. For a point of a sole in contact, the violation is zero, because the
         equation between depth and force permits no pull. If the point is assumed without contact,
-        the violation is the penetration [m] plus the contact margin, minus
+        the violation [m] is the penetration plus the contact margin, minus
         `CONTACT_DEPTH_TOLERANCE` times `EquilibriumScales.length`.
         """
         if foot in self.anchors:

@@ -607,8 +607,8 @@ def simulate_creep(path: HomotopyPath, pose: SteadyState) -> float:
     """Compute how long an equilibrium lasts while its feet creep on the ground [s].
 
     Creep is simulated for up to ``HOLD_DURATION`` (12 s). No creep is simulated in two cases: no
-    foot creeps, or the base height would change by at most `MAX_CREEP_LOSS_RATIO` times the height
-    in this time.
+    foot creeps, or the change of the base height in this time would be at most
+    `MAX_CREEP_LOSS_RATIO` times the base height in the stand.
 
     Args:
         path: Path of equilibria that ends at ``pose``; the call extends the path.
