@@ -73,7 +73,7 @@ def test_a_robot_on_a_single_grip_is_refused(armed: pa.Robot, grip: float) -> No
     """Neither too weak a grip, which was a LinAlgError, nor a strong one has a support area."""
     contacts = grip_bar(armed, grip).contacts
     task = pa.StandTask(contacts=contacts, swing=dict.fromkeys(armed.feet, 0.02), com="inside")
-    with pytest.raises(pa.ConfigurationError, match="support polygon needs an area"):
+    with pytest.raises(pa.ConfigurationError, match="no contacts except grips"):
         pa.solve_stand(armed, task)
 
 
