@@ -81,8 +81,8 @@ class Stand(Pictured, Tabular):
         orientation_error: Angle between the base's orientation and the task's (rad).
         height_error: Error of the height of the base frame (m).
         com_error: Horizontal error of the CoM (m). If the task has an offset, or the robot is an
-            arm and ``com`` is no point, the horizontal error of the base frame (m). Zero if the CoM
-            is free.
+            arm and ``com`` is no point, the horizontal error of the base frame (m). Otherwise zero
+            if the CoM is free.
         com_margin: Distance of the projected CoM from the edge of the support polygon (m), negative
             outside. Infinite for a welded robot and for a posture.
         ground_clearance: Height of the lowest part except the feet above the ground, for MuJoCo's
