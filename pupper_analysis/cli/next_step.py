@@ -33,17 +33,18 @@ _PAYLOAD_SEARCHES = (("payload",), ("best", "payload"))
 def complete_command(step: NextStep | None) -> str:
     """Return the command line of a next step, for the robot of the running command.
 
-    The line contains the robot that the user typed, unless the step names files, and the typed
-    options that both commands have, except options for outputs and options that the step sets or
-    omits. ``--payload-at`` is left out if the next command would refuse this option without
-    ``--payload``.
+    The line contains the robot that the user typed, unless the step names files. It also contains
+    the typed options that both commands have, with two exceptions: options for outputs, and options
+    that the step sets or omits. ``--payload-at`` is left out if the next command would refuse this
+    option without ``--payload``.
 
     Args:
         step: Next step; None for none.
 
     Returns:
-        Command line. Empty without a step or a running command, if the next command is not
-        installed or needs more files than were typed, or if a typed file is standard input.
+        Command line. Empty if there is no step or no running command. Also empty if the next
+        command is not installed or needs more files than were typed, or if a typed file is standard
+        input.
     """
     context = click.get_current_context(silent=True)
     if step is None or context is None:
@@ -71,8 +72,8 @@ def complete_command(step: NextStep | None) -> str:
 def _list_typed_robot(arguments: Set[str | None], values: Mapping[str, Any]) -> list[str]:
     """Return the typed words that specify the robot or its model files, for example ``v3``.
 
-    If the arguments of the command are a URDF and an MJCF, which may be typed in any order, the
-    words are returned in this order.
+    If the arguments of the command are a URDF and an MJCF, the URDF is returned first. The user may
+    type both in any order.
 
     Args:
         arguments: Names of the arguments of the running command.
@@ -129,8 +130,8 @@ def _list_excluded_options(step: NextStep, values: Mapping[str, Any]) -> list[st
     """Return the words of typed options that the next command does not repeat.
 
     These are the words of the step, the options that the step omits, and ``--payload-at`` if the
-    next command would refuse this option without ``--payload``. A value for a pattern in the step,
-    such as ``--kp 'knee_*=5'``, adds to the typed values, and excludes no option.
+    next command would refuse this option without ``--payload``. If the step contains a value for a
+    pattern of joints, such as ``--kp 'knee_*=5'``, the typed values of this option are kept.
 
     Args:
         step: Next step.

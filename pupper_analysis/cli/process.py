@@ -107,8 +107,8 @@ def tolerate_output_errors() -> Iterator[list[TolerantStream]]:
 def _reopen_closed_streams() -> None:
     """Open the null device in place of closed standard streams.
 
-    Otherwise the next opened file gets the descriptor of such a stream, and the output of
-    libraries.
+    Otherwise the next opened file would get the descriptor of a closed stream. Output of libraries
+    to this stream would be written to the file.
     """
     for number in range(3):
         try:
@@ -127,9 +127,9 @@ class ProcessEnding:
 
     Attributes:
         signal: Number of the signal; 0 without a signal.
-        caught: True if `ProcessEnded`, or another exception, has reached the code that ends the
-            process, or the context of `catch_ending_signals` has ended. `ProcessEnded` is then not
-            raised again by the timer.
+        caught: True if an exception, such as `ProcessEnded`, has reached the code that ends the
+            process. Also True if the context of `catch_ending_signals` has ended. If True, the
+            timer does not raise `ProcessEnded` again.
     """
 
     signal: int = 0
@@ -166,10 +166,10 @@ def raise_if_ended() -> None:
 def catch_ending_signals() -> Iterator[ProcessEnding]:
     """Turn the signals that end a process into an exception, and record the signal.
 
-    If a library suppresses the exception, and the platform has interval timers, the exception is
-    raised again, unless the process handles or ignores SIGALRM. A second signal ends the process at
-    once. The signals are SIGINT, SIGTERM and SIGHUP if they have the default handler; outside of
-    the main thread, no signal is caught.
+    The signals are SIGINT, SIGTERM and SIGHUP, if they have the default handler. Outside of the
+    main thread, no signal is caught. A second signal ends the process at once. If a library
+    suppresses the exception, a timer raises it again. There is no timer if the platform has no
+    interval timers, or if the process handles or ignores SIGALRM.
 
     Yields:
         State of the process.

@@ -81,8 +81,9 @@ DETECTION_OPTIONS = (
         help="Argument of a xacro file; e.g. arm=true. Repeatable.",
     ),
 )
-"""Options for loading the files of a robot: properties that are otherwise detected, the file to use
-if both disagree, and arguments of a xacro file."""
+"""Options for loading the files of a robot. They state properties that are otherwise detected, the
+file that has priority if both files disagree, and the arguments of a xacro file.
+"""
 
 FILE_OPTIONS = (
     shared.file_option("--urdf", help="URDF of your own robot, if not given as ROBOT."),
@@ -290,7 +291,7 @@ def load_selected_robot(
     """Load a selected robot.
 
     Args:
-        meant: Variant, or files.
+        meant: Selected variant, or files of the user.
         fixed_base: True to fix the base.
         **more: Further arguments of ``load_robot``, ignored for a variant.
 

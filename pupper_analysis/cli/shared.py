@@ -64,8 +64,9 @@ class OutputPath(click.Path):
     """Parameter type of an output path.
 
     Args:
-        holds: Kind of the result, or content of the folder; or a function that returns kind or
-            content from the parameters of the command (None: nothing is written).
+        holds: Kind of the result file, or content of the folder. It may also be a function from the
+            parameters of the command to this kind or content. The function returns None if nothing
+            is written.
     """
 
     def __init__(
@@ -120,16 +121,19 @@ a suffix."""
 
 
 TYPED_WORDS: Final = "pupper_analysis.typed_words"
-"""Key of ``click.Context.meta`` with the words that follow the name of the command."""
+"""Key of ``click.Context.meta``. Its value contains the typed words after the name of the command.
+"""
 
 
 HIDDEN_NOTES: Final = "pupper_analysis.hidden_notes"
-"""Key of ``click.Context.meta`` with the number of notes on the robots that are not printed."""
+"""Key of ``click.Context.meta``. Its value is the number of notes on robots that are not printed.
+"""
 
 
 _FIXED_BASE_CODE = "base-is-fixed"
-"""Code of the error of a command about stands for a robot with a fixed base. The command line of
-`hold` for this robot is added to the error as a note."""
+"""Code of the error that a command about stands raises for a robot with a fixed base. The command
+line of `hold` for this robot is added to the error as a note.
+"""
 
 
 class Command(click.Command):
@@ -160,7 +164,7 @@ class Command(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the words of the command line into the parameters of the command.
 
-        The error about an unknown option suggests similar options (`_find_similar_options`).
+        The error about an unknown option suggests similar options.
 
         Raises:
             click.UsageError: If a word is not valid, for example a unit apart from its number, or
@@ -359,15 +363,17 @@ _OPTIONS_OF_ARGUMENTS = {
 
 
 _ASSIGNMENT_FORM = re.compile(r"(\[?)[A-Z][A-Z:\[\]]*=(\]?)")
-"""Start of the form of an option's value that assigns a value to a name, such as ``FOOT=LENGTH``.
-In ``[JOINTS=]NM`` the name is optional, which stands for all joints."""
+"""Pattern of the start of an option's form ``NAME=VALUE``, for example ``FOOT=LENGTH``. In
+``[JOINTS=]NM`` the name is optional; without the name, the value is for all joints.
+"""
 
 
 def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
     """Return the name to which a value of an option belongs, and the value as typed.
 
-    The name is empty for an option that is not repeatable, and for a value without ``JOINTS=``. In
-    other repeatable options, a value without a name is its own name, so values never contradict.
+    The name is empty for an option that is not repeatable. It is also empty for a value without the
+    optional name ``JOINTS=``. In other repeatable options, a value without a name is its own name,
+    so two values never contradict each other.
     """
     text = str(value)
     if not option.multiple:
@@ -387,7 +393,9 @@ one of these units is refused; the error states the number to type instead."""
 
 
 _DASHES = "\u2010\u2011\u2012\u2013\u2014\u2015\u2212"
-"""Hyphens, dashes and minus sign that word processors and web pages put in place of ``-``."""
+"""Hyphens, dashes and the minus sign of Unicode. Word processors and web pages insert them in place
+of ``-``.
+"""
 
 _DASHED_NUMBER = re.compile(rf"(^|[,=/])[{_DASHES}](?=[0-9.])")
 """Pattern of a dash that is the sign of a number."""
@@ -467,9 +475,10 @@ _SYNONYMS = {
 def _find_similar_options(unknown: str, known: Sequence[str]) -> list[str]:
     """Return the options that a user may mean by an unknown option.
 
-    These are its synonyms (`_SYNONYMS`), or else the options whose names contain all words of the
-    unknown name and more, or else those with similar names. Names are compared without the leading
-    hyphens, because these make all short names similar.
+    The first non-empty list of three is returned: the synonyms of the option (`_SYNONYMS`); the
+    options whose names contain all words of the unknown name and more; the options with similar
+    names. Names are compared without the leading hyphens, because these make all short names
+    similar.
 
     Args:
         unknown: Unknown option, such as ``--limit``.
@@ -488,8 +497,8 @@ def _find_similar_options(unknown: str, known: Sequence[str]) -> list[str]:
 def _find_options_about(unknown: str, parameters: Sequence[click.Parameter]) -> list[str]:
     """Return the options whose help contains the words of an unknown option, such as ``--impulse``.
 
-    A plural with s counts, too. Empty if more than `_MAX_OPTIONS_ABOUT` options contain the words,
-    or a word is shorter than `_MIN_WORD_LENGTH`.
+    A plural with s is found as well. The result is empty if more than `_MAX_OPTIONS_ABOUT` options
+    contain the words, or if a word is shorter than `_MIN_WORD_LENGTH`.
 
     Args:
         unknown: Unknown option.
@@ -509,12 +518,14 @@ def _find_options_about(unknown: str, parameters: Sequence[click.Parameter]) -> 
 
 
 _MAX_OPTIONS_ABOUT = 3
-"""Maximum number of options that `_find_options_about` returns: a word of more options, such as
-"robot", does not identify an option. Chosen, not tuned."""
+"""Maximum number of options that `_find_options_about` returns. If the help texts of more options
+contain the word, it does not identify an option; for example "robot". Chosen, not tuned.
+"""
 
 _MIN_WORD_LENGTH = 4
-"""Minimum length [characters] of the words of an option that `_find_options_about` searches for:
-shorter words, such as "x" or "at", occur in many helps. Chosen, not tuned."""
+"""Minimum length [characters] of the words that `_find_options_about` searches for. Shorter words,
+such as "x" or "at", occur in many help texts. Chosen, not tuned.
+"""
 
 
 FORCE_HELP: Final = (
@@ -696,10 +707,10 @@ MODEL_FILE = ModelFileType()
 
 
 def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
-    """Return a URDF and an MJCF in this order, in whatever order the user typed both.
+    """Return a URDF and an MJCF in this order; the user may type both in any order.
 
-    A variant has both formats, and represents the format that the other file does not have. Files
-    that cannot be read keep the typed order.
+    One path may be the name of a variant, which has both formats. It is returned in the place of
+    the format that the other file does not have. Files that cannot be read keep the typed order.
 
     Returns:
         Path of the URDF; path of the MJCF. One of both may be the name of a variant.
@@ -740,14 +751,14 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
     ) -> float:
         """Parse an option's text, for example ``5deg``, into the SI unit of the quantity.
 
-        ``name`` is the quantity: "length" [m], "angle" [rad] and so on. A number without a unit is
-        in the SI unit, also if it comes from Python instead of the command line. Of the numbers
-        from Python, only lengths are checked for a missing unit.
+        ``self.name`` is the quantity: "length" [m], "angle" [rad] and so on. A number without a
+        unit is in the SI unit. This also applies to a number that comes from Python instead of the
+        command line; it is checked for a missing unit only if it is a length.
 
         Raises:
-            click.BadParameter: If the text is no such quantity, or a length without unit is
-                probably in millimetres, an angle that is probably in degrees, a time that is
-                probably in milliseconds, or a mass that is probably in grams.
+            click.BadParameter: If the text is no such quantity. Also if a number without unit is
+                probably a length in millimetres, an angle in degrees, a time in milliseconds or a
+                mass in grams.
         """
         if isinstance(value, float | int):
             value = repr(float(value)) if self.name == "length" else value
@@ -773,9 +784,9 @@ def parse_quantity(kind: str, text: str) -> float:
         if the text has a unit.
 
     Raises:
-        ValueError: If the text is no number, has an unknown unit, or has no unit and is a length
-            that is probably in mm, an angle that is probably in degrees, a time that is probably in
-            milliseconds, or a mass that is probably in grams.
+        ValueError: If the text is no number, or has an unknown unit. Also if a number without unit
+            is probably a length in mm, an angle in degrees, a time in milliseconds or a mass in
+            grams.
     """
     for unit, size in sorted(UNIT_FACTORS[kind].items(), key=lambda item: -len(item[0])):
         if text.endswith(unit):
@@ -800,8 +811,9 @@ MAX_BARE_NUMBERS: Final[Mapping[str, float]] = {
     # Probably grams: no published legged robot carries 200 kg (chosen, not tuned).
     "mass": math.nextafter(200.0, 0.0),  # 200 kg itself is refused
 }
-"""{quantity: largest finite absolute value [SI unit] that is accepted without a unit}. Other
-quantities have no bound."""
+"""{quantity: bound [SI unit] of the absolute value of a number without a unit}. Above the bound, a
+finite number is refused, since it is probably in another unit. Other quantities have no bound.
+"""
 
 _MISSING_UNIT_CODES = {
     "length": "length-without-unit",
@@ -843,8 +855,8 @@ def parse_assignment(option: str, text: str) -> tuple[str, str]:
 def _find_assignment_form(option: str) -> str:
     """Return the form of an option's value, with the example in its help.
 
-    For example ``FOOT=LENGTH, e.g. FR=30mm``; ``NAME=VALUE`` if the running command has no such
-    option, or the form of the option has no equals sign.
+    For example ``FOOT=LENGTH, e.g. FR=30mm``. The result is ``NAME=VALUE`` if the running command
+    has no such option, or if the form of the option has no equals sign.
 
     Args:
         option: Name of the option, with or without ``--``.
@@ -984,7 +996,7 @@ def _describe_invalid_quantity(kind: str, text: str, given: str = "") -> Diagnos
 
 
 def _spell_unit(kind: str, text: str) -> str:
-    """Return a quantity with the unit in the accepted spelling: ``12CM`` as ``12cm``, ``5°``.
+    """Return a quantity with the unit in the accepted spelling, for example ``12cm`` for ``12CM``.
 
     Empty if the text is no number with a unit of the quantity.
     """
@@ -1034,7 +1046,8 @@ def _display_progress(what: str) -> Iterator[None]:
 def format_progress(clock: ProgressClock) -> str:
     """Format the progress of a computation: completed parts and remaining time [s].
 
-    The elapsed time [s] if the remaining time is unknown; empty before ``MIN_REPORTED_TIME``.
+    If the remaining time is unknown, the text contains the elapsed time [s]. The text is empty
+    before ``MIN_REPORTED_TIME``.
     """
     from pupper_analysis.present.document import text
 
@@ -1192,8 +1205,8 @@ def parse_point(
         option: Name of the option, for error messages.
         text: Lengths separated by commas, each with or without a unit: ``10mm,0,0``.
         size: Number of coordinates, 2 or 3.
-        choices: Words that the option also accepts. This function does not accept these words: the
-            caller handles them first, and the error message lists the words.
+        choices: Words that the option accepts in place of coordinates, for the error message. The
+            caller must handle these words before the call.
 
     Raises:
         ConfigurationError: If the text has another form or number of coordinates, or a length is

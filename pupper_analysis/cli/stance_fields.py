@@ -72,7 +72,7 @@ def _list_elements(kind: str, words: Sequence[str] | None) -> list[str]:
 
     Args:
         kind: ``foot``, ``joint`` or ``link``.
-        words: Words that name the robot; none for v3.
+        words: Words that name the robot. Without words, the robot is v3.
     """
     with suppress(Exception):  # a shell shows no error while it completes a word
         from pupper_analysis import load_robot
@@ -252,7 +252,7 @@ stance_option = click.option(
 
 
 def read_stance_file(path: Path) -> dict[str, Any]:
-    """Return {parameter: value as typed on the command line} of a stance file.
+    """Return {parameter: value in the form of the command line} of a stance file.
 
     Raises:
         ConfigurationError: If the file cannot be read, or contains an unknown option or a value of

@@ -1,8 +1,8 @@
 """Options of the robot, the stance and the servos, shared by all commands about stances.
 
 The decorators `robot_and_task` and `robot_and_stance` add the options to a command. The command
-receives their values as a `RobotAndTask`, which loads the robot, applies payload, effort limits and
-MuJoCo options to it, and returns the stand task.
+receives their values as a `RobotAndTask`. This object loads the robot, applies payload, effort
+limits and MuJoCo options to the robot, and returns the stand task.
 """
 
 from __future__ import annotations
@@ -236,8 +236,9 @@ class RobotAndTask:
     def _load_robot(self, selection: str | VariantSpec | RobotFiles, *, visuals: bool) -> Robot:
         """Load a selected robot, and apply the typed options (`_apply_options`).
 
-        Warnings on a robot from files are printed when the command ends, after the result and
-        before an error, unless the output is Markdown, which contains the warnings.
+        Warnings on a robot from files are printed when the command ends: after the result, or
+        before an error. They are not printed if the output is Markdown, since Markdown contains the
+        warnings.
         """
         robot = self._apply_options(
             load_selected_robot(
@@ -289,8 +290,8 @@ class RobotAndTask:
     def show(self, result: Result, robot: Robot) -> None:
         """Show a result of the robot in the requested format.
 
-        If the verdict names a difference between the two files, and all details are printed, the
-        first problem to repair in the files follows.
+        If all details are printed, and the verdict names a difference between the two files, a
+        further line names the problem to repair first.
         """
         named = [(robot.name, result)]
         shared.show_results(named, self.style, robots=[robot], everything=self.everything)
@@ -303,14 +304,15 @@ class RobotAndTask:
     def gains(self, robot: Robot) -> tuple[ArrayLike | None, ArrayLike | None]:
         """Return the typed gains kp [N m/rad] and kd [N m s/rad] of the servos.
 
-        Each is a number for all joints, or a vector (nu,) in the order of the joints, or None if
-        the option was not typed, so that the model's gains apply.
+        A gain is a number for all joints, or a vector, shape (nu,), in actuator order. It is None
+        if the option was not typed; in this case the model's gains apply.
 
         Raises:
             ConfigurationError: If a typed gain has another form.
-            UnknownNameError: If a pattern matches no joint, and the last gain has a pattern.
-            ModelError: If the first pattern leaves out a joint, the last gain has a pattern, and
-                the model has no position servos.
+            UnknownNameError: If a pattern matches no joint. Not raised if the last typed gain is
+                for all joints, since earlier gains have no effect.
+            ModelError: If the first pattern leaves out a joint, and the model has no position
+                servos. Not raised if the last typed gain is for all joints.
         """
         return parse_gain("kp", self.kp, robot), parse_gain("kd", self.kd, robot)
 

@@ -182,7 +182,7 @@ class Plot:
 
     Attributes:
         title: Title of the plot.
-        detail: False: no plot is a detail. Terminals show no plots.
+        detail: False. Other blocks may be details; terminals show no plots at all.
     """
 
     kind: ClassVar[str] = "plot"
@@ -214,7 +214,8 @@ class BarPlot(Plot):
     Attributes:
         axis: Quantity, unit and format of the lengths.
         bars: Bars, from top to bottom.
-        legend: Meaning of a bar's value, marker and limit; None for a part that no bar has.
+        legend: Meaning of a bar's value, marker and limit, in this order. An element is None if no
+            bar has this part.
     """
 
     axis: Axis
@@ -478,16 +479,17 @@ Block = Table | Lines | FileFinding | Listing | Plot | SceneView
 
 @dataclass(frozen=True)
 class NextStep:
-    """Command that the reader of a result runs next, without the robot.
+    """Proposed next command after a result, without the argument for the robot.
 
-    The command line adds the robot and the options that both commands have.
+    The command line adds the robot. It also adds the typed options that the next command has too.
 
     Attributes:
         command: Name of the command.
         words: Further arguments and options, such as ``("--kp", "10")``.
-        robot_typed: True if the next command gets the typed robot; False if ``words`` contain its
-            files.
-        omitted: Typed options that the next command does not get, such as ``"--command"``.
+        robot_typed: True if the next command gets the robot as the user typed it. False if
+            ``words`` contain the files of the robot.
+        omitted: Options that the user typed and the next command does not get, such as
+            ``"--command"``.
     """
 
     command: str
@@ -500,9 +502,10 @@ class NextStep:
 class Document:
     """Content of a result.
 
-    The first three lines are the answer: the verdict with the requested number (the first failure
-    or finding), the limit or the cause (the second one), and the next command. Further failures and
-    findings are warnings that change the meaning of the verdict. All other statements are details.
+    The first three lines of a printed document are the answer. Line 1 is the verdict with the
+    requested number, which is the first failure or finding. Line 2 is the limit or the cause, which
+    is the second failure or finding. Line 3 is the next command. Further failures and findings are
+    warnings that change the meaning of the verdict. All other statements are details.
 
     Attributes:
         kind: Kind of result, such as an analysis or a stance.

@@ -59,8 +59,8 @@ class Annotation:
 
     Attributes:
         level: ``error``, ``warning`` or ``notice``.
-        title: Subject by name. With ``kind`` and file it identifies the annotation, also after the
-            line or a number in the message has changed.
+        title: Name of the subject. ``kind``, file and title together identify the annotation. They
+            do not change if the line or a number in the message changes.
         message: A single sentence.
         place: ``file:line``, ``file:<element>``, ``file``, or None.
         rule: Identifier of the kind of finding; the title is used if empty.
@@ -133,8 +133,8 @@ def _make_results(
 ) -> Iterator[dict[str, Any]]:
     """Create the SARIF result of each annotation.
 
-    The fingerprint depends on kind, file and title, and on the number of earlier annotations with
-    the same kind, file and title; not on the line.
+    The fingerprint does not depend on the line. It depends on kind, file and title, and on the
+    number of earlier annotations with the same kind, file and title.
 
     Args:
         annotations: Annotations.

@@ -1,7 +1,7 @@
 """Documents as Markdown for comments on pull requests (GitHub's dialect, which GitLab also reads).
 
-Blocks marked as detail are folded. Names are escaped, so that none acts as markup, mention or
-reference.
+Blocks marked as detail are folded. Names are escaped, so that no name acts as markup, as a mention
+(``@name``) or as a reference (``#12``).
 
 Source: GitHub Flavored Markdown Spec, version 0.29-gfm.
 """
@@ -42,11 +42,14 @@ _MARKUP_PATTERN = re.compile(r"([\\`*_\[\]<>#|~&$])|^(\s*(?:[-+]|\d+[.)])(?=\s))
 _REFERENCE_PATTERN = re.compile(
     r"(?<=[@#])(?=\w)|(?<=GH-)(?=\d)|(?<=:)(?=//)|(?<=www)(?=\.)|(?<=:)(?=[\w+-]+:)"
 )
-"""Empty match inside a text that GitHub turns into a mention, reference, link or emoji, although it
-contains no markup. A `_WORD_JOINER` is inserted at each match."""
+"""Positions (empty matches) at which a `_WORD_JOINER` is inserted. Without the character, GitHub
+would convert the text around the position to a mention, reference, link or emoji.
+"""
 
 _WORD_JOINER = "\u2060"
-"""Zero-width character that keeps the renderer from joining letters into a reference."""
+"""Zero-width character that is inserted into texts such as ``@name`` and ``#12``. It prevents
+GitHub from converting these texts to a mention of a user or to a link to an issue.
+"""
 
 
 def write_markdown(report: Report) -> str:

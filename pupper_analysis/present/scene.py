@@ -104,12 +104,12 @@ class StandingScene:
 
     Attributes:
         ground: Ground.
-        contact_positions: Contact points on the rigid ground or steps, shape (n, 3) [m]; the base's
-            projection on height 0 without contacts.
-        polygon: Corners of the support polygon, shape (m, 3) [m], each at the height of the contact
-            point nearest in x and y. On several planes the corners of the region in which the
-            centre of mass is balanced, in the plane fitted to the contact points. With a weld,
-            only the first contact point.
+        contact_positions: Contact points on the rigid ground or steps, shape (n, 3) [m]. If the
+            stand has no contacts: the vertical projection of the base on height 0.
+        polygon: Corners of the support polygon, shape (m, 3) [m]. Each corner has the height of the
+            contact point that is nearest in x and y. If the contacts are on several planes: corners
+            of the support region, in the plane fitted to the contact points. If a part is welded to
+            the world: only the first contact point.
         steps: {foot: step under this foot}.
         com: Centre of mass, shape (3,) [m].
         com_projection: Vertical projection of the centre of mass on the plane fitted to the contact

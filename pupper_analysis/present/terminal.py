@@ -35,9 +35,10 @@ from pupper_analysis.present.document import Text as TranslatedText
 from pupper_analysis.present.formats import escape_control
 
 MAX_ANSWER_WIDTH = 104
-"""Maximum width [characters] of the line into which the messages of a short answer are joined.
-The first message is always printed; from the first message that does not fit, messages are only
-counted. Chosen, not tuned."""
+"""Maximum width [characters] of the line of joined messages in a short answer. The first message is
+always printed. If a message exceeds the width, this message and all later messages are not printed
+but counted. Chosen, not tuned.
+"""
 
 MAX_SHORT_FINDINGS = 8
 """Largest number of findings in files in the short view. Chosen, not tuned."""
@@ -46,7 +47,9 @@ MAX_SHORT_NOTES = 4
 """Largest number of lines of notes in the short view. Chosen, not tuned."""
 
 _MIN_TERMINAL_WIDTH = 40
-"""Width [characters] to which text is laid out on a narrower terminal. Chosen, not tuned."""
+"""Smallest width [characters] for which text is laid out. On a narrower terminal this width is
+used. Chosen, not tuned.
+"""
 
 
 class _ViewOptions(NamedTuple):
@@ -235,7 +238,8 @@ def print_head(out: Console, document: Document, *, everything: bool = False) ->
 def _join_short_messages(messages: Sequence[Words]) -> Text:
     """Join the short forms of messages into a line of up to `MAX_ANSWER_WIDTH` characters.
 
-    The first message is always printed. Messages from the first that does not fit are counted.
+    The first message is always printed. If a message does not fit, this message and all later
+    messages are only counted.
     """
     line, left = Text(), len(messages)
     for message in messages:
@@ -430,8 +434,9 @@ class _PrintedColumn(NamedTuple):
         head: Header with unit.
         cells: Text of each row.
         left: True if the column is left-aligned.
-        width: Width of the longest cell, or word of the header [characters]; at least that of the
-            header, or `_MIN_HEADER_WIDTH` if the header is longer.
+        width: Width of the column [characters]: the largest of three values. These are the longest
+            cell, the longest word of the header, and the header's width but at most
+            `_MIN_HEADER_WIDTH`.
         least: Smallest width to which the column may be wrapped [characters]; equal to ``width`` if
             the column is not wrapped.
     """
@@ -446,8 +451,8 @@ class _PrintedColumn(NamedTuple):
 def _lay_out_table(out: Console, table: Table, chosen: Sequence[int]) -> list[Text]:
     """Return the lines of a table, divided into parts that each begin with the first column.
 
-    A part fits the width if its first two columns do. A table is not divided if the first column is
-    wider than half of the width.
+    A part fits the width of the console if its first two columns fit. A table is not divided if the
+    first column is wider than half of the console.
 
     Args:
         out: Console.

@@ -49,8 +49,9 @@ from pupper_analysis.simulation.verdict import (
 )
 
 MAX_NAMED_JOINTS = 3
-"""Largest number of added servos whose joints a message names; of more servos, only the number is
-stated. Chosen, not tuned."""
+"""Largest number of added servos for which a message lists the names of the joints. For more
+servos, the message contains only their number. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True)
@@ -75,8 +76,9 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     Statements that agree with the verdict come first. In a bad verdict, the causes (`_CAUSES`)
     follow directly after the first statement. A remark about an impossible mass or inertia is the
     first statement of a bad verdict, because no simulation of such a file has a meaning. The
-    statements about the simulation from a keyframe precede the statements about the prepared robot
-    if the own drives of the file fail, or if the prepared robot stands, but not as predicted.
+    statements about the simulation of the published file from a keyframe precede the statements
+    about the prepared robot in two cases: the file's own actuators fail, or the prepared robot
+    stands, but not as predicted.
     """
     run_clauses = tuple(make_keyframe_run_clauses(verdict.keyframe_run))
     published_clauses = tuple(make_published_clauses(verdict.published))
@@ -184,7 +186,8 @@ def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text,
     """Divide a verdict's lines into lines of the short answer and further lines.
 
     The short answer contains statements against the stand, warnings, assumptions, and the codes of
-    `_LEADING_CODES`, good or bad. A keyframe run that supports the stand is not part of it.
+    `_LEADING_CODES`, good or bad. A statement about the simulation from a keyframe is omitted if it
+    supports the stand.
 
     Returns:
         Lines of the short answer; further lines.
@@ -219,16 +222,18 @@ def report_refused_file(verdict: Verdict) -> tuple[Text, ...]:
 
 
 _MIN_STATED_CLEARANCE = 1e-3
-"""Height [m] of the robot above the ground at reset, above which the message about the simulation
-from a keyframe states the height. Chosen, not tuned."""
+"""Bound of the robot's height above the ground at reset [m]. Above the bound, the message about the
+simulation from a keyframe states the height. Chosen, not tuned.
+"""
 
 _DETAIL_CODE = "own-run"
 """Code of the statement about the simulation from a keyframe. The short answer omits the statement
 if it is favourable."""
 
 _LEADING_CODES = ("servos-given",)
-"""Codes of the statements of a verdict that its short form always contains, also if they are good:
-the servo gains were passed by the user."""
+"""Codes of the statements that the short form of a verdict contains even if they support the stand.
+The only code is that of the statement "the user passed the servo gains".
+"""
 
 
 class JudgedResult(Protocol):
@@ -266,10 +271,10 @@ def judged_document(
 ) -> Document:
     """Create the document of a result whose answer is a verdict.
 
-    The short answer contains the verdict with the first text of ``answer``, ``limit``, the warnings
-    and assumptions that change the meaning of the verdict, and the other texts of ``answer``. In a
-    bad verdict the reasons precede these texts. A terminal prints the other statements and the
-    tables with -v only.
+    The short answer has four parts: the verdict with the first text of ``answer``; ``limit``; the
+    warnings and assumptions that change the meaning of the verdict; and the other texts of
+    ``answer``. In a bad verdict the reasons precede these texts. A terminal prints the other
+    statements and the tables with -v only.
 
     Args:
         kind: Kind of result, such as "stance" or "payload limit".
@@ -278,16 +283,17 @@ def judged_document(
         answer: At least one text: first the number that the user requested, such as the largest
             payload, then further numbers.
         details: Further statements.
-        failures: Reasons against the result, in addition to the reasons of the verdict; ignored if
-            the verdict is good, like ``causes``.
+        failures: Reasons against the result, in addition to the reasons of the verdict.
+            ``failures`` and ``causes`` are ignored if the verdict is good.
         word: Verdict in one or two words. Default: the word of the judge's verdict.
-        limit: Cause that limits the number, or the number that belongs to it, such as the base
-            height; None if there is none.
-        limits: Several such texts, in place of ``limit``; ignored if ``limit`` is not None.
+        limit: Cause that limits the first number of ``answer``, or a second number that belongs to
+            the first, such as the base height. None without such a text.
+        limits: Several texts of the kind of ``limit``. Ignored if ``limit`` is not None.
         causes: Causes of a bad verdict, which follow its first reason.
-        leading: Reasons that precede all others and the number; ignored if the verdict is good.
-        number_first: True if the number also precedes the reasons of a bad verdict, because it is
-            the answer to the question: the largest payload is 0.
+        leading: Reasons that precede all other reasons and the number. Ignored if the verdict is
+            good.
+        number_first: True if the number precedes the reasons even in a bad verdict. An example is a
+            number that answers the question: "the largest payload is 0".
         notes: Assumptions, findings and omissions.
         next_step: Command to run next.
     """
@@ -324,8 +330,8 @@ def verdict_word(verdict: Verdict) -> Text:
 def qualify_verdict_word(key: str, converted: str) -> Text:
     """Return the display word of a verdict, with a restriction if one model was converted.
 
-    If one model was converted from the other model, agreement proves nothing. The text of a good
-    verdict then adds that both models come from the same file.
+    If one model was converted from the other model, their agreement proves nothing. In this case
+    the text of a good verdict also states that both models come from the same file.
 
     Args:
         key: Key of the word in the catalogue of texts, for example "HOLDS".
@@ -340,9 +346,10 @@ def qualify_verdict_word(key: str, converted: str) -> Text:
 def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
     """Yield the clauses of a verdict about the published file, simulated from a keyframe.
 
-    The clauses are about the run with the file's own commands, about the run with joint angles as
-    commands if that run exists, and about each cause of a failure. Without a run, nothing is
-    yielded. The clause of a file that MuJoCo refuses does not support the stand.
+    There are up to two runs: with the commands of the file and, if it exists, with joint angles as
+    commands. Each run has a clause; each cause of a failure has a further clause. If
+    ``keyframe_run`` is None, nothing is yielded. If MuJoCo refuses the file, the clause does not
+    support the stand.
     """
     for run in (
         ()
@@ -444,8 +451,8 @@ def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
 def _select_stated_failures(verdict: Verdict) -> tuple[Diagnostic, ...]:
     """Return the failures of the simulation with feed-forward that the verdict states.
 
-    If the robot stands in MuJoCo, and URDF and MJCF describe different robots, this cause alone is
-    stated: the deviations of torques and forces follow from it.
+    If the robot stands in MuJoCo, but URDF and MJCF describe different robots, only this difference
+    is stated. It is the cause of the deviations of torques and forces.
     """
     failures = join_ground_touches(verdict.failures)
     causes = tuple(failure for failure in failures if failure.code == TWO_ROBOTS_CODE)
@@ -457,7 +464,7 @@ _TOUCH_CODE = "body-touches-ground"
 
 
 def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
-    """Replace two or more failures of bodies that touch the ground by one, with the first time.
+    """Replace several failures of bodies that touch the ground by one, with the earliest time.
 
     Failures of bodies that touch the step, plane or bar of a foot or hand stay as they are.
     """
@@ -520,8 +527,10 @@ _CAUSES = (
     "actuatorfrcrange-cuts-off",
     "motors-overloaded",
 )
-"""Codes of statements that explain a bad verdict. These follow the first statement, in the order of
-the verdict: a range in the file that limits motors precedes the overloaded motors."""
+"""Codes of statements that explain a bad verdict. These statements follow directly after the first
+statement, in the order in which the verdict contains them. So a range in the file that limits
+motors precedes the overloaded motors.
+"""
 
 _CAUSE_MESSAGES = {
     "exclude": "excluded-from-touching",
@@ -574,8 +583,9 @@ def _make_error_quantity(error: float | None) -> Quantity | None:
 def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
     """Yield up to two clauses: on motors that exceed their limits, and on the doubling time [s].
 
-    In the doubling time, a deviation of an unstable stance from equilibrium doubles. Its clause is
-    omitted if it is infinite, or if the stance with feed-forward was simulated.
+    The doubling time is the time in which a deviation of an unstable stance from equilibrium
+    doubles. Its clause is omitted if the time is infinite, or if the stance was simulated with
+    feed-forward.
     """
     if verdict.overloaded_motors:
         yield Clause(
@@ -613,9 +623,10 @@ def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
 def select_step_after_failure(verdict: Verdict, otherwise: NextStep) -> NextStep:
     """Return the command to run after a failure: `crosscheck` if the files may explain the failure.
 
-    This is the case if the files describe two robots, if the robot or the published file does not
-    stand as predicted, or if a difference of the files is the cause of a deviation. For a robot of
-    one file, the command is then `audit`. In other cases ``otherwise`` is returned.
+    The files may explain the failure in three cases. The files describe two different robots; the
+    robot or the published file does not stand as predicted; or a difference of the files is the
+    cause of a deviation. If the robot has only one file, the command in these cases is `audit`. In
+    other cases ``otherwise`` is returned.
     """
     differs = verdict.code in (VerdictCode.DIFFERS_AS_PUBLISHED, VerdictCode.DISAGREES)
     two_robots = any(failure.code == TWO_ROBOTS_CODE for failure in verdict.failures)
@@ -628,8 +639,8 @@ def select_step_after_failure(verdict: Verdict, otherwise: NextStep) -> NextStep
 def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
     """Create the statement that a result depends on added servos, with their range of gains.
 
-    The servos are named if they are at most `MAX_NAMED_JOINTS`. ``good`` is True if the statement
-    supports the stand.
+    The joints of the servos are named if there are at most `MAX_NAMED_JOINTS` servos. ``good`` is
+    True if the statement supports the stand.
     """
     few = servos.made if len(servos.made) <= MAX_NAMED_JOINTS else ()
     message = diagnose(

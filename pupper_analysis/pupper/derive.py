@@ -1,9 +1,9 @@
 """Derive a variant: the URDF with yourdfpy, the MJCF with MuJoCo's spec.
 
 Input are the URDF or MJCF of a base model and the scale factors of the legs and of the torso mass.
-Thighs and calves are stretched along their length by a linear map of positions; masses, inertias,
-shapes and keyframes follow. `derive_urdf` and `derive_mjcf` are independent implementations; a
-comparison of both results tests them.
+Thighs and calves are stretched along their length by a linear map of positions. Masses, inertias,
+shapes and keyframes are changed accordingly. `derive_urdf` and `derive_mjcf` are independent
+implementations; a comparison of both results tests them.
 """
 
 from __future__ import annotations
@@ -165,9 +165,9 @@ def _transform_origin(element: object, matrix: Array) -> Array:
 def _find_capsule(link: yourdfpy.Link, axis: Array) -> tuple[float, float] | None:
     """Return (radius, length of the cylinder) [m] of a link's collision capsule along an axis.
 
-    A capsule is one cylinder along the unit vector ``axis`` (3,), in the link frame, with a sphere
-    at each end, of the same radius. None if the link has other cylinders and spheres; boxes and
-    meshes are ignored.
+    A capsule is one cylinder along ``axis`` with a sphere of the same radius at each end. ``axis``
+    is a unit vector, shape (3,), in the link frame. None if the cylinders and spheres of the link
+    do not have this form. Boxes and meshes are ignored.
     """
     shapes = list(_yield_collision_shapes(link))
     cylinders = [(geometry.cylinder, pose) for geometry, pose in shapes if geometry.cylinder]
@@ -226,13 +226,13 @@ def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
 
     The last joint of a leg is the knee, between thigh and calf. Both bodies are stretched by
     ``leg_scale`` along the direction to the next body (or the foot). This direction is projected
-    into the plane normal to the knee axis, so the lateral offset of the leg is unchanged. The mass
-    of an inertial, or of a shape along the link, is proportional to the scale. A shape along the
-    link becomes longer; other primitive shapes, such as the foot, keep size and mass.
+    into the plane normal to the knee axis, so the lateral offset of the leg is unchanged. A shape
+    along the link becomes longer. The mass of such a shape, or of the body's inertial, is
+    multiplied by the scale. Other primitive shapes, such as the foot, keep size and mass.
 
-    Mass and inertia of the base body are multiplied by ``torso_mass_scale``; above 1, a dark block
-    without mass is drawn on the base. The base and the keyframes are raised, so that the ground
-    clearance of a level base is unchanged.
+    Mass and inertia of the base body are multiplied by ``torso_mass_scale``. If this scale is above
+    1, a dark block without mass is drawn on the base. The base and the keyframes are raised. So the
+    lowest foot keeps its height above the ground if the base is horizontal.
 
     Args:
         spec: Spec of the base model.
@@ -348,7 +348,7 @@ def _stretch_geom(
 
 
 def _stretch_inertial(body: mujoco.MjsBody, matrix: Array, factor: float) -> None:
-    """Stretch the inertial of a body of constant density, in place.
+    """Stretch mass, centre of mass and inertia of a body of constant density, in place.
 
     The body is replaced by six equal point masses on its principal axes with the same mass,
     centre and inertia (an equimomental system). The points are transformed, and their inertia is
@@ -408,7 +408,7 @@ def _add_ballast_geom(torso: mujoco.MjsBody, variant: VariantSpec) -> None:
 
 
 def _measure_foot_depths(spec: mujoco.MjSpec, sites: object) -> list[float]:
-    """Return vertical distances [m] from a level base down to the lowest foot, one per posture.
+    """Return the vertical distance [m] from a horizontal base to the lowest foot, per posture.
 
     The postures are ``qpos0``, then the keyframes. ``sites`` are the names of the foot sites.
     """
@@ -441,8 +441,8 @@ def _raise_keyframes(
 ) -> None:
     """Raise the base, also in all keyframes, in place, to keep the height of the lowest foot.
 
-    The base is assumed to be level. ``before`` and ``after`` are the distances [m] from the base
-    down to the lowest foot, as from `_measure_foot_depths`.
+    The base is assumed to be horizontal. ``before`` and ``after`` are the distances [m] from the
+    base down to the lowest foot, as from `_measure_foot_depths`.
     """
     torso.pos = np.array(torso.pos) + np.array([0.0, 0.0, after[0] - before[0]])
     for key, old, new in zip(spec.keys, before[1:], after[1:], strict=True):

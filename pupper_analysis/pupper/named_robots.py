@@ -39,7 +39,10 @@ _WORD_PATTERN = re.compile(r"\w[\w-]*")
 
 
 def is_variant(word: object) -> bool:
-    """Return True for a variant, or its name if the current folder has no entry of that name."""
+    """Return True for a ``VariantSpec``, and for the name of a variant.
+
+    If the current folder contains a file or folder of that name, the result for a name is False.
+    """
     if isinstance(word, VariantSpec):
         return True
     return isinstance(word, str | Path) and str(word) in VARIANTS and not Path(word).exists()
@@ -154,10 +157,10 @@ def refuse_unknown_variant(word: str, *, is_robot: bool = True) -> None:
 
     Args:
         word: Word of the user.
-        is_robot: True if the word specifies a robot. A word without suffix that names neither a
-            file nor a published robot is then refused. False if other sources are permitted, of
-            which only names similar to a variant are refused. Words of more than
-            `_MAX_WORD_LENGTH` characters are never refused.
+        is_robot: True if the word must name a robot. In this case a word without suffix is refused
+            if it names neither a file nor a published robot. False if the word may also name
+            another source. In this case a word is refused only if it is similar to the name of a
+            variant. Words of more than `_MAX_WORD_LENGTH` characters are never refused.
 
     Raises:
         VariantError: If the word is refused; the message lists all variants, and similar names.

@@ -47,9 +47,10 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import PublishedFile, Robot
 
 _SAFE_SCALE = 20.0
-"""Scale of legs or torso mass above which, or below the inverse of which, the derived MJCF of a
-variant is compiled as a test. With scales in between the test is omitted to save time. Chosen, not
-tuned."""
+"""Bound [1] of the scales of legs and torso mass. If a scale is above the bound or below its
+inverse, the derived MJCF of a variant is compiled as a test. Otherwise the test is omitted to save
+time. Chosen, not tuned.
+"""
 
 
 def describe_variant(variant: str | VariantSpec) -> Description:
@@ -238,8 +239,9 @@ _MJCF_PACKAGE_SUFFIX: Final = "_mj_description"
 """Suffix of the names of description packages that contain an MJCF."""
 
 _NUM_HEAD_BYTES: Final = 4096
-"""Number of bytes at the start of an .xml file in which ``<robot`` marks a URDF. Chosen, not
-tuned."""
+"""Number of bytes at the start of an .xml file that are searched for ``<robot``. If the text is
+found, the file is a URDF. Chosen, not tuned.
+"""
 
 _PAIR_SEPARATOR: Final = "+"
 """Separator between the two files of a robot in one word."""
@@ -252,8 +254,8 @@ def parse_robot_word(word: str) -> str | tuple[str, ...]:
     name of the whole word. The number of files is not checked.
 
     Raises:
-        VariantError: If the word is neither, or is a missing file with the name of a variant, such
-            as ``v3.xml``.
+        VariantError: If the word names neither a variant nor files. Also if it is a missing file
+            with the name of a variant, such as ``v3.xml``.
     """
     if word in VARIANTS:
         return word
@@ -274,8 +276,8 @@ def parse_robot_word(word: str) -> str | tuple[str, ...]:
 def parse_robot_words(words: Sequence[str]) -> list[str | tuple[str, ...]]:
     """Return the robots that command-line words name: variants by name, files as tuples of paths.
 
-    A URDF followed by an MJCF is one robot. If the words name exactly one MJCF and then one URDF,
-    the pair is one robot as well. A robot that is named twice is returned once.
+    A URDF followed by an MJCF is one robot. An MJCF followed by a URDF is one robot if the words
+    name exactly these two files. A robot that is named twice is returned once.
 
     Raises:
         VariantError: If a word names no robot.

@@ -29,11 +29,13 @@ from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation, peak_utilisation
 
 NO_COLUMNS: Mapping[doc.Column, Any] = MappingProxyType({})
-"""Default of the further columns of a table of torques: none."""
+"""Empty default of the argument ``more`` of `torque_table`: the table has no further columns."""
 
 WARNING_UTILISATION, FULL_UTILISATION = 0.9, 1.0
-"""Motor utilisation above which a cell is marked as a warning, or as bad. At 1 the effort limit is
-reached; 0.9 is chosen, not tuned."""
+"""Motor utilisations [1] at which the mark of a cell changes. Above the first value, the cell is
+marked as a warning; above the second value, as bad. At 1 the effort limit is reached; 0.9 is
+chosen, not tuned.
+"""
 
 
 def utilisation_cell(share: float, limit: float) -> doc.Number:

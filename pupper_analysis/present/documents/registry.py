@@ -1,10 +1,11 @@
 """Selection of the builder that creates the document of a result.
 
-A builder is registered for the type of a result (``@build_document.register``), in the module
-``document`` of a tool: the tool that has the result or, for a result of the core, the tool that
-shows the result. A ``Comparison``, for example, is shown by ``tools/crosscheck``. The module is
-imported when such a result is shown for the first time, so that an audit imports no stance. The
-document of a result without a builder lists all fields with their meanings.
+A builder is a function that is registered for the type of a result (``@build_document.register``).
+It is in the module ``document`` of the tool that computes the result. A result of the core has its
+builder in the tool that shows the result: a ``Comparison``, for example, in ``tools/crosscheck``.
+The module is imported when a result of the type is shown for the first time. So an audit does not
+import the stance solver. If a result has no builder, its document lists all fields with their
+meanings.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ its size or shape. Chosen, not tuned."""
 def value_cell(value: object) -> Cell:
     """Create a table cell with the value of a result's field, numbers with six digits.
 
-    A list, mapping or array is written out up to `MAX_SHOWN_ENTRIES` and `MAX_CELL_LENGTH`; a
-    longer value is replaced by its size or shape.
+    A list, mapping or array with more than `MAX_SHOWN_ENTRIES` entries is replaced by its size or
+    shape. The same applies if its text has more than `MAX_CELL_LENGTH` characters.
     """
     if hasattr(value, "phrase"):  # such as the description of a stand task
         return diagnostic_text(value.phrase())
@@ -64,9 +65,9 @@ def value_cell(value: object) -> Cell:
 def _write_value(value: object) -> str:
     """Return the text of a value, with all entries of lists, mappings and arrays that are short.
 
-    Short is up to `MAX_SHOWN_ENTRIES` entries, for arrays also up to two dimensions; other
-    containers are replaced by their size or shape. Nested containers and results are written in the
-    same way, floats with six digits.
+    A container is short if it has up to `MAX_SHOWN_ENTRIES` entries; a short array also has at most
+    two dimensions. Other containers are replaced by their size or shape. Nested containers and
+    results are written in the same way, floats with six digits.
     """
     if isinstance(value, str) and not isinstance(value, Enum):
         return value
@@ -112,8 +113,9 @@ def make_fields_document(result: Result) -> doc.Document:
 
 
 _PACKAGE_NAME = "pupper_analysis"
-"""Name of the top package. The search for the module ``document`` that builds the report of a
-result goes up the parent packages of the result's class, and ends below this package."""
+"""Name of the top package. A module ``document`` with the builder of a result is searched in the
+package of the result's class and in its parent packages. The search ends below the top package.
+"""
 
 
 @singledispatch
@@ -124,7 +126,8 @@ def build_document(result: object, _: Robot | None = None) -> Document:
 
     Args:
         result: Result.
-        _: Robot of the result, for views and quoted lines; None if not available.
+        _: Robot of the result. Registered builders use the robot for 3-D views, and to quote lines
+            of the model files. None if the robot is not available.
 
     Raises:
         TypeError: If ``result`` is no result.

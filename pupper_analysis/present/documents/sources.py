@@ -88,7 +88,7 @@ def quote_line(place: str | None, *paths: str) -> str:
 
 
 def _join_element_lines(rows: list[str]) -> str:
-    """Return the last of the lines ``rows`` of an XML file, from the start of its tag on.
+    """Return the tag that ends on the last of the given lines of an XML file (``rows``).
 
     If the tag starts before the last `MAX_QUOTED_LINES` lines, the last line alone is returned.
     After `MAX_QUOTED_CHARACTERS` characters, the text is cut.

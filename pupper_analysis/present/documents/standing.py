@@ -147,8 +147,8 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
 def _format_mean_loss(run: StandVerification, task: float) -> doc.Words:
     """Format the mean height loss [mm] in the last second of a run; ``task`` is a height [m].
 
-    ``run.height_loss`` is a mean over an earlier second: the last one before the velocity
-    disturbance (nudge) that tests stability.
+    ``run.height_loss`` is a mean over an earlier second: the last second before the nudge, which is
+    the velocity disturbance that tests stability.
     """
     last = run.time > run.time[-1] - MEASURING_TIME
     loss = task - float(np.mean(run.height[last]))
@@ -213,7 +213,9 @@ def simulated_table(run: StandVerification) -> doc.Table:
 
 
 SAG_QUANTITIES = ("loss-of-height", "of-it-servo-sag", "of-it-contact-softness")
-"""Catalogue keys of the quantities that the static deflection also predicts."""
+"""Catalogue keys of the height losses: total, from the servos, and from soft contacts. Both a
+simulation and the computed static deflection provide these quantities.
+"""
 
 _RUN_QUANTITIES: tuple[
     tuple[str, str, Callable[[StandVerification], float | None], str, float], ...

@@ -46,11 +46,12 @@ class Skeleton:
     """Lines that represent a robot, from MuJoCo's kinematics of the MJCF, in the world frame [m].
 
     Attributes:
-        legs: {foot: points of shape (n, 3)}: joints from the base to the foot, then the contact
-            point of the foot: the centre of the contact sphere, if the foot has one.
-        boxes: Corners of the boxes of the base, shape (n, 8, 3): of its box geoms or, without any,
-            of the bounding boxes of its geoms. Corner 4 i + 2 j + k has the signs i, j, k along
-            the edges.
+        legs: {foot: points of shape (n, 3)}. The points are the joints from the base to the foot,
+            then the contact point of the foot. If the foot has a contact sphere, the last point is
+            the centre of the sphere.
+        boxes: Corners of the boxes of the base, shape (n, 8, 3). The boxes are the box geoms of the
+            base. If the base has no box geom, they are the bounding boxes of its geoms. Corner 4 i
+            + 2 j + k has the signs i, j, k along the edges (0: negative side, 1: positive side).
     """
 
     legs: dict[str, Array]

@@ -86,8 +86,9 @@ def draw_svg(plot: Plot) -> Drawing:
 
 
 _MIN_HEIGHT_RATIO = 1e-3
-"""Smallest range of the vertical axis, relative to the largest value. On a smaller range the tick
-labels, which have six digits, would be equal."""
+"""Smallest range of the vertical axis, divided by the largest value [1]. A smaller range is
+extended to this value, because tick labels have six digits and would be equal.
+"""
 
 
 def format_axis_value(axis: Axis, value: float) -> str:
@@ -153,8 +154,10 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
 
 
 _ROUNDING_RATIO = 1e-9
-"""Magnitude of a negative value, relative to the largest value or limit, up to which the value is
-taken as a rounding error and the bar plot stays one-sided. Chosen, not tuned."""
+"""Bound [1] of the magnitude of a negative value, divided by the largest value or limit. Up to the
+bound, the value is a rounding error, and the bar plot shows only the positive side. Above the
+bound, the plot shows both sides. Chosen, not tuned.
+"""
 
 
 @draw_svg.register
@@ -162,7 +165,8 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
     """Convert a bar plot to a drawing: a row per bar, with name, value, limit and marker.
 
     The width is `PLOT_WIDTH` [CSS pixels]; the height depends on the number of bars. The axis
-    extends to the largest magnitude of a value or limit; in both directions if a value is negative.
+    extends to the largest magnitude of a value or limit. It extends in both directions if a value
+    is negative.
     """
     axis, bars = plot.axis, plot.bars
     shown = [_shorten_name(bar.name) for bar in bars]

@@ -132,8 +132,8 @@ class FootJacobian(Result):
             axes.
         singular_values: Singular values of the matrix, shape (min(3, n),), in descending order
             (m/rad).
-        condition: Ratio of the largest to the smallest singular value: 1 is isotropic, infinity
-            singular or without joints.
+        condition: Ratio of the largest to the smallest singular value: 1 if the Jacobian is
+            isotropic, infinity if it is singular or the leg has no joints.
     """
 
     joints: tuple[str, ...]
@@ -160,13 +160,13 @@ class Analysis(Result):
             None for a leg without joints.
         joints: Summary of each joint, in actuator order.
         notes: Assumptions on loading.
-        stand: Stand with the feet sunk into MuJoCo's soft ground (its ``depths``); on rigid ground
-            if that stand is out of reach, or the depths of a robot with closed loops do not
-            converge.
+        stand: Stand on MuJoCo's soft ground, with the penetration of the feet in ``depths``. It is
+            the stand on rigid ground in two cases: the stand on soft ground is out of reach, or the
+            depths of a robot with closed loops do not converge.
         statics: Torques and contact forces of the stand, with minimum tangential forces.
         min_max_torque: Torques and contact forces with the smallest peak motor utilisation.
-        hanging_torques: Motor torques in the same configuration with the base held, shape (nu,)
-            (N m or N).
+        hanging_torques: Motor torques in the same configuration if the base is held and the feet
+            carry no load, shape (nu,) (N m or N).
         foot_jacobians: {foot: Jacobian of the leg}.
         verification: Simulation of the stand with feed-forward.
         sagging: Simulation of the stand without feed-forward.

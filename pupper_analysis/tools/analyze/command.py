@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 _FIGURE_FILES = kinds.Folder(
     dict.fromkeys(("torques.png", "heights.png", "gains.png", "variants.png"), kinds.PICTURE_KIND)
 )
-"""Figures that are written in addition to the pose of each robot."""
+"""Figures that ``analyze`` writes in addition to the figure of each robot's pose."""
 
 
 @shared.command("analyze")

@@ -36,19 +36,25 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.analyze.gain_sweep import GainSweep
 
 NUM_COLUMNS = 2
-"""Panels in a row: with three, the labels are illegible at the width of a printed page."""
+"""Number of panels in a row of a figure. With three panels, the labels are illegible at the width
+of a printed page.
+"""
 
 MIN_SHOWN_DEVIATION = 1e-4
-"""Height deviation [mm] at the lower end of the colour scale. Chosen, not tuned: a tenth of a
-micrometre is far below what a robot can measure, so smaller values need no separate colours."""
+"""Height deviation [mm] at the lower end of the colour scale. Smaller deviations have the same
+colour, since a tenth of a micrometre is far below the resolution of a robot's sensors. Chosen, not
+tuned.
+"""
 
 MIN_SHOWN_LOSS = 0.1
-"""Height loss [mm] to which the vertical axis extends at least. Chosen, not tuned: smaller losses
-are rounding errors in a picture."""
+"""Smallest range of the vertical axis [mm of height loss]. If all losses are smaller, the axis
+still extends to this value, so that rounding errors are not enlarged. Chosen, not tuned.
+"""
 
 _LOSS_WINDOW = 1.0
-"""Length [s] of the interval at the end of a simulation over which the difference between base
-height and height of the stand is averaged, for the number in the legend. Chosen, not tuned."""
+"""Length [s] of the interval at the end of a simulation. The legend states the mean difference
+between base height and height of the stand in this interval. Chosen, not tuned.
+"""
 
 
 def write_torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
@@ -236,7 +242,9 @@ def _group_joints(analysis: Analysis) -> dict[str, list[int]]:
 
 
 def _join_common_parts(names: Sequence[str]) -> str:
-    """Return the common parts of joint names, separated by underscores, or else the first name.
+    """Return the parts of joint names that all names have in common; without any, the first name.
+
+    The parts of a name are separated by underscores.
 
     For ``leg_front_l_1`` and ``leg_back_r_1`` the result is ``leg_1``.
     """
@@ -368,8 +376,9 @@ def _draw_heat_map(axes: Axes, sweep: GainSweep, scale: LogNorm, units: JointUni
 
 
 _MIN_BRIGHT_FRACTION = 0.6
-"""Fraction of the colour scale (0 to 1) above which viridis is bright, so that the number in a cell
-of the heat map is written in black instead of white."""
+"""Position on the colour scale of the heat map, 0 to 1. Above this position, the colour map viridis
+is bright, and the number in a cell is written in black instead of white.
+"""
 
 
 def _format_deviation(value: float) -> str:

@@ -234,7 +234,7 @@ def _report_fall(without: StandVerification) -> Iterable[doc.Words]:
 def _make_structure_blocks(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
     """Yield the model data: sizes, mass, CoM and leg lengths, then the tables of joints and masses.
 
-    ``robot`` is named with its files; None if not available.
+    If ``robot`` is not None, its files are named as well.
     """
     yield doc.Lines(
         (
@@ -363,8 +363,8 @@ def _make_jacobian_table(analysis: Analysis) -> doc.Block:
 def _make_check_table(analysis: Analysis) -> doc.Block:
     """Create the table of the cross-check, a row per compared quantity.
 
-    The columns are place and pair of evaluations with the largest relative deviation, the
-    deviation, and whether it is within the tolerance.
+    The columns belong to the largest relative deviation of the quantity. They are the element, the
+    pair of evaluations, the deviation, and whether the deviation is within the tolerance.
     """
     check = analysis.check
     rows: list[tuple[doc.Cell, ...]] = []
@@ -523,8 +523,8 @@ def compare_with_base(
         analysis: Analysis.
         base: Name of the base model, or the robot's files.
         mass: Mass of the base model [kg]; None for a robot from files.
-        thigh: Thigh length of the base model [m]; None for a robot from files, or if it has no
-            thigh.
+        thigh: Thigh length of the base model [m]. None for a robot from files, or if the base model
+            has no thigh.
     """
     assert analysis.stand.task.height is not None
     return ComparisonRow(

@@ -1,7 +1,7 @@
 """The picture of robots side by side, rendered by MuJoCo.
 
-All robots have one scale. Each stands on a piece of ground, with its name, leg length and mass
-below it; a scale bar is in the lower left corner of the picture.
+All robots are drawn at the same scale, each on a piece of ground. Name, leg length and mass are
+written below each robot. A scale bar is in the lower left corner of the picture.
 """
 
 from __future__ import annotations
@@ -57,8 +57,9 @@ _TILE_MARGIN = 0.09
 LABEL_HEIGHT = 0.125
 """Height of the text below a robot, relative to the tile width. Chosen, not tuned."""
 _GROUND_MARGIN = 0.5
-"""Distance from the surface of the outermost feet to the edge of the drawn ground, in radii of the
-largest foot. Chosen, not tuned."""
+"""Margin of the drawn ground around the outermost feet, divided by the radius of the largest foot
+[1]. Chosen, not tuned.
+"""
 GROUND_COLOUR = "#DDE2E9"
 """Colour of the drawn ground."""
 _MAX_BAR_LENGTH = 0.3
@@ -178,11 +179,13 @@ def _bound_ground(lines: Skeleton, radius: float) -> Array:
 BACKGROUND_COLOUR = "#EEF1F5"
 """Colour of the picture's background."""
 _OVERSAMPLING_FACTOR = 2
-"""Rendered pixels per pixel of the picture, in each direction, against jagged edges. Chosen, not
-tuned."""
+"""Number of rendered pixels per pixel of the picture, in each direction. Averaging these pixels
+avoids jagged edges. Chosen, not tuned.
+"""
 _HIDDEN_GROUP = 5
-"""Geom group to which the planes of the MJCF are moved, so that the picture omits them: the
-renderer shows groups 0 to 2 only."""
+"""Geom group to which the planes of the MJCF are moved. The picture omits this group, because the
+renderer shows only groups 0 to 2.
+"""
 _DISABLING_VALUES = ("disable", "disabled", "off", "false", "0")
 """Values of MUJOCO_GL that disable OpenGL."""
 
@@ -245,10 +248,10 @@ def render_tiles(tiles: Sequence[Tile]) -> tuple[list[Pixels], str, str | None]:
 def _list_backends() -> tuple[str, ...]:
     """Return the modules of ``mujoco`` that may provide OpenGL, in the order in which to try them.
 
-    This is the module that MUJOCO_GL names, or the usual modules of the operating system if
-    MUJOCO_GL names none. Empty if MUJOCO_GL disables OpenGL.
+    If the environment variable MUJOCO_GL names a backend, only its module is returned. Otherwise
+    the usual modules of the operating system are returned. Empty if MUJOCO_GL disables OpenGL.
 
-    MuJoCo reads MUJOCO_GL on import, which is too early for a choice in this process.
+    This process cannot select a backend by MUJOCO_GL, because MuJoCo reads the variable on import.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted in _DISABLING_VALUES:
@@ -433,8 +436,8 @@ def _write_label(canvas: Axes, tile: Tile) -> None:
 def _draw_scale_bar(canvas: Axes, tile: Tile, picture_height: int) -> None:
     """Draw a bar of a round length in the lower left corner of the picture.
 
-    The bar is true for lengths across the image: vertical lengths appear shortened by the cosine of
-    `CAMERA_ELEVATION`.
+    The bar is to scale for lengths parallel to the image's x axis. Vertical lengths are shortened
+    by the cosine of `CAMERA_ELEVATION`.
     """
     longest = _MAX_BAR_LENGTH * tile.width / tile.scale
     power = 10.0 ** math.floor(math.log10(longest))

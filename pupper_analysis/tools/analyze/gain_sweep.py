@@ -1,9 +1,9 @@
 """Height deviation of a disturbed stand, for a grid of servo gains.
 
-Inputs are a robot, a stand, and values of kp and kd. Each pair is simulated in MuJoCo under a
-sinusoidal vertical force on the base, whose amplitude may be 0. Outputs are, for each pair, the
-standard deviation of the base height in the last second, and whether the robot stays at rest
-without the force.
+Inputs are a robot, a stand, and values of kp and kd. Each pair of gains is simulated in MuJoCo
+under a sinusoidal vertical force on the base. The amplitude of the force may be 0. The outputs for
+each pair are the standard deviation of the base height in the last second, and whether the robot
+stays at rest without the force.
 """
 
 from __future__ import annotations
@@ -52,8 +52,9 @@ GainPair = tuple[float, float]
 """kp [N m/rad] and kd [N m s/rad] of all servos in a simulation."""
 
 GAIN_FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
-"""Ratios between the default gains of a sweep (kp or kd) and the median gain of the model. Chosen,
-not tuned."""
+"""Factors on the median gain of the model (kp or kd) [1]. The products are the default values of a
+gain sweep. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +67,9 @@ class GainSweep(Tabular):
         height_deviation: Standard deviation of the base height in the last second, shape (n, m)
             (m); infinite if the robot fell or the simulation diverged.
         fell: True if the robot fell or the simulation diverged, shape (n, m).
-        lasts: True if the undisturbed robot comes to rest and ``Stability.is_stable_for`` holds
-            there, shape (n, m): no mode grows so fast that the robot leaves the rest within 12 s.
+        lasts: True if the undisturbed robot comes to rest and remains at rest, shape (n, m). It
+            remains at rest if no mode grows so fast that the robot leaves the rest within 12 s
+            (``Stability.is_stable_for``).
         amplitude: Amplitude of the force on the base (N).
         frequency: Frequency of the force (Hz).
         duration: Simulated time (s).
@@ -119,9 +121,9 @@ def sweep_gains(
     amplitude sin(2 pi frequency t), from the first step. All pairs run in parallel, on all cores.
     The default integrator treats kd implicitly; the Euler integrator oscillates at high kd.
 
-    No pair is called the best: the base moves less with stiffer servos, and the simulation has
-    neither the delay nor the noise that bound the stiffness on a robot. ``lasts`` is False for
-    pairs with which the robot does not stay at rest without the force.
+    The result does not name a best pair. The base moves less with stiffer servos, but the
+    simulation has no delay and no noise, which limit the stiffness on a real robot. ``lasts`` is
+    False for pairs with which the robot does not stay at rest without the force.
 
     Args:
         robot: Robot.
@@ -179,8 +181,8 @@ def _choose_values(given: Sequence[float] | None, own: Array | None) -> list[flo
 
     Args:
         given: Values that the caller passed; None for the default.
-        own: Gains of the model's servos, shape (nu,); required without ``given``. The default is
-            the median of these gains times ``GAIN_FACTORS``.
+        own: Gains of the model's servos, shape (nu,). Required if ``given`` is None: the values are
+            then the median of these gains times ``GAIN_FACTORS``.
     """
     if given is not None:
         return [float(value) for value in given]

@@ -14,7 +14,7 @@ from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 
 _COMMON_OPTIONS = {"source", "output", "packages", "json_path", "style", "everything", "force"}
-"""Parameters of the command that are used for every output format."""
+"""Parameters of the command that have an effect for both output formats."""
 _MJCF_OPTIONS = {
     *("feet", "fixed_base", "armature", "repair_inertia", "copy_meshes"),
 }

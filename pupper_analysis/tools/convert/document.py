@@ -111,18 +111,19 @@ def _describe_checks(conversion: Conversion) -> Iterable[doc.Words]:
 
 
 MAX_REST_FRACTION = 0.01
-"""Speed at the end of a simulation, relative to the speed of the disturbance (nudge) at its start,
-up to which the robot counts as at rest even if a slow mode remains in theory: dry friction stops
-it. Chosen, not tuned."""
+"""Bound of the ratio between the speed at the end of a simulation and the speed of the nudge (the
+disturbance at the start) [1]. Up to the bound, the robot counts as at rest, even if the linear
+model has a slowly decaying mode: dry friction stops the motion. Chosen, not tuned.
+"""
 
 
 def _describe_recovery(conversion: Conversion) -> Iterable[doc.Words]:
     """Describe the recovery of a new MJCF from a velocity disturbance (nudge) at its keyframe.
 
-    Nothing is yielded if the robot does not stand, or no mode is the least damped. If more than
-    `MAX_REST_FRACTION` of the nudge is left after the simulated time t, the least damped mode must
-    decay to 1/e within t: with damping ratio z and frequency f, 2 pi f z t >= 1. Otherwise its
-    decay time [s] is stated as a warning.
+    Nothing is yielded if the robot does not stand, or if there is no least damped mode. The least
+    damped mode must decay to 1/e within the simulated time t: 2 pi f z t >= 1, with damping ratio z
+    and frequency f. If it does not, and more than `MAX_REST_FRACTION` of the nudge is left after t,
+    its decay time [s] is stated as a warning.
     """
     kept, run = conversion.kept, conversion.verification
     if kept is None or kept.failures or run is None or not run.passed:

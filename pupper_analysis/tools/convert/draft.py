@@ -76,10 +76,10 @@ class ConversionDraft:
         repairs: Repaired inertials.
         urdf: Source URDF with repaired inertials, with which a new MJCF is compared. None for a new
             URDF.
-        stands: True for a new MJCF with a free base, whose stand must be verified.
+        stands: True for a new MJCF with a free base. The stand of such a robot must be verified.
         failure: Reason why the robot does not stand, if already known.
         lost: Missing parts that make the conversion fail, for example collision meshes.
-        on_balls: Joints whose feet touch with balls that replace meshes; a note reports them.
+        on_balls: Joints whose foot has a collision sphere in place of a mesh; a note reports them.
     """
 
     text: str
@@ -244,9 +244,9 @@ def draft_mjcf(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
         Text, mesh files, additions, losses and repairs.
 
     Raises:
-        ModelError: If no joint moves, the URDF cannot be converted (for example an invalid inertial
-            without `MjcfOptions.repair_inertia`), MuJoCo cannot represent the robot, or feet are
-            named with which the robot cannot be built.
+        ModelError: If no joint moves, if MuJoCo cannot represent the robot, or if the robot cannot
+            be built with the feet that ``options`` name. Also if the URDF cannot be converted, for
+            example because of an invalid inertial without `MjcfOptions.repair_inertia`.
     """
     free = None if options.fixed_base is None else not options.fixed_base
     bare = ConvertedMjcf.from_urdf(urdf, output, options, free=free)
@@ -363,8 +363,8 @@ def _find_joints_on_balls(robot: Robot) -> frozenset[str]:
 def _convert_start_pose(addition: Addition, published: PublishedModel, robot: Robot) -> Addition:
     """Return the addition of a start pose with qpos in the coordinates of the new file.
 
-    `load_robot` may move the frame of a base whose origin is below the feet; the new file keeps the
-    original frame. Other additions are returned unchanged.
+    If the origin of the base frame is below the feet, `load_robot` may move the frame. The new file
+    keeps the original frame, so qpos is converted. Other additions are returned unchanged.
     """
     if not isinstance(addition, StartKeyframe):
         return addition
@@ -377,8 +377,8 @@ def _convert_start_pose(addition: Addition, published: PublishedModel, robot: Ro
 def _add_fixed_base_additions(bare: ConvertedMjcf, options: MjcfOptions) -> list[Diagnostic]:
     """Add the additions of a loaded robot with a fixed base, such as servos, to the new MJCF.
 
-    Floor and start keyframe are left out. Return a note for each addition; without a joint, a note
-    that nothing moves.
+    Floor and start keyframe are left out. The result contains a note for each addition. If the
+    robot has no joint, it contains a note that nothing moves.
     """
     mjcf = NewMjcf(bare.mjcf.root)
     if not mjcf.joints:
@@ -449,8 +449,9 @@ def _add_imu(mjcf: NewMjcf, bodies: UrdfBodies) -> Diagnostic:
 def _lift_base(mjcf: NewMjcf, bodies: UrdfBodies, model: mujoco.MjModel) -> None:
     """Raise the base so that no collision shape is below the ground at zero joint positions.
 
-    A simulation that starts without the keyframe would otherwise throw the robot upward. The height
-    of the base is rounded to a micrometre, and at least the height in the keyframe.
+    Otherwise, in a simulation that does not start from the keyframe, contact forces would throw the
+    robot upward. The base is raised at least to its height in the keyframe. The height is rounded
+    to a micrometre.
 
     Args:
         mjcf: New MJCF, with a keyframe if present.
@@ -591,7 +592,8 @@ def _list_losses_in_urdf(model: mujoco.MjModel, robot: frozenset[int]) -> list[D
 def _list_lost_contact_numbers(model: mujoco.MjModel, robot: frozenset[int]) -> list[Diagnostic]:
     """Report contact parameters and options of an MJCF that are lost in a URDF.
 
-    Reported are values that differ from MuJoCo's defaults; of geoms, only those that can collide.
+    Values are reported if they differ from MuJoCo's defaults. Geoms that cannot collide are
+    ignored.
 
     Args:
         model: Compiled model of the MJCF.

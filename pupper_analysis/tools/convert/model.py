@@ -81,26 +81,28 @@ def convert_model(
 ) -> Conversion:
     """Convert a URDF to an MJCF, or an MJCF to a URDF, and verify the new file.
 
-    A new MJCF keeps the numbers of the URDF that it can express: masses, products of inertia,
-    frames, position limits, damping, friction, effort limits (as force ranges), mimic joints (as
-    equalities), collision and visual shapes, mesh scales; not, for example, velocity limits.
-    Additions for the simulation of a free base: a floor, a free joint, feet, position servos,
-    contact exclusions of bodies that overlap in the stand, a keyframe ``home`` with the commands
-    that hold this configuration, an IMU. A fixed base has no floor, keyframe or IMU added. A new
-    URDF contains the numbers that MuJoCo compiles from the MJCF. Quantities that the new format
-    cannot express are listed in ``not_converted``.
+    A new MJCF keeps the numbers of the URDF that an MJCF can express. These are masses, inertia
+    tensors, frames, position limits, damping, friction, effort limits (as force ranges), mimic
+    joints (as equalities), collision and visual shapes, and mesh scales. Velocity limits, for
+    example, are lost. If the base is free, a new MJCF also contains additions for simulation: a
+    floor, a free joint, feet, position servos, an IMU, and a keyframe ``home`` with the commands
+    that hold this configuration. Contacts between bodies that overlap in the stand are excluded. If
+    the base is fixed, no floor, keyframe or IMU is added. A new URDF contains the numbers that
+    MuJoCo compiles from the MJCF. Quantities that the new format cannot express are listed in
+    ``not_converted``.
 
     Args:
-        source: Path of the URDF or MJCF, name of a published robot, or a robot in memory, as for
-            ``load_robot``; of a variant, the model that has another format than ``output``. For an
-            MJCF, only ``output``, ``packages`` and ``force`` may be passed in addition.
+        source: Path of the URDF or MJCF, name of a published robot, variant, or a robot in memory,
+            as for ``load_robot``. Of a variant, the model in the other format than ``output`` is
+            converted. If the source is an MJCF, only ``output``, ``packages`` and ``force`` may be
+            passed in addition.
         output: Path of the new file.
         feet: Links of the feet, or the link for each foot name. Default: detected as by
             ``load_robot``.
         fixed_base: Fix the base in the world. Default: False for a base with two or more limbs that
             is not named ``world``.
-        armature: Rotor inertia [kg m^2] for each joint. Default: that of a ``pin.Model``, otherwise
-            none.
+        armature: {joint: rotor inertia [kg m^2]}. Default: the rotor inertias of the source if it
+            is a ``pin.Model``, otherwise none.
         repair_inertia: Replace physically impossible inertias of moving links by the nearest
             possible inertias, and masses of zero by 1 g. Default: such links are refused.
         copy_meshes: Copy all meshes to the folder ``NAME_meshes`` beside the new file. Default: the
@@ -112,8 +114,8 @@ def convert_model(
         Written files, notes, and the results of the verification.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or an option of new MJCFs is passed for
-            an MJCF.
+        ConfigurationError: If an argument is out of range. Also if ``source`` is an MJCF, and an
+            argument is passed that only concerns new MJCFs.
         VariantError: If ``source`` is probably a misspelled variant name.
         ModelError: For example, if the source cannot be read, the other format cannot represent the
             robot, or the URDF has no joint of ``armature``.
@@ -222,7 +224,8 @@ def _read_converted_pair(
 ) -> tuple[UrdfFile, MjcfFile]:
     """Return URDF and MJCF of a conversion: the source, and the new file as read from ``output``.
 
-    The URDF of a new MJCF is that of the draft, whose impossible inertials may be repaired.
+    If the new file is an MJCF, the returned URDF is that of the draft. In this URDF, impossible
+    inertials may be repaired.
     """
     if isinstance(file, MjcfFile):
         return read_urdf(output), file
@@ -273,8 +276,8 @@ def _make_converted_robot(
 ) -> Robot:
     """Return the robot of source and new file, with a free base if the MJCF has one.
 
-    The base is fixed for a new MJCF that need not stand, and for a new URDF of a robot that cannot
-    be prepared with a free base, for example without feet.
+    The base is fixed in two cases. A new MJCF is not required to stand; or the robot of a new URDF
+    cannot be prepared with a free base, for example without feet.
     """
     if draft.urdf is None:
         with contextlib.suppress(ModelError):

@@ -138,9 +138,10 @@ def _select_next_step(study: GainStudy) -> NextStep:
 def _make_class_table(study: GainStudy) -> doc.Table:
     """Create the table of the joint classes (joints with equal gains), a row per class.
 
-    The columns are kp: present, smallest, limit by the torque, recommended; and kd: present,
-    largest, largest if it alone is scaled, limit by the encoder, recommended. The units are those
-    of the joints: N m/rad, or N/m for slides, and so on.
+    The columns of kp are the present value, the smallest stable value, the limit by the torque and
+    the recommended value. The columns of kd are the present value, the largest stable value if all
+    classes are scaled, the largest stable value if only this class is scaled, the limit by the
+    encoder and the recommended value. Units are N m/rad and N m s/rad, or N/m and N s/m for slides.
     """
     rows: list[tuple[doc.Cell, ...]] = [
         (
@@ -240,7 +241,7 @@ def _name_first_joints(bound: GainBound) -> doc.Words:
 def gain_plot(study: GainStudy) -> doc.LinePlot:
     """Create the plot of the largest stable damping over the stiffness, with present gains.
 
-    Recommended gains are marked, too, if there are any; points without a finite bound are left out.
+    Recommended gains are also marked, if there are any. Points without a finite bound are left out.
     Axes are absolute if all joints have equal gains, otherwise factors on the present gains.
     """
     kp, kd = (study.classes[0].kp, study.classes[0].kd) if study.uniform else (1.0, 1.0)

@@ -61,9 +61,10 @@ from pupper_analysis.stance.stand import Stand, resolve_stance
 from pupper_analysis.stance.task import StandTask
 
 _SIMULATED_TOLERANCE = 0.02
-"""Relative tolerance of the bisection for the gains at which simulated stands begin to fail. Larger
-than `FACTOR_TOLERANCE`, since a simulation takes longer than the linear model. Chosen, not
-tuned."""
+"""Relative tolerance [1] of the bisection for the gains at which simulated stands begin to fail. It
+is larger than `FACTOR_TOLERANCE`, the tolerance for the linear model, since a simulation takes
+longer. Chosen, not tuned.
+"""
 
 _SIMULATED_RANGE = 2.0
 """Ratio of the ends of the bisection in simulation to the bound of the linear model: the simulated
@@ -78,13 +79,16 @@ GAIN_MARGIN = 2.0
 2008, section 9.3)."""
 
 MIN_DAMPING_RATIO = 0.5
-"""Lower bound of the damping ratio of each oscillation with the recommended damping. If no damping
-within the stability margins reaches the bound, the damping with the largest ratio is recommended.
-0.5 is an overshoot of 16 %; chosen, not tuned."""
+"""Required damping ratio [1] of each oscillation with the recommended damping. If no damping within
+the stability margins reaches this ratio, the damping with the largest ratio is recommended. A ratio
+of 0.5 causes an overshoot of 16 %. Chosen, not tuned.
+"""
 
 MAX_NOISE_RATIO = 0.1
 """Upper bound of the torque that kd causes if the position reading changes by one encoder count
-within a control period, relative to the torque limit. Chosen, not tuned."""
+within a control period, divided by the torque limit [1]. It limits
+``JointClass.largest_kd_of_encoder``. Chosen, not tuned.
+"""
 
 MIN_ENCODER_BITS, MAX_ENCODER_BITS = 6, 32
 """Bounds of the accepted resolution of a joint encoder [bits per turn]. Chosen, not tuned."""
@@ -105,8 +109,8 @@ class GainBound(Result):
     Attributes:
         factor: Factor on the present gains, in the linear model without dry friction; None if the
             robot is stable up to ``MAX_FACTOR``, or down to its inverse.
-        simulated: Factor found by simulation of the unmodified model; None if not within a ratio of
-            2 from ``factor``, or without ``factor``.
+        simulated: Factor found by simulation of the unmodified model. None if ``factor`` is None,
+            or if no bound was found between 1/2 and 2 times ``factor``.
         frequency: Frequency of the mode that grows beyond the bound (Hz); 0 without oscillation.
         joints: Joints that move most in this mode, largest first.
     """
@@ -133,10 +137,11 @@ class JointClass(Result):
         largest_kd_alone: Largest stable damping, if only the damping of this class changes
             (N m s/rad or N s/m); None without a bound, or if ``kd`` is 0.
         largest_kp_of_torque: Stiffness with which the requested position error reaches the torque
-            limit (N m/rad or N/m); None without an error or a positive limit, and of slides.
-        largest_kd_of_encoder: Damping with which one encoder count per control period is
-            ``MAX_NOISE_RATIO`` of the torque limit (N m s/rad or N s/m); None without encoder or a
-            positive limit, and of slides.
+            limit (N m/rad or N/m). None if no error was requested, if there is no positive limit,
+            and for slides.
+        largest_kd_of_encoder: Damping with which one encoder count per control period causes a
+            torque of ``MAX_NOISE_RATIO`` times the torque limit (N m s/rad or N s/m). None if no
+            encoder was stated, if there is no positive limit, and for slides.
         recommended_kp: Recommended stiffness (N m/rad or N/m); None without a recommendation.
         recommended_kd: Recommended damping (N m s/rad or N s/m); None without a recommendation.
         are_slides: Whether the joints are slides.
@@ -174,8 +179,8 @@ class GainStudy(Result):
         timestep: Time step of the model (s).
         period: Control period (s).
         delay: Delay between measurement and effect of a command (s).
-        error: Position error for which the motors of hinges must have torque (rad); None: not
-            requested.
+        error: Position error at which the servo torque of hinges must not exceed the torque limit
+            (rad); None if not requested.
         encoder_bits: Number of bits of the encoders: 2^bits counts per turn; None: not
             requested.
         classes: Joint classes with their bounds.
@@ -184,8 +189,8 @@ class GainStudy(Result):
         largest_kd: Upper bound of the damping.
         least_kp_alone: Smallest stiffness, equal at all joints, with which the robot stands without
             feed-forward (N m/rad or N/m); None if there is none, or the base is fixed.
-        sag_failure: Reason for which the robot does not stand with the present stiffness without
-            feed-forward; None if it stands, or the base is fixed.
+        sag_failure: Reason why the robot does not stand with the present stiffness if there is no
+            feed-forward. None if the robot stands, or if the base is fixed.
         worst: Mode with the largest growth rate at the present gains.
         damping_ratio: Smallest damping ratio of an oscillation at the present gains.
         curve_factors: Factors on the stiffness of the curve, shape (n,).
@@ -282,7 +287,8 @@ def study_gains(
         kd: Present damping [N m s/rad], scalar or shape (nu,); default: kd of the model.
         rate: Control rate [Hz]; default: one command per time step of the model.
         delay: Time between measurement and effect of a command [s].
-        error: Position error [rad] for which the motors of hinges must have torque.
+        error: Position error [rad] at which the servo torque of hinges must not exceed the torque
+            limit. It bounds kp. Default: no such bound.
         encoder_bits: Resolution of the encoders of hinges [bits per turn]. Velocities are computed
             from differences of the readings.
 
@@ -370,8 +376,8 @@ def _find_common_bounds(
         num_parts: Number of parts of the stage, for reports of progress.
 
     Returns:
-        Smallest and largest stable factor on kp, None if not found; smallest kp; largest kp;
-        largest kd.
+        Four results: (smallest, largest) stable factor on kp, each None if not found; bound of the
+        smallest kp; bound of the largest kp; bound of the largest kd.
     """
     stiffness, damping = stable_pair
 
@@ -421,8 +427,8 @@ def _check_resolution(error: float | None, encoder_bits: int | None) -> None:
 def _check_motor_torques(held: StandStart) -> None:
     """Raise a ModelError if the torque limit of a motor is smaller than the torque of the stand.
 
-    Gains do not change the limit. If a loaded motor has a limit of zero, the error names the motors
-    with a limit of zero.
+    No gains can prevent this failure. If a loaded motor has a limit of zero, the error names the
+    motors with a limit of zero.
     """
     robot, statics = held.robot, held.prediction
     null = describe_zero_torque_limits(robot)
@@ -469,8 +475,8 @@ class _Gains:
     def find_stable_pair(self) -> tuple[float, float]:
         """Find a stable pair of factors on stiffness and damping, both powers of two.
 
-        Pairs are tried in the order of their distance from (1, 1), the sum of the absolute
-        exponents.
+        Pairs are tried in the order of their distance from (1, 1). The distance is the sum of the
+        absolute values of both exponents.
 
         Raises:
             ConfigurationError: If no pair within `MAX_FACTOR` is stable.
@@ -492,8 +498,9 @@ class _Gains:
             inside: A stable factor.
 
         Returns:
-            Lower and upper end: the last stable factors of a bisection. An end is None if all tried
-            factors up to ``MAX_FACTOR`` (or down to its inverse) are stable.
+            Lower and upper end of the interval, each the last stable factor of a bisection. The
+            upper end is None if all tried factors up to ``MAX_FACTOR`` are stable. The lower end is
+            None if all tried factors down to its inverse are stable.
         """
         return self._find_end(gains, inside, 0.5), self._find_end(gains, inside, 2.0)
 
@@ -528,8 +535,8 @@ class _Gains:
     ) -> GainBound:
         """Create the result of one stability bound of the gains.
 
-        The result contains the bound of the linear model, the mode that is unstable 5 % beyond this
-        bound, and the bound found by simulation.
+        The result contains the bound of the linear model, the mode that grows if the factor is 5 %
+        beyond this bound, and the bound found by simulation.
 
         Args:
             factor: Factor on the gains at the bound of the linear model; None without a bound.
@@ -570,8 +577,8 @@ class _Gains:
 
         The factor on the stiffness is 1, or the nearest factor within the margins. The factor on
         the damping is the smallest tried factor with which each oscillation has a damping ratio of
-        at least ``MIN_DAMPING_RATIO``; if no factor reaches this ratio, the factor with the largest
-        damping ratio.
+        at least ``MIN_DAMPING_RATIO``. If no factor reaches this ratio, it is the factor with the
+        largest ratio.
 
         Args:
             stiffness: Lower and upper bound of the factor on the stiffness; None without a bound.
@@ -625,8 +632,8 @@ class _Gains:
             largest_kd: Upper bound of the damping of all joints.
             stable_pair: Stable factors on the stiffness and damping of all joints.
             recommended: Recommended factors on stiffness and damping.
-            error: Position error of hinges for which the motors must have torque [rad]; None if
-                not requested.
+            error: Position error at which the servo torque of hinges must not exceed the torque
+                limit [rad]; None if not requested.
             encoder_bits: Encoder resolution of hinges [bits per turn]; None if not requested.
         """
         kp, kd = float(self.kp[members[0]]), float(self.kd[members[0]])

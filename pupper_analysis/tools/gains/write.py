@@ -16,7 +16,9 @@ from pupper_analysis.tools.gains.gains import GainStudy
 from pupper_analysis.tools.sync.numbers import WrittenNumbers, write_numbers
 
 _NUM_DIGITS = 3
-"""Significant digits of the written gains: their bounds are known to 0.5 %."""
+"""Number of significant digits of the written gains. More digits have no meaning, since the bounds
+of the gains are known to 0.5 %.
+"""
 
 
 def write_gains(

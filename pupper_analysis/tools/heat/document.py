@@ -29,8 +29,9 @@ _LIMIT_TEMPERATURE = "limit_temperature"
 """Name of the largest permitted temperature of the winding in `MotorHeat.unknown`."""
 
 _EXAMPLE_LIMIT = 100.0
-"""Limit temperature [degC] of the next command if a motor's data lack it, as an example that the
-user replaces. Chosen, not tuned."""
+"""Example of a limit temperature [degC]. It is part of the proposed next command if the data of a
+motor lack the limit; the user replaces the value. Chosen, not tuned.
+"""
 
 
 @build_document.register(HeatStudy)
@@ -70,8 +71,9 @@ def _select_verdict(study: HeatStudy) -> str:
 def _select_next_step(study: HeatStudy) -> NextStep:
     """Return the command to run next.
 
-    `best` if a motor is too weak or overheats, `payload` if the study passes, `heat` with an
-    example of ``--limit`` if only the limit temperature is unknown, otherwise `stand`.
+    If a motor is too weak or overheats, this is `best`. If the study passes, it is `payload`. If
+    only the limit temperature is unknown, it is `heat` with an example of ``--limit``. Otherwise it
+    is `stand`.
     """
     if study.overheats or study.weak:
         return NextStep("best", ("utilisation",))
@@ -90,10 +92,10 @@ def _format_minutes(seconds: float) -> str:
 def _describe_first_motor(motor: MotorHeat) -> doc.Words:
     """State the result of the motor that the report names first.
 
-    If the motor is too weak, this is the largest torque of the motor. If the final temperature or
-    the limit is unknown, this is the comparison with the continuous torque, if known. Otherwise
-    this is the time to the temperature limit, or the final temperature, or a temperature that rises
-    without bound.
+    If the motor is too weak, the text states the largest torque of the motor. If the final
+    temperature or the limit is unknown, it compares the torque with the continuous torque, if
+    known. Otherwise it states the time to the temperature limit, the final temperature, or that the
+    temperature rises without bound.
     """
     time, final = motor.time_to_limit, motor.steady_temperature
     values = {
@@ -154,7 +156,7 @@ def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
 def _describe_losses(study: HeatStudy) -> Iterable[doc.Words]:
     """Yield the copper loss of all motors, and current and time of the battery if known and finite.
 
-    If the loss is unknown, since motors are too weak, the number of weak motors is yielded.
+    If motors are too weak, the loss is unknown, and the number of weak motors is yielded instead.
     """
     if study.loss is None:
         yield text("heat-weak-count", count=len(study.weak), total=len(study.motors))
@@ -216,8 +218,8 @@ def heat_plots(study: HeatStudy) -> list[doc.LinePlot]:
     """Return the plot of the temperatures over time.
 
     Raises:
-        ConfigurationError: If no temperature of a loaded motor is known, or none rises to its limit
-            or final value in a positive time.
+        ConfigurationError: If no temperature of a loaded motor is known. Also if no temperature
+            takes a positive time to rise to its limit or final value.
     """
     plots = list(_list_plots(study))
     if not plots:

@@ -36,12 +36,15 @@ _MAX_DURATION = 86400.0
 """Largest duration of the curves [s]: a day. Chosen, not tuned."""
 
 _SETTLED_FRACTION = 0.95
-"""Fraction of the final rise of the temperature at which the curve of a motor that stays within its
-limit ends. Chosen, not tuned."""
+"""Fraction [1] of the final temperature rise of a motor. If a motor stays within its limit, its
+curve ends when the temperature has risen by this fraction. Chosen, not tuned.
+"""
 
 TEMPERATURE_RANGE = (-60.0, 300.0)
-"""Lowest and highest accepted ambient and limit temperature [degC]; outside, `_check_conditions`
-raises an error. Chosen: insulation of windings ends at 250 degC."""
+"""Lowest and highest accepted temperature [degC], for the ambient temperature and the limit.
+Outside of this range, `_check_conditions` raises an error. Chosen, not tuned: the insulation of
+windings withstands at most 250 degC.
+"""
 
 
 @dataclass(frozen=True)
@@ -66,9 +69,9 @@ class MotorHeat(Result):
         continuous_torque: Largest permanent torque (N m), at most ``largest_torque``: from the
             thermal numbers, otherwise from the data sheet; None if unknown.
         largest_torque: Largest torque of the motor at rest (N m); None if unknown.
-        limiting_number: Number of the motor that limits the largest torque; empty if unknown.
-        unknown: Unknown numbers of the motor that the answer needs; empty if the motor cannot exert
-            the torque.
+        limiting_number: Name of the motor data that limits the largest torque; empty if unknown.
+        unknown: Names of the motor data that the answer needs and that are unknown. Empty if the
+            motor cannot exert the torque.
     """
 
     joint: str
@@ -87,7 +90,7 @@ class MotorHeat(Result):
 
     @property
     def loss(self) -> float | None:
-        """Copper loss [W] at the final temperature if known and finite, otherwise cold.
+        """Copper loss [W] at the final temperature; ``cold_loss`` if that is unknown or infinite.
 
         None if the motor cannot exert the torque.
         """
@@ -104,8 +107,9 @@ class MotorHeat(Result):
     def overheats(self) -> bool:
         """Whether the winding reaches the temperature limit, or grows hotter without bound.
 
-        If the final temperature or the limit is unknown, also whether the torque exceeds the
-        continuous torque of the data sheet. False for a motor that cannot exert the torque.
+        If the final temperature or the limit is unknown, the result is also True if the torque
+        exceeds the continuous torque of the data sheet. False for a motor that cannot exert the
+        torque.
         """
         if self.too_weak:
             return False
@@ -154,9 +158,10 @@ class HeatStudy(Result):
     def first(self) -> MotorHeat:
         """Motor that reaches its limit first; if none does, the motor closest to its limit.
 
-        A motor that cannot exert its torque precedes all others. A motor that overheats at an
-        unknown time, without a known limit or by the data sheet, precedes motors that do not
-        overheat. Motors with an unknown temperature or limit follow, ordered by copper loss.
+        A motor that cannot exert its torque precedes all others. A motor may overheat at an unknown
+        time, because its limit is unknown or because only the data sheet shows it. Such a motor
+        precedes motors that do not overheat. Motors with an unknown temperature or limit follow,
+        ordered by copper loss.
         """
 
         def rank(motor: MotorHeat) -> tuple[float, float, float, float]:
@@ -185,7 +190,7 @@ class HeatStudy(Result):
 
     @property
     def known(self) -> bool:
-        """Whether each joint has a motor, and each loaded motor the numbers of an answer."""
+        """Whether each joint has a motor, and the data of all loaded motors suffice."""
         judged = all(not motor.unknown or motor.torque == 0.0 for motor in self.motors)
         return judged and not self.omitted
 
@@ -350,9 +355,9 @@ def _choose_times(
 
     The time of a motor is the time to the temperature limit, otherwise to `_SETTLED_FRACTION` of
     the final rise. If the temperature rises without bound, the time is the product of total heat
-    capacity and total thermal resistance. The longest time is cut at `_MAX_DURATION`. All times are
-    0 if no temperature is known. ``ambient`` is the temperature of the air [degC]; None: that of
-    each motor.
+    capacity and total thermal resistance. The longest time is limited to `_MAX_DURATION`. All times
+    are 0 if no temperature is known. ``ambient`` is the temperature of the air [degC]. If it is
+    None, the value in each motor's data is used.
     """
     longest = 0.0
     for heat, motor in zip(heats, motors, strict=True):
@@ -373,7 +378,8 @@ def _choose_times(
 def _compute_curve(heat: MotorHeat, motor: Motor, times: Array, ambient: float | None) -> Array:
     """Return the temperatures of a winding at ``times`` [s], shape (n,) [degC]; NaN if unknown.
 
-    ``ambient`` is the temperature of the air [degC]; None: that of the motor.
+    ``ambient`` is the temperature of the air [degC]. If it is None, the value in the motor's data
+    is used.
     """
     if heat.steady_temperature is None:
         return np.full(len(times), np.nan)

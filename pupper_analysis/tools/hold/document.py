@@ -41,8 +41,9 @@ from pupper_analysis.tools.hold.hold import VERIFIED_FRACTION, Hold, ReachLoad
 from pupper_analysis.tools.hold.worst import WorstPostures
 
 _NUM_DISTANCE_BINS = 12
-"""Number of bins of tool distances in the plot over the reach, with 50 of the 600 random postures
-each on average. Chosen, not tuned."""
+"""Number of bins of the tool's distance in the plot over the reach. Each bin contains on average 50
+of the 600 random postures. Chosen, not tuned.
+"""
 
 
 @build_document.register(Hold)
@@ -101,9 +102,10 @@ def _find_overloaded_motors(hold: Hold) -> list[str]:
 def _select_next_step(hold: Hold) -> doc.NextStep:
     """Return the next command: `hold` with the payload that all found postures hold, rounded down.
 
-    If this payload is unknown, unlimited or zero, or the posture fails, the next command is
-    `audit`, which checks the files; `crosscheck` if the difference of two files explains a failure.
-    After a failure with a payload, it is `hold` without the payload, which finds the largest.
+    There are three exceptions. If this payload is unknown, unlimited or zero, or if the posture
+    fails, the next command is `audit`, which checks the files. If a difference of the two files
+    explains a failure, it is `crosscheck`. After a failure with a payload, it is `hold` without the
+    payload, which finds the largest payload.
     """
     payload = hold.payload.worst_posture_mass
     if not hold.passed:
@@ -120,8 +122,8 @@ def _select_next_step(hold: Hold) -> doc.NextStep:
 def _describe_worst_posture(hold: Hold) -> doc.Words:
     """Return the text of the motor with the largest utilisation in all postures, and the payload.
 
-    Without a known utilisation, the largest torque of a motor is stated; with unknown limits, a
-    word replaces the payload.
+    If no utilisation is known, the text states the largest torque of a motor instead. If effort
+    limits are unknown, a word replaces the payload.
     """
     worst = hold.worst
     known = np.isfinite(worst.limits) & ~np.isnan(worst.utilisation)
@@ -443,9 +445,10 @@ def _list_findings(hold: Hold) -> Iterable[doc.Words]:
 
 
 def _list_warnings(hold: Hold) -> Iterator[doc.Words]:
-    """Yield the warnings: weak motors; unknown limits, otherwise soft servos and a failing payload.
+    """Yield the warnings on motors, effort limits, servos and payload.
 
-    The failing payload belongs to the simulation `Hold.payload_trial`.
+    Weak motors are always reported. Unknown limits are reported next; if all limits are known, soft
+    servos and a failing payload are reported instead. The failing payload belongs to the simulation `Hold.payload_trial`.
     """
     if weak := _find_overloaded_motors(hold):
         yield text("motors-weak-somewhere", joints=", ".join(weak)).with_mark("warn")

@@ -1,10 +1,10 @@
 """Compute the external forces on a tool that the motors withstand in a posture.
 
-With the static load l, the Jacobian J (3, nu) of the tool and the effort limits, an external force
-f on the tool is withstood if ``|l - J^T f| <= limits``. Loops and couplings transfer l and J^T f to
-the motors. These forces form a convex polytope (`statics.polytope`). Each face is the limit of a
-single motor. `tool_force` returns the extent along the world axes, in three plane sections, and in
-the weakest direction.
+The motors withstand an external force f on the tool if ``|l - J^T f| <= limits``. l is the static
+load, J the Jacobian of the tool, shape (3, nu), and ``limits`` are the effort limits. If the robot
+has loops or couplings, l and J^T f are the loads that these transfer to the motors. These forces
+form a convex polytope (`statics.polytope`). Each face is the limit of a single motor. `tool_force`
+returns the extent along the world axes, in three plane sections, and in the weakest direction.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ _NUM_SECTION_DIRECTIONS = 72
 class ToolForce(Tabular):
     """Largest external forces on a tool that the motors withstand in a posture.
 
-    A force is withstood if ``|l - J^T f| <= limits`` (see the module). If the static load alone
-    exceeds the limit of a motor, no force is withstood: forces are 0, also in directions that would
-    relieve that motor, or NaN if a motor that bears the force has an unknown limit.
+    The motors withstand a force if ``|l - J^T f| <= limits`` (see the module). If the static load
+    alone exceeds the limit of a motor, all forces are 0, even in directions that would relieve that
+    motor. A force is NaN instead if a motor that bears the force has an unknown limit.
 
     Attributes:
         directions: (6, 3) directions +x, -x, +y, -y, +z, -z of the force, in world axes.
@@ -45,9 +45,9 @@ class ToolForce(Tabular):
             motor bears the force.
         joints: (6,) joint of the first motor that reaches the effort limit; "" if the force is
             infinite or NaN.
-        weakest: Smallest force, over all directions, with a motor at the effort limit (N);
-            infinite if no motor bears forces. NaN if a motor that bears forces has an unknown
-            limit, unless the static load alone exceeds another limit.
+        weakest: Smallest force, over all directions, that brings a motor to its effort limit (N).
+            Infinite if no motor bears forces. NaN if a motor that bears forces has an unknown
+            limit, except if the static load alone exceeds another limit.
         weakest_direction: (3,) direction of the smallest force, a unit vector in world axes; zero
             if this force is infinite or NaN, or if the static load alone exceeds a limit.
         weakest_joint: Joint of the motor at the effort limit under the smallest force; "" if this
@@ -86,8 +86,8 @@ class ToolForce(Tabular):
 def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
     """Compute the largest external forces [N] on a tool that the motors withstand in a posture.
 
-    Forces are in world axes: along +-x, +-y, +-z, in three plane sections, and in the direction in
-    which the smallest force suffices.
+    Forces are in world axes: along +-x, +-y, +-z, in the x-y, x-z and y-z planes, and in the
+    weakest direction. In this direction, the smallest force brings a motor to its limit.
 
     Args:
         robot: Robot with a fixed base.

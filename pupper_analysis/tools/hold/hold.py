@@ -1,10 +1,10 @@
 """Evaluate a posture of a robot with a fixed base: torques, sag, verdict, and tool limits.
 
 `hold_posture` computes the motor torques in the posture, predicts the static deflection of the
-position servos without feed-forward, and verifies both in MuJoCo. The module also computes the
-largest payload at the tool (`tool_payload`), in the posture and over all postures of a search, the
-forces on the tool that the motors withstand, and the motor utilisation over the reach
-(`reach_load`).
+position servos without feed-forward, and verifies both in MuJoCo. It also computes the forces on
+the tool that the motors withstand. `tool_payload` computes the largest payload at the tool, in the
+posture and over all postures of a search. `reach_load` computes the motor utilisation over the
+reach.
 """
 
 from __future__ import annotations
@@ -111,17 +111,19 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
 
 
 _MAX_PAYLOAD_ROUNDS = 6
-"""Maximum number of searches for the worst postures with decreasing payloads; two or three mostly
-suffice. Bounds the computing time."""
+"""Maximum number of searches for the worst postures, each with a smaller payload. The number bounds
+the computing time; two or three searches mostly suffice. Chosen, not tuned.
+"""
 
 _PAYLOAD_RTOL = 1e-4
 """Relative change of the payload that ends the iteration over worst postures. Chosen, not
 tuned."""
 
 _MIN_SOFTENING = 1e-6
-"""Bound of the softening: the largest fraction of the stiffness of a motion that a payload as heavy
-as the robot removes (generalised eigenvalue) [1]. Up to this bound the softening counts as
-rounding, and the servo stiffness does not limit the payload. Chosen, not tuned."""
+"""Bound of the softening [1]. The softening is the largest fraction of a motion's stiffness that a
+payload as heavy as the robot removes (a generalised eigenvalue). Up to the bound, the softening is
+a rounding error, and the servo stiffness does not limit the payload. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,20 +133,20 @@ class ToolPayload(Result):
     A motor may bear the mass if the joint moves the tool, or is coupled to such a joint.
 
     Attributes:
-        mass: Largest mass that the motors hold in the posture (kg); 0 if the static load alone
-            exceeds a limit, or a motor that may bear the mass has a limit of zero. Otherwise NaN if
-            a motor that bears the mass has an unknown limit, and infinite if no motor bears the
+        mass: Largest mass that the motors hold in the posture (kg). 0 if the static load alone
+            exceeds a limit, or if a motor that may bear the mass has a limit of zero. Otherwise,
+            NaN if a motor that bears the mass has an unknown limit. Infinite if no motor bears the
             mass.
         joint: Joint of the motor that limits the mass in the posture; "" if this mass is infinite
             or NaN.
-        servos: Largest mass that the servos hold in the posture, without regard to effort limits
-            (kg): with more, gravity exceeds the servo stiffness, or a command exceeds its
+        servos: Largest mass that the servos hold in the posture if effort limits are ignored (kg).
+            With a larger mass, gravity exceeds the servo stiffness, or a command exceeds its
             ``ctrlrange``. Infinite if no mass is too large.
-        servo: Joint with the command that limits the mass that the servos hold; "" if the stiffness
-            does, or nothing.
+        servo: Joint whose command limits the mass that the servos hold. "" if the stiffness limits
+            this mass, or if nothing limits it.
         worst_posture_mass: Smallest limit of all postures in a search (kg): with a larger mass, a
             posture was found that the motors do not hold. 0 if a motor that may bear the mass has a
-            limit of zero, otherwise NaN if such a motor has an unknown limit; infinite if no
+            limit of zero; otherwise, NaN if such a motor has an unknown limit. Infinite if no
             posture has a limit.
         worst_posture_joint: Joint of the motor that limits the mass in all postures; "" if this
             mass is infinite or NaN.
@@ -177,11 +179,11 @@ def tool_payload(
 ) -> ToolPayload:
     """Compute the largest point masses [kg] at a tool that motors and servos hold.
 
-    In a single posture, torques are linear in the mass, and the limit is in closed form. Over all
-    postures, a mass M is reduced iteratively: the worst postures with payload M are searched, and M
-    becomes the smallest limit of these postures. The iteration stops if this changes M by at most
-    `_PAYLOAD_RTOL`, or after `_MAX_PAYLOAD_ROUNDS` searches. Nothing is searched if a motor that
-    may bear the mass has an unknown limit or a limit of zero.
+    In a single posture, torques are linear in the mass, so the limit has a closed form. Over all
+    postures, a mass M is reduced iteratively. Each iteration searches the worst postures with
+    payload M, and sets M to the smallest limit of these postures. The iteration stops if M changes
+    by at most the fraction `_PAYLOAD_RTOL`, or after `_MAX_PAYLOAD_ROUNDS` searches. There is no
+    search if a motor that may bear the mass has an unknown limit or a limit of zero.
 
     Args:
         robot: Robot with a fixed base.
@@ -299,10 +301,10 @@ def servo_payload(
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); default: values of the model.
 
     Returns:
-        Mass [kg], infinite without limit; 0 if, without mass, the stiffness is not positive
-        definite, or the command of a joint is beyond the end of its range towards which the mass
-        moves the command. And the joint whose command reaches the end of its range first; "" if the
-        stiffness, or nothing, limits the mass.
+        (mass, joint). The mass [kg] is infinite without a limit. It is 0 if the stiffness without
+        the mass is not positive definite. It is also 0 if a command without the mass is already
+        beyond the end of its range, and the mass moves it further. The joint is that whose command
+        reaches the end of its range first; "" if the stiffness, or nothing, limits the mass.
 
     Raises:
         ModelError: If the model has no position servos and no kp is given.
@@ -349,8 +351,8 @@ def _find_smallest_payload(
 def _find_bearing_motors(robot: Robot, posture: Posture, tool: Tool) -> NDArray[np.bool_]:
     """Return a mask (nu,) of the motors that may bear a mass at a tool.
 
-    These are the joints of the tool's chain and all joints that are coupled to the chain, without
-    dependent joints, which have no motor.
+    The mask is True for the joints of the kinematic chain to the tool, and for all joints that are
+    coupled to the chain. It is False for dependent joints, which have no motor.
     """
     may_bear = np.isin(robot.joint_names, tool.chain)
     closure = robot.closure
@@ -362,8 +364,10 @@ def _find_bearing_motors(robot: Robot, posture: Posture, tool: Tool) -> NDArray[
 
 
 VERIFIED_FRACTION = 0.95
-"""Fraction of the payload limit (the smaller limit of motors and servos) that is simulated: at the
-limit itself, rounding determines the verdict. Chosen, not tuned."""
+"""Fraction [1] of the payload limit with which the posture is simulated. The limit is the smaller
+limit of motors and servos. At the limit itself, rounding would determine the verdict. Chosen, not
+tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -372,8 +376,8 @@ class Hold(Tabular):
 
     Attributes:
         name: Name of the robot.
-        hangs: True if the base, fixed here, is free in the MJCF; the ground then touches
-            nothing.
+        hangs: True if the base is free in the MJCF, but fixed in this posture. In this case the
+            ground touches no part of the robot.
         posture: Commanded posture.
         units: (nu,) units of the joint positions: rad, or m for a slide, whose motor force is in N
             in place of N m.
@@ -387,7 +391,7 @@ class Hold(Tabular):
         sagging: Simulation without feed-forward.
         settled: Predicted equilibrium of the servos without feed-forward; None if there is no
             equilibrium.
-        unsettled: Reason for which ``settled`` is None; else None.
+        unsettled: Reason why ``settled`` is None; None if there is an equilibrium.
         tool_sag: (3,) displacement of the tool from the posture to ``settled``, in world axes (m);
             None without ``settled``.
         simulated_tool_sag: (3,) displacement of the tool in the simulation without feed-forward, in
@@ -401,8 +405,8 @@ class Hold(Tabular):
             this mass is 0, infinite or NaN.
         force: External forces on the tool that the motors withstand.
         reach: Motor utilisation over the reach of the tool.
-        weak_motors: Motors named by the caller that cannot exert the torques of ``statics`` even
-            for moments.
+        weak_motors: Motors named by the caller that cannot exert the torques of ``statics``, not
+            even for a short time.
     """
 
     name: str

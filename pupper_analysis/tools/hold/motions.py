@@ -1,8 +1,8 @@
 """Motions of a robot with a fixed base with closed loops and joint couplings.
 
-`JointMotions` defines a motion per independent joint. The dependent joints follow in proportion
-(no coupling, or a linear coupling), or so that a loop stays closed (Newton iterations).
-Searches over postures and samples of random postures use these motions.
+`JointMotions` defines a motion per independent joint. With a linear coupling, the dependent joints
+move in proportion to the independent joint. In a loop, they move so that the loop stays closed
+(Newton iterations). Searches over postures and samples of random postures use these motions.
 """
 
 from __future__ import annotations
@@ -19,34 +19,43 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.posture import Posture
 
 _MAX_LINEAR_OPENING = 1e-6
-"""Largest opening of a loop [m, rad], at `_TESTED_RANGE_FRACTIONS`, with which the dependent joints
-count as moving in proportion to the independent joint. With a larger opening, samples of the loop
-are closed numerically. Chosen, not tuned."""
+"""Bound of the opening of a loop [m, rad] if its joints are moved in proportion, tested at
+`_TESTED_RANGE_FRACTIONS`. Up to the bound, the motion of the loop counts as proportional. Above the
+bound, samples of the loop are closed numerically. Chosen, not tuned.
+"""
 
 _MIN_COUPLING_RATIO = 1e-9
-"""Ratio of joint velocities, or element of the loops' Jacobian, below which a joint counts as not
-coupled (rounding; rad and m mixed). Chosen, not tuned."""
+"""Bound of a ratio of joint velocities, or of an element of the loops' Jacobian (rad and m mixed).
+Below the bound the value is a rounding error, and the joint counts as not coupled. Chosen, not
+tuned.
+"""
 
 _TESTED_RANGE_FRACTIONS = (0.29, 0.71, 1.0)
-"""Fractions of the distance to either end of the range at which a loop is tested for proportional
-motion. Chosen, not tuned."""
+"""Test points for the proportional motion of a loop: fractions [1] of the distance from the posture
+to each end of the joint range. Chosen, not tuned.
+"""
 
 _NUM_LINEAR_SAMPLES = 24
-"""Number of positions of an independent joint at which a torque is sampled to find its maximum, if
-all dependent joints move in proportion. A torque that is a sinusoid plus a linear term is not
-sampled: its maximum has a closed form. Chosen, not tuned."""
+"""Number of positions of an independent joint at which a torque is sampled to find its maximum. The
+number applies if all dependent joints move in proportion. A torque that is a sinusoid plus a linear
+term is not sampled, since its maximum has a closed form. Chosen, not tuned.
+"""
 
 _NUM_LOOP_SAMPLES = 25
-"""Number of samples along the only independent joint of a loop: 3 degrees apart for a gripper.
-Bounds the computing time, since closing a loop takes 15 ms."""
+"""Number of samples along the independent joint, if a loop has only one. For a gripper, the samples
+are 3 degrees apart. The number bounds the computing time: closing a loop takes 15 ms. Chosen, not
+tuned.
+"""
 
 _NUM_COMBINED_SAMPLES = 9
-"""Number of samples along each independent joint, if a loop has several independent joints. Smaller
-than `_NUM_LOOP_SAMPLES`, since the loop is closed at combinations of these samples."""
+"""Number of samples along each independent joint, if a loop has several independent joints. It is
+smaller than `_NUM_LOOP_SAMPLES`, since the loop must be closed at each combination of the samples.
+"""
 
 _LIMIT_ATOL = 1e-6
-"""Largest distance [rad, m] of a dependent joint beyond the limits that counts as rounding. Chosen,
-not tuned."""
+"""Bound of the distance [rad, m] of a dependent joint beyond its limits. Up to the bound, the
+distance is a rounding error, and the posture is accepted. Chosen, not tuned.
+"""
 
 
 class JointMotions:
@@ -68,8 +77,8 @@ class JointMotions:
         ranges: Joint ranges, shape (nu, 2) [rad, m]. An infinite limit is replaced by the posture
             -+ pi.
         shares: Motor torques per load of the joints, shape (nu, nu), at the posture.
-        constant: True if the row of ``shares`` is taken as the same in all postures, shape (nu,):
-            false for joints of nonlinear motions.
+        constant: True for a joint whose row of ``shares`` is assumed constant over all postures,
+            shape (nu,). False for joints of nonlinear motions.
         slides: True for a slide, shape (nu,).
         endless: True if a slide lacks a limit.
     """
@@ -120,9 +129,9 @@ class JointMotions:
         """Return the range (low, high) of displacements [rad, m] that joint limits permit.
 
         Displacements are those of the independent joint of a motion, from a posture. For a
-        nonlinear motion, only the range of the independent joint counts: the ranges of the
-        dependent joints are checked by `move_along`. For other motions the range includes 0, also
-        if the posture exceeds a joint limit.
+        nonlinear motion, only the range of the independent joint is used; `move_along` checks the
+        ranges of the dependent joints. For other motions the range always includes 0, even if the
+        posture exceeds a joint limit.
 
         Args:
             qpos: Posture, shape (nu,).
@@ -223,8 +232,8 @@ class JointMotions:
     def _opens_loop(self, closure: Closure, motion: int) -> bool:
         """Return True if a loop opens when its joints move in proportion along a motion.
 
-        Tested are the fractions `_TESTED_RANGE_FRACTIONS` of the range, with the bound
-        `_MAX_LINEAR_OPENING`.
+        The opening is tested at the fractions `_TESTED_RANGE_FRACTIONS` of the range. Above
+        `_MAX_LINEAR_OPENING`, the loop is open.
         """
         ends = np.array(self.find_range(self.origin, motion))
         return any(
@@ -238,8 +247,9 @@ class JointMotions:
 def group_coupled_joints(closure: Closure, qpos: Array) -> list[IntArray]:
     """Return groups of joints that loops and couplings connect, as sorted joint indices.
 
-    Two joints are connected if the same constraint depends on both, at the posture or at either of
-    two random postures nearby (in a singular posture, single elements of the Jacobian vanish).
+    Two joints are connected if the same constraint depends on both. This is tested at the posture
+    and at two random postures nearby, because elements of the Jacobian may vanish in a singular
+    posture.
 
     Args:
         closure: Loops and couplings.

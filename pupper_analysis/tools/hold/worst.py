@@ -1,10 +1,11 @@
 """Find the posture with the largest static torque of each motor.
 
-Inputs are a robot with a fixed base, a tool and a payload; `worst_postures` returns a torque and a
-posture per motor. Method (`TorqueSearch`): coordinate search from several postures. Along one
-hinge, the torque is a sinusoid plus a linear term, with a maximum in closed form; along a slide the
-torque is linear. Along coupled joints, and with other forces at rest (for example, tendon springs),
-the torque is sampled. The largest torque found is not proven to be the global maximum.
+`worst_postures` returns a torque and a posture for each motor of a robot with a fixed base, a tool
+and a payload. The method is a coordinate search from several postures (`TorqueSearch`). Along a
+single hinge, the torque is a sinusoid plus a linear term; its maximum has a closed form. Along a
+slide, the torque is linear. Along coupled joints the torque is sampled. It is also sampled if there
+are other forces at rest, for example tendon springs. The largest torque found is not proven to be
+the global maximum.
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ from pupper_analysis.statics.equilibrium import compute_utilisation
 from pupper_analysis.tools.hold.motions import JointMotions
 
 _NUM_AGREEING_SEARCHES = 3
-"""Number of searches from different postures that must end at the same largest torque of a motor
-before no further search starts. Chosen, not tuned."""
+"""Number of searches from different postures that must end at the same largest torque of a motor.
+No further search starts after that. Chosen, not tuned.
+"""
 
 _SAME_TORQUE_RTOL = 1e-9
 """Relative difference up to which the torques of two searches count as the same maximum. Chosen,
@@ -43,9 +45,10 @@ _MAX_SWEEPS = 30
 """Maximum number of sweeps over all joints in a search. Chosen, not tuned."""
 
 _TORQUE_GAIN_RTOL = 1e-10
-"""Increase of the torque in a sweep over all joints, relative to the torque, at or below which the
-search for the largest torque stops. Also the relative variation up to which samples of the torque
-count as constant (rounding). Chosen, not tuned."""
+"""Bound of the increase of the torque in a sweep over all joints, divided by the torque [1]. Up to
+the bound, the search for the largest torque stops. It is also a bound of the relative variation of
+torque samples. Up to the bound, the samples count as constant (rounding). Chosen, not tuned.
+"""
 
 _PEAK_POSITION_ATOL = 1e-6
 """Tolerance [rad, m] of the joint position at which a motor torque has a maximum between two
@@ -57,8 +60,9 @@ _UNDEFINED_TORQUE = 1e300
 cannot be closed or is singular, so that the search avoids the posture."""
 
 _MIN_LOAD_FRACTION = 1e-12
-"""Motor torque per load of a joint [1, m or 1/m] up to which the motor counts as not bearing this
-load (rounding). Chosen, not tuned."""
+"""Bound of the motor torque per load of a joint [1, m or 1/m]. Up to the bound, the torque is a
+rounding error, and the motor does not bear this load. Chosen, not tuned.
+"""
 
 
 class TorqueSearch:
@@ -96,8 +100,8 @@ class TorqueSearch:
         """Find the posture with the largest static torque of a motor, by searches from postures.
 
         No further search starts after `_NUM_AGREEING_SEARCHES` searches have ended at the largest
-        torque. If joints move in closed loops, whose motion is sampled, a last search from the best
-        posture also examines postures between the samples.
+        torque. The motion of closed loops is sampled. If joints move in closed loops, a last search
+        from the best posture also examines postures between the samples.
 
         Args:
             joint: Index of the joint.
@@ -169,9 +173,9 @@ class TorqueSearch:
     ) -> float:
         """Find the displacement along a motion with the largest torque of a joint in one direction.
 
-        For a hinge that moves no other joint, the maximum is in closed form. Along slides the
-        torque is linear, so an end of the range is the maximum. Otherwise, and if there are other
-        forces at rest than gravity and joint springs, the torque is sampled.
+        The maximum along a hinge without coupled joints has a closed form. Along such a slide the
+        torque is linear, so an end of the range is the maximum. The torque is sampled along coupled
+        joints. It is also sampled if there are forces at rest other than gravity and joint springs.
 
         Args:
             joint: Index of the joint whose torque is maximised.
@@ -251,11 +255,11 @@ def _maximize_sampled(
 ) -> float:
     """Return the argument of the maximum of a function on the interval of ``samples``.
 
-    Argument and samples are displacements [rad, m] in ascending order. The function is evaluated at
-    ``samples``. With ``fine``, and unless all values are equal up to rounding, a bounded scalar
-    minimisation (scipy) follows around the largest value, or, with ``everywhere``, around each
-    local maximum. Between samples of a closed loop, the global maximum need not be next to the
-    largest sample.
+    The function is evaluated at ``samples``, which are displacements [rad, m] in ascending order. If
+    ``fine`` is True, a bounded scalar minimisation (scipy) follows around the largest value. It is
+    omitted if all values are equal up to rounding. If ``everywhere`` is also True, it is repeated
+    around each local maximum: for a closed loop, the global maximum may not be next to the largest
+    sample.
     """
     from scipy import optimize  # slow to import
 
@@ -283,9 +287,9 @@ def _maximize_sampled(
 def _find_last_defined(function: Callable[[float], float], start: float, end: float) -> float:
     """Return the end [rad, m] of the interval from ``start`` in which a function is defined.
 
-    The result is ``end`` itself if the function is defined there; otherwise bisection finds the end
-    to `_PEAK_POSITION_ATOL`. The function must be defined at ``start``; the undefined value is
-    -`_UNDEFINED_TORQUE`.
+    The result is ``end`` itself if the function is defined at ``end``. Otherwise bisection finds
+    the last defined position, with the tolerance `_PEAK_POSITION_ATOL`. The function must be
+    defined at ``start``. An undefined value is represented by -`_UNDEFINED_TORQUE`.
     """
     if function(end) > -_UNDEFINED_TORQUE:
         return end
@@ -305,12 +309,14 @@ whose joints do not move in proportion. The searches also start from the worst o
 because the torques of such loops have many local maxima. Chosen, not tuned."""
 
 _NUM_POOL_STARTS = 3
-"""Number of postures of the random sample, those with the largest torques of a motor, from which
-searches start. Chosen, not tuned."""
+"""Number of start postures that are selected from the random sample of `_NUM_POOL_POSTURES`. The
+postures with the largest torques of the motor are selected. Chosen, not tuned.
+"""
 
 _MIN_TORQUE_PER_WEIGHT = 1e-14
-"""Torque per weight of the robot [N m/N] up to which a torque is set to 0: the torque of hinges
-with vertical axes is rounding. Chosen, not tuned."""
+"""Bound of the torque divided by the robot's weight [N m/N]. Up to the bound, a torque is set to 0,
+since the torque of a hinge with a vertical axis is only a rounding error. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,8 +328,8 @@ class WorstPostures(Tabular):
         joint_torques: (nu,) torques of largest magnitude found, with sign (N m or N).
         postures: (nu, nu) posture of each torque, a row per motor (rad or m).
         limits: (nu,) effort limits (N m or N); infinite if no file states a limit.
-        utilisation: (nu,) |torque| / limit; 0 without torque. With torque, NaN for an unknown limit
-            and, beyond rounding, infinite for a limit of zero.
+        utilisation: (nu,) |torque| / limit. 0 without torque. If there is a torque, NaN for an
+            unknown limit; infinite for a limit of zero if the torque is above rounding.
         endless: Reason for unbounded torques; None if all are bounded.
     """
 
@@ -358,18 +364,20 @@ def worst_postures(
 ) -> WorstPostures:
     """Search for the posture with the largest static torque of each motor of a fixed-base robot.
 
-    A search maximises the torque over one joint after another, until a sweep over all joints gains
-    nothing, in at most `_MAX_SWEEPS` sweeps. Under gravity and joint springs alone, the maximum
-    over the angle q of a hinge that moves no other joint has a closed form, since the torque is a +
-    b cos q + c sin q + k q; along slides the torque is linear. Otherwise, the torque is sampled.
-    Searches start from ``posture`` and from random postures, until several end at the same torque.
-    Torques up to `_MIN_TORQUE_PER_WEIGHT` times the weight are rounded to zero. The result is not
-    proven, but none of 20,000 random postures of each of seven arms and hands required a larger
-    torque.
+    A search maximises the torque over one joint after another. It ends when a sweep over all joints
+    no longer increases the torque, or after `_MAX_SWEEPS` sweeps. Under gravity and joint springs
+    alone, the torque over the angle q of a hinge is a + b cos q + c sin q + k q, if the hinge is not
+    coupled to other joints. Its maximum has a closed form. Over the position of a slide without
+    couplings, the torque is linear. In other cases the torque is sampled. Searches start from
+    ``posture`` and from random postures, until several searches end at the same torque. Torques up
+    to `_MIN_TORQUE_PER_WEIGHT` times the weight are rounded to zero.
+
+    The result is not proven to be the global maximum. For seven arms and hands it was compared with
+    20,000 random postures each: no posture required a larger torque.
 
     Args:
         robot: Robot with a fixed base.
-        posture: One of the start postures, with closed loops.
+        posture: Posture in which all kinematic loops are closed; it is one of the start postures.
         tool: Point with the payload.
         payload: Point mass at the tool [kg].
         near: Worst postures for another payload, from which searches start first.

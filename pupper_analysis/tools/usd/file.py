@@ -44,9 +44,9 @@ class UsdFile:
     Attributes:
         path: File.
         stage: `pxr.Usd.Stage`, with all payloads loaded.
-        bodies: {name: prim path} of the rigid bodies. The name is the prim's display name or name;
-            if several bodies share a name, the path.
-        joints: {name: prim path} of the joints, named in the same way.
+        bodies: {name: prim path} of the rigid bodies. The name is the prim's display name, or its
+            prim name without a display name. If several bodies share a name, the key is the path.
+        joints: {name: prim path} of the joints. Names are formed as for ``bodies``.
         notes: Notes on parts that were not read.
     """
 
@@ -57,12 +57,13 @@ class UsdFile:
     notes: tuple[Diagnostic, ...] = ()
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Return the location (file and prim) of a joint or body of a USD stage.
+        """Return the place (file and prim) of a joint or body of this USD file.
 
         Args:
             kind: ``"joint"``, ``"actuator"`` or ``"equality"`` for a joint; otherwise a body.
             name: Name of the joint or body.
-            child: Ignored, since the prim of a body states its mass.
+            child: Name of a child element, as for URDF and MJCF files. Ignored, since the prim of a
+                body itself states the mass.
 
         Returns:
             File and prim; if no element of this kind has the name, the prim of the other kind with
@@ -86,12 +87,13 @@ class PrimPlaces:
     usd: UsdFile | None
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Return the location of the USD prim of an element.
+        """Return the place of the USD prim from which an element was generated.
 
         Args:
             kind: Kind of the element, such as link or joint.
             name: Name of the element.
-            child: Ignored, since the prim of a body states its mass.
+            child: Name of a child element, as for URDF and MJCF files. Ignored, since the prim of a
+                body itself states the mass.
         """
         assert self.usd is not None
         return self.usd.place(kind, name, child)
@@ -174,7 +176,9 @@ def _check_file(path: Path) -> None:
 
 
 def _check_depth(path: Path, text: bytes) -> None:
-    """Check that the brackets of a text layer, outside of strings, are nested at most `MAX_DEPTH`.
+    """Check that the brackets of a USD text file are nested at most `MAX_DEPTH` deep.
+
+    Brackets in strings are ignored.
 
     Raises:
         ModelError: If the brackets are nested deeper.

@@ -1,11 +1,12 @@
 """Robot model of a USD file: bodies and joints of UsdPhysics as a tree.
 
-Body poses follow from the joint frames, as in engines with reduced coordinates. The transforms of
-the prims are a pose of the robot, at unknown joint positions.
+The poses of the bodies at zero joint positions are computed from the joint frames, as in engines
+with reduced coordinates. The transforms of the prims are not used for this: they are a pose of the
+robot at unknown joint positions.
 
-Engines derive missing mass properties from the collision shapes: CoM and inertia from the shapes,
-and the mass of a body without any mass property from the density of water. The masses of such
-bodies are unknown here.
+Engines compute missing mass properties. They derive CoM and inertia from the collision shapes. If a
+body has no mass property at all, they compute the mass from the shapes and the density of water. In
+this module, the masses of such bodies are unknown.
 """
 
 from __future__ import annotations
@@ -95,8 +96,10 @@ NUMBER_ATTRIBUTES: Final[Mapping[str, tuple[NumberAttribute, ...]]] = {
     ),
     "spring": (NumberAttribute("mjc:stiffness"),),
 }
-"""{kind, as in `models.attributes`: attributes that state the value}. The first stated attribute is
-used; for the effort the smallest value, since each value is a limit."""
+"""{kind of a joint number, as in `models.attributes`: attributes that may state it}. If several are
+stated, the first attribute is used. For the effort, the smallest value is used, since each value is
+a limit.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +116,7 @@ class Edge:
         lower: Lower limit [rad or m]; -inf if unlimited.
         upper: Upper limit [rad or m]; inf if unlimited.
         numbers: {kind: number}; missing kinds are unknown.
-        stated: {kind: {attribute: number}} of all attributes that are stated, in the same units.
+        stated: {kind: {attribute: number}} of all stated attributes, in the units of ``numbers``.
         gains: Stiffness and damping of the position drive [N m/rad, N m s/rad; N/m, N s/m]; None
             without a force drive of positive stiffness.
         outside: Whether the joint is excluded from the articulation.
@@ -197,7 +200,7 @@ def _read_freedom(prim: Any) -> tuple[str, int, float, float]:
     """Return kind, axis index (0 to 2), and lower and upper limit of a joint in units of the file.
 
     Missing limits are infinite. A joint that is neither hinge nor slide has axis 0 and infinite
-    limits; a joint of an unknown type is free, and is refused when joints are compared.
+    limits. A joint of an unknown type is a free joint; the comparison of joints refuses it later.
     """
     kind = _JOINT_KINDS.get(str(prim.GetTypeName()), FREE_JOINT)
     if kind not in (HINGE_JOINT, SLIDE_JOINT):
@@ -303,11 +306,13 @@ class MassOrigin(StrEnum):
     STATED = "stated"
     """Mass, CoM and inertia are stated, or the mass is negative."""
     SHAPES = "shapes"
-    """Mass, CoM or inertia is missing: engines derive the value from the shapes, if there are
-    any. A missing mass follows from stated masses or densities."""
+    """Mass, CoM or inertia is missing, and engines derive it from the shapes, if there are any. A
+    missing mass is derived from stated masses or densities of the shapes.
+    """
     WATER = "water"
-    """No mass of the body, and no mass or density of at least one shape is stated: engines use the
-    density of water."""
+    """The body has no stated mass, and at least one shape has neither a stated mass nor a stated
+    density. Engines use the density of water for such a shape.
+    """
     UNKNOWN = "unknown"
     """The body has neither a mass nor collision shapes."""
 
@@ -332,7 +337,7 @@ def read_body_mass(
 ) -> BodyMass:
     """Read the mass properties of a body.
 
-    A body with a negative mass counts as stated, so that the mass is reported.
+    A negative mass counts as a stated mass, so that the mass is reported.
 
     Args:
         body: Body prim.
@@ -628,8 +633,8 @@ class _JointForest:
     def _rank_root(self, body: str) -> tuple[bool, bool, bool, int]:
         """Return the sort key of a body as root of the tree; the smallest key is preferred.
 
-        Preferred are bodies marked as root, then with a joint to the world, then without a parent,
-        then with the most children.
+        Bodies marked as root come first. Bodies with a joint to the world come next, then bodies
+        without a parent, then bodies with the most children.
         """
         edges = self._adjacent_edges[body]
         num_children = sum(edge.bodies[0] == body for edge in edges)
@@ -723,8 +728,8 @@ def _make_free_joint(body: str, pose: Pose) -> Joint:
 def _read_gravity(file: UsdFile, units: StageUnits) -> Array | None:
     """Return the gravity in a frame with z up, shape (3,) [m/s^2]; None if no scene states it.
 
-    The first scene with a magnitude of at least 0 determines the gravity; without a direction,
-    gravity points down.
+    The first physics scene with a magnitude of at least 0 determines the gravity. If the scene
+    states no direction, gravity points down.
     """
     from pxr import Usd, UsdPhysics
 

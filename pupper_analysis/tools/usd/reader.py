@@ -52,7 +52,9 @@ from pupper_analysis.tools.usd.model import read_usd_model as read_model
 __all__ = ["CHECKS", "read_as_mjcf", "read_as_urdf", "read_file", "read_model"]
 
 REPLACED_FORMAT: Final = "the USD"
-"""Words that replace the name of the generated model in messages: the user knows the USD only."""
+"""Words in messages that replace the name of the generated model, since the user only knows the
+USD.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +71,8 @@ class UsdAsUrdf(PrimPlaces, UrdfFile):
 def read_as_urdf(path: Path) -> UsdAsUrdf:
     """Convert a USD file to a URDF in memory, with the same links, joints and inertials.
 
-    Shapes are left out. Joints that close loops are left out with a note; joints whose effort the
-    USD does not state are listed in ``unknown``.
+    Shapes are left out. Joints that close loops are left out, and a note reports them. ``unknown``
+    of the result lists the joints whose effort the USD does not state.
 
     Raises:
         ModelError: If the file cannot be opened or has no readable robot, the tree of its base
@@ -213,8 +215,8 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
 def read_as_mjcf(path: Path) -> UsdAsMjcf:
     """Convert a USD file to an MJCF in memory, with the same bodies, joints and inertials.
 
-    Shapes are left out. Joints that close loops become equality constraints; joints whose effort,
-    damping or friction the USD does not state are listed in ``unknown``.
+    Shapes are left out. Joints that close loops become equality constraints. ``unknown`` of the
+    result lists the joints whose effort, damping or friction the USD does not state.
 
     Raises:
         ModelError: If the file cannot be opened or has no readable robot, MuJoCo has no equivalent
@@ -318,8 +320,9 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
 
 
 _MAX_RANGE = 1e6
-"""Range limit [rad, m] in place of an infinite limit, since MuJoCo requires two limits. Chosen, not
-tuned."""
+"""Largest magnitude of a joint limit [rad, m]. It replaces a larger or infinite limit, since a range in
+MuJoCo requires two finite limits. Chosen, not tuned.
+"""
 
 
 def _merge_fixed_inertials(model: UsdModel) -> dict[str, Inertial]:
@@ -364,9 +367,11 @@ def _restore_triangle_inequality(inertial: Inertial) -> Inertial:
 
 
 _TRIANGLE_INEQUALITY_RTOL = 1e-6
-"""Largest excess of the principal moment of inertia I3 over I1 + I2, relative to I3, that is taken
-for rounding, and removed. Chosen as some units of the last digit in single precision, below the
-tolerance of file comparisons."""
+"""Bound of (I3 - I1 - I2) / I3 [1], where I3 is the largest principal moment of inertia. Up to the
+bound, an excess is a rounding error and is removed. Above the bound, the moments are not changed.
+Chosen as some units of the last digit in single precision. This is below the tolerance of file
+comparisons.
+"""
 
 
 def _is_accepted(inertial: Inertial) -> bool:
@@ -419,8 +424,10 @@ def list_notes(model: UsdModel) -> Iterator[Diagnostic]:
 
 
 CONTRADICTION_RTOL = 1e-3
-"""Relative difference above which the numbers of two schemas are reported as a contradiction. Some
-schemas are in single precision (1e-7), and some writers use five digits. Chosen, not tuned."""
+"""Bound of the relative difference between the numbers of two USD schemas [1]. Above the bound, the
+numbers are reported as a contradiction. Smaller differences may be rounding: some schemas use
+single precision (1e-7), and some writers use five digits. Chosen, not tuned.
+"""
 
 
 def mass_of_water(robot: UsdModel) -> Iterator[CheckFinding]:
