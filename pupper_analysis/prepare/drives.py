@@ -148,10 +148,9 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
     different robots. - The published MJCF with these servos comes to rest, too. This condition is
     omitted for a robot with a URDF alone, and with a reduced time step.
 
-    A reduced time step is tried only if no candidate with the time step of the file meets the
-    second and third condition. If contacts chatter after a nudge of the base, a smaller time step
-    is needed: for a robot with a URDF alone, further candidates with the same time step are then
-    omitted.
+    A reduced time step is tried only if no candidate with the time step of the file meets the first
+    three conditions. If contacts chatter after a nudge of the base, a smaller time step is needed:
+    for a robot with a URDF alone, further candidates with the same time step are then omitted.
 
     If no candidate meets all conditions, the first candidate with the best partial result is
     chosen. The partial results are, best first: decay and agreement; agreement; rest with and

@@ -491,7 +491,7 @@ def _find_moved_link(robot: Robot, body: int) -> str:
 def _find_last_joint(robot: Robot, body: int, *, turning: bool = False) -> str | None:
     """Return the last joint between a body and the base; None without a joint.
 
-    The result is also None if the last joint is not one of the robot's joints.
+    The result is also None if the search reaches a joint that is not one of the robot's joints.
 
     Args:
         robot: Robot.

@@ -2,10 +2,10 @@
 
 A verdict is computed for the prepared robot: loading may have added servos, a floor or a start
 pose, and may have disabled contacts. The run of the published file from its keyframe (the "own
-run") shows whether the file alone stands in MuJoCo: 5 s, or less with short time steps; with a
-nudge at the start, with the opposite nudge, and without a nudge. A URDF is simulated as MuJoCo's
-import, with an added free base, floor and servos. Results are computed when a verdict is first
-requested.
+run") shows whether the file alone stands in MuJoCo. It is simulated three times: with a nudge at
+the start, with the opposite nudge, and without a nudge. Each simulation lasts 5 s, or less with
+short time steps. A URDF is simulated as MuJoCo's import, with an added free base, floor and servos.
+Results are computed when a verdict is first requested.
 """
 
 from __future__ import annotations
@@ -64,21 +64,25 @@ from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 
 _CTRL_ANGLE_RTOL = 0.1
-"""Upper bound of ``|ctrl - angles| / |angles|`` (norms over all joints) with which the ctrl of a
-keyframe count as joint angles instead of torques. Chosen, not tuned: position commands differ from
-the angles by the deflection that carries the weight."""
+"""Upper bound [1] of ``|ctrl - angles| / |angles|`` (norms over all joints). Up to the bound, the
+ctrl of a keyframe are joint angles, not torques. Chosen, not tuned: position commands differ from
+the angles by the deflection that carries the weight.
+"""
 
 _CTRL_DEGREE_RTOL = 1e-3
-"""Upper bound of ``|ctrl - angles| / |angles|``, with hinge angles in degrees, with which the ctrl
-of a keyframe count as joint angles in degrees. Chosen as a bound of rounding, since torques of tens
-of N m may be near such values by chance: five digits of an angle in radians differ by 1e-5."""
+"""Upper bound [1] of ``|ctrl - angles| / |angles|``, with hinge angles in degrees. Up to the bound,
+the ctrl of a keyframe are joint angles in degrees. Chosen as a bound of rounding: an angle in
+radians with five digits differs by 1e-5. The bound is small since torques of tens of N m may be
+near angles in degrees by chance.
+"""
 
 _SETTLING_TIME = 2.0
 """Simulated time [s] after which a nudged model that stands must be at rest. Chosen, not tuned."""
 
 _MAX_RESTING_SPEED = 5e-3
-"""Upper bound of the speeds [m/s, rad/s] with which a robot counts as at rest. Measured: feet of
-ANYmal B that creep apart move at 1e-3; robots that shake oscillate with 2e-2 or more."""
+"""Upper bound of the speeds of a robot at rest [m/s, rad/s]. Chosen between two measured speeds:
+feet of ANYmal B that creep apart move at 1e-3; robots that shake oscillate with 2e-2 or more.
+"""
 
 
 def get_loaded_robot(robot: Robot) -> Robot:
@@ -157,7 +161,7 @@ class _NudgedStates:
     def advance(
         self, model: mujoco.MjModel, state: mujoco.MjData, hold: HoldCommands, seconds: float
     ) -> float:
-        """Replace a state by the last known state of the same simulation; return the rest [s].
+        """Replace a state by the last known state of the same simulation; return the time left.
 
         Args:
             model: Published model of the simulation.
@@ -166,7 +170,8 @@ class _NudgedStates:
             seconds: Time [s] by which the caller advances the state.
 
         Returns:
-            Time [s] by which the state remains to be advanced: ``seconds`` for another simulation.
+            Time [s] by which the caller must still advance the state. It is ``seconds`` if the
+            simulation is another one.
         """
         if model is not self.model or not _are_equal_commands(hold, self.hold):
             return seconds
@@ -221,8 +226,9 @@ def _import_urdf(
     The time step of a robot on feet is reduced if the robot does not settle otherwise.
 
     Returns:
-        Model; the error message if MuJoCo refuses the URDF; None if the robot has an MJCF or no
-        file. And the simulation in which the robot settles; None without such a simulation.
+        A pair. First: the model; the error message if MuJoCo refuses the URDF; None if the robot
+        has an MJCF or no file. Second: the simulation in which the robot settles; None if there is
+        none.
     """
     if robot.published is None or robot.published.imported is None:
         return None, None
@@ -266,9 +272,10 @@ def _simulate_settling(
         qpos: Configuration of the stand, shape (nq,). The joint positions are commanded.
 
     Returns:
-        Whether the robot still stands, and is at rest; and the simulation, with the final state. If
-        half the duration of a run from a keyframe is shorter, the state at this time is included:
-        the run starts alike. (False, None) if the base cannot be placed.
+        Whether the robot still stands and is at rest; and the simulation with its final state. The
+        simulation also contains the state at half the duration of a run from a keyframe, if this
+        time is shorter: such a run starts in the same way. (False, None) if the base cannot be
+        placed.
     """
     published = with_unstated_options(PublishedModel.from_model(model, robot), robot)
     start = place_published(published, robot, qpos)
@@ -343,8 +350,8 @@ def _select_keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) ->
     Args:
         model: Published model: compiled from the file of the robot.
         robot: Prepared robot: with the additions of this package.
-        wanted: Name of the keyframe. If None, keyframes with level feet within the joint limits
-            have priority, then the keyframe ``home``, then the order in the file.
+        wanted: Name of the keyframe. If None, keyframes whose feet are level and whose joints are
+            within their limits come first, then ``home``, then the others in the order of the file.
 
     Returns:
         Number of the keyframe. None if the model has none, or none with the wanted name.
@@ -365,9 +372,9 @@ def _select_keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) ->
 def _simulate_key(published: PublishedModel, robot: Robot, key: int) -> OwnRun:
     """Simulate a published model from a keyframe, with the ctrl of the keyframe.
 
-    If the keyframe specifies no ctrl, ``OwnRun.held`` is a second run, in which the servos of the
+    If the keyframe specifies no ctrl, ``OwnRun.held`` is a second run. In it, the servos of the
     file hold the joint positions of the keyframe. There is no second run if most joints have no
-    servo, or if an actuator has a built-in controller.
+    servo, or if the law of an actuator is a controller such as ``pid``.
     """
     model, data = published.model, mujoco.MjData(published.model)
     mujoco.mj_resetDataKeyframe(model, data, key)
@@ -441,8 +448,8 @@ def _commands_to_hold(
 ) -> HoldCommands:
     """Return the commands with which a published model holds joint positions.
 
-    The servos that `load_robot` added are used only if most joints of the file have no servo.
-    Otherwise a joint with a torque motor is not held.
+    The servos that `load_robot` added are used only if most joints of the file have no servo. If
+    most joints have one, a joint with a torque motor is not held.
 
     Args:
         published: Published model.
@@ -468,8 +475,9 @@ def joint_qpos_addresses(published: PublishedModel, robot: Robot) -> NDArray[np.
 
 
 _SAME_POSTURE_ATOL = 1e-6
-"""Largest joint difference [rad, m] with which a posture counts as that of a keyframe; the commands
-of the keyframe are then simulated. Chosen, not tuned."""
+"""Tolerance [rad, m] with which a posture equals that of a keyframe. If they are equal, the
+commands of the keyframe are simulated. Chosen, not tuned.
+"""
 
 
 def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
@@ -484,7 +492,7 @@ def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
 
     Returns:
         Simulation result. None if the robot or the file has a free base, if there is no model
-        (`get_published_model`), or if an actuator has a built-in controller.
+        (`get_published_model`), or if the law of an actuator is a controller such as ``pid``.
     """
     model = None if robot.floating else robot.compute_once(get_published_model)
     if model is None:
@@ -591,9 +599,9 @@ def _unheld_joints(
 ) -> list[JointOff]:
     """Return the joints without position servo that moved by more than ``MIN_UNHELD_DISPLACEMENT``.
 
-    Joints that a position servo at a tendon drives are excluded, and coupled joints (no
-    actuator, and no added servo). The result is empty unless more than half of the joints have a
-    position servo.
+    Two kinds of joints are excluded: joints that a position servo at a tendon drives, and coupled
+    joints (without actuator and without added servo). The result is empty unless more than half of
+    the joints have a position servo.
     """
     num_servos = sum(joint.drive is Drive.SERVO for joint in joints)
     if 2 * num_servos <= len(joints):
@@ -622,8 +630,8 @@ def _command_offset(
 ) -> float | None:
     """Return the commanded position minus the position of a joint.
 
-    The commanded position is gain ctrl / (stiffness gear), at which the actuator force
-    gain ctrl - stiffness gear position is zero.
+    The commanded position is gain * ctrl / (stiffness * gear). At this position the actuator force,
+    gain * ctrl - stiffness * gear * position, is zero.
 
     Args:
         published: Published model.
@@ -646,8 +654,9 @@ def _is_ctrl_angles(model: mujoco.MjModel, key: int) -> bool:
     """Return True if the ctrl of a keyframe are the joint angles times the gear, and not all zero.
 
     The angles are in radians or in degrees. The first control of each actuator at a joint is
-    compared. Such a keyframe contains position commands, even if the model has torque motors. Zeros
-    are no evidence: a torque of zero and an angle of zero are written alike, and command nothing.
+    compared. If the result is True, the keyframe contains position commands, even if the model has
+    torque motors. Zeros are no evidence, since a torque of zero and an angle of zero are written
+    alike.
     """
     at_joint = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value)
     ctrl = model.key_ctrl[key, model.actuator_ctrladr[at_joint]]

@@ -86,11 +86,11 @@ class LoadRequest:
         fixed_base: True to fix the base in the world.
         name: Name of the robot; None: name in the MJCF.
         joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
-        keyframe: Keyframe of the MJCF to start from; None: the first (``home`` before others) that
-            `find_start_pose` accepts.
+        keyframe: Keyframe of the MJCF to start from. None: `find_start_pose` chooses the keyframe,
+            with ``home`` tried before all others.
         as_is: True to add no servos, motors and contact exclusions, and to keep the solver and the
             contacts of all shapes. Soles are not replaced by balls.
-        visuals: False to keep the tetrahedra that represent visual meshes before their conversion.
+        visuals: True to convert the visual meshes. False: tetrahedra represent these meshes.
     """
 
     feet: Mapping[str, tuple[str, str]] | None = None
@@ -103,8 +103,10 @@ class LoadRequest:
 
 
 _MIN_PARTIAL_FREE_JOINTS = 4
-"""Smallest number of joints of a child body of the world with which this body counts as a free base
-without a free joint, so that the base is not fixed. Derived from three slides and a ball joint."""
+"""Smallest number of joints with which a child body of the world counts as a free base although it
+has no free joint. Such a base is not fixed. Derived: three slides and a ball joint move a body
+freely.
+"""
 
 
 @dataclass(frozen=True)
@@ -141,7 +143,7 @@ class Draft:
         feet: Feet; empty before the pass ``find-feet``.
         refused: Reason why no robot with a free base can be made; only ``fix-base`` is then
             applied.
-        runs: Passes that were run.
+        runs: Passes that have been run so far.
     """
 
     urdf: UrdfFile
@@ -161,8 +163,8 @@ class Draft:
     def may_fix_base(self) -> bool:
         """Whether the base may be fixed although the user did not request a fixed base.
 
-        True if the MJCF has no free joint, and no child body of the world has so many joints
-        (`_MIN_PARTIAL_FREE_JOINTS`) that it moves like a free base.
+        Two conditions must hold. The MJCF has no free joint. No child body of the world has
+        `_MIN_PARTIAL_FREE_JOINTS` or more joints, with which it moves like a free base.
         """
         if self.request.fixed_base or has_free_joint(self.mjcf.spec):
             return False
@@ -234,9 +236,9 @@ def _register_pass(
 ) -> Callable[[Callable[[Draft], PassOutput]], Callable[[Draft], PassOutput]]:
     """Return a decorator that registers a function as the next pass, named after the function.
 
-    The arguments are the fields of `Pass`: ``does`` is the purpose of the pass in words,
-    ``after_refusal`` applies the pass also to refused drafts, and ``deferred`` postpones the pass
-    until the robot is first simulated or drawn.
+    The arguments are the fields of `Pass`. ``does`` is the purpose of the pass in words.
+    ``condition`` returns True if a draft needs the pass. ``after_refusal`` applies the pass also to
+    refused drafts. ``deferred`` postpones the pass until the robot is first simulated or drawn.
     """
 
     def register(apply: Callable[[Draft], PassOutput]) -> Callable[[Draft], PassOutput]:
@@ -254,17 +256,17 @@ def _applies_always(_draft: Draft) -> bool:
 
 
 def _has_free_base_request(draft: Draft) -> bool:
-    """Return True if no fixed base was requested; usable before URDF and MJCF are matched."""
+    """Return True if the user requested no fixed base. The files need not be matched yet."""
     return not draft.request.fixed_base
 
 
 def _has_free_base(draft: Draft) -> bool:
-    """Return True if the robot's base is free; usable after URDF and MJCF are matched."""
+    """Return True if the robot's base is free. The files must already be matched."""
     return not draft.request.fixed_base and draft.match.robot.floating
 
 
 def _has_fixed_base(draft: Draft) -> bool:
-    """Return True if the robot's base is fixed; usable after URDF and MJCF are matched."""
+    """Return True if the robot's base is fixed. The files must already be matched."""
     return not _has_free_base(draft)
 
 
@@ -314,10 +316,9 @@ def _find_requested_feet(
 def _must_fix_base(draft: Draft) -> bool:
     """Return True if the base may be fixed, and the robot cannot stand with a free base.
 
-    The base may be fixed if the file has no free base (`Draft.may_fix_base`). The robot
-    cannot stand if an earlier pass has failed, or if it has no nominal stand. On feet that the user
-    named, the base stays free unless an earlier pass has failed: commands then report why the robot
-    does not stand.
+    `Draft.may_fix_base` is the first condition. The robot cannot stand if an earlier pass has
+    failed, or if it has no nominal stand. There is an exception: if the user named the feet and no
+    earlier pass has failed, the base stays free, and commands report why the robot does not stand.
     """
     if not draft.may_fix_base or draft.refused:
         return draft.may_fix_base
@@ -328,7 +329,7 @@ def _must_fix_base(draft: Draft) -> bool:
 
 @_register_pass(Term("names bodies and joints that have none"), _applies_always)
 def _name_elements(draft: Draft) -> PassOutput:
-    """Name bodies and joints, choose the keyframes; without named feet, drop visual geoms."""
+    """Name bodies and joints, list keyframes; remove visual geoms if the user named no feet."""
     spec = draft.spec.copy()
     name_elements(spec, set())
     if draft.request.feet is None:  # a named foot may be a visual geom
@@ -343,8 +344,8 @@ def _name_elements(draft: Draft) -> PassOutput:
 def _free_base(draft: Draft) -> PassOutput:
     """Add a free joint to a fixed base with at least two limbs; see `free_base`.
 
-    If the base moves by slides and hinges, or a ball joint, that the URDF lacks, the free joint
-    replaces these joints.
+    If the base moves by slides and hinges, or by a ball joint, and the URDF lacks these joints, the
+    free joint replaces them.
     """
     spec, messages = free_base(draft.urdf, draft.spec, draft.mjcf.path)
     return replace(draft, spec=spec), messages
@@ -391,9 +392,9 @@ def _build_with_fixed_base(draft: Draft) -> PassOutput:
 def _level_ground(draft: Draft) -> PassOutput:
     """Add a level floor, or level the file's floor.
 
-    Solver options that reduce the creep of contacts (`STIFF_FRICTION_OPTIONS`) are added if the
-    MJCF was converted from a URDF, or if a floor was added to a file without free joint and without
-    such options.
+    Solver options that reduce the creep of contacts (`STIFF_FRICTION_OPTIONS`) are added in two
+    cases: the MJCF was converted from a URDF; or a floor was added to a file with neither a free
+    joint nor these options.
     """
     leveled = draft.matched_description.mjcf.copy()  # passes before ``build`` modify it in place
     messages = level_ground(leveled)
@@ -449,9 +450,9 @@ def _check_masses(draft: Draft) -> PassOutput:
 def _find_feet(draft: Draft) -> PassOutput:
     """Find the feet and their contact points, and build the robot with these contact points.
 
-    The spheres of ellipsoids are fitted again at the joint positions of the nominal stand, until
-    the contact points remain in place (at most `_MAX_ELLIPSOID_FITS` times). The draft is unchanged
-    for a robot without limb ends, or with an empty list of feet.
+    If spheres replace ellipsoids, they are fitted again at the joint positions of the nominal
+    stand, until the contact points no longer move, at most `_MAX_ELLIPSOID_FITS` times. The draft
+    is unchanged if the robot has no limb ends, or if the user passed an empty list of feet.
 
     Raises:
         ModelError: If no limb ends below the base in a pose, or a named foot touches nothing.
@@ -493,8 +494,10 @@ def _find_feet(draft: Draft) -> PassOutput:
 
 
 _MAX_ELLIPSOID_FITS = 6
-"""Upper bound of the number of fits of spheres to ellipsoids after the first. Half axes of 30, 20
-and 10 mm, tilted by 0.6 rad, need 2 to 5 (measured for all orders of the axes)."""
+"""Upper bound of the number of repeated fits of spheres to ellipsoids. Measured: an ellipsoid with
+half axes of 30, 20 and 10 mm, tilted by 0.6 rad, needs 2 to 5 fits, depending on the order of the
+axes.
+"""
 
 
 def _solve_nominal_joints(draft: Draft, robot: Robot) -> Array | None:
@@ -514,9 +517,10 @@ def _add_loop_motors(draft: Draft) -> PassOutput:
 
 
 def _make_rest_depth(draft: Draft) -> Callable[[str], float | None]:
-    """Return a function of a keyframe's name that returns the feet's penetration at rest [m].
+    """Return a function that computes the penetration of the feet at rest [m].
 
-    The function returns None if the unmodified file falls from this keyframe, or lacks it.
+    Its argument is the name of a keyframe. Its result is None if the unmodified file falls from
+    this keyframe, or lacks it.
     """
     return partial(start.rest_depth_from_keyframe, draft.mjcf.model)
 
@@ -560,7 +564,7 @@ def _use_hulls_as_feet(draft: Draft) -> PassOutput:
 
 @_register_pass(Term("lets feet alone touch the ground"), _may_be_altered)
 def _disable_shapes_beside_feet(draft: Draft) -> PassOutput:
-    """Disable the contacts of shapes on a foot's body near the ground; keep the foot's own."""
+    """Disable contacts of shapes near the ground on foot bodies, except the feet's own shapes."""
     robot, messages = touching.disable_shapes_beside_feet(draft.robot)
     return replace(draft, built=robot), messages
 
@@ -597,7 +601,7 @@ def _report_uncommanded_joints(draft: Draft) -> PassOutput:
 def _describe_missing_stand(draft: Draft) -> Diagnostic:
     """Return the reason for which a robot has no nominal stand (default `StandTask`).
 
-    With fewer than `_MIN_STANDING_FEET` found feet, these may be the fingers of a gripper.
+    If fewer than `_MIN_STANDING_FEET` feet were found, they may be the fingers of a gripper.
     """
     names = tuple(foot.name for foot in draft.feet)
     if len(names) >= _MIN_STANDING_FEET:
@@ -609,7 +613,9 @@ def _describe_missing_stand(draft: Draft) -> Diagnostic:
 
 
 _MIN_STANDING_FEET = 3
-"""Number of found feet from which the reason for a missing stand is stated. Chosen, not tuned."""
+"""Smallest number of found feet with which the reason for a missing stand is stated. Fewer feet may
+be the fingers of a gripper. Chosen, not tuned.
+"""
 
 
 @_register_pass(Term("fixes the base where it does not stand"), _must_fix_base, after_refusal=True)
@@ -681,10 +687,10 @@ def _solve_rest_pose(robot: Robot) -> Stand | None:
 
 
 def _pose_without_servos(draft: Draft) -> Robot:
-    """Return the robot with all that stands and statics need: start pose, and passive joints.
+    """Return the robot with start pose and passive joints, which stands and statics need.
 
-    Both are those of the completed robot, since they do not depend on the added servos. The notes
-    of the passes are included: they have the reason why a robot cannot stand.
+    Both are equal to those of the completed robot, since they do not depend on the added servos.
+    The notes of the passes are included: they contain the reason why a robot cannot stand.
     """
     robot = _add_notes(draft.robot, draft.runs)
     if _may_get_servos(draft):
@@ -700,9 +706,9 @@ def _pose_without_servos(draft: Draft) -> Robot:
     Term("builds the robot with all that is seen of it"), _applies_always, deferred=True
 )
 def _convert_visual_meshes(draft: Draft) -> PassOutput:
-    """Build the robot again with visual geoms if previously dropped; convert visual meshes.
+    """Convert visual meshes; build the robot again with visual geoms if they were removed.
 
-    Without a request for visual meshes (`LoadRequest.visuals`), meshes are not converted.
+    Meshes are converted only if requested (`LoadRequest.visuals`).
     """
     robot = draft.robot
     insert_visuals = draft.mjcf.deferred_visuals if draft.request.visuals else None
@@ -726,8 +732,9 @@ def list_urdf_ground_additions() -> tuple[Addition, ...]:
 
 
 _MATCH, _FIX_BASE, _CONVERT_MESHES = "match", "fix-base", "convert-visual-meshes"
-"""Names of the passes whose notes are moved: `_complete_preparation` puts the note on a fixed base
-last, and `_add_notes` puts notes on visual meshes after those on the matching of the files."""
+"""Names of passes whose notes are reordered. `_complete_preparation` puts the note on a fixed base
+last. `_add_notes` puts the notes on visual meshes after those on the matching of the files.
+"""
 
 PREPARATION_PASSES = tuple(_registered_passes)
 """All passes, in the order of application, which is that of the functions above."""
@@ -743,8 +750,9 @@ _DEFERRED_PASSES = tuple(step for step in PREPARATION_PASSES if step.deferred)
 def _run_passes(passes: Iterable[Pass], draft: Draft) -> Draft:
     """Apply passes in order to a draft, the robot in preparation, and return the new draft.
 
-    If a pass raises a `ModelError`, but the robot may be prepared again with a fixed base
-    (`Draft.may_fix_base`), only the passes with `Pass.after_refusal` still run: one fixes the base.
+    If a pass raises a `ModelError`, and the robot may be prepared again with a fixed base
+    (`Draft.may_fix_base`), only passes with `Pass.after_refusal` are run after it. One of them
+    fixes the base.
 
     Raises:
         ModelError: If no robot can be made: the base may not be fixed, the pass is deferred, or a
@@ -785,12 +793,12 @@ def make_robot(
 ) -> Robot:
     """Prepare a robot from two files as read, in memory; servos and visual meshes are postponed.
 
-    `load_robot` reads the files and describes the options. Servo tuning, rest pose and visual
-    meshes are computed when the robot is first simulated, drawn, pickled or copied
-    (`defer_stages`). If servos may change the order of the joints, servos and rest pose are
-    computed immediately; visual meshes are then postponed only with a fixed base, and kinematics
-    and statics do not wait for them. The function ``finish``, if any, is applied to the robot after
-    all steps, and to the robot of `Robot.before_servos`.
+    The options are those of `load_robot`. Servos, rest pose and visual meshes are computed when the
+    robot is first simulated, drawn, pickled or copied (`defer_stages`). There is an exception: if
+    servos may change the order of the joints, servos and rest pose are computed immediately, and
+    visual meshes are postponed only with a fixed base. Kinematics and statics do not wait for them.
+    The function ``finish``, if given, is applied to the robot after all steps, and to the robot of
+    `Robot.before_servos`.
 
     Raises:
         ConfigurationError: If the frame of a foot is neither a name nor a pair of names, or a foot
@@ -827,9 +835,9 @@ def make_robot(
 def _keeps_joint_order(draft: Draft) -> bool:
     """Return True if the joint order does not change when servos are added.
 
-    Joints are in actuator order. Servos are added in this order to all joints, or to none. If some
-    joints have no actuator, have a servo already, or depend on other joints, the order may change:
-    then a robot with servos is built, and the orders are compared.
+    Joints are in actuator order. If servos are added in this order to all joints, or to none, it
+    does not change. It may change if some joints have no actuator, already have a servo, or depend
+    on other joints. In these cases a robot with servos is built, and both orders are compared.
     """
     robot = draft.robot
     if not _may_get_servos(draft) or not _lacks_servos(robot):

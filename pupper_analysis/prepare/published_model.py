@@ -1,10 +1,10 @@
 """Compile, place and hold the published model of a robot.
 
 The published model is the robot's MJCF, or MuJoCo's own import of the URDF, without the feet and
-start pose of the preparation. The published model is placed at a configuration of the prepared
-robot, and held there by the file's own actuators. At joints with a torque motor, or without
-actuator, an external servo holds the joint: the simulation computes its torque in each step, with
-the gains of the position servo that loading added to the prepared robot (`HoldCommands`).
+start pose of the preparation. It is placed at a configuration of the prepared robot, and held there
+by the file's own actuators. If a joint has a torque motor or no actuator, an external servo holds
+it (`HoldCommands`): the simulation computes the torque of this servo in each step, with the gains
+of the position servo that loading added to the prepared robot.
 """
 
 from __future__ import annotations
@@ -66,14 +66,16 @@ _TRIAL_COMMAND = 1e-6
 against commands that change a torque noticeably."""
 
 _MIN_COMMAND_GAIN = 1e-9
-"""Joint torque per unit of ctrl [N m or N] up to which a command counts as without effect. The
-joint is then held by a torque that the simulation computes in each step (external servo), not by
-ctrl. Chosen, not tuned."""
+"""Upper bound of the joint torque per unit of ctrl [N m or N]. Up to the bound, a command has no
+effect. The joint is then held by an external servo, whose torque the simulation computes in each
+step. Chosen, not tuned.
+"""
 
 MAX_SETTLED_TIME_CONSTANT = 0.5
-"""Time constant of an actuator filter [s] up to which the filter state starts at its settled value.
-The state of a slower filter starts at zero, because a command does not settle the state within a
-simulated stand (for example ``timeconst="1e5"``). Chosen, not tuned."""
+"""Upper bound of the time constant of an actuator filter [s]. Up to the bound, the filter state
+starts at its settled value. The state of a slower filter, for example with ``timeconst="1e5"``,
+starts at zero, since it does not settle within the simulated time. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +135,8 @@ def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedM
     """Return a published model with the prepared robot's time step and integrator.
 
     An attribute that the file specifies is kept; MuJoCo's defaults (2 ms, Euler) may be too coarse
-    for the added servos. The model is returned unchanged if the robot has no MJCF or no added
-    servos, or if at most half of the joints lack a position servo.
+    for the added servos. The model is returned unchanged if the robot has no MJCF, if it has no
+    added servos, or if at most half of the joints lack a position servo.
 
     Args:
         published: Published model: compiled from the file of the robot.
@@ -158,9 +160,9 @@ def with_requested_gains(
 
     The actuator of a joint becomes a position servo with these gains. A joint gets an external
     servo (``HoldCommands``) if the joint has no actuator, several actuators, or an actuator that is
-    not meant to hold a position (for example, a torque motor). Passive joints, and joints with a
-    stiffness of zero, which depend on other joints, are unchanged. The returned robot is for
-    comparisons only: the MuJoCo model has gains that the description lacks.
+    not meant to hold a position (for example, a torque motor). Passive joints and dependent joints
+    (with a stiffness of zero) are unchanged. The returned robot is for comparisons only: the MuJoCo
+    model has gains that the description lacks.
 
     Args:
         published: Published model.
@@ -196,8 +198,8 @@ def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | No
     """Compile an MJCF as published, with at most the changes that a simulation needs.
 
     A floor is added if the robot has a free base, and the world has neither a level plane nor a
-    collidable geom. The base is fixed, without ground contacts, if it is fixed in the robot and
-    free in the file. Bodies and joints without a name are named with these changes, or if the file
+    collidable geom. If the base is fixed in the robot and free in the file, it is fixed, and the
+    ground is disabled. Bodies and joints without a name are named in both cases, and if the file
     lacks a name of the robot. Visual geoms are kept, so that the geoms of a body have the same
     order as in the robot's model.
 
@@ -433,15 +435,15 @@ class HoldCommands:
     """Commands with which a published model holds a configuration.
 
     Attributes:
-        ctrl: Controls of all actuators, shape (model.nu,): commands of position servos at joints of
-            the robot, and at tendons of joints without actuator; without force for other position
-            servos on tendons and sites; zero for other actuators.
+        ctrl: Controls of all actuators, shape (model.nu,). Position servos at joints of the robot,
+            and at tendons of joints without actuator, are commanded. Other position servos at
+            tendons and sites get the control without force. Other actuators get zero.
         act: States of the actuator filters, shape (model.na,).
-        external: External servos, which the simulation computes for n joints without position
-            servo: dof addresses, kp [N m/rad], kd [N m s/rad], target positions [rad, m],
-            feed-forward torques [N m], each of shape (n,).
-        motor_laws: {dof: (index of the control, lever, offset)} of the joints with an external
-            servo that have an actuator: at rest the joint torque [N m] is lever * ctrl + offset.
+        external: External servos: servos that the simulation computes for n joints without position
+            servo. Five arrays, shape (n,) each: degrees of freedom (indices in qvel), kp [N m/rad],
+            kd [N m s/rad], target positions [rad, m], feed-forward torques [N m].
+        motor_laws: {degree of freedom: (index of the control, lever, offset)}, for joints with an
+            external servo and an actuator. At rest the joint torque [N m] is lever * ctrl + offset.
     """
 
     ctrl: Array
@@ -457,7 +459,9 @@ NO_EXTERNAL_SERVOS = (
     np.zeros(0),
     np.zeros(0),
 )
-"""Value of ``HoldCommands.external`` without external servos."""
+"""Value of ``HoldCommands.external`` if the simulation computes no servos: five arrays of length 0,
+for degrees of freedom, kp, kd, target positions and torques.
+"""
 
 
 def compute_hold_commands(
@@ -469,9 +473,9 @@ def compute_hold_commands(
 ) -> HoldCommands:
     """Compute the commands with which the joints of a published model hold target positions.
 
-    Joints without actuator at a tendon are held by the tendon's position servos, whose forces
-    are those of smallest norm that give the torques of these joints. Own actuators of other joints
-    in the tendon compensate the tendon's torque there.
+    The position servos of a tendon hold the joints of this tendon that have no actuator. Of all
+    forces that give the torques of these joints, those with the smallest norm are used. The tendon
+    also acts on its other joints; the actuators of these joints compensate its torque.
 
     A joint with neither a position servo of the file nor an added servo is not held, for example a
     passive joint with a spring.
@@ -528,10 +532,12 @@ def _set_tendon_commands(
     Args:
         published: Published model.
         robot: Prepared robot.
-        qpos: Configuration of the published model, shape (model.nq,); the base is used.
+        qpos: Configuration of the published model, shape (model.nq,). ``targets``
+            replace the positions of the robot's joints.
         ctrl: Controls, shape (model.nu,); those of these servos are set.
         targets: Target positions, shape (nu,) [rad, m].
-        torques: Joint torques, shape (nu,) [N m, N]; the torques of these servos are subtracted.
+        torques: Joint torques, shape (nu,) [N m, N]; the torques of these servos are subtracted
+            in place.
 
     Returns:
         Indices of the joints without actuator that these servos drive.
@@ -621,7 +627,7 @@ def simulate_published(
         data: Initial state; changed to the final state.
         hold: Commands of the actuators, and external servos (computed by this function).
         seconds: Duration [s].
-        record_forces: Record the extreme forces. Without the record, the simulation is up to a
+        record_forces: Whether to record the extreme forces. If False, the simulation is up to a
             tenth faster.
 
     Returns:
@@ -697,8 +703,8 @@ def _measure_command_law(
 
     The law is torque = offset + lever * ctrl.
 
-    MuJoCo's clamping of ctrl is off during the measurement, since a ctrlrange may end at zero or
-    exclude it.
+    MuJoCo's clamping of ctrl is off during the measurement, since zero may be at the end of a
+    ctrlrange, or outside.
 
     Returns:
         Index of the control, lever [N m per unit of ctrl], offset [N m]. None without actuators, or
