@@ -41,8 +41,9 @@ from pupper_analysis.tools.sync.numbers import (
 )
 
 _UNCHANGED_STDS = 1e-3
-"""Difference between estimate and stated value of a parameter, in standard deviations, up to which
-the stated value is kept instead of the estimate. Chosen, not tuned."""
+"""Difference between estimate and stated value of a parameter, in standard deviations. Up to this
+difference, the stated value is written instead of the estimate. Chosen, not tuned.
+"""
 
 _EXTRA_DIGITS = 2
 """Decimal digits written beyond the first digit of a standard deviation. Chosen, not tuned:
@@ -217,9 +218,10 @@ rejects robots by `_MIN_FACTOR`. If the rounds are not enough, fewer samples are
 Chosen, not tuned."""
 
 _MIN_FACTOR = 0.1
-"""Lower bound of masses and kp, as a fraction. Estimates below this fraction of the stated value
-are raised to it before they are written; robots that are drawn at random from the fitted
-distribution are rejected up to this fraction of a written value. Chosen, not tuned."""
+"""Lower bound of masses and kp, as a fraction. An estimate below this fraction of the stated value
+is raised to the bound before it is written. A robot drawn at random from the fitted distribution is
+rejected if a mass or kp is at most this fraction of the written value. Chosen, not tuned.
+"""
 
 
 _SAMPLES_HEADER = """\

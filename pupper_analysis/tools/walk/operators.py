@@ -57,8 +57,9 @@ def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
 
 
 def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation Concat; None if across the runs. Axis 0 is for lists of sizes.
+    """Return the operation Concat; None if it would join different runs.
 
+    Axis 0 joins lists of sizes.
     Along axis 1, arrays with several channels each are joined by channel. Otherwise the elements of
     each array are joined along the last axis; constants are repeated for all runs.
     """
@@ -105,7 +106,9 @@ def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _is_plain_recurrence(attributes: Mapping[str, Any]) -> bool:
-    """Return True if a GRU or LSTM runs forward, and states no activations, clip, gates or layout.
+    """Return True if a GRU or LSTM runs forward, with all other options at their defaults.
+
+    The other options are activations, clip, gates and layout.
 
     Args:
         attributes: Attributes of the ONNX node.
@@ -312,8 +315,9 @@ def _make_reshape(_: dict[str, Any], __: int) -> Operation:
 def _make_transpose(attributes: dict[str, Any], _: int) -> Operation | None:
     """Return the operation Transpose; None for an order of axes that is not supported.
 
-    Supported orders exchange the last two axes, change nothing, or exchange the axis of the runs
-    with an axis of one element, which changes nothing for a single observation.
+    Three orders are supported: an exchange of the last two axes, no change, and an exchange of the
+    axis of the runs with an axis of one element. The last order changes nothing for a single
+    observation.
     """
     order = attributes.get("perm", [1, 0])
     if order == [0, 2, 1]:
@@ -367,8 +371,8 @@ def _fold(function: Callable[..., Any]) -> Operation:
 def skip_missing_inputs(operation: Operation, names: Sequence[str]) -> Operation:
     """Return an operation whose arguments are only the inputs that an ONNX node names.
 
-    ``names`` are the node's inputs; the name of an omitted optional input is empty, and
-    ``operation`` gets None for it.
+    ``names`` are the names of the node's inputs. If an optional input is omitted, its name is
+    empty, and ``operation`` gets None for it.
     """
     if all(names):
         return operation

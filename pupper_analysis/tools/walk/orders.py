@@ -1,8 +1,9 @@
 """Ranking of readings of a policy: joint orders, signs, scales and histories.
 
-Inputs are a robot, a policy and commands; output is an `Orders`. The stated reading and readings
-that differ in one respect are simulated, and ranked by the number of tracked commands, then by
-torque and tracking error (`Candidate.cost`).
+A reading (interpretation) is an order of joints, signs, scale and history. Inputs are a robot, a
+policy and commands; output is an `Orders`. The stated reading, and readings that differ in one
+respect, are simulated. They are ranked by the number of tracked commands. Equal numbers are ranked
+by torque and tracking error (`Candidate.cost`).
 """
 
 from __future__ import annotations
@@ -37,17 +38,19 @@ DEFAULT_COMMANDS = ((0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8))
 orders can walk as well."""
 
 MIN_COST_RATIO = 1.1
-"""Ratio between the cost of the second-best interpretation of a policy and the cost of the best
-one (`Candidate.cost`), above which the best one is clearly better. Chosen: for Pupper's own policy
-on the model v3 the ratio is 1.2."""
+"""Ratio of costs (`Candidate.cost`) of the second-best and the best interpretation of a policy. If
+the ratio is larger, the best interpretation is clearly better. Chosen: for Pupper's own policy on
+the model v3 the ratio is 1.2.
+"""
 
 SCALE_FACTORS = (0.5, 2.0)
 """Factors on the stated action scale that are tried as other interpretations of a policy. Chosen,
 not tuned: with smaller deviations a policy may still walk."""
 
 _MAX_PERMUTED_LIMBS = 4
-"""Maximum number of limbs, with equally many joints, of which all orders are tried; of more limbs,
-only pairs are exchanged. Chosen, not tuned."""
+"""Maximum number of limbs with equally many joints for which all orders are tried. If there are
+more limbs, only pairs are exchanged. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,8 +155,8 @@ def rank_orders(
     """Rank interpretations of a policy's inputs and outputs by simulated walking.
 
     The stated joint order, signs, scale or history of a policy may be wrong. Candidates are ranked
-    by the number of tracked commands, then by `Candidate.cost`. Tried are the stated
-    interpretation, and interpretations that differ in one respect:
+    by the number of tracked commands. Equal numbers are ranked by `Candidate.cost`. The candidates
+    are the stated interpretation, and interpretations that differ in one respect:
 
     - Orders of limbs with equally many joints: all orders of up to four limbs, and exchanges of two
       limbs if there are more. Each order is also tried with the joints grouped by kind instead of

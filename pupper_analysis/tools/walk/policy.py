@@ -159,8 +159,8 @@ def split_sources(words: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...
 def select_policy(policy: Path | None, sources: Sequence[str]) -> tuple[Path, tuple[str, ...]]:
     """Return the file of the policy, and the other sources.
 
-    Without a policy, the only ONNX file in the folder of the first other source is used, or in the
-    folder ``exported`` beside this folder, as in unitree_rl_lab.
+    If no policy is given, the only ONNX file in the folder of the first other source is used. The
+    folder ``exported`` beside this folder is searched as well, as in unitree_rl_lab.
 
     Args:
         policy: Typed policy; None without.
@@ -213,10 +213,10 @@ def _find_toml_line(text: str, key: str) -> int:
 
 @contextmanager
 def refuse_malformed(path: Path) -> Iterator[None]:
-    """Turn an error of Python that a malformed policy file causes into a refusal of the file.
+    """Convert a Python error that a malformed policy file causes into a refusal of the file.
 
-    The readers check the values that the format uses. This function is the last check, the same for
-    all formats: a file is never reported as a defect of the package.
+    The readers check the values that the format uses. This function handles all other errors, for
+    all formats. Therefore a malformed file is not reported as a defect of the package.
 
     Raises:
         ModelError: If the block raises such an error.
@@ -265,17 +265,21 @@ _NUMPY_TYPES = {1: "<f4", 6: "<i4", 7: "<i8", 10: "<f2", 11: "<f8"}
 other types are refused."""
 
 _FLOAT16 = 10
-"""TensorProto data type of half precision: numbers that are not raw bytes are stored as integers
-with the same 16 bits (onnx.proto3, ``int32_data``)."""
+"""TensorProto data type of half precision. If the numbers are not stored as raw bytes, they are
+stored as integers with the same 16 bits (onnx.proto3, ``int32_data``).
+"""
 
 _FIELD_OF_TYPE = {1: 4, 6: 5, 7: 7, 11: 10}
-"""{data type of an ONNX tensor: number of the TensorProto field that contains the tensor's values},
-for values that are not stored as raw bytes (onnx.proto3)."""
+"""{data type of an ONNX tensor: number of the TensorProto field with the values}. These fields are
+used for values that are not stored as raw bytes (onnx.proto3).
+"""
 
 
 _EXTERNAL_DATA_FIELD, _DATA_LOCATION_FIELD = 13, 14
-"""Fields of an ONNX tensor whose weights are in another file: entries (``location``, ``offset``,
-``length``), and 1 if the weights are there (onnx.proto3)."""
+"""TensorProto field numbers for weights in another file (onnx.proto3). The first field contains the
+entries ``location``, ``offset`` and ``length``. The second field is 1 if the weights are in another
+file.
+"""
 
 
 class _WeightFiles:
@@ -390,16 +394,18 @@ def build_onnx_network(path: Path, file: OnnxFile) -> Network:
 
 
 _ACTION_NAMES = ("actions", "action", "mu", "mean", "mean_actions", "continuous_actions")
-"""Names of the output that is the action, if a network without states has several outputs
-(rl_games, skrl and others). Other outputs, such as standard deviation and value, are not used."""
+"""Names of the output that is the action in networks of rl_games, skrl and others. They are used if
+a network without states has several outputs. Other outputs, such as standard deviation and value,
+are ignored.
+"""
 
 
 def _build_onnx_network(path: Path, file: OnnxFile, weight_files: _WeightFiles) -> Network:
     """Build the network of an ONNX graph.
 
-    The first input is the observation, the first output the action; further inputs and outputs are
-    recurrent states. Of several outputs of a network with a single input, the one named in
-    `_ACTION_NAMES` is the action.
+    The first input is the observation, and the first output is the action. Further inputs and
+    outputs are recurrent states. If a network with a single input has several outputs, the output
+    named in `_ACTION_NAMES` is the action.
 
     Raises:
         ModelError: If the numbers of inputs and (remaining) outputs differ, an operator is not

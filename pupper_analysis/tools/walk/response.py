@@ -39,8 +39,10 @@ NUM_STEPS = 5
 the largest command."""
 
 MIN_RESPONSE = 0.25
-"""Fraction of a command below which the policy counts as ignoring the command. Chosen, not tuned:
-half of the fraction that a tracking robot reaches (`MIN_FOLLOWED_FRACTION`)."""
+"""Ratio of achieved to commanded velocity. If it is smaller, the policy ignores the command (dead
+zone). Chosen, not tuned: half of the fraction that a tracking robot reaches
+(`MIN_FOLLOWED_FRACTION`).
+"""
 
 AXIS_NAMES = ("forward", "left", "turning")
 """Names of the commands: forward speed, speed to the left, turning rate to the left."""

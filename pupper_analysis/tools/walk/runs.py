@@ -48,12 +48,14 @@ PUSH_TIME = 2.0
 """Start of the push of a run [s]. Chosen so that the robot walks by then."""
 
 _STEP_RTOL = 1e-6
-"""Relative tolerance of the check that an action lasts at least one time step, for rounding of the
-rate and the time step. Chosen, not tuned."""
+"""Relative tolerance of the check that an action lasts at least one time step. It covers rounding
+of the rate and the time step. Chosen, not tuned.
+"""
 
 _CHECKED_FALL_FRACTION = 0.9
-"""Fraction of the tilt and height loss of a fall above which the exact fall criterion, which is
-slower, is evaluated. Chosen, not tuned."""
+"""Fraction of the tilt and height loss that define a fall. If a run exceeds this fraction, the
+exact fall criterion, which is slower, is evaluated. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +212,8 @@ def with_contract_efforts(robot: Robot, contract: PolicyContract, joints: IntArr
     """Return the robot with the torque limits of a policy's contract, if the contract states any.
 
     A limit of a TOML file replaces the limit of the robot's files. A limit of another source, for
-    example of a deployment, replaces a higher limit only: a motor obeys both.
+    example a deployment, replaces the robot's limit only if it is lower, since both limits apply to
+    the motor.
 
     Args:
         robot: Robot.
@@ -237,7 +240,8 @@ def replace_efforts(
     Args:
         robot: Robot.
         policy: Policy.
-        efforts: {joint of the robot: limit [N m]}; both are returned unchanged without efforts.
+        efforts: {joint of the robot: limit [N m]}. If empty, robot and policy are returned
+            unchanged.
 
     Returns:
         Robot; policy.
@@ -294,7 +298,7 @@ def simulate_cases(
         stage: Policy on the robot.
         cases: Runs; their models have the sizes of the stage's model.
         duration: Simulated time of each run without a fall [s].
-        warm_up: Time at the start of which tilt and height loss are not recorded [s].
+        warm_up: Initial time in which tilt and height loss are not recorded [s].
         workers: Number of threads; by default the number of cores.
     """
     batches = [cases[start : start + _BATCH_SIZE] for start in range(0, len(cases), _BATCH_SIZE)]

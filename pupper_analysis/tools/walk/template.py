@@ -20,7 +20,9 @@ from pupper_analysis.tools.walk.contract import TERM_SIZES
 from pupper_analysis.tools.walk.policy import read_statements
 
 _REQUIRED_KEYS = ("observation", "default", "action-scale", "rate")
-"""Keys of a policy contract without default: the template marks those that no file states."""
+"""Keys of a policy contract that have no default value. The template marks these keys if no file
+states them.
+"""
 
 _MEANINGS = {
     "observation": "terms of a frame of the observation, in order",

@@ -41,9 +41,11 @@ MAX_DELAY_SAMPLES = 10
 """Largest delay that is searched, in samples. Chosen: 0.2 s at 50 Hz."""
 
 MATCH_RTOL, MATCH_ATOL = 0.02, 1e-4
-"""Tolerances of a column of a term: rms difference <= `MATCH_RTOL` * (rms of the expected signal
-about its mean) + `MATCH_ATOL`, in the unit of the term. Chosen, not tuned: above the noise of
-encoders and float32 logs, below the effect of a wrong sign, scale, order or delay."""
+"""Relative and absolute tolerance of a column of a term; the absolute tolerance is in the unit of
+the term. A column agrees if rms difference <= `MATCH_RTOL` * (rms of the expected signal about its
+mean) + `MATCH_ATOL`. Chosen, not tuned: above the noise of encoders and float32 logs, below the
+effect of a wrong sign, scale, order or delay.
+"""
 
 _DAMAGE_ERRORS = (
     ValueError,
@@ -78,12 +80,15 @@ _NUM_COLUMNS = {"angular_velocity": 3, "gravity": 3, "quaternion": 4}
 """{array of a trace: number of columns}, if it does not depend on the robot."""
 
 _NUM_UNKNOWN_SAMPLES = {"last-action": 1, "second-last-action": 2}
-"""{term: number of samples at the start of a trace that are not compared}. The term then contains
-actions before the trace, which may begin while the policy runs."""
+"""{term: number of samples at the start of a trace that are not compared}. In these samples the
+term contains actions before the trace, which are unknown. A trace may begin while the policy
+already runs.
+"""
 
 MAX_NORM_DEVIATION = 0.05
-"""Largest difference of the norm of a recorded quaternion from 1. Chosen: logs with two decimals
-have 0.01; a row of zeros has 1."""
+"""Largest accepted difference of the norm of a recorded quaternion from 1. If the difference is
+larger, the trace is refused. Chosen: logs with two decimals have 0.01; a row of zeros has 1.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -586,8 +591,8 @@ def record_trace(
     Args:
         robot: Robot.
         policy: Policy.
-        commands: At least one command; commands follow each other: forward [m/s], left [m/s],
-            turning [rad/s].
+        commands: At least one command: forward [m/s], left [m/s], turning [rad/s]. The commands are
+            simulated one after another, in a single run.
         seconds_per_command: Duration of each command [s].
         seed: Seed of the initial state.
 

@@ -185,9 +185,9 @@ def check_scale(
 ) -> Iterator[Diagnostic]:
     """Yield a failure if mean kp, total mass and load are jointly improbable, given the file.
 
-    The load is the force on the feet beyond the weight of the masses, as a fraction of it.
-    Positions determine the ratio of kp to mass; the weight determines both. An error of the weight
-    shifts all parameters a little, and no parameter by itself is far from the stated value.
+    The load is the force on the feet in excess of the weight of the masses, as a fraction of this
+    weight. Positions determine the ratio of kp to mass; the weight determines both. An error of the
+    weight shifts all parameters a little, and no parameter by itself is far from the stated value.
     Therefore the mean of log kp, the logarithm of the total mass and the load are tested jointly,
     as far as they are estimated. The load is left out if a known mass was added in some stands:
     `check_surroundings` then tests it.
@@ -290,8 +290,10 @@ def _report_unmodelled_effects(posterior: Posterior, friction_error: float) -> I
 
 
 _SURPRISE_PROBABILITY = 0.0027
-"""Probability of a chi2 test, if the priors are right, up to which a deviation is reported: equal
-to that of three standard deviations. Chosen, not tuned."""
+"""Probability, if the priors are right, of a chi2 at least as large as the observed value. If it is
+at most this value, the deviation is reported. It is the probability of three standard deviations.
+Chosen, not tuned.
+"""
 
 _MIN_VARIANCE_REDUCTION = 0.02
 """Lower bound of 1 - posterior variance / prior variance, in tests whether an estimate is too far
@@ -300,9 +302,10 @@ measurements hardly determine them. For a single parameter, a smaller value is r
 bound. Chosen, not tuned."""
 
 _MIN_NAMED_STDS = 2.0
-"""Deviation of a foot's parameter from its prior, in standard deviations, from which the error
-message names the foot. The foot with the largest deviation is named in any case. Chosen, not
-tuned."""
+"""Deviation of a foot's parameter from its prior, in standard deviations. If it is at least this
+value, the error message names the foot. The foot with the largest deviation is always named.
+Chosen, not tuned.
+"""
 
 _MAX_FLATNESS_RATIO = 5.0
 """Upper bound of the ratio of estimated to expected unevenness of the ground. With a larger ratio
@@ -315,8 +318,10 @@ If the stated friction is implausible (`_MIN_FRICTION_RATIO`) and is scaled up, 
 applies. Chosen, not tuned."""
 
 _MAX_PARAMETER_STDS = 4.5
-"""Upper bound of the deviation of a parameter or a reading, in standard deviations. Among a hundred
-normal numbers, any exceeds 4.5 with a probability below 1e-3."""
+"""Largest accepted deviation of a parameter or a reading, in standard deviations. A larger
+deviation is a failure. Derived: the probability that any of a hundred normal numbers exceeds 4.5 is
+below 1e-3.
+"""
 
 _CHECKED_SURROUNDINGS = ("slope", "softness", "length", "load")
 """Kinds of parameters that ``check_surroundings`` tests: slope and softness of the ground, lengths
@@ -328,8 +333,9 @@ zero, and is a failure. ``_ZERO_RTOL`` and its square are also lower bounds of d
 and [rad]. Chosen, not tuned."""
 
 _RESIDUALS_PROBABILITY = 1e-3
-"""Probability (chi2 test) that noise alone causes residuals of at least the observed size, below
-which the fit fails. Chosen, not tuned."""
+"""Probability (chi2 test) that noise alone causes residuals of at least the observed size. If it is
+smaller, the fit fails. Chosen, not tuned.
+"""
 
 
 def check_residuals(
@@ -1057,8 +1063,9 @@ _COMMAND_NOTES = {True: "stands-at-stops", False: "stands-with-full-torque"}
 the motor is at the torque limit."""
 
 _FULL_TORQUE_RATIO = 0.98
-"""Ratio of torque to torque limit above which a motor counts as saturated, so that its command is
-not used. Chosen, not tuned."""
+"""Ratio of torque to torque limit of a motor. If it is larger, the motor counts as saturated, and
+its command is not used. Chosen, not tuned.
+"""
 
 
 def _make_scale_residual(
@@ -1149,10 +1156,10 @@ def _check_foot_loads(
 class LogCoordinates:
     """Coordinates in which masses and kp are logarithms, so that the priors are normal.
 
-    Stands determine the ratio of kp to mass. With normal priors a robot with all of them smaller
-    would be more probable than with all larger: twelve kp that differ by a tenth differ by less if
-    all are halved, and the most probable robot was 13 % too light. With logarithms a factor and its
-    inverse are equally probable.
+    Stands determine the ratio of kp to mass. With normal priors, a robot with all kp and masses too
+    small would be more probable than one with all too large. The reason: if twelve kp that differ
+    by a tenth are halved, their differences are halved as well. The most probable robot was then 13
+    % too light. With logarithms, a factor and its inverse are equally probable.
 
     The coordinate is y = x0 + x0 log(x / x0), with the stated value x0: y has the parameter's
     unit, and agrees with x to first order about x0, so that the prior width is unchanged. For other

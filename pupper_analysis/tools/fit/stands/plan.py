@@ -454,13 +454,15 @@ range of the random values shrinks after each failure (`_SHRINK_FACTOR`), by the
 default stand. Chosen, not tuned."""
 
 _SHRINK_FACTOR, _GROW_FACTOR = 0.85, 1.2
-"""Factors on the range of random stands after a refused and after an accepted stand. The range is
-at most 1. The factors balance at 47 % accepted stands, for robots with large and small workspaces.
-Chosen, not tuned."""
+"""Factors on the range of the random values, after a refused and after an accepted stand. The range
+is at most 1. With these factors, about 47 % of the stands are accepted, for robots with large and
+with small workspaces. Chosen, not tuned.
+"""
 
 _MAX_UTILISATION = 0.6
-"""Upper bound of motor torque over torque limit in a planned stand; random stands above are
-refused, since a stand lasts minutes. Chosen, not tuned."""
+"""Largest accepted ratio of motor torque to torque limit in a planned stand. Random stands with a
+larger ratio are refused, since a stand lasts minutes. Chosen, not tuned.
+"""
 
 _MIN_HEIGHT_RATIO, _MAX_HEIGHT_RATIO = 0.75, 1.1
 """Bounds of the base height, as fractions of the base height in the default stand. Chosen, not
@@ -499,11 +501,11 @@ the default stand. Chosen, not tuned."""
 class RandomStands:
     """Generator of random stands that the servos hold.
 
-    Stands are reachable, balanced, and within 60 % of the known torque limits; they are free of
-    self-collision if the nominal stand is. Joints keep three standard deviations of an encoder
-    offset from the limits, since a joint may rest on a stop unnoticed. The CoM margin is at least
-    the larger of one standard deviation of the horizontal CoM position and 5 % of the height, or
-    5 % if the larger margin is not reachable.
+    Stands are reachable, balanced, and within 60 % of the known torque limits. They are free of
+    self-collision if the nominal stand is. The distance of a joint from its limits is at least
+    three standard deviations of an encoder offset, since a joint may rest on a stop unnoticed. The
+    CoM margin is at least one standard deviation of the horizontal CoM position, and at least 5 %
+    of the height. If this margin is not reachable, 5 % of the height is sufficient.
 
     Args:
         robot: Robot with a free base and feet.

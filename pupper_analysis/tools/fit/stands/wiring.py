@@ -113,9 +113,10 @@ def find_wiring(
         stands: Stands, joints in actuator order.
         evidence: Function that returns the log evidence of stands.
         fit: Function that fits stands.
-        doubted: Rows of stands that contradict the present wiring, if the others are explained.
-            Only the `_MAX_WEIGHED_WIRINGS` wirings that these stands (with others, up to
-            `MIN_STANDS`) make most probable are then ranked by all stands, which is faster.
+        doubted: Rows of stands that contradict the present wiring, if it explains the others. If
+            given, the wirings are first ranked by these stands alone (with others, up to
+            `MIN_STANDS`). Only the best `_MAX_WEIGHED_WIRINGS` are then ranked by all stands, which
+            is faster.
 
     Returns:
         First fitted wiring whose fit has no failures; None without such a wiring.
