@@ -1,8 +1,8 @@
 """Compare the published file with the prediction, from the computed stand, and name causes.
 
 The published model is placed in the predicted state of rest and simulated with the predicted
-commands; torques, height and joint positions are compared. Results are computed when a verdict is
-first requested, like the run from the keyframe (``own_run``). The cause of a difference is an
+commands. Then torques, height and joint positions are compared. Results are computed when a verdict
+is first requested, like the run from the keyframe (``own_run``). The cause of a difference is an
 element of the file: if it is switched off in a copy of the model, the difference disappears.
 """
 
@@ -92,28 +92,33 @@ successive deviations show whether the torques still approach the prediction
 (`_MAX_APPROACH_RATIO`). Chosen as a divisor of `NUDGED_TIME`."""
 
 _MAX_APPROACH_RATIO = 0.9
-"""Upper bound of the torque deviation, relative to that `_APPROACH_INTERVAL` earlier, with which
-the torques count as approaching the prediction, so that the simulation continues. Measured after
+"""Upper bound of the torque deviation, divided by the deviation `_APPROACH_INTERVAL` earlier [1].
+Below the bound, the torques approach the prediction, and the simulation continues. Measured after
 the nudge of a robot with six feet, elliptic cones and an ``impratio`` of 100: tangential forces
-relax with a time constant of 6.8 s, which is a ratio of 0.75."""
+relax with a time constant of 6.8 s, which is a ratio of 0.75.
+"""
 
 _MIN_LASTING_RATIO = 5.0
-"""Torque deviation from the prediction, relative to `TORQUE_RTOL`, above which the simulation of a
-changed model may end early (`_is_lasting`). Chosen, not tuned: the deviation must then still fall
-by a factor of five."""
+"""Lower bound of the torque deviation from the prediction, divided by `TORQUE_RTOL` [1]. Above the
+bound, the simulation of a changed model may end early (`_is_lasting`). Chosen, not tuned: to agree
+with the prediction, the deviation would still have to fall by a factor of five.
+"""
 
 TORQUE_RTOL = 0.01
-"""Largest deviation of the joint torques in a simulation of the published file from the predicted
-torques with which both agree. It is relative to ``torque_scale``, the largest predicted torque or,
-if that is small, a part of the weight. Chosen as for a verified stand (``FORCE_TOLERANCE``)."""
+"""Upper bound of the deviation of the joint torques from the prediction, divided by
+``torque_scale`` [1]. Up to the bound, the published file agrees with the prediction. Chosen as for
+a verified stand (``FORCE_TOLERANCE``).
+"""
 
 MAX_REMAINING_SINKAGE = 1e-3
-"""Largest height error of the CoM [m] with which a changed model counts as repaired, if its torques
-agree with the prediction. Chosen, not tuned."""
+"""Upper bound of the height error of the CoM of a repaired model [m]. Up to the bound, a changed
+model counts as repaired if its torques agree with the prediction. Chosen, not tuned.
+"""
 
 HEIGHT_RTOL = 1e-3
-"""Largest height error of the CoM, relative to the CoM height, with which the file agrees with the
-prediction; 0.13 mm for Pupper v3. Chosen, not tuned."""
+"""Upper bound of the height error of the CoM, divided by the CoM height [1]; 0.13 mm for Pupper v3.
+Up to the bound, the file agrees with the prediction. Chosen, not tuned.
+"""
 
 
 def compare_as_published(
@@ -282,12 +287,12 @@ def _simulate_prepared_robot(robot: Robot, prediction: PredictedRest) -> Publish
 def _moves_alike(
     prediction: PredictedRest, run: PublishedRun, prepared: PublishedRun | None
 ) -> bool:
-    """Return True if neither published file nor prepared robot comes to rest without feed-forward.
+    """Return True if published file and prepared robot fail alike without feed-forward.
 
-    The torques of both must also deviate alike from the prediction, within ``TORQUE_RTOL``. The
-    file is then no cause: the verdict reports the failure without feed-forward, with its cause.
-    Measured for the reduced Talos of example-robot-data, whose soles chatter: both deviate by
-    42.3 % in torque.
+    Neither comes to rest, and their torque deviations from the prediction are equal within
+    ``TORQUE_RTOL``. The file is then no cause: the verdict reports the failure without
+    feed-forward, with its cause. Measured for the reduced Talos of example-robot-data, whose soles
+    chatter: both deviate by 42.3 % in torque.
 
     Args:
         prediction: Predicted state of rest.
@@ -313,12 +318,14 @@ def _find_loading_causes(
     """Find out if a deviation from the prediction is due to the preparation, or to the two files.
 
     If the simulation of the prepared robot agrees with the prediction, the changes of the
-    preparation (`list_loading_changes`) are the cause. If this simulation deviates as much as the
-    published MJCF (as it is, or with its candidate causes switched off), URDF and MJCF differ,
-    since the prediction is computed from the URDF. The cause is then the first difference that
-    ``compare_files`` finds and that affects mass matrix, gravity, or the positions of joints and
-    feet; or else the first of its differing parts. Empty without such a difference, and for a robot
-    whose URDF or MJCF was converted.
+    preparation (`list_loading_changes`) are the cause.
+
+    If this simulation deviates as much as the published MJCF (as it is, or with its candidate
+    causes switched off), URDF and MJCF differ, since the prediction is computed from the URDF. The
+    cause is the first difference found by ``compare_files`` that affects mass matrix, gravity, or
+    positions of joints and feet. If no difference affects them, the cause is the first part that
+    differs. The result is empty without differences, and for a robot whose URDF or MJCF was
+    converted.
 
     Args:
         published: Published model.
@@ -382,11 +389,11 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
 
     Returns:
         Predictions: with feed-forward, then without. For a fixed base, only with feed-forward. The
-        stand is that on soft ground, or that on rigid ground if the former is out of reach, or does
-        not converge because of closed loops. Empty without such a stand or balance. The prediction
-        without feed-forward is left out if a joint of the prepared robot has no position servo, if
-        a servo of the file was replaced, if the file drives a joint through a tendon, or if no
-        steady state without failures is found.
+        stand is solved on soft ground. If this stand is out of reach, or does not converge because
+        of closed loops, the stand on rigid ground is used. Empty if there is no stand or no
+        balance. The prediction without feed-forward is omitted if a joint of the prepared robot has
+        no position servo, if a servo of the file was replaced, if the file drives a joint through a
+        tendon, or if no steady state without failures is found.
     """
     if not robot.floating:
         joints = stand.qpos[-robot.nu :]
@@ -420,18 +427,18 @@ def simulate_prediction(
 ) -> PublishedRun | None:
     """Simulate the published model from the predicted state of rest, and compare both.
 
-    The model settles for `SETTLING_TIME`, is nudged, and simulated for `NUDGED_TIME`; longer, up to
-    `_MAX_NUDGED_TIME`, as long as the torques deviate, but approach the prediction. CoM height [m]
-    and joint positions [rad, m] are compared at the end, and torques [N m] over the last second.
+    The model settles for `SETTLING_TIME`, is nudged, and is then simulated for `NUDGED_TIME`. The
+    simulation continues, up to `_MAX_NUDGED_TIME`, while the torques deviate but approach the
+    prediction. CoM height [m] and joint positions [rad, m] are compared at the end, and torques [N
+    m] over the last second.
 
     Args:
         published: Published model.
         robot: Prepared robot.
         prediction: Predicted state of rest.
-        until_decided: End the simulation of a robot with a free base, whose actuators have no
-            activations, `_APPROACH_INTERVAL` after the nudge if the deviation of the torques is
-            large and does not fall (`_is_lasting`). The numbers of the result are then those at
-            this time.
+        until_decided: Whether the simulation may end `_APPROACH_INTERVAL` after the nudge. It does
+            if the deviation of the torques is large and does not fall (`_is_lasting`), the base is
+            free, and the actuators have no activations. The result is that at this time.
 
     Returns:
         Comparison; None if the base cannot be placed, for example because it is fixed, or if
@@ -519,8 +526,8 @@ def _simulate_until_compared(
 ) -> tuple[Array, Array, float]:
     """Simulate a published model for `SETTLING_TIME`, nudge the model, and simulate further.
 
-    The simulation ends `NUDGED_TIME` after the nudge; later, up to `_MAX_NUDGED_TIME`, as long as
-    the torques deviate, but approach the prediction.
+    The simulation ends `NUDGED_TIME` after the nudge. It continues, up to `_MAX_NUDGED_TIME`, while
+    the torques deviate but approach the prediction.
 
     Args:
         published: Published model.
@@ -528,7 +535,8 @@ def _simulate_until_compared(
         hold: Commands of the actuators, and external servos.
         find_deviation: Returns the largest torque deviation from the prediction, relative to the
             torque scale [1], for the extreme forces on the degrees of freedom.
-        may_end_early: End `_APPROACH_INTERVAL` after the nudge if the deviation `_is_lasting`.
+        may_end_early: Whether the simulation ends `_APPROACH_INTERVAL` after the nudge if the
+            deviation `_is_lasting`.
 
     Returns:
         Minimum and maximum forces in the last `FORCE_WINDOW`, shape (model.nv,) each [N m, N], and
@@ -554,9 +562,9 @@ def _simulate_until_compared(
 def _is_lasting(earlier: float, deviation: float) -> bool:
     """Return True if the torques deviate much from the prediction, and do not approach it.
 
-    The deviation exceeds `_MIN_LASTING_RATIO` times the tolerance, and falls too slowly to count as
-    approaching the prediction: within `_APPROACH_INTERVAL`, it would remain above
-    `_MAX_APPROACH_RATIO` of its value.
+    Two conditions must hold. The deviation exceeds `_MIN_LASTING_RATIO` * `TORQUE_RTOL`. It also
+    falls so slowly that after `_APPROACH_INTERVAL` it would still be above `_MAX_APPROACH_RATIO`
+    times its value.
 
     Args:
         earlier: Largest torque deviation in the first of two successive windows of `FORCE_WINDOW`,
@@ -612,8 +620,9 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
 def list_command_causes(run: OwnRun, published: PublishedModel) -> tuple[Cause, ...]:
     """Return the cause of a failed run if the keyframe's ctrl is the cause; otherwise ().
 
-    Either the keyframe has no ctrl, and the robot does not fall if its joint angles are commanded.
-    Or the keyframe has a ctrl, and most joints have no position servo.
+    The ctrl is the cause in two cases. The keyframe has no ctrl, and the robot does not fall if the
+    joint angles of the keyframe are commanded. Or the keyframe has a ctrl, and most joints have no
+    position servo.
     """
     if run.commands is OwnCommands.ABSENT and run.held is not None and not run.held.falls:
         return (Cause("ctrl-absent", (run.keyframe,)),)
@@ -628,10 +637,10 @@ def name_remaining_cause(
     """Add the most probable cause to a failed simulation for which no other cause was found.
 
     If the file has ball joints, which the prepared robot holds at rest, they are the cause.
-    Otherwise: if the run from the keyframe fails, the cause is the stiffness of the servos if the
-    robot stands with stiffer servos, otherwise a joint (see `_deviating_joint`) or the divergence
-    of the simulation. If only the comparison with the prediction fails, the cause is the joint that
-    deviates most.
+    Otherwise, if the run from the keyframe fails, there are two possible causes. If the robot
+    stands with stiffer servos, the cause is the stiffness. If not, the cause is that of
+    `_deviating_joint`: a joint, or the divergence. If only the comparison with the prediction
+    fails, the cause is the joint that deviates most.
 
     Args:
         robot: Prepared robot.
@@ -695,8 +704,8 @@ def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
 def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
     """Return the cause for which a run of the file fails: a joint, or a divergence.
 
-    The joint is one without servo that moved, if there is one, else the joint that deviates most.
-    If no joint is known, the cause is that the run diverges.
+    The cause is a joint without servo that moved. If there is none, it is the joint that deviates
+    most. If no joint is known, the cause is that the run diverges.
     """
     joint = run.unheld or run.worst
     if joint is None:
@@ -709,7 +718,7 @@ def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
 
 
 def _find_run_causes(run: OwnRun, published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
-    """Find the elements of the file because of which its simulation from a keyframe fails.
+    """Find the elements of the file that cause the failure of its simulation from a keyframe.
 
     The elements are changed in copies of the model, which are simulated again (`_test_causes`).
     """
@@ -750,11 +759,11 @@ def find_difference_causes(
 ) -> tuple[Cause, ...]:
     """Find elements of a published MJCF that cause the deviation from the predicted stand.
 
-    Groups of candidate elements are disabled in a copy of the model. If the simulation then agrees
-    with the prediction, apart from a CoM height error of up to `MAX_REMAINING_SINKAGE`, the causes
-    are the elements of the group that break this agreement when they alone are enabled again. Empty
-    if no group restores the agreement, and for a file with a servo whose stiffness is zero or
-    negative.
+    A group of candidate elements is disabled in a copy of the model. If the simulation then agrees
+    with the prediction, each element of the group is enabled again alone. The element is a cause if
+    the agreement is then lost. A CoM height error of up to `MAX_REMAINING_SINKAGE` counts as
+    agreement. The result is empty if no group restores the agreement, and for a file with a servo
+    whose stiffness is zero or negative.
 
     Args:
         published: Published model.
@@ -799,11 +808,11 @@ def _test_causes(
 ) -> tuple[Cause, ...]:
     """Find the causes of a deviation by switching off candidates in copies of the model.
 
-    A model is sound if ``test_model`` returns a number. A group passes the test if the model is
-    sound with the whole group switched off, and with its causes alone switched off. A cause is a
-    candidate that makes the model unsound when it alone is switched on again, in the group and in
-    the largest sound set of candidates. Groups are tested in this order: integration and solver,
-    the other candidates, both, both and ``physical``.
+    A model is sound if ``test_model`` returns a number. A candidate is a cause if the model becomes
+    unsound when this candidate alone is switched on again. This must be so for the group, and for
+    the largest sound set of candidates. A group passes the test if the model is sound with the
+    whole group switched off, and with only its causes switched off. The groups are, in the order of
+    the tests: integration and solver; the other candidates; both; both and ``physical``.
 
     Args:
         published: Published model.

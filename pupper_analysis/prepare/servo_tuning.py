@@ -34,18 +34,21 @@ GainArrays = tuple[Array, Array]
 """Servo stiffness kp [N m/rad, N/m] and damping kd [N m s/rad, N s/m], with a value per joint."""
 
 DEFAULT_SAG = 0.02
-"""Default deflection of a joint of an arm under gravity [rad; m for a slide], from which the
-suggested stiffness is derived. Chosen, not tuned."""
+"""Default deflection of a joint of an arm under gravity [rad; m for a slide]. The suggested
+stiffness is derived from it. Chosen, not tuned.
+"""
 
 _MAX_STANDING_FREQUENCY = 1.5
-"""Upper bound of h sqrt(kp / I) for each joint of a standing robot [rad per time step], with the
-time step h and the inertia I at the joint; limits the stiffness kp. Chosen below 2, at which
-MuJoCo's integration, explicit in the position, diverges."""
+"""Upper bound of h sqrt(kp / I) for each joint of a standing robot [rad per time step]. It limits
+the stiffness kp; h is the time step, and I the inertia at the joint. Chosen below 2, at which
+MuJoCo's integration, explicit in the position, diverges.
+"""
 
 _MAX_FIXED_BASE_FREQUENCY = 0.5
-"""Upper bound of h sqrt(kp / I) for each joint of a robot with a fixed base [rad per time step],
-with the time step h and the inertia I at the joint; limits the stiffness kp. Chosen as a quarter of
-the stability limit 2, because the poses in which the robot will be used are unknown."""
+"""Upper bound of h sqrt(kp / I) for each joint of a robot with a fixed base [rad per time step]. It
+limits the stiffness kp; h is the time step, and I the inertia at the joint. Chosen as a quarter of
+the stability limit 2, because the poses in which the robot will be used are unknown.
+"""
 
 _MIN_LEVER_FRACTION = 0.02
 """Lower bound of the design torque of added servos [N m]: weight * base height * this fraction. The
@@ -63,8 +66,9 @@ _DAMPING_TIME = 0.05
 Controllers of public robots have ratios of 0.02 to 0.1 s. Chosen, not tuned."""
 
 _MIN_TORQUE_FRACTION = 0.02
-"""Lower bound of a joint's design torque, from which its stiffness is derived, relative to the
-largest gravity torque of all joints. Chosen, not tuned."""
+"""Lower bound of a joint's design torque, divided by the largest gravity torque of all joints [1].
+The stiffness of a servo is derived from the design torque. Chosen, not tuned.
+"""
 
 _MIN_FREQUENCY = 4 * math.pi
 """Lower bound of a servo's natural frequency [rad/s], 2 Hz. Chosen: a joint with a vertical axis
@@ -88,8 +92,8 @@ class ServoRequirement:
     Attributes:
         torques: Design torque for the stiffness [N m, N for slides]; for the slides of a standing
             robot, the torque of a hinge divided by the square of a lever [N/m].
-        own_torques: Torque that the joint holds itself [N m, N]; met even above ``soft_limit``, but
-            not above ``max_stiffness``.
+        own_torques: Torque that the joint itself holds [N m, N]. For this torque the stiffness may
+            exceed ``soft_limit``, but not ``max_stiffness``.
         inertia: Inertia at the joint with all other joints free, in closed loops as far as the
             loops permit [kg m^2, kg].
         min_stiffness: Minimum stiffness [N m/rad, N/m].
@@ -166,8 +170,9 @@ class ServoRequirement:
         """Compute the requirements on the servos of a robot with a fixed base, such as an arm.
 
         The design torque of a joint is the largest gravity torque in random poses, but at least
-        `_MIN_TORQUE_FRACTION` of that of the most loaded joint. The minimum stiffness is derived
-        from the largest inertia about the joint in these poses, with the other joints locked.
+        `_MIN_TORQUE_FRACTION` times the torque of the most loaded joint. The minimum stiffness is
+        derived from the largest inertia about the joint in these poses, with the other joints
+        locked.
 
         Args:
             model: Model with a fixed base, or with a free base that is held.

@@ -164,8 +164,10 @@ def check_masses(robot: Robot, urdf: UrdfFile) -> None:
 
 
 MAX_SOLVER_RESIDUAL = 0.01
-"""Residual of the equations of motion, relative to the robot's weight, above which MuJoCo's solver
-counts as inaccurate. Chosen below the tolerances of comparisons with simulations."""
+"""Upper bound of the residual of the equations of motion, divided by the robot's weight [1]. Above
+the bound, MuJoCo's solver is inaccurate. Chosen below the tolerances of comparisons with
+simulations.
+"""
 
 _PUSH_FRACTION = 0.1
 """Force on the robot in the test of the solver's accuracy, relative to the robot's weight. Without
@@ -224,13 +226,14 @@ def find_solver_error(robot: Robot) -> float | None:
 
 
 def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
-    """Set dense matrices for MuJoCo's solver if it is inaccurate with sparse, accurate with dense.
+    """Set dense matrices for MuJoCo's solver if it is inaccurate with sparse matrices.
 
     Args:
         robot: Robot with a free base.
 
     Returns:
-        Robot, and a note if dense matrices are set, or if the solver remains inaccurate.
+        Robot, and notes. Dense matrices are set only if the solver is accurate with them. There is
+        a note if they are set, or if the solver remains inaccurate.
     """
     residual = find_solver_error(robot)
     if residual is None:

@@ -1,9 +1,10 @@
 """Find the start pose of a robot: a keyframe of the MJCF, or a stand that is searched.
 
 Input is a robot with feet; output is a robot with a start pose, which defines the nominal stand and
-the keyframe of the prepared model. A keyframe is taken if its feet are level, its joints are within
-their limits, and the nominal stand exists; otherwise a keyframe from which the unmodified file
-stands, or else a stand in the middle of the reachable heights (`find_start_pose`).
+the keyframe of the prepared model. A keyframe is used if its feet are level, its joints are within
+their limits, and the nominal stand exists. Otherwise a keyframe is used from which the unmodified
+file stands. If there is none, a stand in the middle of the reachable heights is searched
+(`find_start_pose`).
 """
 
 from __future__ import annotations
@@ -51,9 +52,10 @@ _LEVEL_COSINE_ATOL = 1e-6
 angle between the vertical and the nearest axis of the base, at most 1.4 mrad. Chosen, not tuned."""
 
 _WEIGHT_RTOL = 0.01
-"""Upper bound of the difference between ground force and weight, relative to the weight, with which
-a keyframe counts as at rest. If the height of a keyframe was set by hand, the difference is far
-larger. Chosen, not tuned."""
+"""Upper bound of the difference between ground force and weight, divided by the weight [1]. Up to
+the bound, a keyframe is at rest. If the height of a keyframe was set by hand, the difference is far
+larger. Chosen, not tuned.
+"""
 
 
 def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, float]]:
@@ -171,8 +173,9 @@ def with_keyframes(
 
 
 _LIMIT_ATOL = 1e-3
-"""Upper bound of the distance [rad, m] of a keyframe's joint beyond its limit with which the
-keyframe is accepted: keyframes are rounded. Chosen, not tuned."""
+"""Tolerance [rad, m] of joint limits in a keyframe. A keyframe is rejected if a joint exceeds its
+limit by more. The tolerance is needed since keyframes are rounded. Chosen, not tuned.
+"""
 
 _MAX_FOOT_HEIGHT_SPREAD = 0.1
 """Upper bound of the height difference between the feet of a standing pose, relative to the
@@ -190,9 +193,11 @@ _MIN_GROUND_CLEARANCE = 0.01
 searched start pose, since feet penetrate the ground. Chosen, not tuned."""
 
 _EQUAL_MISS_RTOL = 1e-3
-"""Relative difference of the minimum foot errors from two initial guesses up to which they count as
-the same minimum (`_solve_first_guess`). Chosen between measured values, of 238 minima of three
-random bipeds: equal ones differ by up to 3e-5, others by 8e-3 or more."""
+"""Relative tolerance [1] of minimum foot errors. The minima from two initial guesses count as the
+same minimum if they differ by at most this value (`_solve_first_guess`). Chosen between measured
+values, of 238 minima of three random bipeds: equal ones differ by up to 3e-5, others by 8e-3 or
+more.
+"""
 
 _MAX_RESET_PASSES = 3
 """Number of successive solves of a stand. Before each solve after the first, the joints outside the
@@ -446,9 +451,10 @@ def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
 
     ``poses`` are joint positions, shape (nu,) [rad, m] each.
 
-    The pose is used from which a stand exists at the largest number of consecutive base heights.
-    The nominal stand is that at the middle height, or the nearest that is valid. Required margins
-    to the joint limits are reduced (`_JOINT_MARGINS`) until a stand is found; None without a stand.
+    From each pose, stands are searched at successive base heights. The pose with the most
+    consecutive stands is used. The nominal stand is the one at the middle height, or the nearest
+    valid one. The required distances from the joint limits are reduced (`_JOINT_MARGINS`) until a
+    stand is found. The result is None if there is no stand.
     """
     for margin in _JOINT_MARGINS:
         best: tuple[list[Stand], Robot] = [], robot
@@ -658,11 +664,11 @@ def _solve_first_guess(
 def compute_leg_length(robot: Robot, qpos: Array) -> float:
     """Compute the maximum height of the base above the ground, with the longest leg straight.
 
-    The height is the sum of the distances from the contact point over the joints of a leg to its
-    first joint, minus the height of this joint above the base in ``qpos``, shape (nq,), plus the
-    contact radius. Slides are at their positions in ``qpos``. If the contact sphere contains the
-    last joint, as that of a nearly flat sole, the lowest point of the sphere in ``qpos`` replaces
-    the sphere.
+    The height is a sum of three terms: the length of the chain from the contact point over the
+    joints of the leg to its first joint; the height of the base above this joint in ``qpos``, shape
+    (nq,); and the contact radius. Slides are at their positions in ``qpos``. If the contact sphere
+    contains the last joint, as for a nearly flat sole, the lowest point of the sphere in ``qpos``
+    replaces the sphere.
 
     Returns:
         Height [m].
@@ -757,12 +763,13 @@ def find_start_pose(
 ) -> tuple[Robot, list[Diagnostic]]:
     """Determine the start pose of a robot, from a keyframe or by a search, and set it.
 
-    A keyframe is taken if the feet are level, the joints within their limits, and the nominal stand
-    exists. If no keyframe has level feet within the limits, a keyframe from which the unmodified
-    file stands (``rest_depth``) is taken, with its joints clipped to the limits, if the nominal
-    stand exists. Otherwise a start pose is searched; if no pose is found, a note reports the
-    failure, and the start pose is the last accepted keyframe, or unchanged without such a keyframe.
-    Contacts of shapes other than the feet are ignored here (see ``touching``).
+    A keyframe is used if its feet are level, its joints are within their limits, and the nominal
+    stand exists. If no keyframe has level feet and joints within the limits, a keyframe is used
+    from which the unmodified file stands (``rest_depth``). Its joints are clipped to the limits,
+    and the nominal stand must exist. If no keyframe can be used, a start pose is searched. If no
+    pose is found, a note reports the failure, and the start pose is the last accepted keyframe;
+    without one, it is unchanged. Contacts of shapes other than the feet are ignored here (see
+    ``touching``).
 
     Args:
         robot: Robot with feet.

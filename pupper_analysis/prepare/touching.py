@@ -1,9 +1,9 @@
 """Disable contacts of other shapes of the foot bodies, and of bodies that overlap.
 
-Input is a robot with a start pose; output is a robot that touches the ground only with the feet in
-a stand, as the statics assume. Disabled are contacts of other shapes of a foot's body that would
-touch the ground when the foot penetrates it, and contacts between bodies that overlap in the start
-pose. Visual geoms are discarded.
+Input is a robot with a start pose. Output is a robot that touches the ground only with its feet in
+a stand, as the statics assume. Two kinds of contacts are disabled: those of other shapes of a
+foot's body near the ground, and those between bodies that overlap in the start pose. Visual geoms
+are discarded.
 """
 
 from __future__ import annotations
@@ -63,9 +63,10 @@ def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
 
 
 _MAX_FOOT_SHARE = 0.5
-"""Fraction of the load that a foot's own shape carries, above which the foot keeps this shape as
-contact point. Otherwise another shape of the body carries more, and becomes the contact point.
-Chosen, not tuned."""
+"""Bound of the fraction of the load that a foot's own shape carries [1]. Above the bound, the foot
+keeps this shape as contact point. Otherwise another shape of the body carries more, and becomes the
+contact point. Chosen, not tuned.
+"""
 
 
 def find_carrying_hulls(
@@ -73,10 +74,10 @@ def find_carrying_hulls(
 ) -> tuple[tuple[Foot, ...], Diagnostic] | None:
     """Find other shapes on the bodies of soft feet that carry most of the load of the feet.
 
-    A soft foot may penetrate the ground so far that another shape of its body, such as the convex
-    hull of the shank, touches too and is stiffer. The foot's fraction of the load is estimated as
-    its force at the penetration at which the other shape alone would carry the load. Only feet with
-    a single contact point are considered.
+    A soft foot may penetrate the ground so far that another, stiffer shape of its body also
+    touches, such as the convex hull of the shank. The foot's fraction of the load is estimated from
+    its force at a certain penetration: that at which the other shape alone would carry the load.
+    Only feet with a single contact point are considered.
 
     Args:
         footless: Robot before feet were added.
@@ -136,9 +137,10 @@ def find_carrying_hulls(
 
 
 _MAX_SHAPE_CLEARANCE = 5e-3
-"""Height above the ground [m] in the stand on soft ground, below which contacts of a collision
-shape are disabled. Applies to shapes on a foot's body other than the foot's own shape. Chosen, not
-tuned."""
+"""Lower bound of the height of a shape above the ground in the stand on soft ground [m]. Below the
+bound, the contacts of the shape are disabled, if it is on a foot's body and is not the foot's own
+shape. Chosen, not tuned.
+"""
 
 
 def disable_shapes_beside_feet(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
