@@ -448,7 +448,8 @@ def _list_warnings(hold: Hold) -> Iterator[doc.Words]:
     """Yield the warnings on motors, effort limits, servos and payload.
 
     Weak motors are always reported. Unknown limits are reported next; if all limits are known, soft
-    servos and a failing payload are reported instead. The failing payload belongs to the simulation `Hold.payload_trial`.
+    servos and a failing payload are reported instead. The failing
+    payload belongs to the simulation `Hold.payload_trial`.
     """
     if weak := _find_overloaded_motors(hold):
         yield text("motors-weak-somewhere", joints=", ".join(weak)).with_mark("warn")

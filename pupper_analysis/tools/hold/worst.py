@@ -255,7 +255,7 @@ def _maximize_sampled(
 ) -> float:
     """Return the argument of the maximum of a function on the interval of ``samples``.
 
-    The function is evaluated at ``samples``, which are displacements [rad, m] in ascending order. If
+    The function is evaluated at ``samples``, displacements [rad, m] in ascending order. If
     ``fine`` is True, a bounded scalar minimisation (scipy) follows around the largest value. It is
     omitted if all values are equal up to rounding. If ``everywhere`` is also True, it is repeated
     around each local maximum: for a closed loop, the global maximum may not be next to the largest
@@ -364,9 +364,9 @@ def worst_postures(
 ) -> WorstPostures:
     """Search for the posture with the largest static torque of each motor of a fixed-base robot.
 
-    A search maximises the torque over one joint after another. It ends when a sweep over all joints
+    A search maximises the torque over one joint after another. It ends if a sweep over all joints
     no longer increases the torque, or after `_MAX_SWEEPS` sweeps. Under gravity and joint springs
-    alone, the torque over the angle q of a hinge is a + b cos q + c sin q + k q, if the hinge is not
+    alone, the torque over a hinge angle q is a + b cos q + c sin q + k q, if the hinge is not
     coupled to other joints. Its maximum has a closed form. Over the position of a slide without
     couplings, the torque is linear. In other cases the torque is sampled. Searches start from
     ``posture`` and from random postures, until several searches end at the same torque. Torques up

@@ -38,14 +38,16 @@ _T = TypeVar("_T", float, NDArray[np.float64])
 """Type of a value that is interpolated: a number or an array."""
 
 _PATH_CONSTRAINTS = ("base-height", "base-place", "com-place", "support-margin", "footholds")
-"""Names of the stance constraints whose fields `interpolate_task` does not interpolate together
-with the other numbers of both stand tasks, but sets separately, for example from the solved stances
-of a segment; the support margin is checked instead of set. Fields with a value per joint, foot or
-link are set separately, too."""
+"""Names of stance constraints whose task fields `interpolate_task` sets separately, for example
+from the solved stances of a segment. The support margin is not set but checked. Other numbers of
+both stand tasks are interpolated together, except fields with a value per joint, foot or link,
+which are also set separately.
+"""
 
 UNLOADED_HEIGHT = 1e-12
-"""Height [m] that a stand task states for a foot that touches the ground without load: a positive
-height marks a foot as not carrying. Chosen smaller than any geometric tolerance."""
+"""Height [m] that a stand task contains for a foot that touches the ground without load. A positive
+height marks a foot as unloaded. Chosen smaller than any geometric tolerance.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,12 +257,15 @@ MAX_JUMP = 0.5
 refused, since the IK branch has probably changed. Chosen, not tuned."""
 
 _ROLL_TOLERANCE = 1e-8
-"""Difference [m] between the foot displacements of two fixed-point iterations, below which the
-rolling of the feet has converged. Chosen: far below the error of a foot in MuJoCo."""
+"""Bound of the difference [m] between the foot displacements of two fixed-point iterations. Below
+the bound, the rolling of the feet has converged. Chosen, not tuned: far below the error of a foot
+in MuJoCo.
+"""
 
 _MAX_ROLL_ITERATIONS = 50
-"""Upper bound of the fixed-point iterations: the rolling displacement of a foot depends on the leg
-angles, and the leg angles on the displacement. Chosen, not tuned."""
+"""Maximum number of fixed-point iterations. They are necessary because the rolling displacement of
+a foot depends on the leg angles, and the leg angles depend on the displacement. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)

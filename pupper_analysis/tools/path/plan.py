@@ -45,10 +45,11 @@ from pupper_analysis.tools.path.geometry import PathPlace, clearance, minimum_je
 from pupper_analysis.tools.path.kinds import PATH_TABLE
 
 MIN_FADED_LOAD = 1e-3
-"""Smallest fraction of the robot's load that a path assigns to the remaining feet alone while a
-foot is being unloaded; smaller fractions count as 0. With smaller fractions the zero-moment point
-is so close to the edge of the polygon that rolling friction decides whether fewer feet can carry
-the load. Chosen, not tuned."""
+"""Bound [1] of the fraction of the robot's load that a path assigns to the remaining feet alone
+while a foot is being unloaded. Smaller fractions count as 0. With such fractions, the zero-moment
+point would be close to the edge of the polygon, and rolling friction would decide whether the
+remaining feet can carry the load. Chosen, not tuned.
+"""
 
 
 def compute_path_sample(
@@ -256,8 +257,8 @@ class StancePath(Tabular):
 
         Args:
             path: Output file.
-            force: Replace an existing file of any content, except an input of the run. Without,
-                only an earlier table of a path or an empty file is replaced.
+            force: True to replace an existing file of any content, except an input of the run. If
+                False, only an earlier table of a path or an empty file is replaced.
 
         Raises:
             OutputError: If the file cannot be written, or would replace other content.
@@ -393,8 +394,9 @@ def divide_by_limits(values: Array, limits: Array) -> Array:
 
 
 _ZERO_ATOL = 1e-9
-"""Torque [N m] or speed [rad/s] of a joint with a limit of zero, up to which the value counts as
-zero (rounding); of a slide [N, m/s]. Chosen, not tuned."""
+"""Bound of the torque [N m, or N for a slide] or speed [rad/s, m/s] of a joint whose limit is zero.
+Up to the bound, the value counts as zero (rounding). Chosen, not tuned.
+"""
 
 
 MIN_DURATION = 1e-3

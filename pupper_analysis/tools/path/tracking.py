@@ -72,8 +72,9 @@ MIN_TIMESTEP = 1e-5
 1 or 2 s to simulate. Chosen, not tuned."""
 
 _STEP_ROUNDING = 1e-6
-"""Fraction of a time step by which a duration may fall short of a whole number of time steps and
-still count as this number (rounding). Chosen, not tuned."""
+"""Tolerance of the number of time steps [1]. If a duration is shorter than a whole number of steps
+by at most this fraction of a step, it counts as this number (rounding). Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,8 +244,9 @@ def _compute_depths(law: GroundLaw, loads: Array, time: Array) -> Array:
 def _select_timestep(robot: Robot, first: Stand, drive: Servos) -> float:
     """Select a time step [s] for which implicit servo damping adds little to joint inertias.
 
-    The smallest of: the time step of the model, `MAX_TIMESTEP`, and `_MAX_ADDED_INERTIA` times the
-    smallest inertia / kd, the latter at least `MIN_TIMESTEP`.
+    The result is the smallest of three values: the time step of the model, `MAX_TIMESTEP`, and
+    `_MAX_ADDED_INERTIA` times the smallest ratio of inertia to kd. The third value is at least
+    `MIN_TIMESTEP`.
     """
     inertia = np.diag(Configuration(robot, first.qpos).mass_matrix())[robot.nv - robot.nu :]
     damped = drive.kd > 0
@@ -363,19 +365,24 @@ def plan_stances(robot: Robot, stand: Stand) -> list[StandTask]:
 
 
 MAX_JOINT_ERROR = 0.1
-"""Position error of a joint [rad, m] from which a simulated path counts as not tracked. Chosen, not
-tuned."""
+"""Bound of the position error of a joint [rad, m]. From this error on, a simulated path counts as
+not tracked. Chosen, not tuned.
+"""
 
 MAX_TORQUE_ERROR = 0.05
-"""Torque error, relative to the largest torque of the path, above which a simulated path counts as
-not tracked. Chosen, not tuned."""
+"""Bound of the torque error, divided by the largest torque of the path [1]. Above the bound, a
+simulated path counts as not tracked. Chosen, not tuned.
+"""
 
 MIN_LIFTED_HEIGHT = 2e-3
-"""Planned height [m] of a foot above which touching the ground is a failure. Chosen, not tuned."""
+"""Bound of the planned height of a foot [m]. Above the bound, it is a failure if the foot touches
+the ground. Chosen, not tuned.
+"""
 
 MIN_LOADED_FRACTION = 0.05
-"""Planned load, as a fraction of the weight, above which a foot that loses ground contact is a
-failure. Chosen, not tuned."""
+"""Bound of the planned load of a foot, divided by the robot's weight [1]. Above the bound, it is a
+failure if the foot loses ground contact. Chosen, not tuned.
+"""
 
 _NUM_CHECKED_STATES = 400
 """Target number of simulated states whose contacts are checked. The interval between these states

@@ -114,29 +114,35 @@ def simulate_payload(
 
 
 MAX_BOUND_RATIO = 10.0
-"""Payload at which the search for the other kinds of failure (stance, motors, servos) ends after a
-first failure, relative to the first payload that fails (or to the robot's mass, if that is larger).
-The search also ends if the stance fails. The bound of a kind that has not failed by then is
-infinite. Chosen, not tuned."""
+"""Factor [1] on the first payload that fails, or on the robot's mass if that is larger. After a
+first failure, the search for the other kinds of failure (stance, motors, servos) ends at this
+payload. It also ends if the stance fails. If a kind has not failed at the end, its bound is
+infinite. Chosen, not tuned.
+"""
 
 VERIFIED_FRACTION = 0.97
-"""Payload, as a fraction of the computed largest payload, with which the stance is judged and
-simulated with nudges. Chosen, not tuned."""
+"""Fraction [1] of the computed largest payload. With this payload, the stance is judged and
+simulated with nudges. Chosen, not tuned.
+"""
 
 FAILING_RATIO = 1.03
-"""Payload that tests the bound of the servos (computed from eigenvalues), relative to this bound:
-if the robot holds it in simulation, the bound is raised. Chosen, not tuned."""
+"""Factor [1] on the bound of the servos, which is computed from eigenvalues. If the robot holds
+this larger payload in simulation, the bound is raised. Chosen, not tuned.
+"""
 
 SIMULATION_RTOL = 0.02
-"""Relative tolerance of the largest payload that holds in simulation, and of the largest payload of
-the servos if a simulation contradicts the eigenvalues; both are found by bisection. The former also
-has an absolute tolerance: ``SIMULATION_RTOL**2`` times the smallest static bound. Chosen, not
-tuned."""
+"""Relative tolerance [1] of two bisections by simulation. The first finds the largest payload that
+holds in simulation; it also has an absolute tolerance of ``SIMULATION_RTOL**2`` times the smallest
+static bound. The second finds the largest payload of the servos, if a simulation contradicts the
+eigenvalues. Chosen, not tuned.
+"""
 
 BINDING_BOUND_RTOL, BOUND_RTOL = 1e-6, 1e-3
-"""Relative tolerances of the bounds of stance, motors and servos. The first tolerance applies to
-the smallest bound, except if the servos set this bound. The second tolerance is relative to the
-first mass that fails. Each bound is the lower end of the bracket. Chosen, not tuned."""
+"""Relative tolerances [1] of the bounds of stance, motors and servos. ``BINDING_BOUND_RTOL``
+applies to the smallest bound, except if the servos set this bound. ``BOUND_RTOL`` applies to the
+other bounds, and is relative to the first mass that fails. Each bound is the lower end of the
+bracket. Chosen, not tuned.
+"""
 
 _FIRST_DISTANCE_RATIO = 0.98
 """Distance of the first reduced payload from the static limit: (limit - payload) / (limit *
@@ -147,17 +153,20 @@ _FIRST_MASS_RATIO = 0.25
 """First evaluated mass above 0, relative to the robot's mass. Chosen, not tuned."""
 
 _MASS_GROWTH = 1.5
-"""Factor between successive masses before the first failure, and in searches for a failing mass
-above a known bound. A failure that occurs only in a narrower interval of masses may be missed.
-Chosen, not tuned."""
+"""Factor [1] between successive masses before the first failure. It is also the factor in searches
+for a failing mass above a known bound. A failure that occurs only in a narrower interval of masses
+may be missed. Chosen, not tuned.
+"""
 
 _FAST_MASS_GROWTH = 3.0
 """Factor between successive masses after the first failure of stance, motors or servos. Chosen, not
 tuned."""
 
 _MAX_FRICTION_NEEDED = 10.0
-"""Largest friction coefficient that balances a stance whose failure is called sliding. If balance
-needs more, or no friction is sufficient, the failure is called tipping. Chosen, not tuned."""
+"""Bound of the friction coefficient [1] with which a failed stance would be in balance. Up to the
+bound, the failure is called sliding. If balance needs more friction, or if no friction is
+sufficient, it is called tipping. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,14 +204,15 @@ class PayloadLimit(Result):
         binding: Name of the smallest bound: ``stance``, ``motors``, ``servos`` or ``simulation``.
         stance: Bound of the stance: a larger mass has no loaded stand within reach and in balance,
             or brings another part of the robot to the ground.
-        motors: Bound of the motors: a larger mass needs more than the torque limit of a motor, with
-            the contact forces of smallest tangential component.
-        servos: Bound of the servos, for motors without torque limits: with a larger mass a servo
-            command exceeds the range, or a deviation leaves the stand within 12 s. Computed from
-            the eigenvalues of MuJoCo's step; simulations check the result near the smallest bound.
-        simulation: Bound of the simulation: largest mass of which ``VERIFIED_FRACTION`` holds in
-            simulation. Infinite if the smallest of the other bounds holds, or is 0 or infinite; 0
-            if the stance fails without payload.
+        motors: Bound of the motors: a larger mass needs a torque above the limit of a motor. The
+            contact forces are those with the smallest tangential components.
+        servos: Bound of the servos if torque limits are ignored: with a larger mass, a servo
+            command exceeds the range, or a deviation leaves the stand within 12 s. The bound is
+            computed from the eigenvalues of MuJoCo's step. Simulations check it near the smallest
+            bound.
+        simulation: Bound of the simulation: the largest mass for which ``VERIFIED_FRACTION`` times
+            the mass holds in simulation. Infinite if the smallest of the other bounds holds in
+            simulation, or is 0 or infinite. 0 if the stance fails without payload.
         point: (3,) position of the payload in the frame of ``link`` [m].
         link: Link of the URDF with the payload.
         unknown_limits: Motors that carry the load and whose torque limit no file states.
@@ -453,8 +463,9 @@ class _PayloadSimulations:
         """Return the verdict of the stance with a payload [kg], simulated with feed-forward only.
 
         The simulation with position commands alone is left out, since it does not decide whether
-        the verdict passes; so are tests of growing modes if the response to the nudge has decided.
-        ``trial`` contains simulations of the loaded stand after nudges; None without these.
+        the verdict passes. Tests of growing modes are left out if the response to the nudge
+        decides. ``trial`` contains simulations of the loaded stand after nudges; None without
+        these.
         """
         loaded = with_payload(self._robot, mass, self._place)
         stand = solve_stand(loaded, self._task)
@@ -496,13 +507,14 @@ FailureCause = tuple[Failure, tuple[str, ...]] | None
 def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool]) -> Bound:
     """Return the mass bound of the servos, raised if the command `stand` passes with more mass.
 
-    Masses that grow by `_MASS_GROWTH` are tested. The bound is infinite if no tested mass below the
-    smaller bound of stance and motors fails. The bound of a command that is out of range, of zero
-    and of infinity is kept.
+    Masses that grow by the factor `_MASS_GROWTH` are tested. The bound is infinite if no tested
+    mass below the smaller bound of stance and motors fails. The given bound is kept if it is zero
+    or infinite, or if a command that is out of range sets it.
 
-    Above the given bound, a deviation doubles within ``HOLD_DURATION`` or oscillates, directly
-    after the start. `stand` evaluates the modes after 5 s, in which feet creep. Close to the bound
-    both may differ; then `stand` decides.
+    The given bound is computed for the modes directly after the start. Above this bound, a
+    deviation doubles within ``HOLD_DURATION``, or oscillates. `stand` evaluates the modes after 5
+    s, in which feet creep. Close to the bound the two results may differ. In this case `stand`
+    decides.
 
     Args:
         bounds: {name: bound} of stance, motors and servos; the servos set the smallest bound.
@@ -529,7 +541,7 @@ def _raise_servo_bound(bounds: dict[str, Bound], holds: Callable[[float], bool])
 
 
 def _bisect_simulation_bound(static_limit: float, simulations: _PayloadSimulations) -> Bound:
-    """Return the largest mass of which ``VERIFIED_FRACTION`` holds in simulation.
+    """Return the largest mass for which ``VERIFIED_FRACTION`` times the mass holds in simulation.
 
     The bound is infinite if ``static_limit`` [kg], the smallest static bound, holds, and 0 if the
     stance fails without payload. Static bounds apply to an undisturbed stand. Only a simulation

@@ -106,8 +106,9 @@ def _make_pass_table(
 
 
 MAX_UNREPORTED_RESIDUAL = 1e-4
-"""Largest residual of the static balance in MuJoCo's terms (`StandVerification.mujoco_residual`)
-[N, N m] without a warning that the two models differ. Chosen, not tuned."""
+"""Bound of the residual of the static balance in MuJoCo (`StandVerification.mujoco_residual`) [N, N
+m]. Above the bound, the report warns that the two models differ. Chosen, not tuned.
+"""
 
 
 @build_document.register(Stance)
@@ -397,7 +398,7 @@ def _make_servo_table(servos: ServoBounds) -> doc.Table:
 
 
 def _is_base_bolted(stance: Stance) -> bool:
-    """Return True if a weld fixes the base, or a link rigidly joined to it, and no foot carries.
+    """Return True if a weld fixes the base or a link rigidly joined to it, and no foot bears load.
 
     A weld of a foot, or of a link behind joints, does not count: it has a contact point.
     """

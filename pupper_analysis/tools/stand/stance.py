@@ -63,19 +63,19 @@ class Stance(Tabular):
         limits: (nu,) effort limits, the smallest that both files state (N m, or N for a slide);
             infinite without a stated limit.
         limit_origins: (nu,) statement in the files of each limit; None without a stated limit.
-        stand: Stand on MuJoCo's soft ground, to which all other results refer; on rigid ground,
-            with ``depths`` of 0, if the legs are too short or the depths of soft loops do not
-            converge.
+        stand: Stand to which all other results refer, on MuJoCo's soft ground. It is on rigid
+            ground, with ``depths`` of 0, if the legs are too short, or if the depths of soft loops
+            do not converge.
         statics: Motor torques and contact forces with minimum tangential forces.
         min_max_torque: Motor torques and contact forces with the smallest peak motor utilisation.
         verification: Simulation with feed-forward.
         sagging: Simulation without feed-forward.
         verdict: Verdict on the stance, with the assumptions of the verdict.
         settled: Predicted equilibrium without feed-forward; None if there is no equilibrium.
-        unsettled: Reason for which ``settled`` is None; else None.
-        presses: Largest press of each hand; empty without hands, or if the task fixes a part of the
-            robot to the world. Hands are omitted if the force is unlimited, or if no forces balance
-            the stance within the effort limits.
+        unsettled: Reason why ``settled`` is None; None if there is an equilibrium.
+        presses: Largest press of each hand. Empty if there are no hands, or if the task fixes a
+            part of the robot to the world. A hand is omitted if its force is unlimited. It is also
+            omitted if no forces balance the stance within the effort limits.
         minimum_stiffness: Smallest uniform kp with which the robot stands without feed-forward
             (N m/rad or N/m); None if not requested, or if no tested kp suffices.
         no_stiffness: Reason for which no tested kp suffices; None if not requested, or if a kp

@@ -320,8 +320,8 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
 
 
 _MAX_RANGE = 1e6
-"""Largest magnitude of a joint limit [rad, m]. It replaces a larger or infinite limit, since a range in
-MuJoCo requires two finite limits. Chosen, not tuned.
+"""Largest magnitude of a joint limit [rad, m]. It replaces a larger or infinite limit: a range
+in MuJoCo requires two finite limits. Chosen, not tuned.
 """
 
 

@@ -24,7 +24,9 @@ _MERGED_NAMES = {
     "workspace-ends-at-joint-limits": "joints",
     "workspace-ends-at-ground": "links",
 }
-"""{code of a limit: value of the limit with names, which `_join_limits` lists in a single part}."""
+"""{code of a limit: key of the value that contains the names of joints or links}. `_join_limits`
+lists the names of all directions together.
+"""
 
 
 def _join_limits(workspace: BaseWorkspace) -> doc.Text:
@@ -32,7 +34,7 @@ def _join_limits(workspace: BaseWorkspace) -> doc.Text:
 
     Joint limits and the ground clearance have a part each, with the joints and links of all
     directions. Each pair of links without clearance has its own part. The limit of most directions
-    is the first.
+    comes first.
     """
     limits: dict[tuple[str, object], Diagnostic] = {}
     directions: dict[tuple[str, object], list[str]] = {}
