@@ -143,10 +143,11 @@ def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> Added
 
     Candidates of gains and time step are tried in order. A candidate must meet four conditions:
 
-    - The robot comes to rest in the stand, with and without feed-forward. - The motion after nudges
-    of the base decays. - The rest position agrees with the prediction, unless both files describe
-    different robots. - The published MJCF with these servos comes to rest, too. This condition is
-    omitted for a robot with a URDF alone, and with a reduced time step.
+    - The robot comes to rest in the stand, with and without feed-forward.
+    - The motion after nudges of the base decays.
+    - The rest position agrees with the prediction, unless both files describe different robots.
+    - The published MJCF with these servos comes to rest, too. This condition is omitted for a robot
+      with a URDF alone, and with a reduced time step.
 
     A reduced time step is tried only if no candidate with the time step of the file meets the first
     three conditions. If contacts chatter after a nudge of the base, a smaller time step is needed:
