@@ -25,8 +25,9 @@ from pupper_analysis.tools.contract.reading import (
 )
 
 _PRECEDENCE = (Role.DEPLOYMENT, Role.DRIVER, Role.POLICY, Role.TRAINER)
-"""Roles of sources (what a file configures), the preferred first: if several sources state a
-number, the number of the first role is used."""
+"""Roles of sources (what a file configures), in order of precedence. If several sources state a
+number, the number of the source with the earliest role is used.
+"""
 
 
 @dataclass(frozen=True)
@@ -132,9 +133,9 @@ def read_deployment(
 def _find_order_source(placed: Sequence[PlacedSource]) -> PlacedSource | None:
     """Return the source whose joint order is that of the policy's arrays; None without an order.
 
-    The names in a policy file define the order of its arrays. Otherwise the first source with joint
-    names in order counts, then with motor numbers or the order of a policy, then with an assumed
-    order.
+    The names in a policy file define the order of its arrays. Without such names, the first source
+    that lists joint names in order is returned. If no source lists names, a source with motor
+    numbers or the order of a policy is returned, and finally a source with an assumed order.
     """
     ranks = {"named": 0, "motors": 1, "policy": 1, "assumed": 2}
     known = [one for one in placed if one.order]
@@ -151,9 +152,10 @@ def _find_order_source(placed: Sequence[PlacedSource]) -> PlacedSource | None:
 def _assume_order(placed: Sequence[PlacedSource], joints: RobotJoints) -> PlacedSource | None:
     """Return the first trainer that states a stiffness or action scale of a joint, with an order.
 
-    The order of the framework is an assumption. None without such a trainer. The order of Isaac Lab
-    is by depth in the tree, that of mjlab and Isaac Gym is limb by limb. Joints with a stiffness
-    are ordered or, if none has a stiffness, joints with an action scale.
+    The order is assumed to be the order of the trainer's framework. Isaac Lab orders joints by
+    depth in the tree; mjlab and Isaac Gym order joints limb by limb. The order contains the joints
+    with a stiffness. If no joint has a stiffness, the order contains the joints with an action
+    scale. The result is None without such a trainer.
     """
     for source in placed:
         if source.source.role is not Role.TRAINER:

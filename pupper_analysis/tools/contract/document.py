@@ -65,9 +65,9 @@ def contract_document(contract: Contract, _: Robot | None = None) -> doc.Documen
 def _select_next_step(contract: Contract) -> doc.NextStep:
     """Return the command to run next.
 
-    If the sources differ, and the model is a variant or the sources contain a URDF besides the
-    model, this is `crosscheck` of both files; otherwise `stand` of the model, or `hold` for a fixed
-    base.
+    If the sources differ, the command is `crosscheck` of URDF and MJCF. This requires that the
+    model is a variant, or that the sources contain a URDF besides the model. In all other cases the
+    command is `stand` of the model, or `hold` for a fixed base.
     """
     models = [source.path for source in contract.sources if source.role == Role.MODEL]
     urdfs = [path for path in models if path.lower().endswith(".urdf")]
@@ -304,8 +304,8 @@ def _explain_origins(facts: Sequence[Fact]) -> Iterable[doc.Words]:
 def _make_cell(fact: Fact | None, mark: str, stated: Sequence[float]) -> doc.Cell:
     """Create the cell of a number, of an expression that is not constant, or an empty cell.
 
-    ``stated`` are the numbers of all sources; the number gets as many digits as show the difference
-    from the first other number.
+    ``stated`` are the numbers of all sources. The number is printed with enough digits to show its
+    difference from the first different number in ``stated``.
     """
     if fact is None:
         return doc.Name("")

@@ -81,9 +81,9 @@ class QuantityKind(NamedTuple):
     Attributes:
         unit: Unit for a hinge.
         severity: Severity of a difference between sources; None if the quantity is only listed.
-        mirrored: How the values of a left joint and the corresponding right joint are compared: 1
-            if the values must be equal, -1 if equal or opposite according to the directions of the
-            axes, 0 if not compared.
+        mirrored: How the values of a left joint and the corresponding right joint are compared. 1:
+            the values must be equal. -1: the values must be equal or opposite, as the directions of
+            the joint axes require. 0: the values are not compared.
         is_setting: Whether the quantity belongs to the source, not to a joint.
     """
 
@@ -109,7 +109,7 @@ def find_quantity_kind(quantity: str) -> QuantityKind:
     """Return unit, severity of a difference and symmetry of a quantity, for example of ``kp``.
 
     A quantity that is not in `QUANTITIES`, such as the scale of an observation term, belongs to the
-    source as a whole. The unit is then 1, and a difference between sources is an error.
+    whole source instead of a joint. Its unit is 1, and a difference between sources is an error.
     """
     return QUANTITIES.get(quantity, QuantityKind("1", Severity.ERROR, 0, is_setting=True))
 
@@ -122,16 +122,17 @@ class Statement:
         quantity: Key of `QUANTITIES`, or ``observation NAME`` for the scale of an observation.
         value: Value in SI units; None if the expression is not constant.
         place: File and line.
-        joint: Joint name, or a regular expression that must match the complete name, or a part of
-            names (``is_part``); "" for a setting, or if ``index`` is stated.
+        joint: Joint name, or a regular expression that must match the complete joint name. If
+            ``is_part`` is True: a part of joint names. "" for a setting, or if ``index`` is stated.
         index: Index from 0 into the ``order`` of the source, if no name is stated; otherwise None.
         count: Length of the list that ``index`` refers to.
         decimals: Decimals of the number as written; None for a computed number.
         expression: Text of an expression that is not constant.
         origin: Origin of the number.
         basis: Framework and version of a default; empty for another origin.
-        is_part: Whether ``joint`` is a part of joint names, unless it is the name of a joint.
-        is_rest: Whether the number is that of all joints that no other key selects.
+        is_part: Whether ``joint`` is a part of joint names. For default angles and action offsets,
+            ``joint`` is the complete name if a joint with this name exists.
+        is_rest: Whether the number applies to all joints that no other key selects.
     """
 
     quantity: str
@@ -319,8 +320,8 @@ class SourceReader(Protocol):
 def load_readers() -> tuple[SourceReader, ...]:
     """Import all reader modules: modules that read statements about joints from source files.
 
-    First are the modules in the folder ``readers`` of this package, sorted by name; then follow
-    modules that other installed Python packages register under `ENTRY_POINT_GROUP`.
+    The modules in the folder ``readers`` of this package come first, sorted by name. Modules that
+    other installed Python packages register under `ENTRY_POINT_GROUP` follow.
     """
     from importlib.metadata import entry_points
 
@@ -372,8 +373,9 @@ class LocatedValue:
     def find_first(self, names: str) -> LocatedValue:
         """Return the entry of this node for a concept, such as joint names, in any file format.
 
-        Each format has its own key for the concept; the first key that is present counts. If all
-        are missing, a node with the value None is returned.
+        Each format has its own key for the concept. The known keys are tried in order, and the
+        entry of the first key in this node is returned. If no key is present, a node with the value
+        None is returned.
 
         Args:
             names: Concept, a key of `KEY_ALIASES`.

@@ -50,16 +50,19 @@ _MIN_COMPUTED_DECIMALS = 5
 rounded number, this is no disagreement. Chosen, not tuned."""
 
 _MAX_ROUNDING_FRACTION = 0.1
-"""Largest change of a number by rounding, relative to the number, with which a rounded number in
-another source counts as the same. Example: 0.07 for 0.0745. Chosen, not tuned."""
+"""Largest relative change of a number by rounding. If another source states the rounded number, and
+the change is not larger, both numbers count as equal. Example: 0.07 for 0.0745. Chosen, not tuned.
+"""
 
 _UNIT_FACTORS = {"deg": 180 / math.pi, "rpm": 30 / math.pi, "mm": 1000.0}
 """{unit that a source may use by mistake: number in this unit / number in the SI unit}."""
 
 _UNIT_RTOL = 5e-3
-"""Largest relative difference between the ratio of two sources' numbers and a factor of
-`_UNIT_FACTORS` with which a wrong unit is reported as the probable mistake. Degrees are written
-with three digits. Chosen, not tuned."""
+"""Relative tolerance for detecting a wrong unit. The ratio of two sources' numbers is compared with
+the factors in `_UNIT_FACTORS`. If it equals a factor within this tolerance, a wrong unit is
+reported as the probable mistake. Chosen, not tuned; angles in degrees are usually written with
+three digits.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +112,9 @@ class DefaultPoseStand(Result):
         source: Name of the source.
         height: Height of the base above the mean of the feet's lowest points in this pose.
         sag: Loss of base height with the gains of the source; None if not computed.
-        utilisation: Largest ratio of motor torque to limit, of the source if it states all limits,
-            otherwise of another source or the model; None if not computed, or without limits.
+        utilisation: Largest ratio of motor torque to torque limit. The limits are those of the
+            source if it states all limits, otherwise those of another source or the model. None if
+            not computed, or without limits.
         stays: Whether the robot keeps standing in simulation with the gains of the source and no
             feed-forward; None if this was not simulated.
         problem: Reason for a missing value; None if there is no error.
@@ -279,9 +283,9 @@ def facts_agree(first: Fact, second: Fact) -> bool:
 def _find_unlimited_efforts(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
     """Yield a disagreement for each model without the effort limits that another source states.
 
-    Stated are the limits of the first source that limits a joint which the model drives without a
-    limit. MuJoCo then simulates a motor of any torque. `crosscheck` reports the same difference
-    between a URDF and an MJCF.
+    The model drives at least one joint without an effort limit, so MuJoCo simulates a motor of
+    unlimited torque. The disagreement states the limits of the first source that limits such a
+    joint. `crosscheck` reports the same difference between a URDF and an MJCF.
     """
     for model in placed:
         limits = dict[str, Fact]()
@@ -367,9 +371,10 @@ def _group_by_values(
         quantity: Quantity.
         kind: Properties of the quantity.
         differing: {joint: differing facts}.
-        is_range_difference: True for limits of which one source is a robot model and the other is
-            not. A limit of the first source inside the range of the second is then a note only,
-            since a configuration may narrow the range of the model on purpose.
+        is_range_difference: True if the quantity is a limit, and exactly one of both sources is a
+            robot model. If True, a limit of the first source inside the range of the second source
+            has the severity NOTE, since a configuration may narrow the range of the model on
+            purpose.
     """
     joints = list(differing)
     first_fact, second_fact = differing[joints[0]]
@@ -442,10 +447,11 @@ def _find_exchange(differing: dict[str, FactPair]) -> dict[str, str]:
         differing: {joint: facts of both sources with different numbers}.
 
     Returns:
-        {joint: other joint, whose number in the first source is that of the joint in the second}.
-        Empty for less than two joints, if the numbers are not a permutation, if they only differ in
-        their signs, if more than half of the joints have the same number, or if a joint finds no
-        other joint.
+        {joint a: joint b}: the second source states for joint a the number that the first source
+        states for joint b. Empty if there are fewer than two joints, or if the numbers of one
+        source are not a permutation of the numbers of the other source. Also empty if the numbers
+        differ only in sign, if more than half of the joints have the same number, or if a joint has
+        no match.
     """
     a, b = (
         Counter(round(mutual[side].number, 6) for mutual in differing.values()) for side in (0, 1)
@@ -590,9 +596,9 @@ def _compare_sides(
 def _compare_orders(placed: Sequence[PlacedSource]) -> Iterator[Disagreement]:
     """Yield differences between the joint orders of sources that feed a policy.
 
-    The joint order is that of the arrays of the policy. Not compared are models, assumed orders,
-    sources with different joints, sources with neither numbers nor motors, and two sources that
-    both map joints to motors, since such sources may use any order.
+    The joint order is the order of the policy's arrays. Models and assumed orders are not compared.
+    Sources with different joints are not compared, nor sources with neither numbers nor motors. Two
+    sources that both map joints to motors are not compared, since each may use any order.
     """
     feeding = [
         placed_source

@@ -36,8 +36,10 @@ _SHAPES: Final = ("", "number", "list", "table")
 empty for any shape."""
 
 _MATCHES: Final = ("name", "part")
-"""Valid values of ``match`` in an entry of ``keys.toml``: the keys of a table {joint: number} are
-names or patterns of joints (``name``), or parts of names (``part``)."""
+"""Valid values of ``match`` in an entry of ``keys.toml``, which applies to a table {joint: number}.
+``name``: the keys of the table are names or patterns of joints. ``part``: the keys are parts of
+joint names.
+"""
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,8 @@ class KeyRule:
         shape: Required shape of the value: ``number``, ``list`` or ``table``; empty for any.
         match: Whether keys of a table are names or patterns (``name``), or parts of names
             (``part``).
-        rest: Key of all other joints; empty without.
+        rest: Key whose number applies to all joints that no other key selects; empty if there is no
+            such key.
         joints: Regular expressions of the joints to which a number belongs; all joints if empty.
         inverse: Whether the value is the reciprocal of the quantity.
     """
@@ -74,8 +77,9 @@ class KeyRule:
     def list_statements(self, node: LocatedValue) -> Iterator[Statement]:
         """Yield the statements of a value: a number, a list, or a table {joint: number}.
 
-        A list that only contains another list, such as [[1, 2]], is read as the inner list. The
-        value is None if the reciprocal of a number <= 0 is required (``inverse``).
+        A list that only contains another list, such as [[1, 2]], is read as the inner list. If the
+        rule requires the reciprocal (``inverse``) and the number is <= 0, the statement has the
+        value None.
         """
         inner = node.items[0] if len(node.items) == 1 else node
         node = inner if isinstance(inner.value, list) else node

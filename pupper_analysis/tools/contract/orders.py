@@ -163,8 +163,10 @@ class RobotJoints:
 
 
 _MIN_MIRROR_COSINE = 0.95
-r"""Smallest \|cosine\| between an axis and the mirrored axis of the other side, with which both are
-mirror images. Chosen, not tuned."""
+r"""Smallest absolute cosine between a joint axis and the mirrored axis of the joint on the other
+side, at which both axes count as mirror images. Below, the sign between both joints is unknown.
+Chosen, not tuned.
+"""
 
 
 def list_depth_first(model: RobotModel) -> tuple[str, ...]:
@@ -193,8 +195,8 @@ class _JointNames:
         matched: {name in the source: joint}.
         order: Joints in the order of the source's lists, "" for a name without match; empty if the
             order is not known.
-        motor_order: {quantity: joints in the order of the motors}, of quantities whose list has
-            this order instead (`_find_motor_lists`).
+        motor_order: {quantity: joints in the order of the motors}. Contains the quantities whose
+            list has the order of the motors instead of ``order`` (`_find_motor_lists`).
     """
 
     model: RobotJoints
@@ -206,9 +208,10 @@ class _JointNames:
         """Return the joints to which a statement applies; [""] for a setting of the whole robot.
 
         A statement with a part of joint names (``is_part``) applies to all joints whose name
-        contains the part, unless the part is the name of a joint and the quantity is in
-        `_QUANTITIES_BY_NAME`. Empty if no joint has the name, part, pattern or index, and for an
-        entry of a list whose length is not that of ``order``.
+        contains the part. Exception: if the part is the name of a joint and the quantity is in
+        `_QUANTITIES_BY_NAME`, the statement applies to this joint only. The result is empty if no
+        joint has the name, part, pattern or index. It is also empty for an entry of a list whose
+        length differs from the length of ``order``.
         """
         if statement.index is not None:
             if statement.count != len(self.order):
@@ -344,8 +347,8 @@ def _list_unknown_names(
 def _list_joint_names(source: JointSource) -> list[str]:
     """Return the texts in a source that may be names of joints: its order, then keys of numbers.
 
-    Regular expressions are left out. Parts of names (legged_gym states gains by parts) are left
-    out, unless the source also states a default angle under the same key.
+    Regular expressions are omitted. legged_gym states gains by parts of joint names. Such a part is
+    omitted, unless the source also states a default angle under the same key.
     """
     keys = dict.fromkeys(statement.joint for statement in source.statements if statement.joint)
     parts = {statement.joint for statement in source.statements if statement.is_part}
@@ -404,8 +407,9 @@ def list_observations(source: JointSource) -> list[str]:
 
 
 _QUANTITIES_BY_NAME = ("default angle", "action offset")
-"""Quantities whose keys in a trainer's table are names of joints, if such joints exist, otherwise
-parts of names: legged_gym has names, booster_gym has parts."""
+"""Quantities whose keys in a trainer's table are names of joints if joints with these names exist,
+and parts of joint names otherwise. legged_gym writes names; booster_gym writes parts.
+"""
 
 _PLAIN_NAME = re.compile(r"[\w/\- ]+")
 """Pattern of a text that is the name of a joint, not a regular expression for several joints."""
@@ -480,9 +484,10 @@ def _find_motor_lists(
 ) -> dict[str, tuple[str, ...]]:
     """Find lists of motor limits in the order of the motors, not in the order of the policy.
 
-    A list is in the order of the motors if the source states the motor of each joint of the policy,
-    more than `MAX_UNLIKE_FRACTION` of the list's left-right pairs differ in the order of the
-    policy, and no pair differs in the order of the motors.
+    The order is decided by the mirror symmetry of the values, if the source states the motor of
+    each joint of the policy. A list is in the order of the motors if two conditions hold. In the
+    order of the policy, more than `MAX_UNLIKE_FRACTION` of the left-right pairs have different
+    values. In the order of the motors, no left-right pair has different values.
 
     Args:
         source: Source.
@@ -521,9 +526,11 @@ def _find_name_lists(
 
 
 MAX_UNLIKE_FRACTION = 1 / 3
-"""Largest fraction of the left-right pairs of values (such as gains) that may contradict the mirror
-symmetry of an assumed joint order. Above, the joint order that no source states remains unknown,
-and a list of motor limits may be in the order of the motors. Chosen, not tuned."""
+"""Largest fraction of the left-right pairs of values (such as gains) that may contradict mirror
+symmetry in an assumed joint order. If the fraction is larger, the assumed order is rejected, and
+the joint order remains unknown. A list of motor limits may be in the order of the motors instead.
+Chosen, not tuned.
+"""
 
 
 def _compute_unlike_fraction(

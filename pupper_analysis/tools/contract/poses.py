@@ -27,8 +27,9 @@ from pupper_analysis.tools.contract.findings import DefaultPoseStand
 from pupper_analysis.tools.contract.orders import PlacedSource
 
 _MIN_STATED_FRACTION = 0.5
-"""Fraction of the joints whose default angles a source must state, for a stand in this pose to be
-computed. Chosen, not tuned."""
+"""Smallest fraction of the joints whose default angles a source must state. Below, no stand in this
+default pose is computed. Chosen, not tuned.
+"""
 
 
 def stand_poses(
@@ -46,8 +47,9 @@ def stand_poses(
         joints: Names of the robot's joints.
 
     Returns:
-        Poses, and notes. No poses if no source states the angles of half of the joints, or the
-        robot cannot be loaded, has a fixed base, or has no feet.
+        Stands in the default poses, and notes. There are no stands if no source states the angles
+        of at least half of the joints. There are none either if the robot cannot be loaded, has a
+        fixed base, or has no feet.
     """
     stated_angles = {
         placed_source: {

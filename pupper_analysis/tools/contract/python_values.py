@@ -228,7 +228,8 @@ _NUMERIC_MODULES: Final = ("math", "np", "numpy", "torch", "jp", "jnp")
 """Names under which configurations import modules that contain `_NAMED_CONSTANTS`."""
 
 _LIST_CONSTRUCTORS: Final = ("array", "asarray", "tensor", "list", "tuple", "tolist")
-"""Calls that return a list, or the keys of a table, as a new list, and another argument as it is.
+"""Names of functions that convert their argument to a list. A list is copied, a table becomes the
+list of its keys, and any other argument is returned unchanged.
 """
 _TABLE_CONSTRUCTORS: Final = ("dict", "freeze", "config_dict.create", "ConfigDict")
 """Calls that merge tables and keyword arguments into one table."""
@@ -427,9 +428,9 @@ class Evaluator:
     def _run_try(self, statement: ast.Try | ast.With, scope: Scope) -> None:
         """Evaluate the body of ``try`` or ``with``, then of ``else`` and ``finally``.
 
-        Exception handlers are not evaluated: their targets become unknown if the body or ``else``
-        raises. An exception leaves a ``try`` without handlers after ``finally``. The variables
-        after ``as`` in a ``with`` statement are unknown.
+        Exception handlers are not evaluated. If the body or ``else`` raises, all values that the
+        handlers assign become unknown. If a ``try`` has no handlers, the exception is raised again
+        after ``finally``. The variables after ``as`` in a ``with`` statement are unknown.
         """
         handlers = getattr(statement, "handlers", ())
         for item in getattr(statement, "items", ()):
@@ -536,9 +537,9 @@ class Evaluator:
     def _invalidate_targets(self, statement: ast.stmt | ast.ExceptHandler, scope: Scope) -> None:
         """Set all values that a statement may change to unknown values.
 
-        These are the names, attributes and items that the statement assigns or deletes, the names
-        of functions, classes and imports that the scope contains already, and the objects of
-        `_list_changes`.
+        The values are those of names, attributes and items that the statement assigns or deletes,
+        and the objects that `_list_changes` returns. The names of functions, classes and imports
+        are included if the scope contains them already.
         """
         for content, key, lost in [*self._list_changes([statement], scope, {}, set())]:
             if key is not None:
@@ -1159,9 +1160,9 @@ class Evaluator:
     def _evaluate_call(self, expression: ast.Call, scope: Scope) -> Any:
         """Return the result of a call.
 
-        Functions and classes of evaluated files are evaluated (`call`), allowed methods of lists
-        and tables are called (`_ALLOWED_METHODS`); other calls are those of a library
-        (`_call_library`). Methods of texts are not supported.
+        Functions and classes of evaluated files are evaluated by `call`. Methods of lists and
+        tables are called if they are in `_ALLOWED_METHODS`. All other calls are treated as calls of
+        a library (`_call_library`). Methods of texts are not supported.
         """
         arguments = self._evaluate_starred(expression.args, scope)
         keywords: dict[str, LocatedValue] = {}

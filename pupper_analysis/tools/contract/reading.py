@@ -113,8 +113,8 @@ def read_file(request: Request) -> list[JointSource]:
 def select_configurations(request: Request, sources: Sequence[JointSource]) -> list[JointSource]:
     """Select the configurations (named sets of values) of a file that are compared.
 
-    Of configurations with the same content, the first is kept. In a file of a training program, a
-    configuration is also dropped if another one contains all of its values.
+    If several configurations have the same content, only the first is kept. In a file of a training
+    program, a configuration is also omitted if another configuration contains all of its values.
 
     Raises:
         ModelError: If a file of a training program has several configurations left, or if no

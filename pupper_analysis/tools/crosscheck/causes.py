@@ -262,8 +262,9 @@ axes. Each is also tested in upper case, for fixed axes."""
 def find_angle_settings(case: PatternCase) -> PatternFindings:
     """Find another ``eulerseq`` or ``angle`` unit of the MJCF with which differences disappear.
 
-    A finding requires that at least 60 % of the differences in rotations and axes disappear. If no
-    rotation or axis differs, at least 60 % of the differences in joint limits must disappear.
+    Each ``eulerseq`` and ``angle`` unit is tested by a new comparison. It is a finding if at least
+    60 % of the differences in rotations and axes disappear. If no rotation or axis differs, at
+    least 60 % of the differences in joint limits must disappear.
     """
     if not {"rotation", "axis", "lower limit", "upper limit", "zero", "base frame"} & {
         kind for kind, _ in case.keys
@@ -371,7 +372,8 @@ def find_exchanged(case: PatternCase) -> PatternFindings:
 
 _MAX_REMAINING_FRACTION = 0.2
 """Largest fraction of the differences of two limbs that may remain after an exchange of their
-names, for the exchange to be reported. Chosen, not tuned."""
+names. If more differences remain, the exchange is not reported as a cause. Chosen, not tuned.
+"""
 
 _MAX_EXCHANGES = 60
 """Largest number of pairs of limbs for which an exchange of names is tested: more than all pairs of
@@ -428,9 +430,10 @@ _INERTIA_UNITS = {
 def find_scaled_quantities(case: PatternCase) -> PatternFindings:
     """Find joint limits, masses, lengths or inertias that all differ by a common factor.
 
-    The message names the wrong unit, such as degrees, g or mm, or a wrong decimal point, if this
-    explains the factor. Limits are those of hinges. The factor of lengths is that of the joint
-    positions; CoMs and frames are explained only if they differ by the same factor.
+    The message names the wrong unit (such as degrees, g or mm) or a wrong decimal point, if this
+    explains the factor. Only the limits of hinges are compared. The factor of lengths is computed
+    from the joint positions. Differences of CoMs and frames are explained only if they have the
+    same factor.
     """
     first, raw = case.first, case.raw
     bodies = [(body, raw.bodies[name]) for name, body in first.bodies.items() if body.mass]
@@ -496,8 +499,8 @@ def _find_common_factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
     """Return the factor second / first that pairs of proportional arrays have in common.
 
     Returns:
-        Factor; None if there are fewer than two nonzero pairs, if the arrays are not proportional
-        with equal positive ratios within 0.1 %, or if the factor is 1 within 1 %.
+        Common factor of all pairs of elements. None if fewer than two pairs are nonzero, if the
+        ratios are not positive or not equal within 0.1 %, or if the factor is 1 within 1 %.
     """
     ratios = []
     for first, second in pairs:
@@ -562,8 +565,9 @@ def find_efforts_before_gears(case: PatternCase) -> PatternFindings:
 def find_dropped_products(case: PatternCase, lacking: str) -> PatternFindings:
     """Find inertias that differ only because one file has no products of inertia.
 
-    The products are removed in the other file, in the axes of each link or in the axes of the
-    combined body, and the inertias are compared again. At least two differences must disappear.
+    For the test, the products are removed from the other file, and the inertias are compared again.
+    The products are removed in the axes of each link, or in the axes of the combined body. At least
+    two differences must disappear.
 
     Args:
         case: The two trees.
@@ -710,8 +714,8 @@ def _compute_origin_shift(link: ComparedLink, offset: Array) -> Array:
 def _has_inverse_axes(pair: _TensorPair, tolerances: Tolerances) -> bool:
     """Return True if the tensors of a pair have inverse principal axes.
 
-    With one rotation E and one diagonal matrix D, the tensors are then E D E^T and E^T D E. The
-    order and the signs of the principal axes are those of any right-handed frame.
+    Inverse means: for a rotation E and a diagonal matrix D, the tensors are E D E^T and E^T D E.
+    All orders and signs of the principal axes that form a right-handed frame are tested.
     """
     moments, axes = np.linalg.eigh(pair.urdf.body.inertia)
     axes = axes * float(np.sign(np.linalg.det(axes)))
@@ -857,10 +861,10 @@ def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
 
 
 def find_closed_loops(case: PatternCase) -> PatternFindings:
-    """Report all equality constraints that only the MJCF has as a single cause of differences.
+    """Report one common cause for all equality constraints that are missing in the URDF.
 
-    Nothing is reported for a single constraint. Constraints that an earlier cause explains do not
-    count.
+    Nothing is reported if there are fewer than two constraints. Constraints that an earlier cause
+    explains are not counted.
     """
     found = [name for kind, name in case.unexplained if kind == "equality"]
     if len(found) > 1:
@@ -916,10 +920,10 @@ def find_link_mistakes(case: PatternCase) -> PatternFindings:
 def _find_link_mistake(case: PatternCase, name: str) -> _LinkMistake | None:
     """Return the mistake in a body's links that explains the inertial difference of this body.
 
-    Tested mistakes: one file lacks links, or the mass of one link differs by a factor. None if no
-    mistake explains the difference, if a mass is 0, if the masses are equal, or if only the mass of
-    a single link differs, unless by a power of ten. ``name`` is the joint that moves the body, or
-    the base.
+    Two mistakes are tested: one file lacks links, or the mass of one link differs by a factor. The
+    result is None if no mistake explains the difference, if a mass is 0, or if the masses are
+    equal. If the body has a single link and only its mass differs, the factor must be a power of
+    ten. ``name`` is the joint that moves the body, or the base.
     """
     first, second = case.first.bodies[name], case.second.bodies[name]
     difference = compute_moments(first) - compute_moments(second)
@@ -995,8 +999,9 @@ def _explains_difference(
 ) -> bool:
     """Return True if a tested mistake explains the inertial difference of a body.
 
-    Without the mistake, mass, CoM and inertia of both bodies must agree, except for kinds of
-    differences that another cause explains, and at most `_MAX_RESIDUAL` of the difference remains.
+    After the mistake is removed, mass, CoM and inertia of both bodies must agree. Kinds of
+    differences that another cause explains need not agree. In addition, at most `_MAX_RESIDUAL` of
+    the difference may remain.
 
     Args:
         case: Both trees.
@@ -1112,9 +1117,10 @@ def group_by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
 
 
 _MIN_FOREIGN_MASS_CHANGE = 0.1
-"""Relative difference between the masses of a body in both files from which
-`find_foreign_inertials` reports the inertial of another body, if CoM and inertia differ as well.
-Chosen, not tuned."""
+"""Smallest relative difference between the masses of a body in both files at which
+`find_foreign_inertials` reports the inertial of another body. CoM and inertia must differ as well.
+Chosen, not tuned.
+"""
 
 
 def find_foreign_inertials(case: PatternCase) -> PatternFindings:
@@ -1145,8 +1151,9 @@ def find_foreign_inertials(case: PatternCase) -> PatternFindings:
 
 
 _MIN_AXIS_SINE = 1e-9
-"""Sine of the angle between two joint axes below which the distance between the axes is computed as
-that of parallel lines: the angle may be rounding. Chosen, not tuned."""
+"""Sine of the angle between two joint axes [1]. Below, the axes count as parallel when the distance
+between them is computed, since the angle may be rounding. Chosen, not tuned.
+"""
 
 _MAX_MOVED_JOINTS = 20
 """Largest number of joints with different positions for which a displaced axis of a single joint is
@@ -1157,9 +1164,10 @@ as long as a comparison."""
 def find_moved_axes(case: PatternCase) -> PatternFindings:
     """Find joints whose axis differs between the files, although no body is elsewhere.
 
-    At zero angles all bodies are at the same places. Nevertheless the values of CoM, children and
-    frames, expressed in the frame of the joint, differ as well. Only joints with different
-    positions are tested, and nothing is searched if these are more than `_MAX_MOVED_JOINTS`.
+    At zero angles all bodies have the same poses in both files. Nevertheless CoM, children and
+    frames differ, since they are expressed in the frame of the joint. Only joints with different
+    positions are tested. If more than `_MAX_MOVED_JOINTS` joints have different positions, nothing
+    is searched.
     """
     names = [element for kind, element in case.keys if kind == "position"]
     for name in names if len(names) <= _MAX_MOVED_JOINTS else ():

@@ -224,8 +224,8 @@ def list_mass_shares(
 def _list_engine_deviations(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, ...]:
     """List deviations between two engines that evaluate the same model, above `ENGINE_RTOL`.
 
-    Deviations on the MJCF are skipped if the found differences do not explain the whole deviation
-    between URDF and MJCF. The two engines may then not have received the same model.
+    A deviation on the MJCF is skipped if the found differences do not explain the whole deviation
+    between URDF and MJCF. In this case the two engines may have received different models.
     """
     return tuple(
         diagnose(
@@ -284,9 +284,9 @@ the body instead of the largest magnitude in all rows."""
 def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
     """Return the labels of the rows in which a compared quantity is evaluated.
 
-    Depending on the quantity, the labels are bodies (the base, and for other bodies the joints that
-    move them), joints, degrees of freedom or contact points; for other quantities a single label,
-    such as ``com`` or ``IMU``.
+    The labels are bodies, joints, degrees of freedom or contact points, depending on the quantity.
+    A body is named by the joint that moves it; the base has its own name. All other quantities have
+    a single label, such as ``com`` or ``IMU``.
 
     Args:
         robot: Robot.
@@ -599,9 +599,10 @@ def _compute_base_pose(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:
 
 
 DEFAULT_RTOL = 1e-9
-"""Default of the largest deviation between two evaluations that counts as agreement, relative to
-the scale of the quantity (its largest absolute value, or the largest in the row). Chosen, not
-tuned."""
+"""Default of the largest relative deviation between two evaluations that counts as agreement. The
+deviation is divided by the scale of the quantity: its largest absolute value in all rows, or in the
+same row. Chosen, not tuned.
+"""
 
 URDF_PINOCCHIO = "URDF in Pinocchio"
 """Name of the evaluation of the URDF with Pinocchio."""
@@ -650,8 +651,9 @@ class QuantityCheck(Result):
     Attributes:
         name: Quantity.
         unit: Unit of the quantity.
-        scale: Denominator of ``relative``: the largest absolute value (in the row for body masses
-            and inertias), or the smallest scale of the quantity if that is larger.
+        scale: Denominator of ``relative``: the largest absolute value of the quantity, or the lower
+            bound of the scale if this is larger. For body masses and inertias, the largest absolute
+            value in the row.
         deviation: Absolute deviation at the place of the worst relative deviation.
         relative: Largest relative deviation.
         evaluations: Evaluations with the largest relative deviation.
@@ -743,8 +745,8 @@ def cross_check(
 ) -> CrossCheck:
     """Compare a URDF and an MJCF in Pinocchio and in MuJoCo.
 
-    States are random (`random_states`): joint positions and torques within limits, velocities, and
-    any orientation of a floating base, within 1 m of the origin along each axis.
+    States are random (`random_states`). Joint positions and torques are within their limits. A
+    floating base has any orientation, and a position within 1 m of the origin along each axis.
 
     Args:
         robot: Robot.

@@ -62,16 +62,18 @@ def list_matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
 
 
 _MAX_PRINTED_SHARE = 1.005
-"""Largest ratio between the effect of a difference alone and the effect of all differences together
-that a message states; it is printed as 100 %. Larger ratios, which occur if differences cancel, are
-omitted. Chosen, not tuned."""
+"""Largest printed ratio of the effect of one difference to the effect of all differences together.
+A ratio between 1 and this value is printed as 100 %. Larger ratios occur if differences cancel, and
+are omitted in the message. Chosen, not tuned.
+"""
 
 
 def describe_effects(difference: Difference) -> Diagnostic:
     """Create the message with the effects of a difference on the dynamics, the largest share first.
 
-    An effect is the deviation of a quantity that the difference causes alone, relative to the scale
-    of the quantity and to the deviation that all differences cause together.
+    An effect is the deviation of a quantity that this single difference causes. The message states
+    the deviation relative to the scale of the quantity, and its share of the deviation that all
+    differences cause together.
     """
     if not difference.effects:
         return diagnose("no-effect")
@@ -93,8 +95,9 @@ def describe_effects(difference: Difference) -> Diagnostic:
 def make_comparison_annotations(comparison: Comparison) -> list[Annotation]:
     """Create annotations for CI services from the comparison of a URDF with an MJCF.
 
-    There is an annotation for each part of the robot that only one file has, cause, difference,
-    unmatched joint and other reason against agreement, and a warning if joints are guessed.
+    Each cause and each difference has an annotation. So has each part of the robot that only one
+    file contains, each unmatched joint and each other reason against agreement. A warning is added
+    if joints are guessed.
     """
     urdf, mjcf = comparison.urdf, comparison.mjcf
     annotations = [_make_annotation("part", "part", part, urdf) for part in comparison.parts]

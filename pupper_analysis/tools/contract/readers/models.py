@@ -133,9 +133,9 @@ def read_model_file(path: Path) -> RobotModel:
 def _read_refused_mjcf(model: MjcfModel) -> MjcfModel:
     """Return the joints and actuators of an MJCF that MuJoCo does not compile.
 
-    The file is compiled without contact pairs and exclusions, sensors, keyframes, equality
-    constraints and geoms of meshes, with a minimum mass of each body. The numbers of joints do not
-    depend on these, except for a kd that MuJoCo computes from a damping ratio.
+    MuJoCo compiles a copy without contact pairs and exclusions, sensors, keyframes, equality
+    constraints and mesh geoms. Each body of the copy has a minimum mass. The changes do not affect
+    the numbers of joints, except for a kd that MuJoCo computes from a damping ratio.
 
     Raises:
         ModelError: If MuJoCo does not compile the rest either: the error about the file.

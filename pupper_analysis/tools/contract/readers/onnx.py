@@ -84,8 +84,9 @@ def read_onnx(path: Path) -> OnnxFile:
 def read(request: Request) -> Iterator[JointSource]:
     """Yield the joint values (such as gains) and tensor sizes that an ONNX policy states.
 
-    Joint values are in the metadata. The sizes are the last of the first input and the first
-    output. Nothing is yielded for a file with neither joint names, joint values nor tensor sizes.
+    Joint values are in the metadata. The tensor sizes are the last dimensions of the first input
+    and of the first output. Nothing is yielded for a file without joint names, joint values and
+    tensor sizes.
     """
     file = read_onnx(request.path)
     table = {

@@ -37,10 +37,11 @@ _MJLAB, _ISAAC_LAB = "mjlab 1.6", "Isaac Lab 2.0"
 def read(request: Request) -> Iterator[JointSource]:
     """Yield the joint values (such as gains) of each training configuration in a Python file.
 
-    A configuration is an object with a robot, actions or settings of a trainer. If the file has
-    none, tables ``{key: value}`` with joint values are read instead: those that the file defines,
-    or that its functions return, alone or in a list; then constants of the file, and at last those
-    of its block ``if __name__ == "__main__"``. No code is executed.
+    A configuration is an object with a robot, actions or settings of a trainer. If the file has no
+    such object, tables ``{key: value}`` with joint values are read instead. The tables may be
+    defined in the file or returned by its functions, alone or in a list. If there are no tables,
+    constants of the file are read, and finally constants of the block ``if __name__ ==
+    "__main__"``. No code is executed.
     """
     evaluator = py.Evaluator(request.folders)
     module = evaluator.load_module(request.path)
@@ -152,8 +153,9 @@ def _read_constants(
 def _make_constant_table(evaluator: py.Evaluator, node: LocatedValue) -> LocatedValue:
     """Return a class as a table {name in lower case: constant or table}; other nodes unchanged.
 
-    The table contains the attributes of the class, and the constants that its methods assign to
-    attributes such as ``self.kp``: of several, the first.
+    The table contains the attributes of the class. It also contains the constants that the methods
+    assign to attributes such as ``self.kp``. If an attribute is assigned several times, the table
+    contains the first constant.
     """
     if not isinstance(node.value, py.ClassValue):
         return node
@@ -290,8 +292,8 @@ def _list_actuators(node: LocatedValue) -> list[LocatedValue]:
 def _list_robot_statements(robot: LocatedValue) -> Iterator[Statement]:
     """Yield default angles, gains, limits and friction of a robot's configuration, in SI units.
 
-    Joints are regular expressions of names. If the configuration has a table of default angles,
-    joints that are not in it have the angle 0, the default of the framework.
+    The statements select joints by regular expressions. If the configuration has a table of default
+    angles, a joint that is missing in the table has the angle 0, the default of the framework.
     """
     angles = robot.get("init_state", "joint_pos")
     first_wins = robot.value.kind == "EntityCfg"
@@ -320,8 +322,8 @@ def _list_robot_statements(robot: LocatedValue) -> Iterator[Statement]:
 def _list_action_statements(action: LocatedValue, angles: list[Statement]) -> Iterator[Statement]:
     """Yield the scales and offsets of a policy's action.
 
-    Offsets are the default joint angles ``angles``, unless ``use_default_offset`` has another value
-    than True: then they are the stated ``offset``.
+    The offsets are the default joint angles ``angles`` if ``use_default_offset`` is True or not
+    stated. Otherwise the offsets are the stated ``offset``.
     """
     patterns = action.find_first("patterns").texts
     scale = action.get("scale")

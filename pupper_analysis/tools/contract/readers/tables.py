@@ -196,9 +196,10 @@ def read_nested_tables(
 def _split_document(own: _View, depth: int) -> list[_View]:
     """Group a table and its nested tables into sources, and return a view of each source.
 
-    Tables form one source unless two of them state the same quantity of joints, as in a file with
-    several controllers. Tables for standing up and trainers' configurations are separate sources.
-    If only some of several controllers run a policy, the other controllers are left out.
+    All tables form one source, unless two tables state the same quantity of joints. This occurs,
+    for example, in a file with several controllers. Tables for standing up and configurations of
+    trainers are separate sources. If some controllers run a policy and others do not, only the
+    controllers with a policy are returned.
 
     Args:
         own: The table, with keys in lower case.
@@ -422,9 +423,9 @@ def _list_position_tables(node: LocatedValue) -> list[LocatedValue]:
 def list_observation_terms(terms: LocatedValue) -> Iterator[ObservedTerm]:
     """Yield each observation term that is a table or has a function: name, scales, history, clip.
 
-    The name is the name of the term's function if listed in `OBSERVATION_ALIASES`, otherwise the
+    The name is the name of the term's function if `OBSERVATION_ALIASES` contains it, otherwise the
     key. The scale is 1 for a function without a stated scale, and None if the scale is unknown. The
-    number of steps in the history is that of the group of terms, if stated, otherwise the term's.
+    history length is stated by the group of terms or, if the group states none, by the term.
     """
     group_history = terms.get("history_length").number
     for name, term in terms.table.items():
