@@ -80,8 +80,8 @@ def match_names(pattern: str, names: Iterable[str]) -> list[str]:
 def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
     """Return a new array of real numbers of any shape; infinite values and NaN are accepted.
 
-    Arrays and lists of texts, Booleans or complex numbers are rejected, which NumPy would convert
-    silently, also a list with a Boolean among numbers, and masked arrays with a masked element.
+    Texts, Booleans and complex numbers are rejected, also as single elements of a list: NumPy would
+    convert them silently. Masked arrays with a masked element are also rejected.
 
     Args:
         name: Name of the argument, for the message.
@@ -195,11 +195,11 @@ def check_length(name: str, value: object) -> float:
 def check_arguments(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """Decorate a public function with a check of the arguments against the type hints.
 
-    Types that `_make_type_test` does not support are not checked, for example arrays, tuples,
-    literals, and unions with an enum. Of a mapping only the keys are checked. The elements of an
-    iterable are checked only if it is a sequence or an array, not those of a set or an iterator.
-    Defaults and the arguments of ``*args`` are not checked. The function itself must check these
-    arguments, and the values of all arguments.
+    Some types are not checked, for example arrays, tuples, literals, and unions with an enum (see
+    `_make_type_test`). Of a mapping, only the keys are checked. Elements are checked in sequences
+    and arrays, but not in sets and iterators. Defaults and the arguments of ``*args`` are not
+    checked. The function itself must check these arguments. It must also check the values (not the
+    types) of all arguments.
 
     Raises:
         ConfigurationError: In the call, if an argument has another type.

@@ -1,7 +1,7 @@
 """CSV text of tables, in which texts that spreadsheets may execute as formulas are marked.
 
-A text that begins with a character of `_FORMULA_START`, and that Python does not read as a float,
-gets a leading apostrophe.
+A text gets a leading apostrophe if it begins with a character of `_FORMULA_START`. Texts that
+Python can convert to a float, such as "-1.5", are not changed.
 """
 
 from __future__ import annotations

@@ -100,9 +100,10 @@ _BLAS_VARIABLES = (_BLAS_THREADS, "GOTO_NUM_THREADS", "OMP_NUM_THREADS")
 def use_one_blas_thread() -> None:
     """Let NumPy and SciPy, imported later, use one thread unless the user chose a number.
 
-    The threads of OpenBLAS wait actively for each other. Measured on two cores beside other
-    processes: eigenvalues of a 100 x 100 matrix take 82 ms of processor time with two threads, and
-    3 ms with one; a refusal of nine requirements takes 7.9 s and 3.0 s.
+    Several threads of OpenBLAS waste processor time, because they wait actively for each other.
+    Measured on two cores beside other processes: eigenvalues of a 100 x 100 matrix take 82 ms of
+    processor time with two threads, and 3 ms with one thread. The relaxation of nine requirements
+    of a stand takes 7.9 s with two threads, and 3.0 s with one.
     """
     if not any(os.environ.get(name) for name in _BLAS_VARIABLES):
         os.environ[_BLAS_THREADS] = "1"

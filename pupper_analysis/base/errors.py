@@ -142,8 +142,10 @@ MAX_LISTED_NAMES = 16
 of a quadruped with four joints per leg. Chosen, not tuned."""
 
 NUM_CLOSE_NAMES = 5
-"""Number of valid names, the most similar to the unknown name, in the message of `UnknownNameError`
-if there are more than `MAX_LISTED_NAMES`. Chosen, not tuned."""
+"""Number of valid names that the message of `UnknownNameError` lists if there are more than
+`MAX_LISTED_NAMES`. These are the names that are most similar to the unknown name. Chosen, not
+tuned.
+"""
 
 
 class UnknownNameError(ModelError):
@@ -191,24 +193,27 @@ class ConfigurationError(PupperAnalysisError):
 
 
 _MIN_RELATIVE_FOOT_ERROR = 1e-3
-"""Foot error, relative to the largest foot error, below which the message about an unreachable
-stance omits the foot. Smaller errors are residuals of the search. Chosen, not tuned."""
+"""Threshold of a foot's position error, as a fraction of the largest error of a foot. The message
+about an unreachable stance omits a foot with a smaller error. Such an error is a residual of the
+search. Chosen, not tuned.
+"""
 
 
 class StanceUnreachableError(PupperAnalysisError):
     """Stand task for which no solution within the joint limits and without collisions was found.
 
     Attributes:
-        shortfall: {foot or contact point: remaining distance [m] to the target} of the missed
-            targets.
+        shortfall: {foot or contact point: remaining distance [m] to the target}, for each target
+            that is not reached.
         at_limit: {joint: limit [rad, m]} of the joints at a limit in the best configuration found.
         possible: {requirement: diagnostic of its feasible value}, for each requirement whose
-            relaxation alone makes the task feasible. If there is none, for small sets that must be
-            relaxed together ("height and roll"). Empty if none was found or requested.
+            relaxation alone makes the task feasible. If no single requirement suffices, the keys
+            are small sets of requirements that must be relaxed together ("height and roll"). Empty
+            if no relaxation was found or requested.
         limits: The feasible values as fields of the task, for example {"roll": {"roll": 0.337}}:
             ``replace(task, **limits["roll"])`` is feasible.
-        nearest: Stand for the entry of ``limits`` with the smallest relaxation. None if there is
-            none, or if it was not requested.
+        nearest: Stand for the entry of ``limits`` with the smallest relaxation. None if ``limits``
+            is empty, or if the stand was not requested.
         blocked: Diagnostics of obstacles other than foot errors: for example a part in the ground,
             parts too close to each other, a CoM too close to the edge of the support, loops that
             stay open, or motors at a dead point.
@@ -269,14 +274,15 @@ class StanceUnreachableError(PupperAnalysisError):
 
 
 class PostureUnreachableError(PupperAnalysisError):
-    """Tasks of a posture that no configuration within the joint limits was found to satisfy.
+    """Posture whose tasks no configuration found within the joint limits satisfies.
 
     Attributes:
         task: Required task with the largest residual in the best configuration found.
         residual: The residual of this task, in ``unit``.
         unit: Unit of the residual: m or rad.
         residuals: {task: residual [m, rad]} of all tasks in the best configuration found.
-        conflicting: Tasks and kept contacts whose residuals increase if that of ``task`` decreases.
+        conflicting: Tasks and kept contacts whose residuals increase if the residual of ``task``
+        decreases.
         at_limit: {joint: limit [rad, m]} of the joints at a limit in this configuration.
         blocking: {joint: limit [rad, m]} of the joints at a limit that a motion of ``task`` towards
             its target moves beyond this limit.

@@ -3,9 +3,9 @@
 All output files are written by this module (except for scratch files in the system's temporary
 folder). A regular file is written completely or not at all. A run does not overwrite an input of
 the same run (`runs`), except a file that the run edits in place. Without ``force``, a non-empty
-file is replaced only by the same content, or by a result of the same kind (`kinds`). New contents
-are first written to hidden temporary files in the same folder; files left by killed processes are
-removed later.
+file is replaced only if it has the same content, or is a result of the same kind (`kinds`). New
+contents are first written to hidden temporary files in the same folder. Temporary files of killed
+processes are removed later.
 """
 
 from __future__ import annotations
@@ -72,13 +72,12 @@ container cannot be looked up."""
 def remove_stale_files(folder: Path) -> None:
     """Remove old temporary files from a folder, once per process; only on POSIX systems.
 
-    On other systems ``os.kill(pid, 0)``, which tests if a process has ended, may end the process.
+    A temporary file is removed in two cases. First, if the process that wrote the file ran on this
+    machine and has ended. Second, if the file is older than `MAX_TEMPORARY_AGE`. The age is
+    measured from the last change of the status of the file. Files that cannot be removed remain.
 
-    A temporary file is removed if the writing process ran on this machine and has ended, or if the
-    file is older than `MAX_TEMPORARY_AGE`, whatever its process. Files that cannot be removed
-    remain.
-
-    The age is measured from the last change of the status of the file.
+    On other systems the function does nothing: ``os.kill(pid, 0)``, the test whether a process has
+    ended, may end the process there.
     """
     if os.name != "posix" or (os.getpid(), folder) in _cleaned_folders:
         return
@@ -154,9 +153,9 @@ _result_streams: list[TextIO] = []
 def write_atomically(path: Path, kind: OutputKind, *, force: bool = False) -> Iterator[io.BytesIO]:
     """Yield a buffer whose content is written to the file if the block succeeds.
 
-    A regular file is replaced atomically, with the same mode; a new file has the mode given by the
-    umask. Links are followed. A path that is no regular file (a pipe, a device), or that is the
-    target of standard output or error, is written to in place.
+    A regular file is replaced atomically, and keeps its mode. A new file has the mode given by the
+    umask. Links are followed. A pipe or device is written in place. A file is also written in place
+    if standard output or error is redirected to this file.
 
     Args:
         path: Output file; missing folders are created. ``-`` is standard output.
@@ -165,8 +164,8 @@ def write_atomically(path: Path, kind: OutputKind, *, force: bool = False) -> It
             measurements (``OutputKind.keeps``).
 
     Raises:
-        OutputError: If the file cannot be written, or must not be replaced, or if the block raises
-            an ``OSError`` other than ``BrokenPipeError``.
+        OutputError: If the file cannot be written, or must not be replaced. Also if the block
+            raises an ``OSError`` other than ``BrokenPipeError``.
         BrokenPipeError: If the reader of a pipe has ended.
     """
     buffer = io.BytesIO()
@@ -185,9 +184,9 @@ def write_atomically(path: Path, kind: OutputKind, *, force: bool = False) -> It
 def check_writable(path: Path, kind: OutputKind, *, force: bool = False) -> None:
     """Check that a file may be written, and register an existing file as an output of the run.
 
-    Afterwards the run must not read the registered file. A file of a kind that is edited in place
-    is not registered. The file is not written; old temporary files in the folder are removed. For
-    ``-``, only standard output is checked.
+    Afterwards the run must not read the registered file. A file is not registered if its kind is
+    edited in place. The function does not write the file, but removes old temporary files in its
+    folder. For ``-``, only standard output is checked.
 
     Args:
         path: Output file.
@@ -232,8 +231,8 @@ def _check_replaceable(
         force: Whether files of other kinds may be replaced.
 
     Raises:
-        OutputError: If the run has read the file, unless the run edits a file of this kind in
-            place; or if a non-empty file has a content that the kind does not permit to replace.
+        OutputError: If a non-empty file has a content that the kind does not permit to replace.
+            Also if the run has read the file, except for a kind that is edited in place.
         OSError: If a non-empty file cannot be read.
     """
     run = current_run()
@@ -415,10 +414,10 @@ class Writing:
 def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Path, ...]:
     """Write several files, or none.
 
-    All new contents are on disk, and the old files have second names, before the first file is
-    replaced by a rename. If a replacement fails, or the process is interrupted, the earlier
-    replacements are undone. If the process is killed, each file has either the old or the new
-    content.
+    Before the first file is replaced, all new contents are on disk, and the old files have second
+    names (hard links). Each file is then replaced by a rename. The earlier replacements are undone
+    if a replacement fails or the process is interrupted. If the process is killed, each file has
+    either the old or the new content.
 
     Args:
         writings: Files to write. Existing files keep the mode, and the owner if permitted. New
@@ -430,9 +429,10 @@ def write_all(writings: Sequence[Writing], *, backup: bool = False) -> tuple[Pat
         Paths of the backup copies.
 
     Raises:
-        OutputError: If a file cannot be written, must not be replaced, is no regular file or the
-            target of standard output or error, has an unexpected content, or cannot be restored.
-            The error contains the path as given.
+        OutputError: If a file cannot be written or restored, must not be replaced, or is no regular
+            file. Also if standard output or error is redirected to a file, or if the content of a
+            file differs from the content that the caller expects (`Writing.before`). The error
+            contains the path as given.
     """
     files = [_StagedFile(writing) for writing in writings]
     copies: list[Path] = []

@@ -1,8 +1,8 @@
 """Reading of input files, with limits of file type and size.
 
 Input files are read by ``read_input``, or checked by ``check_input`` if a library opens the file. A
-rejected file raises an ``InputError``, which most readers of a file type convert to an error of a
-more specific class.
+rejected file raises an ``InputError``. Most readers of a file type convert this error to an error
+of a more specific class.
 
 A model may also come from standard input. Relative paths in such a model, for example of meshes,
 are relative to the current folder.
@@ -48,8 +48,10 @@ _MAX_COMPARED_NAMES: Final = 2000
 not tuned."""
 
 _MIN_SIMILARITY: Final = 0.75
-"""Smallest ratio of `difflib.SequenceMatcher` of a file name that is suggested for the name of a
-missing file. Chosen: one wrong letter of four, or two exchanged letters of five."""
+"""Smallest similarity (ratio of `difflib.SequenceMatcher`, from 0 to 1) between the name of a
+missing file and a file name that the message suggests. Chosen: permits one wrong letter of four, or
+two exchanged letters of five.
+"""
 
 _MAX_KEY_LENGTH: Final = 500
 """Maximum number of characters of a TOML key. Error messages contain the key. Chosen, not tuned."""
@@ -95,9 +97,8 @@ def check_input(path: Path, most: int, *, rewritten: bool = False) -> None:
 def read_change_time(path: Path) -> int:
     """Return the modification time of a file [ns], a cache key of its content.
 
-    The value is -1 if the file does not exist or is not accessible, for example because another
-    program has deleted the file since this run found it: the function that reads the file then
-    reports the problem.
+    The value is -1 if the file does not exist or is not accessible. For example, another program
+    may have deleted the file meanwhile. The function that reads the file then reports the problem.
     """
     try:
         return path.stat().st_mtime_ns
@@ -205,9 +206,9 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
         Text of the file; {key: value} of the top level.
 
     Raises:
-        InputError: If the file cannot be read, is too large, is no UTF-8 text, is no valid TOML
-            (with the line, if known), or has a key longer than `_MAX_KEY_LENGTH` or a text longer
-            than `_MAX_VALUE_LENGTH`.
+        InputError: If the file cannot be read, is too large, is no UTF-8 text, or is no valid TOML
+            (with the line, if known). Also if a key is longer than `_MAX_KEY_LENGTH`, or a text
+            longer than `_MAX_VALUE_LENGTH`.
         OutputError: If the run will write this file.
     """
     text = decode_input(path, read_input(path, MAX_TEXT_BYTES))

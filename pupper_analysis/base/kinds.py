@@ -1,7 +1,7 @@
 """Kinds of output files, with the tests that recognise existing files of each kind.
 
-Without ``force``, an output replaces an existing non-empty file only if ``OutputKind.owns``
-recognises the file, or if the file already has the new content.
+Without ``force``, an existing non-empty file is replaced only in two cases: ``OutputKind.owns``
+recognises the file, or the file already has the new content.
 """
 
 from __future__ import annotations
@@ -20,8 +20,10 @@ GENERATOR_NAME: Final = "pupper-analysis"
 animations; pages contain ``pupper_analysis``."""
 
 NUM_HEAD_BYTES: Final = 1 << 16
-"""Number of bytes read from the start of a file, and from the end of an animation, to recognise the
-kind. The header of a table with a hundred joints is shorter. Chosen, not tuned."""
+"""Number of bytes that are read from the start of a file to recognise its kind. The same number is
+read from the end of an animation. The header of a table with a hundred joints is shorter. Chosen,
+not tuned.
+"""
 
 _MAX_PLAN_BYTES: Final = 1 << 24
 """Maximum number of bytes that are read to recognise a plan of stands (CSV, see `PLAN_KIND`): 16
@@ -104,12 +106,13 @@ def _is_animation(file: BinaryIO) -> bool:
 def _read_measured_cells(file: BinaryIO) -> list[str] | None:
     """Return the cells of a plan that a measurement has filled in.
 
-    A plan is a CSV file with a row per stand. ``fit --plan`` describes the stand (commands, lifted
-    feet, added mass ...) and leaves the other columns empty, for example the measured positions.
+    A plan is a CSV file with a row per stand, written by ``fit --plan``. Some columns describe the
+    stand (commands, lifted feet, added mass ...). The other columns are for measurements, for
+    example of joint positions, and are empty at first.
 
     Returns:
-        Non-empty cells of these other columns. None if the file is no CSV text in UTF-8, or lacks
-        the column "command" or "position".
+        Non-empty cells of the columns for measurements. None if the file is no CSV text in UTF-8,
+        or lacks the column "command" or "position".
     """
     try:
         rows = list(csv.reader(io.StringIO(file.read(_MAX_PLAN_BYTES).decode("utf-8-sig"))))
@@ -164,8 +167,9 @@ STAND_TABLE: Final = OutputKind(
 
 PLAN_KIND: Final = OutputKind("plan of stands", _is_empty_plan, keeps=_has_measurements)
 """CSV file with a row per stand to be measured, written by ``fit --plan``. A new plan may replace a
-plan without measurements. A file that contains a plan with measurements is never replaced by a
-plan, not even with ``force``."""
+plan without measurements. A new plan never replaces a plan with measurements, not even with
+``force``.
+"""
 
 RECORD_KIND: Final = OutputKind(
     "table of stands", lambda file: _read_measured_cells(file) is not None, edits=True

@@ -57,8 +57,8 @@ def eig(matrix: Array) -> tuple[ComplexArray, NDArray[Any], NDArray[Any]]:
         matrix: Real matrix, shape (n, n).
 
     Returns:
-        Eigenvalues, shape (n,); left and right eigenvectors of unit norm, as columns, shape (n, n),
-        real if all eigenvalues are real.
+        Eigenvalues, shape (n,); left eigenvectors, shape (n, n); right eigenvectors, shape (n, n).
+        Eigenvectors are columns of unit norm, and real if all eigenvalues are real.
 
     Raises:
         ValueError: If an element is not finite.

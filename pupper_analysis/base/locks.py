@@ -19,8 +19,9 @@ _guard: Final = threading.Lock()
 """Lock of the threads of this process: a single thread at a time reads or changes `_held`."""
 
 _held: Final[set[str]] = set()
-"""Resolved paths of the lock files that this process holds. Another context in this process is
-refused by this set, because the system grants the lock again to the process that holds it."""
+"""Resolved paths of the lock files that this process holds. The set prevents that this process
+locks a file twice. The system itself would grant the second lock to the same process.
+"""
 
 
 @contextmanager

@@ -22,8 +22,10 @@ _EXTENSION = "scipy.optimize._minpack"
 used if the module does not exist."""
 
 _STEP_FACTOR = 100
-"""Upper bound of the norm of the first step, divided by the norm of the initial guess, both scaled
-as in MINPACK; if the initial guess is zero, the bound itself. The default of SciPy."""
+"""Upper bound of the norm of the first step, as a multiple of the norm of the initial guess. Both
+norms use MINPACK's scaling of the variables. If the initial guess is zero, this number itself is
+the upper bound. The default of SciPy.
+"""
 
 
 def find_root(

@@ -23,8 +23,9 @@ MAX_SHOWN_NUMBERS = 12
 quadruped."""
 
 MAX_SHOWN_ROWS = 12
-"""Largest number of entries of a mapping or a sequence that a cell shows, an entry per line.
-Chosen, not tuned: the joints of a quadruped."""
+"""Largest number of entries of a mapping or a sequence that a table cell shows. Each entry has a
+line. Chosen, not tuned: the joints of a quadruped.
+"""
 
 MAX_TEXT_LENGTH = 200
 """Largest number of characters of the text of a nested object; a longer text is cut off. Chosen,
@@ -34,9 +35,10 @@ NUMBER_FORMAT = ".4g"
 """Format of floats in a cell, with 4 significant digits; ``to_dict`` returns all digits."""
 
 ROUNDING_RTOL = 1e-12
-"""Absolute value up to which a cell shows a number of a short array as 0, relative to the largest
-absolute number or, if that is below 1, to 1. Such numbers are rounding errors of double precision.
-Chosen, not tuned."""
+"""Relative threshold up to which a table cell shows a number of a short array as 0. The reference
+is the largest absolute number of the array, or 1 if this is larger. Smaller numbers are rounding
+errors of double precision. Chosen, not tuned.
+"""
 
 _NOTHING = "&ndash;"
 """HTML of an absent value."""

@@ -16,8 +16,9 @@ from typing import Any
 import scipy
 
 _EXTENSION = "scipy.spatial._qhull"
-"""Name of SciPy's extension module with the convex hulls. The module is private, so
-``scipy.spatial`` is used if the module does not exist, or if its import fails."""
+"""Name of SciPy's extension module with the convex hulls. The module is private and may be renamed.
+If it does not exist or its import fails, ``scipy.spatial`` is used.
+"""
 
 _PACKAGE, _LAPACK = "scipy.linalg", "scipy.linalg.cython_lapack"
 """SciPy package that the extension module imports, and the only module of the package in use."""

@@ -79,8 +79,9 @@ _MAX_REPR_LENGTH = 220
 not tuned: two or three lines of a terminal."""
 
 _MAX_SHOWN_ITEMS = 3
-"""Maximum number of items of a vector, tuple or list, or of names of a mapping, that ``repr`` shows
-individually: a position (3,) is shown completely. Chosen, not tuned."""
+"""Maximum number of items that ``repr`` shows individually, of a vector, tuple or list, or of the
+names of a mapping. A position (3,) is shown completely. Chosen, not tuned.
+"""
 
 
 class Result:
@@ -226,8 +227,8 @@ def shorten(value: object, other: object = None) -> str:
     """Return a short text for a value: floats with 6 digits, long containers by size.
 
     A mapping is represented by its size and its first names. ``other`` is the value that is printed
-    beside ``value``. If two different floats, or elements of short vectors, would have the same
-    text with 6 digits, more digits are used.
+    beside ``value``. More digits are used if 6 digits would give the same text for two different
+    numbers. This is done for floats, and for elements of short vectors.
     """
     if isinstance(value, Enum):
         return repr(value.value)

@@ -2,9 +2,10 @@
 
 A tool is a package that answers one question. The first line of the package docstring is the
 question, and ``HELP_HEADING`` selects the heading in ``--help``. ``command.py`` contains the
-command, ``document.py`` the pages of the results, ``words.toml`` the texts. Optional modules that
-other packages find by name: ``causes.py``, ``guard.py``, ``metrics.py``. Discovery imports no tool,
-only the parent packages of a plug-in; question and heading are read from the source text.
+command, ``document.py`` the pages of the results, and ``words.toml`` the texts. Other packages find
+the optional modules ``causes.py``, ``guard.py`` and ``metrics.py`` by name. Discovery imports no
+tool: question and heading are read from the source text. Of a tool from another package, only the
+parent packages are imported.
 
 A format is a package that reads model files. ``format.toml`` describes the format, ``reader.py``
 reads the files (`models.loading`), and the optional ``rules.toml`` contains audit rules for this
@@ -99,8 +100,8 @@ def own_tools() -> Mapping[str, ToolPackage]:
 def other_tools() -> Mapping[str, ToolPackage]:
     """Return {name: tool} of the tools of other installed Python packages, sorted by name.
 
-    Left out are tools with the name of a tool of this package, and entry points that name a module
-    instead of a package, or a package that is not installed.
+    A tool is omitted if its name is the name of a tool of this package. An entry point is omitted
+    if it names a module instead of a package. It is also omitted if its package is not installed.
     """
     return _find_plugins(TOOLS_GROUP, "command.py")
 
@@ -216,8 +217,9 @@ def _may_have_entry_points(group: str) -> bool:
     """Return False if no installed package has an entry point in a group.
 
     The files ``entry_points.txt`` in the folders of ``sys.path`` are searched for the name of the
-    group, which takes 2 ms. True if a file contains the name, or if packages can be installed in
-    another way: in an archive or egg, or by a finder of another package.
+    group; this takes 2 ms. The result is True if a file contains the name. It is also True if
+    packages may be installed in another way: in an archive or egg, or by an import finder of
+    another package.
     """
     for finder in sys.meta_path:
         if hasattr(finder, "find_distributions") and finder is not PathFinder:

@@ -156,16 +156,18 @@ class Position(float):
 
 
 _TYPED_DIGITS = 4
-"""Largest number of significant digits with which `find_untyped_degrees` takes an angle as typed by
-the user, possibly in degrees. Most angles converted from degrees to radians have more digits.
-Chosen, not tuned."""
+"""Largest number of significant digits of an angle that `find_untyped_degrees` considers as typed
+by a user. Such a number may be meant in degrees. Most angles that were converted from degrees to
+radians have more digits. Chosen, not tuned.
+"""
 
 
 def find_untyped_degrees(angle: float, low: float, high: float) -> float | None:
     """Return an angle [rad] as a number of degrees if its user may have meant degrees, else None.
 
-    A user who types 20 means 20 deg where 20 rad is out of range. The number must be in range as
-    degrees, and must look typed: at most four significant digits (20 deg in rad is 0.34907).
+    For example, 20 rad is out of range, so a user who types 20 probably means 20 deg. Two
+    conditions must hold. The number in degrees is within the limits. It has at most four
+    significant digits, as a typed number (20 deg in rad is 0.34907).
 
     Args:
         angle: Angle that is out of range [rad].

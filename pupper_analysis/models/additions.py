@@ -1,8 +1,8 @@
 """Additions to a robot for simulation: floor, options, contacts, spheres, servos, start pose.
 
-Each addition has a reason, and calls a method of the editable MuJoCo spec (`SpecTree`) or the
-method with the same name of a new MJCF file. The simulated model and the written file therefore
-agree.
+Each addition has a reason, and the name and arguments of a method. The method is called on the
+editable MuJoCo spec (`SpecTree`), and on the new MJCF file. The simulated model and the written
+file therefore agree.
 """
 
 from __future__ import annotations

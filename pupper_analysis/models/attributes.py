@@ -85,9 +85,10 @@ class JointAttribute:
 
 
 UNSTATED = 1e9
-"""Effort [N m, N] or velocity [rad/s, m/s] in a URDF from which the limit counts as unspecified.
-The ``<limit>`` of a URDF must state both as finite numbers. Chosen, not tuned: the strongest motors
-have 1e4 N m."""
+"""Threshold of effort [N m, N] and velocity [rad/s, m/s] in a URDF. A value of at least this number
+counts as unspecified. The ``<limit>`` of a URDF must state both as finite numbers. Chosen, not
+tuned: the strongest motors have 1e4 N m.
+"""
 
 
 def known_limit(stated: float) -> float:

@@ -1,9 +1,10 @@
 """Conversion of models between the engines: MJCF to Pinocchio, URDF to MuJoCo.
 
 Pinocchio's MJCF parser (3.8) ignores masses in default classes, friction loss and force ranges, so
-``pinocchio_from_mujoco`` rebuilds the compiled MuJoCo model joint by joint. MuJoCo's URDF importer
-by default welds the base to the world and drops the mass of the base, so static bodies are kept and
-a free joint is added. ``MujocoTree`` is a MuJoCo model whose parameters can be changed in place.
+``pinocchio_from_mujoco`` rebuilds the compiled MuJoCo model joint by joint. By default, MuJoCo's
+URDF importer welds the base to the world and drops the mass of the base. Therefore static bodies
+are kept, and a free joint is added. ``MujocoTree`` is a MuJoCo model whose parameters can be
+changed in place.
 """
 
 from __future__ import annotations
@@ -80,8 +81,9 @@ class MujocoTree:
     def copy_parameters(self, parameters: MultibodyTree) -> None:
         """Copy all parameters of a tree into the model, in place: for example masses and axes.
 
-        The tree must have the same structure (``has_structure_of``). A body or joint that is the
-        same object as in the last call is not copied again, and must not have been modified.
+        The tree must have the same structure (``has_structure_of``). A body or joint is not copied
+        again if it is the same object as in the last call. Therefore bodies and joints must not be
+        modified between calls.
         """
         model, previous = self.model, self._last_parameters
         bodies = _select_changed(parameters.bodies, previous.bodies)
@@ -207,8 +209,9 @@ def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model
 def _correct_inertias(model: pin.Model, tree: UrdfTree) -> None:
     """Recompute the inertias of a Pinocchio model in place if a link has a negative mass.
 
-    Pinocchio's sum of two inertias divides by the larger of their total mass and 2e-16 kg (measured
-    with pin 3.8). For a total mass of -1 kg, the CoM is then of the order of 1e15 m away.
+    Pinocchio adds two inertias incorrectly if their total mass is negative. It divides by max(total
+    mass, 2e-16 kg), measured with pin 3.8. For a total mass of -1 kg, the CoM is then of the order
+    of 1e15 m away.
     """
     inertias = {name: link.inertia for name, link in tree.links.items()}
     if all(inertia is None or inertia.mass >= 0 for inertia in inertias.values()):
@@ -228,17 +231,18 @@ def _correct_inertias(model: pin.Model, tree: UrdfTree) -> None:
 
 
 _NUM_INERTIAL_PARAMETERS = 10
-"""Number of inertial parameters of a body, which add up for bodies that are fixed to each other:
-mass, mass times CoM (3), inertia about the origin (6)."""
+"""Number of inertial parameters of a body: mass, mass times CoM (3), inertia about the origin (6).
+For bodies that are fixed to each other, these parameters are added.
+"""
 
 
 def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
     """Build the Pinocchio model of a compiled MuJoCo model.
 
-    Bodies and sites with a name become frames of type BODY; of equal names, the first. Gravity,
-    joint limits, force limits of the actuators, friction loss, and the effective armature and
-    damping are copied (see `acting_gravity`, `joint_armature`, `joint_damping`). Other forces
-    (springs, tendons ...) are not.
+    Bodies and sites with a name become frames of type BODY. If several have the same name, only the
+    first becomes a frame. Copied are gravity, joint limits, force limits of the actuators, friction
+    loss, armature and damping (see `acting_gravity`, `joint_armature`, `joint_damping`). Other
+    forces (springs, tendons ...) are not copied.
 
     Args:
         model: Model with free, hinge and slide joints.
@@ -368,13 +372,12 @@ def _add_pinocchio_joint(
 def split_joint_placement(model: mujoco.MjModel, joint: int) -> tuple[pin.SE3, pin.SE3]:
     """Return the fixed placements before and after the motion of a hinge or slide.
 
-    Notation: B0 is the frame of the moved body in the position that ``body_pos`` and ``body_quat``
-    specify (joint position ``qpos0``), J the joint frame, with its origin at ``jnt_pos``, and B the
-    frame of the moved body.
+    B is the frame of the moved body. J is the joint frame, fixed to the body, with its origin at
+    ``jnt_pos``. B0 is the frame B at the joint position ``qpos0``, as specified by ``body_pos`` and
+    ``body_quat``.
 
     Returns:
-        Placement of J in B0 at a joint position of zero, and placement of B in J, which is the same
-        at all joint positions.
+        Placement of J in B0 at a joint position of zero; placement of B in J at any joint position.
     """
     axis, anchor = np.array(model.jnt_axis[joint]), np.array(model.jnt_pos[joint])
     displacement = -float(model.qpos0[model.jnt_qposadr[joint]]) * axis

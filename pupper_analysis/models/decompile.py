@@ -2,10 +2,9 @@
 
 `make_spec_of_model` writes bodies, joints, geoms, sites, meshes, actuators, tendons, equalities,
 contact pairs and exclusions, height fields, keyframes and options of the model to a new spec. The
-spec is compiled and compared with the model; if an array with an effect on the dynamics differs, an
-error is raised (`_COMPARED_PREFIXES`, `_IGNORED_ARRAYS`).
-Cameras, lights, materials, textures and sensors other than those of an IMU are left out: they have
-no effect on the dynamics.
+spec is compiled and compared with the model. An error is raised if an array with an effect on the
+dynamics differs (`_COMPARED_PREFIXES`, `_IGNORED_ARRAYS`). Cameras, lights, materials, textures and
+sensors other than those of an IMU are left out: they have no effect on the dynamics.
 """
 
 from __future__ import annotations
@@ -68,8 +67,9 @@ _ACTUATOR_FIELDS: Final = (
     *("forcerange", "actrange", "forcelimited", "actlimited"),
     *("actearly", "cranklength", "group", "armature", "ctrlspec", "delay"),
 )
-"""Fields of an actuator that are copied from the arrays ``actuator_`` of the model with a row per
-actuator."""
+"""Fields of an actuator in a spec. Each value is copied from the actuator's row of the model's
+array with the prefix ``actuator_``.
+"""
 
 _CONTROL_FIELDS: Final = ("ctrlrange", "ctrllimited")
 """Fields of an actuator that are copied from the arrays ``actuator_`` with a row per control."""
@@ -116,9 +116,10 @@ _COMPARED_PREFIXES: Final = (
     *("tendon_", "wrap_", "eq_", "pair_", "exclude_", "key_qpos", "key_ctrl", "key_qvel"),
     *("qpos0", "qpos_spring"),
 )
-"""Prefixes of the arrays of a model that the new spec, when compiled, must reproduce. The frames
-and sizes of geoms are compared by points (`_outline`), since the compiler moves the frame of a
-mesh."""
+"""Prefixes of the names of the compared arrays. The compiled new spec must have the same values as
+the given model. Frames and sizes of geoms are compared by points (`_outline`), because MuJoCo's
+compiler moves the frame of a mesh.
+"""
 
 _IGNORED_ARRAYS: Final = frozenset(
     {
@@ -128,9 +129,10 @@ _IGNORED_ARRAYS: Final = frozenset(
         "tendon_invweight0",
     }
 )
-"""Arrays with a compared prefix that need not be reproduced: groups, materials, colours, widths,
-user data, plug-in ids, history buffers, and results of MuJoCo's compiler such as the inverse
-weights of tendons."""
+"""Arrays that are not compared although the name has a prefix of `_COMPARED_PREFIXES`. They are
+groups, materials, colours, widths, user data, plug-in ids, history buffers, and results of MuJoCo's
+compiler such as the inverse weights of tendons.
+"""
 
 _ARRAY_TOLERANCE: Final = 1e-9
 """Absolute tolerance, in the unit of the array, and relative tolerance of arrays that must be
@@ -144,17 +146,17 @@ relative tolerance, 1e-5, is added. Chosen."""
 def make_spec_of_model(model: mujoco.MjModel, source: str) -> mujoco.MjSpec:
     """Return a new spec that compiles to a model with the same dynamics as a given model.
 
-    Bodies, joints, geoms, sites, tendons, actuators, meshes and height fields without a name get a
-    name such as ``body_3``, except free joints, and geoms to which no contact pair or tendon
-    refers. The given model is not modified.
+    Elements without a name get a name such as ``body_3``: bodies, joints, geoms, sites, tendons,
+    actuators, meshes and height fields. Free joints get no name. Geoms get a name only if a contact
+    pair or tendon refers to them. The given model is not modified.
 
     Args:
         model: Compiled model.
         source: Name of the model, for messages.
 
     Raises:
-        ModelError: If no body or joint has a name, the model has an element that is not supported,
-            or the spec does not reproduce the model.
+        ModelError: If no body and no joint has a name, if the model has an unsupported element, or
+            if the compiled spec differs from the model.
     """
     joints = [model.joint(joint).name for joint in range(model.njnt)]
     bodies = [model.body(body).name for body in range(1, model.nbody)]
@@ -442,7 +444,8 @@ def _list_differences(model: mujoco.MjModel, made: mujoco.MjModel) -> Iterator[s
 def _outline(model: mujoco.MjModel, geom: int) -> Array:
     """Return points of a geom in its body, shape (n, 3) [m].
 
-    The points are the vertices of a mesh, or the end points of the three sizes along the axes.
+    For a mesh, the points are the vertices. For other types, they are the end points of the three
+    sizes along the axes of the geom.
     """
     data = int(model.geom_dataid[geom])
     rotation = np.zeros(9)

@@ -1,12 +1,18 @@
 """Torque limits of motors at the joints, from all statements of a URDF and an MJCF.
 
-A torque limit has four sources: the URDF's ``effort``, and in an MJCF the ``actuatorfrcrange`` of
-the joint or tendon, an actuator's ``forcerange`` times the gear, and the ``ctrlrange`` of a plain
-motor times gain and gear. MuJoCo clamps a torque by all limits of the MJCF in sequence, so the
-smallest limit counts. The limits of several actuators at a joint are added.
+A torque limit has four possible sources:
 
-A limit of zero is a motor without torque, and a negative limit is an error; ``EffortCode`` names
-both. A joint for which no file states a limit has an unknown limit, which is no unlimited motor.
+- ``effort`` in the URDF;
+- ``actuatorfrcrange`` of the joint or tendon in the MJCF;
+- ``forcerange`` of an actuator in the MJCF, times the gear;
+- ``ctrlrange`` of a torque motor in the MJCF, times gain and gear.
+
+MuJoCo clamps a torque by all limits of the MJCF in sequence, so the smallest limit counts. The
+limits of several actuators at a joint are added.
+
+A limit of zero means a motor without torque, and a negative limit is an error (`EffortCode`). If no
+file states a limit for a joint, the limit is unknown. This does not mean that the motor is
+unlimited.
 """
 
 from __future__ import annotations
@@ -39,8 +45,9 @@ _BOUNDED_DYNAMICS = (
     mujoco.mjtDyn.mjDYN_FILTER.value,
     mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
 )
-"""Actuator dynamics with which a force does not exceed the force of the largest command, if the
-activation starts within the range of the commands."""
+"""Types of actuator dynamics that do not overshoot. The force does not exceed the force of the
+largest command, if the initial activation is within the range of the commands.
+"""
 
 
 MIN_EFFORT = 1e-9
@@ -172,9 +179,10 @@ class EffortLimit(Result):
     def code(self) -> EffortCode:
         """Status of this torque limit (stated, zero, negative or unknown).
 
-        ``UNKNOWN``: no file states a limit. ``STATED``: the limit permits a torque in at least one
-        direction. Otherwise ``NEGATIVE`` if the lower end of the range in the file is above the
-        upper end, else ``ZERO``.
+        - ``UNKNOWN``: no file states a limit.
+        - ``STATED``: the limit permits a torque in at least one direction.
+        - ``NEGATIVE``: the lower end of the range in the file is above the upper end.
+        - ``ZERO``: the limit permits no torque, and is not negative.
         """
         if self.origin is None:
             return EffortCode.UNKNOWN
@@ -191,8 +199,8 @@ class EffortLimit(Result):
     def without_file(self, file: str) -> EffortLimit:
         """Return the limit without the statements of a file, if its range stays the same.
 
-        Otherwise the limit itself is returned. The function serves for a file that was generated
-        from the other file, so that reports only cite the user's own file.
+        If the range would change, the limit is returned unchanged. The function is for a file that
+        was generated from the user's file. Reports then cite only the user's file.
 
         Args:
             file: ``URDF`` or ``MJCF``.
@@ -304,9 +312,9 @@ def _read_tendon_efforts(model: mujoco.MjModel, joint: int) -> list[EffortStatem
 def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
     """Return the force limits of an actuator at a tendon: of the actuator, and of the tendon.
 
-    The ranges are those of the force of the actuator [N or N m], without its gear. A tendon's
-    ``actuatorfrcrange`` limits the sum of the forces of its actuators, and is left out if there are
-    several.
+    The ranges are for the force of the actuator [N or N m] before the gear. The tendon's
+    ``actuatorfrcrange`` limits the sum of the forces of all its actuators. Therefore this range is
+    omitted if the tendon has several actuators.
     """
     found = _read_actuator_forces(model, actuator)
     tendon = int(model.actuator_trnid[actuator, 0])
@@ -321,9 +329,9 @@ def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortState
 def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
     """Return the joints of an MJCF whose force range is empty: with equal ends, or inverted.
 
-    MuJoCo ignores such a range without a message, so the compiled model has no limit there. The
-    range may be the ``actuatorfrcrange`` of the joint, or the ``forcerange`` of all its actuators,
-    or the ``ctrlrange`` of torque motors.
+    MuJoCo ignores an empty range without a message, so the compiled model has no limit for the
+    joint. The range is the ``actuatorfrcrange`` of the joint, the ``forcerange`` of all its
+    actuators, or the ``ctrlrange`` of torque motors.
 
     Returns:
         {joint: statement with the empty range}.
@@ -353,9 +361,10 @@ _JOINT_TRANSMISSIONS = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPA
 
 
 def _empty_range(file: MjcfFile, actuator: mujoco.MjsActuator) -> EffortStatement | None:
-    """Return the range of an actuator that permits no force; None without such a range.
+    """Return an empty range of an actuator; None if the actuator has no empty range.
 
-    The lower end of such a range is above the upper end, or both ends are stated as equal.
+    An empty range permits no force: the lower end is above the upper end, or the file states equal
+    ends.
     """
     name = actuator.name or actuator.target
     ranges = [("forcerange", actuator.forcerange, actuator.forcelimited)]
@@ -379,8 +388,8 @@ def _is_empty(
         name: Name of the element.
         attribute: Attribute with the range.
         range_: Lower and upper end.
-        limited: MuJoCo's flag for the range, such as ``forcelimited``. The result is False unless
-            the flag is "auto", with which MuJoCo applies a range if lower end < upper end.
+        limited: MuJoCo's flag for the range, such as ``forcelimited``. With the flag "auto", MuJoCo
+            applies a range if lower end < upper end. With another flag, the result is False.
     """
     low, high = (float(end) for end in range_)
     if limited != mujoco.mjtLimited.mjLIMITED_AUTO or low < high:
@@ -428,8 +437,9 @@ def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
     """Return the limits of an actuator's force before its gear [N or N m].
 
-    The limits are ``forcerange`` and, for an actuator with constant gain, no bias and one of
-    `_BOUNDED_DYNAMICS`, the gain times ``ctrlrange``. The list is empty without such a range.
+    The first possible limit is ``forcerange``. The second is ``ctrlrange`` times the gain; it
+    applies if the gain is constant, there is no bias, and the dynamics are in `_BOUNDED_DYNAMICS`.
+    The list is empty if the file states neither.
     """
     found, name = [], str(model.actuator(actuator).name)
     if model.actuator_forcelimited[actuator]:
@@ -450,10 +460,11 @@ def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 
 
 MAX_TORQUE_PER_LINK_MASS = 250.0
-"""Torque per mass of the two connected links [N m/kg] above which a round effort counts as a
-placeholder. Chosen above the values in use: the best geared motors have 150 per mass of motor; of
-1500 joints of robots in use with the motor in one of the two links, none is above 117. The motor of
-a tendon may be in another link."""
+"""Torque limit of a joint, divided by the mass of its two links [N m/kg]. A round effort above this
+value counts as a placeholder. Chosen above the values of robots in use. The best geared motors have
+150 N m per kg of motor. None of 1500 joints with the motor in one of the two links is above 117.
+(The motor of a tendon may be in another link.)
+"""
 
 MAX_TORQUE_PER_ROBOT_MASS = 90.0
 """Sum of torques per mass of the robot [N m/kg] above which all these efforts count as
@@ -461,8 +472,10 @@ placeholders: 150 per kg of motor, with motors of at most six tenths of the mass
 2 to 55."""
 
 MAX_ROTOR_ACCELERATION = 1e5
-"""Acceleration of a rotor without load, effort / armature [rad/s^2], above which an effort counts
-as a placeholder: 100 rad/s within 1 ms. Chosen above the values of robots in use, 350 to 25,000."""
+"""Acceleration of a rotor without load, effort / armature [rad/s^2]. An effort with a larger
+acceleration counts as a placeholder. The value means 100 rad/s within 1 ms. Chosen above the values
+of robots in use, 350 to 25,000.
+"""
 
 
 @dataclass(frozen=True)
@@ -488,18 +501,22 @@ def placeholder_efforts(
 ) -> Iterator[tuple[tuple[str, ...], Diagnostic]]:
     """Yield the torque limits (efforts) that no motor can have, and that are thus placeholders.
 
-    Placeholders are: round efforts (1, 2 or 5 times 10^n, from 100) above
-    `MAX_TORQUE_PER_LINK_MASS` times the mass of the joint's two links, if this mass is more than
-    0.001 of the robot's mass; efforts above `MAX_ROTOR_ACCELERATION` times the armature; and all
-    remaining efforts, if their sum is above `MAX_TORQUE_PER_ROBOT_MASS` times the robot's mass.
+    An effort is a placeholder in three cases:
+
+    - It is round (1, 2 or 5 times 10^n, at least 100), and above `MAX_TORQUE_PER_LINK_MASS` times
+      the mass of the joint's two links. This mass must be more than 0.001 of the robot's mass.
+    - It is above `MAX_ROTOR_ACCELERATION` times the armature.
+    - The sum of the remaining efforts is above `MAX_TORQUE_PER_ROBOT_MASS` times the robot's mass.
+      All remaining efforts are then placeholders.
 
     Args:
         motors: All hinges with a torque limit.
         total: Mass of the robot [kg].
 
     Yields:
-        (names of joints, diagnostic about their efforts). In the last case the joints are sorted by
-        decreasing torque per link mass; a link mass counts as at least 0.001 of the robot's mass.
+        (names of joints, diagnostic about their efforts). In the third case the joints are sorted
+        by decreasing torque per link mass. A link mass counts as at least 0.001 of the robot's
+        mass.
     """
     stated = [one for one in motors if 0 < one.effort < math.inf]
     found: dict[tuple[str, float], list[JointEffort]] = {}

@@ -12,11 +12,12 @@ table:
 The default of ``severity`` is ``note``. The default of ``group`` is ``found`` for notes and
 ``wrong`` for all other severities. ``templates`` describes the syntax in braces.
 
-Three files have a line per entry, ``key = { en = "...", zh = "..." }``: ``terms.toml`` contains
-names of kinds of things, such as ``joint``; ``texts.toml`` headings, labels and remarks of
-documents; ``meanings.toml`` descriptions of fields of results, by class and field. A tool has such
-lines in the tables ``[terms]``, ``[texts]`` and ``[meanings]``. If a diagnostic, or a text of a
-tool of another distribution, lacks a language, the English text is used.
+Three files have a line per entry, ``key = { en = "...", zh = "..." }``. ``terms.toml`` contains
+names of kinds of things, such as ``joint``. ``texts.toml`` contains headings, labels and remarks of
+documents. ``meanings.toml`` contains descriptions of the fields of results, by class and field. The
+``words.toml`` of a tool has such lines in its tables ``[terms]``, ``[texts]`` and ``[meanings]``.
+The English text is used if a diagnostic lacks the text of another language. The same holds for a
+text of a tool from another distribution.
 """
 
 from __future__ import annotations
@@ -54,9 +55,10 @@ _CATALOGUE_FOLDER = Path(__file__).parent / "catalogue"
 """Folder of the catalogue files."""
 
 _TABLES_BY_FILE = {_TERMS_FILE: "terms", _TEXTS_FILE: "texts", _MEANINGS_FILE: "meanings"}
-"""{catalogue file: table of a file ``words.toml`` that contains the same kind of entries}. Each
-tool, a subpackage of ``pupper_analysis.tools`` or a package of another distribution, may have a
-file ``words.toml`` with its own texts."""
+"""{catalogue file: table of ``words.toml`` with the same kind of entries}. Each tool may have a
+file ``words.toml`` with its own texts. A tool is a subpackage of ``pupper_analysis.tools``, or a
+package of another distribution.
+"""
 
 
 @dataclass(frozen=True)
@@ -115,13 +117,13 @@ def phrase(key: str, language: str) -> str:
     """Return a text of documents and pages, or a term, in a language.
 
     Args:
-        key: Key in ``texts.toml``, in ``terms.toml``, in a table ``[texts]`` of a tool, or in a
-            table ``[terms]`` of a tool of this package.
+        key: Key in ``texts.toml`` or ``terms.toml``, or in one of the tables ``[texts]`` and
+            ``[terms]`` of a tool. The table ``[terms]`` is searched only for tools of this package.
         language: ``"en"`` or ``"zh"``, or `SHORT_FORM`; a missing text is taken from English.
 
     Returns:
-        Text, in which ``fill_template`` replaces the placeholders. Empty for the short form of a
-        text that has none.
+        Template, whose placeholders the caller replaces with ``fill_template``. Empty for
+        `SHORT_FORM` if the text has no short form.
 
     Raises:
         KeyError: If there is no entry with this key.
@@ -213,9 +215,9 @@ def _load_plugin_entries(file: str) -> Mapping[str, str]:
 def _load_tables() -> Mapping[str, str]:
     """Return {code of a diagnostic: unparsed TOML text of its table} from this package's files.
 
-    Parsing all TOML takes 50 ms per 1,000 entries, a tenth of the start of a command, and a command
-    uses few entries. Therefore the files are only split at the table headers, and entries are
-    parsed on demand.
+    The files are only split at the table headers. An entry is parsed when it is used, because a
+    command uses few entries. Parsing all entries would take 50 ms per 1,000 entries, a tenth of the
+    start time of a command.
     """
     tables: dict[str, str] = {}
     for path in word_files().values():

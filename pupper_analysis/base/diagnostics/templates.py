@@ -3,19 +3,22 @@
 Syntax of a template:
 
 - ``{mass}``, ``{mass:.3g}``: a value; a float is formatted by ``format_number``. A ``Quantity`` is
-  formatted with the unit, angles in deg. ``{gap:mm:.1f}`` selects another unit (`_UNIT_FACTORS`),
-  ``{at:read:.3g}`` deg for rad and mm for m, ``{at:stated}`` the SI unit. ``{gap::.1f}`` omits the
-  unit; an angle is still in deg;
+  formatted with its unit, and an angle in deg. ``{gap:mm:.1f}`` selects another unit
+  (`_UNIT_FACTORS`). ``{at:read:.3g}`` selects deg for rad, and mm for m. ``{at:stated}`` selects
+  the SI unit. ``{gap::.1f}`` omits the unit; an angle is still in deg;
 - ``{name!r}``: a text in quotes;
-- ``{names}``: a tuple, separated by commas, with at most eight items (nine if there are nine);
-  ``{names:3}`` with at most three (four if there are four). The omitted items are counted: "a, b, c
-  and 2 more". The separator is ";" in ``{parts:;}``, " or " in ``{ways:or}``, ", or " in
-  ``{ways:,or}``, " and " in ``{both:and}``; ``{masses:3|.2f}`` sets the format of each item;
+- ``{names}``: a tuple, separated by commas. At most eight items are shown, and ``{names:3}`` shows
+  at most three. An item that alone would be omitted is also shown. Two or more omitted items are
+  counted: "a, b, c and 2 more". The separator is ";" in ``{parts:;}``, " or " in ``{ways:or}``,
+  ", or " in ``{ways:,or}``, and " and " in ``{both:and}``. ``{masses:3|.2f}`` sets the format of
+  each item;
 - ``{subject}``: "joint FL_knee", ``{subject!r}``: "joint 'FL_knee'"; ``{name}``: the name alone;
-- ``{count|foot|feet}``: the first word if the number (or the number of items) is 1, or the second;
-- ``[limit? beyond {limit}]``: text that is included only if the value is true (not missing, None,
-  empty, zero or false; a ``Quantity`` of zero is true); ``[!limit? ...]`` only if the value is
-  false. Such texts cannot be nested.
+- ``{count|foot|feet}``: the first word if the number (or the number of items) is 1, otherwise the
+  second word;
+- ``[limit? beyond {limit}]``: text that is included only if the value ``limit`` is true. A value is
+  false if it is missing, None, empty, zero or False; a ``Quantity`` of zero is true. ``[!limit?
+  ...]`` is a text that is included only if the value is false. These optional texts cannot be
+  nested.
 
 Two compared numbers of the same type and unit (`_COMPARED_NAMES`), such as ``{one:.6g}`` and
 ``{two:.6g}``, get more digits if they differ but would be printed alike (`format_pair`).
@@ -56,10 +59,10 @@ _UNIT_FACTORS = {
 def format_number(value: float, spec: str) -> str:
     """Format a number by a format specification of Python, such as ``".3g"``.
 
-    Absolute values from 1e-6 to below 1e9 are written without exponent, except by the
-    formats ``e``, ``E`` and ``G``; a width in the specification is then ignored.
-    With ``%`` the number is shown in percent: 0.039 by ``".1%"`` or ``".2g%"`` is ``"3.9 %"``. No
-    exponent is then written from 1e-6 % to below 1e11 %.
+    Absolute values from 1e-6 to below 1e9 are written without exponent. A width in the
+    specification is then ignored. Exceptions are the formats ``e``, ``E`` and ``G``. With ``%`` the
+    number is shown in percent: 0.039 by ``".1%"`` or ``".2g%"`` is ``"3.9 %"``. Percentages from
+    1e-6 % to below 1e11 % are written without exponent.
     """
     if spec.endswith("%"):
         number = spec[:-1] if spec.endswith("g%") else f"{spec[:-1]}f"
@@ -82,8 +85,9 @@ _DEFAULT_DIGITS = 6
 """Number of digits of a number format without precision, such as ``g`` (Python)."""
 
 _PRECISION = re.compile(r"(?:\.(\d+)|^|(?<=:))([efg]%?)$")
-"""Pattern of the precision, if there is one, and the type at the end of a number format such as
-``.3g``. A unit such as ``kg`` does not match."""
+"""Pattern of the end of a number format such as ``.3g``: an optional precision, and the type. A
+unit such as ``kg`` does not match.
+"""
 
 
 def format_pair(
@@ -97,8 +101,8 @@ def format_pair(
         spec: Format specification of both, with the smallest number of digits, such as ``.3g``.
 
     Returns:
-        Texts of ``first`` and of ``second``, with units; equal if the numbers are equal, or have
-        the same text with `_MAX_DIGITS` digits in the type of ``spec``.
+        Texts of ``first`` and of ``second``, with units. The texts are equal if the numbers are
+        equal, or if `_MAX_DIGITS` digits do not distinguish them.
     """
     texts = _format_value(first, spec), _format_value(second, spec)
     if texts[0] != texts[1] or first == second:
@@ -282,8 +286,9 @@ def to_unicode(text: str) -> str:
 
 
 _OPTIONAL_TEXT = re.compile(r"\[(!?)(\w+)\?((?:[^\[\]])*)\]")
-"""Pattern of an optional text in a template: ``[name? text]``, or ``[!name? text]`` for the text
-that is included if the value of ``name`` is false."""
+"""Pattern of an optional text in a template. ``[name? text]`` is included if the value of ``name``
+is true, ``[!name? text]`` if the value is false.
+"""
 
 _LIST_FORMAT = re.compile(r"(,or|or|and|,|;|)(\d*)(?:\|(.*))?$")
 """Pattern of the format of a tuple: separator, maximum number of items, and ``|`` with the format
