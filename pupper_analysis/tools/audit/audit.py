@@ -158,9 +158,11 @@ def _run_rules(
 
 
 _CONSEQUENCES = {"hardly-any-mass": 3}
-"""{code of a message: precedence} of messages whose precedence is not that of their rule. Findings
-of equal severity are listed by ascending precedence. A link that is light compared with the links
-that it carries comes later: the message is a consequence if their masses are wrong."""
+"""{code of a message: precedence}, for messages whose precedence differs from the precedence of
+their rule. Findings of equal severity are listed by ascending precedence. ``hardly-any-mass``
+reports a link that is light compared with the links that it carries. This finding comes late, since
+it may only be a consequence of wrong masses of the carried links.
+"""
 
 
 def _read_stated_model(file: UrdfFile | MjcfFile) -> RobotModel:

@@ -62,9 +62,10 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
 def _select_next_step(audit: Audit) -> doc.NextStep | None:
     """Return the command to run next.
 
-    With errors: `audit --fix`, which shows the patch, if the suffix of the file is ``.urdf`` or
-    ``.xml`` and a finding has a single repair; otherwise None. Without errors: `stand` or `hold`,
-    if the suffix is one of these or the name is that of a published robot; otherwise None.
+    With errors, the command is `audit --fix`, which shows the patch. This requires the file suffix
+    ``.urdf`` or ``.xml``, and a finding with a single repair. Without errors, the command is
+    `stand` or `hold`. This requires one of these suffixes, or the name of a published robot. The
+    result is None in all other cases.
     """
     simulated = Path(audit.file).suffix in (".urdf", ".xml")
     if not audit.passed:

@@ -38,9 +38,9 @@ class Rule:
         todo: Recommended repair.
         chinese: {``"title"``, ``"why"`` or ``"todo"``: text in Simplified Chinese}.
         formats: Members of `MODEL_FORMATS` to which the rule applies.
-        precedence: Position among findings of equal severity: 0 for an error that makes other
-            findings (a unit of length), 1 for wrong values, 2 for differences between left and
-            right, 3 for consequences, such as a robot that falls.
+        precedence: Position among findings of equal severity. 0: errors that cause other findings,
+            such as a wrong unit of length. 1: wrong values. 2: differences between left and right.
+            3: consequences, such as a robot that falls.
     """
 
     id: str
@@ -95,8 +95,10 @@ RULES: Mapping[str, Rule] = MappingProxyType(_read_catalogue())
 """{id: rule} of all formats."""
 
 CHECKS: Mapping[str, Check] = MappingProxyType(_REGISTERED_CHECKS)
-"""{id of a rule: function that yields its findings}. The checks of rules that apply to all formats
-are also run for formats of other packages, which may add checks."""
+"""{id of a rule: function that yields its findings}. Other packages may register formats and add
+checks for their formats. For these formats, the checks in this table whose rules apply to all
+formats are run as well.
+"""
 
 
 def rule(check: Check) -> Check:
@@ -285,9 +287,9 @@ def compute_hull_distance(points: Array, point: Array) -> float:
 
     Returns:
         Largest signed distance [m] to the planes of the hull's faces: positive if the point is
-        outside the hull, negative if it is inside. If no hull with a volume exists (fewer than four
-        points, or points in a plane), the largest signed distance to the sides of the bounding box
-        along the coordinate axes.
+        outside the hull, negative if it is inside. Fewer than four points, or points in a plane,
+        have no hull with a volume. In this case the result is the largest signed distance to the
+        sides of the bounding box along the coordinate axes.
     """
     from pupper_analysis.base.qhull import ConvexHull, QhullError  # loads SciPy
 

@@ -64,8 +64,9 @@ def _make_urdf_repair(
 ) -> Iterator[ValueRepair]:
     """Yield the repair of an element of a URDF: new values of its attributes.
 
-    The element is the first ``child`` of the link or joint (``tag``) with this ``name``. Nothing is
-    yielded if the name is not unique, or if the element is missing, lacks one of the attributes or
+    ``tag`` is ``link`` or ``joint``, and ``name`` is its name. The changed element is its first
+    child element with the tag ``child``. Nothing is yielded if the name is not unique, or if the
+    element is missing. Nothing is yielded either if the element lacks one of the attributes, or
     already has the new values.
     """
     element = _find_unique_child(robot, tag, name, child)
@@ -167,8 +168,9 @@ def _repair_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
 def _repair_mirrored_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repairs of the masses of two mirrored links (`_repair_number`).
 
-    The tensor is scaled with the mass if the principal moments of both links have the ratio of the
-    masses (`_MOMENT_RTOL`), and that ratio is above sqrt(10) or below its reciprocal.
+    The inertia tensor is scaled with the mass if two conditions hold. The principal moments of both
+    links have the same ratio as the masses (`_MOMENT_RTOL`). This ratio is above sqrt(10) or below
+    1 / sqrt(10).
     """
     if isinstance(robot, UrdfModel):
         partner = str(found.message.values["other"])
@@ -201,9 +203,10 @@ def _repair_mirrored_mass(robot: RobotModel, found: CheckFinding) -> Iterator[Va
 
 
 _MOMENT_RTOL = 0.05
-"""Largest relative difference between the moments of inertia of a link, times the ratio of the
-masses, and the moments of the mirrored link, up to which a repair of the mass also scales the
-tensor. Chosen, not tuned."""
+"""Relative tolerance of the test whether the moments of inertia of two mirrored links have the
+ratio of the masses. Within the tolerance, a repair of the mass also scales the tensor. Chosen, not
+tuned.
+"""
 
 
 def _repair_mirrored_effort(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
@@ -228,10 +231,10 @@ def _repair_number(
 ) -> Iterator[ValueRepair]:
     """Yield repairs of a number that differs between two mirrored links or joints, the partners.
 
-    If at least `MIN_SIBLINGS` other limbs have the same number, only a partner that deviates from
-    it gets the number of the other partner; there is no repair if both or neither deviate. If the
-    other limbs are fewer or disagree, there are two candidates: each partner with the number of the
-    other. Only positive numbers are proposed.
+    If at least `MIN_SIBLINGS` other limbs have equal numbers, the partner that deviates from these
+    gets the number of the other partner. If both partners or neither deviate, there is no repair.
+    If there are fewer other limbs, or their numbers differ, there are two candidates: either
+    partner gets the number of the other. Only positive numbers are proposed.
 
     Args:
         robot: Model of the URDF.
@@ -268,10 +271,12 @@ def _repair_number(
 def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the possible repairs of an inertia tensor of a URDF.
 
-    If `_mirror_tensor` proposes a tensor, this is the repair, or the own tensor with the decimal
-    point of one moment moved, if exactly one such moment agrees with the proposed tensor within
-    `_MIRROR_RTOL`. Otherwise these are all possible tensors with one decimal point moved. If there
-    is none, this is the tensor of the solid shapes (`_fill_shapes`).
+    1. If `_mirror_tensor` proposes a tensor, there is one repair, usually with this tensor.
+    Exception: if exactly one moment with moved decimal point agrees with the proposed tensor within
+    `_MIRROR_RTOL`, the repair only moves this decimal point. 2. If `_mirror_tensor` proposes
+    nothing, the repairs are all physically possible tensors in which the decimal point of one
+    moment is moved. 3. If no such tensor exists, the repair is the tensor of the solid shapes
+    (`_fill_shapes`).
     """
     if not isinstance(robot, UrdfModel):
         return
@@ -294,9 +299,9 @@ def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepa
 def _repair_implausible_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield another tensor for a link of a URDF whose tensor is possible, but implausible.
 
-    This is the tensor of `_mirror_tensor`, or else of the solid shapes (`_fill_shapes`). Impossible
-    tensors are left to other rules. Nothing is proposed if the masses of both sides differ by more
-    than 1 %: then the mass may be wrong.
+    The new tensor is that of `_mirror_tensor` or, if there is none, the tensor of the solid shapes
+    (`_fill_shapes`). Physically impossible tensors are repaired for other rules. Nothing is
+    proposed if the masses of both sides differ by more than 1 %, since the mass may be wrong.
     """
     link, twin = robot.links[found.name], _find_twin(robot, found.name)
     if not isinstance(robot, UrdfModel) or link.inertial is None:
@@ -376,9 +381,10 @@ which the CoM is replaced together with the tensor. Chosen, not tuned."""
 
 
 _MIRROR_RTOL = 0.02
-"""Largest relative difference with which a moment with moved decimal point agrees with the mirror
-image of the tensor on the other side. If both agree, only the moved decimal point is proposed.
-Chosen, not tuned."""
+"""Relative tolerance between a moment with moved decimal point and the same moment of the mirror
+image of the tensor on the other side. Within the tolerance, only the moved decimal point is
+proposed. Chosen, not tuned.
+"""
 
 
 MAX_DECIMAL_SHIFT = 6
@@ -415,10 +421,11 @@ def _move_decimal_points(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 def _mirror_tensor(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     """Yield a repair that replaces a link's inertia tensor by the mirrored tensor of the twin link.
 
-    If the other limbs state equal tensors, and all limbs equal inertial frames
-    (`_find_common_attributes`), this tensor is copied instead. Nothing, for example, if there is no
-    twin on the other side, if the twin's tensor is physically impossible or the result equals the
-    stated tensor, or if the masses differ by more than 1 %.
+    The twin is the corresponding link on the other side. If the other limbs state equal tensors,
+    and all limbs state equal inertial frames (`_find_common_attributes`), the common tensor is
+    copied instead. Nothing is yielded, for example, if there is no twin, or if the twin's tensor is
+    physically impossible. The same applies if the result equals the stated tensor, or if the masses
+    differ by more than 1 %.
     """
     twin, link = _find_twin(robot, name), robot.links[name]
     if twin is None or not math.isclose(link.mass, twin.mass, rel_tol=0.01):
@@ -473,9 +480,9 @@ def _find_common_attributes(
         own: Whether the element of the link itself must have these attributes, too.
 
     Returns:
-        {attribute: text}; missing ``xyz`` or ``rpy`` of an <origin> as zeros. None if the other
-        limbs are fewer than `MIN_SIBLINGS` + 1 (the partner included), if one of the links has no
-        such element, or if their numbers differ.
+        {attribute: text}. A missing ``xyz`` or ``rpy`` of an <origin> is returned as zeros. None if
+        there are fewer than `MIN_SIBLINGS` + 1 other limbs, including the limb on the other side.
+        None also if one of the links lacks the element, or if the numbers of the links differ.
     """
     kind = strip_sides(name)
     names = [other for other in robot.links if other != name and strip_sides(other) == kind]
@@ -526,8 +533,9 @@ def _repair_exchanged_limits(robot: RobotModel, found: CheckFinding) -> Iterator
 def _repair_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a URDF link without mass: the mass of the link on the other side.
 
-    A link without <mass> gets the CoM and tensor, too: mass, CoM and tensor are equal values of all
-    other limbs (`_find_common_attributes`), or else CoM and tensor are mirror images.
+    A link without <mass> gets the CoM and the tensor as well. If all other limbs have equal values
+    (`_find_common_attributes`), mass, CoM and tensor are copied from these. Otherwise CoM and
+    tensor are mirror images of those on the other side.
     """
     if not isinstance(robot, UrdfModel) or found.message.code == "hardly-any-mass":
         return
@@ -585,9 +593,10 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
 
     If the other limbs state equal CoMs (`_find_common_attributes`), this CoM is copied instead.
 
-    If only the difference of both CoMs is reported, `select_deviating_pairs` selects the link to be
-    repaired, by the distances of the CoM from the planes of the link's frame. Both links are
-    candidates if the other limbs are few or differ; there is no repair if both or neither deviate.
+    If the finding only reports that both CoMs differ, `select_deviating_pairs` selects the link to
+    be repaired. It compares the magnitudes of the CoM coordinates in the link's frame with those of
+    other limbs. If there are too few other limbs, or these differ, both links are candidates. If
+    both links or neither deviate, there is no repair.
     """
     link = robot.links.get(found.name)
     twin = None if link is None else _find_twin(robot, found.name)
@@ -620,19 +629,21 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
 
 MAX_DENSITY_RATIO = 3.0
 """Largest ratio between the density of a repaired link and the median density of the other links,
-in either direction: masses that differ by a power of ten are then distinct. Derived from
-sqrt(10)."""
+in either direction. Derived from sqrt(10), rounded down: of masses that differ by powers of ten, at
+most one is within this bound.
+"""
 
 
 def _repair_dense_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield masses of a link of a URDF that is too dense.
 
-    If the link on the other side has less than half the mass, candidates are the mass divided by a
-    power of ten that agrees with that link within 1 %. Otherwise they are the mass divided by the
-    power of ten whose density is within `MAX_DENSITY_RATIO` of the median of the other links. The
-    tensor is divided, too, if it fits the stated mass (`_fits_shapes`). If the density is below ten
-    times `MAX_DENSITY`, and no fixed link adds mass, the volume times the median is a candidate,
-    with the stated tensor.
+    A candidate is the mass divided by a power of ten. If the link on the other side has less than
+    half the mass, the candidate must agree with the mass of that link within 1 %. Otherwise the
+    density must be within a factor `MAX_DENSITY_RATIO` of the median of the other links. If the
+    tensor fits the stated mass (`_fits_shapes`), the tensor is divided as well.
+
+    Another candidate is the volume times the median density, with the stated tensor. It requires a
+    density below ten times `MAX_DENSITY`, and no mass of fixed links.
     """
     link = robot.links.get(found.name)
     if not isinstance(robot, UrdfModel) or link is None or link.inertial is None:
@@ -732,9 +743,10 @@ def _repair_mesh_path(robot: RobotModel, found: CheckFinding) -> Iterator[ValueR
 def _list_similar_files(robot: UrdfModel, prefix: str, name: str) -> list[str]:
     """Return the paths of existing files with names similar to a missing file, ``prefix + name``.
 
-    The result is the first group that is not empty: the file without the last suffix of ``name``;
-    files whose names differ in capitals only; files with the same stem, except for capitals. Empty
-    if the folder is not known: a folder of a package is found by another mesh with the same prefix.
+    The search ends at the first step with a result. Step 1: the file without the last suffix of
+    ``name``. Step 2: files whose names differ in upper and lower case only. Step 3: files with the
+    same stem, regardless of case. The result is empty if the folder is not known. The folder of a
+    package is known if another mesh with the same prefix is found.
     """
     stem = name.rpartition(".")[0]
     if stem and robot.file.resolve_mesh(prefix + stem) is not None:
@@ -802,8 +814,9 @@ def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[Valu
     """Yield the repair of a joint origin: the mirror image of the partner joint's origin.
 
     If at least `MIN_SIBLINGS` joints of other limbs have origins with equal absolute coordinates,
-    only the joint whose absolute coordinates differ from theirs is repaired; there is no repair if
-    both or neither differ. Otherwise both joints are candidates.
+    only the joint that deviates from these is repaired. If both joints or neither deviate, there is
+    no repair. If there are fewer joints in other limbs, or their origins differ, both joints are
+    candidates.
     """
     mirror = find_mirror_plane(robot)
     partner = next(
@@ -842,11 +855,11 @@ def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[Valu
 def _repair_collision(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repairs of a missing or displaced collision shape of a URDF link.
 
-    The shape, or only the origin of a displaced shape, is copied from a corresponding link of
-    another limb with the same visual shapes, with the same origins, and a single collision shape.
-    Without such a link, a displaced shape gets the origin of the link's only visual shape, if both
-    have the same mesh. Nothing is proposed for a link without visual or with several collision
-    shapes.
+    A missing shape is copied from the corresponding link of another limb. Of a displaced shape only
+    the origin is copied. The other link must have the same visual shapes with the same origins, and
+    a single collision shape. Without such a link, a displaced shape gets the origin of the link's
+    only visual shape, if both shapes have the same mesh. Nothing is proposed for a link without
+    visual shapes or with several collision shapes.
     """
     link = robot.file.tree.links.get(found.name) if isinstance(robot, UrdfModel) else None
     if not isinstance(robot, UrdfModel) or link is None:

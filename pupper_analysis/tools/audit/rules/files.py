@@ -38,9 +38,10 @@ def mujoco_refuses(robot: MjcfModel) -> Iterator[CheckFinding]:
 def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[CheckFinding]:
     """Report missing mesh files, grouped by severity, Git LFS pointers, package and folder.
 
-    The severity is ERROR for a mesh that a link of a URDF uses for collisions, and for a mesh of an
-    MJCF, which MuJoCo then refuses. The severity is WARNING for visual meshes of a URDF, and for
-    pointers of Git LFS, URLs and ``package://`` paths, because these files may exist elsewhere.
+    The severity is ERROR for collision meshes of a URDF, and for all meshes of an MJCF, since
+    MuJoCo refuses an MJCF without its meshes. The severity is WARNING for visual meshes of a URDF.
+    Git LFS pointers, URLs and ``package://`` paths have the severity WARNING as well, because these
+    files may exist elsewhere.
     """
     refused = isinstance(robot, MjcfModel)
     kind = "mesh" if refused else "link"
@@ -171,8 +172,9 @@ file without the word is reported as no mesh. Chosen, not tuned."""
 def _list_missing_in_mjcf(file: MjcfFile) -> Iterator[_MissingMesh]:
     """Yield the mesh files of an MJCF that are missing, or are pointers of Git LFS.
 
-    Searched are the folders of the MJCF and of included files, and ``meshdir`` and ``assetdir``
-    below these, with and without the folder in the name of the mesh file.
+    Each mesh file is searched in the folders of the MJCF and of included files, and in ``meshdir``
+    and ``assetdir`` below these folders. A folder in the name of the mesh file is tried and
+    omitted.
     """
     folders = [Path()]
     for attributes, _ in file.elements("compiler"):

@@ -166,11 +166,12 @@ def _find_inverted_ranges(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find joints of URDF type ``continuous`` with stated limits (lower < upper): no effect.
+    """Find stated position limits that have no effect.
 
-    In an MJCF that MuJoCo accepts, stated ranges with equal ends of named joints, tendons and
-    actuators with a bias are findings too (WARNING), unless the file states ``limited``, because
-    MuJoCo ignores such ranges.
+    In a URDF, these are limits (lower < upper) of joints of the type ``continuous``. In an MJCF
+    that MuJoCo accepts, these are ranges with equal lower and upper end, which MuJoCo ignores
+    (severity WARNING). Ranges of named joints, tendons and actuators with a bias are checked,
+    unless the file states ``limited``.
     """
     for joint in robot.joints.values():
         lower, upper = (joint.stated.get(f"{end} limit", math.nan) for end in ("lower", "upper"))
@@ -211,11 +212,14 @@ def _find_ranges_with_equal_ends(file: MjcfFile) -> Iterator[CheckFinding]:
 def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find finite hinge limits that appear to be in the wrong unit.
 
-    Limits with a magnitude of 12 to 400 rad are probably degrees; 10 rad is a common way to specify
-    no limit. Larger limits are degrees if the equal joint of another limb has them in radians. The
-    severity is ERROR instead of WARNING for ten turns or more, unless the limits are symmetric,
-    since +-100 rad may specify no limit. If the unit of the file is degrees, and no limit of at
-    least three hinges is above 2 pi degrees, the limits are probably radians.
+    Limits with a magnitude of 12 to 400 rad are probably degrees. Smaller limits are accepted,
+    since 10 rad is a common way to specify no limit. Limits above 400 rad are degrees if the equal
+    joint of another limb has the same limits in radians. The severity is WARNING, and ERROR for ten
+    turns or more. Symmetric limits always have the severity WARNING, since +-100 rad may specify no
+    limit.
+
+    If the unit of the file is degrees, the limits may be radians. They are reported if there are at
+    least three hinges, and no limit is above 2 pi degrees.
     """
     hinges = [
         j
@@ -377,8 +381,9 @@ between both axes, and largest absolute z component of the hip's axis in the bas
 tuned."""
 
 MIN_REACHED_FRACTION = 0.75
-"""Fraction of the knee range in which a hip angle puts the foot below the hip, below which the
-joint limits can be a finding. Chosen, not tuned."""
+"""Lower bound of the fraction of the knee range in which a hip angle puts the foot below the hip.
+If the fraction is smaller, the joint limits of the leg can be a finding. Chosen, not tuned.
+"""
 
 NUM_KNEE_ANGLES = 61
 """Number of knee angles, evenly spaced over the range, at which the reach of a leg is evaluated.
@@ -512,12 +517,13 @@ _LEG_PATTERN = re.compile("foot|calf|shank|ankle|knee|kfe|lower_?leg|leg_|toe", 
 
 @rule
 def limits_away_from_stand(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find legs whose joint limits mostly keep the foot from a position below the hip.
+    """Find legs whose hip or knee limits probably have the wrong sign.
 
-    A finding requires that the foot reaches this position in less than `MIN_REACHED_FRACTION` of
-    the knee range, but would reach it in more than 95 % if the limits of the knee, or those of the
-    hip, had the opposite sign. Knee angles with a folded leg do not count
-    (`Leg.compute_reached_fraction`), and legs without finite limits are skipped.
+    The test uses the fraction of the knee range in which a hip angle within the limits puts the
+    foot below the hip (`Leg.compute_reached_fraction`). A finding requires two conditions. With the
+    stated limits, the fraction is less than `MIN_REACHED_FRACTION`. With the opposite sign of the
+    knee limits, or of the hip limits, the fraction is above 95 %. Knee angles with a folded leg are
+    not counted. Legs without finite limits are skipped.
     """
     for leg in find_legs(robot):
         hip, knee = ((joint.lower, joint.upper) for joint in (leg.hip, leg.knee))

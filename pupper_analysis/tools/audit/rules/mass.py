@@ -36,9 +36,10 @@ from pupper_analysis.tools.audit.registry import (
 )
 
 MAX_COM_OFFSET = 0.002
-"""Distance of a CoM outside the convex hull of a link's shapes, joints and frames [m] up to which
-nothing is reported, in addition to a fraction of the extent of these (`DRAWN_FRACTION` or
-`SIMPLIFIED_FRACTION`). Chosen, not tuned."""
+"""Fixed part of the tolerance [m] for a CoM outside the convex hull of a link's shapes, joints and
+frames. A fraction of their extent is added (`DRAWN_FRACTION` or `SIMPLIFIED_FRACTION`). A CoM
+farther outside is reported. Chosen, not tuned.
+"""
 
 DRAWN_FRACTION, SIMPLIFIED_FRACTION = 0.05, 0.5
 """Fractions of a link's extent that are added to `MAX_COM_OFFSET`. The first applies if a shape is
@@ -102,9 +103,10 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 MIN_MASS_FRACTION = 1e-3
-"""Mass of a moving link (with the links fixed to it), relative to the mass of all other links that
-it carries, below which the mass is reported: the unit may be wrong, or a mass missing. Chosen, not
-tuned."""
+"""Smallest accepted ratio of the mass of a moving link (with the links fixed to it) to the mass of
+all other links that it carries. A smaller mass is reported: the unit may be wrong, or a mass may be
+missing. Chosen, not tuned.
+"""
 
 
 @rule
@@ -112,10 +114,11 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find a CoM outside the convex hull of a link's shapes, joints and frames.
 
     Shapes of links fixed to the link are included. The tolerance is `MAX_COM_OFFSET` plus a
-    fraction of the extent. If the size of a shape is unknown, the collision shapes count alone. If
-    there are none, or the size of one is unknown, a finding is a CoM whose distance from the hull
-    of the link's joints and frames exceeds the length of the longest limb. Skipped are links with
-    less than 1e-4 of the mass, and links that have no shapes although fixed links have.
+    fraction of the extent. If the size of a shape is unknown, only the collision shapes are used.
+    If there are no collision shapes, or the size of one is unknown, only the link's joints and
+    frames form the hull. The tolerance is then the length of the longest limb. Links with less than
+    1e-4 of the robot's mass are skipped. A link without shapes is skipped if a fixed link has
+    shapes.
     """
     span = max((_compute_reach(robot, name) for name in robot.links), default=0.0)
     for body in robot.links.values():
@@ -291,9 +294,11 @@ def base_fused(robot: MjcfModel) -> Iterator[CheckFinding]:
 # Rules about moments of inertia.
 
 MAX_INERTIA_FACTOR = 100.0
-"""Upper bound of two ratios in `inertia_implausible`: the largest moment of a link without shapes
-of known size to m R^2, and the moment of a solid box around the shapes to the largest moment of the
-link. Chosen, not tuned: wrong units change moments by 1000 or more."""
+"""Upper bound of two ratios [1] in `inertia_implausible`. First ratio: largest moment of a link
+without shapes of known size / (m R^2). Second ratio: moment of a solid box around the shapes /
+largest moment of the link. A larger ratio is reported. Chosen, not tuned: wrong units change
+moments by a factor of 1000 or more.
+"""
 
 UNREAD_MESH_FACTOR = 8.0
 """Largest ratio of a moment of inertia to m R^2 that is not reported if a mesh was not read. R is
@@ -305,9 +310,11 @@ MIN_GYRATION_SQUARED = 1e-10
 0.01 mm. Chosen, not tuned."""
 
 MIN_REACH = 0.05
-"""Lower bound of the radius R for a link without shapes [m], in the check that its largest moment
-of inertia is at most `MAX_INERTIA_FACTOR` m R^2. R is the largest distance from the CoM to the
-origins of the link, its frames and its children, which may be zero. Chosen, not tuned."""
+"""Lower bound of the radius R [m] for a link without shapes. The largest moment of inertia of the
+link must be at most `MAX_INERTIA_FACTOR` m R^2. R is the largest distance from the CoM to the
+origins of the link, its frames and its children. Without the bound, R could be zero. Chosen, not
+tuned.
+"""
 
 
 def _list_stated_inertials(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]:
@@ -321,11 +328,11 @@ def _list_stated_inertials(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]
 def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find stated inertias, of a positive mass, with a negative or zero principal moment.
 
-    A moment of zero is a finding for a moving link without fixed links, and, with severity WARNING,
-    for a moving link with more than half of the mass of itself and its fixed links, if it has at
-    least 1e-4 of the robot's mass. A negative moment is compared with the greatest moment and the
-    rounding of the stated numbers, not with the mass: a tensor of -5e-20 kg m^2 about each axis is
-    a finding.
+    A moment of zero is a finding for a moving link without fixed links. For a moving link with
+    fixed links, it is a finding of severity WARNING if two conditions hold. The link has more than
+    half of the mass of itself and its fixed links, and at least 1e-4 of the robot's mass. The
+    tolerance for a negative moment depends on the greatest moment and on the rounding of the stated
+    numbers, not on the mass. So a tensor of -5e-20 kg m^2 about each axis is a finding.
     """
     for body, inertial in _list_stated_inertials(robot):
         least, _, greatest = inertial.moments
@@ -382,12 +389,13 @@ def triangle_inequality(robot: RobotModel) -> Iterator[CheckFinding]:
 def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find moments of inertia too large or too small for the mass and the size of the link.
 
-    Upper limit: k m R^2, with R the largest distance of the shapes from the CoM. k is 2 (shapes may
-    be simplified), 8 if the size of some shapes is unknown (for example, a mesh was not read), or
-    100 if no size is known. If a size is unknown, R also includes the joints and frames of the
-    link; if none is known, only these, and R is at least `MIN_REACH`. Lower limit: 1 % of the
-    moment of a solid box around the link's own shapes of known size, m (a^2 + b^2) / 12. Links with
-    less than 1e-4 of the mass are skipped.
+    The upper limit is k m R^2. R is the largest distance of the shapes from the CoM, and k is 2,
+    since shapes may be simplified. If the size of some shapes is unknown (for example, a mesh was
+    not read), k is 8, and R also includes the joints and frames of the link. If no size is known, k
+    is 100. R then includes only the joints and frames, and is at least `MIN_REACH`.
+
+    The lower limit is 1 % of the moment of a solid box around the link's own shapes of known size,
+    m (a^2 + b^2) / 12. Links with less than 1e-4 of the robot's mass are skipped.
     """
     for body, inertial in _list_stated_inertials(robot):
         greatest = float(inertial.moments[-1])
@@ -429,9 +437,10 @@ def inertia_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
 def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find masses and inertias that are probably defaults of an exporter.
 
-    Only moving links with stated values count. A finding is an inertia with three equal moments of
-    1, 0.1, 0.01 ... kg m^2 (powers of ten) on at least two of these links, or a mass of 1, 0.1,
-    0.01 ... kg that all of these links, three or more, share.
+    Only moving links with stated values are checked. An inertia is a finding if at least two links
+    have it, and its three moments are the same power of ten (1, 0.1, 0.01 ... kg m^2). A mass is a
+    finding if it is a power of ten (1, 0.1, 0.01 ... kg), and all of the three or more links have
+    it.
     """
     moving = [
         (body, body.inertial)
@@ -465,11 +474,14 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
 def one_density(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find robots whose stated masses are the volumes of the shapes times one density.
 
-    The volume of a link is that of its visual shapes, or of its collision shapes if it has no
-    visual shapes or the volume of a shape is unknown. Links below 1e-4 of the total mass, links of
-    unknown volume, and copies (links with the mass and the volume of another link, as the four
-    thighs of a quadruped) are not counted. Reported if at least `MIN_EQUAL_FRACTION` of at least
-    `MIN_COMPARED_LINKS` links have one density within `DENSITY_RTOL`.
+    A finding requires at least `MIN_COMPARED_LINKS` counted links. At least `MIN_EQUAL_FRACTION` of
+    these must have one density within `DENSITY_RTOL`. The volume of a link is the volume of its
+    visual shapes. If it has no visual shapes, or the volume of one is unknown, the collision shapes
+    are used.
+
+    Links below 1e-4 of the total mass and links of unknown volume are not counted. Copies are not
+    counted either: links with the mass and volume of another link, such as the four thighs of a
+    quadruped.
     """
     densities: dict[str, float] = {}
     masses: list[tuple[float, float]] = []
@@ -533,10 +545,11 @@ def _compute_link_volume(body: Link) -> float | None:
 
 
 _MIN_REPEATED_LINKS = 2
-"""Smallest number of moving links that are reported if they have the same inertia, a power of ten
-times the identity: a single link may have the value by chance. A mass that is a power of ten is
-reported only if all moving links have it, and there are more of them than this number. Chosen, not
-tuned."""
+"""Smallest number of moving links with the same inertia, a power of ten times the identity, at
+which the inertia is reported. A single link may have the value by chance. A mass that is a power of
+ten is reported only if all moving links have it, and their number is larger than this constant.
+Chosen, not tuned.
+"""
 
 
 def _is_power_of_ten(value: float) -> bool:
@@ -545,8 +558,9 @@ def _is_power_of_ten(value: float) -> bool:
 
 
 ROUND_LOG_ATOL = 1e-9
-"""Exclusive upper bound of the difference between the decimal logarithm of a number and an integer
-with which the number counts as a power of ten. Chosen, above binary rounding."""
+"""Tolerance of the test for a power of ten. A number is a power of ten if its decimal logarithm
+differs from an integer by less than this value. Chosen, above binary rounding.
+"""
 
 
 def _compute_box_moment(points: Array, mass: float) -> float:

@@ -70,18 +70,18 @@ class MirrorPlane:
 def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane | None:
     """Find the plane in which the largest number of left-right link pairs are mirror images.
 
-    Candidates are normal to an axis of the base, and contain the origin of the base, or the median
-    of the pairs' midpoints along this axis. All joint positions are zero.
+    Each candidate plane is normal to an axis of the base. It contains the origin of the base, or
+    the median of the pairs' midpoints along this axis. All joint positions are zero.
 
     Args:
         robot: Model of the robot.
         tolerance: Largest distance between a link and the mirror image of its partner [m].
 
     Returns:
-        Plane, normal to an axis of the base, that mirrors at least a third of the pairs. If there
-        is none, for a planar robot (both links of each pair at the same place, all hinges parallel
-        to one axis of the base): the plane in which the robot moves. Otherwise, and without pairs,
-        None.
+        Plane, normal to an axis of the base, that mirrors at least a third of the pairs. If no
+        plane does, and the robot is planar, the plane in which the robot moves. Planar means: both
+        links of each pair have the same position, and all hinges are parallel to one axis of the
+        base. None in all other cases, and for a robot without pairs.
     """
     pairs = find_mirror_pairs(robot.links)
     if not pairs:
@@ -284,11 +284,12 @@ def mirror_com(robot: RobotModel) -> Iterator[CheckFinding]:
 def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find pairs of left and right links with inertias that are no mirror images.
 
-    I and I' are the inertias about the CoMs in base axes at zero angles, S is the reflection. A
-    pair is reported, with the entry of largest difference, if an entry of S I S - I' exceeds 10 %
-    of the largest entry of both, or if I' has products of inertia of the wrong sign
-    (`_has_wrong_sign`). Twice the rounding of the written digits (up to 50 %) replaces the 10 % if
-    larger. Pairs with different masses, or at displaced positions, are not compared.
+    I and I' are the inertias about the CoMs in base axes at zero angles, and S is the reflection. A
+    pair is reported if an entry of S I S - I' exceeds 10 % of the largest entry of both. If twice
+    the rounding of the written digits is larger than 10 %, this tolerance is used instead, up to 50
+    %. A pair is also reported if I' has products of inertia of the wrong sign (`_has_wrong_sign`).
+    The message states the entry with the largest difference. Pairs with different masses, or at
+    displaced positions, are not compared.
     """
     names = tuple(INERTIA_ENTRIES)
     for mirror, (first, first_inertial), (second, second_inertial) in _list_inertial_pairs(robot):
@@ -399,10 +400,11 @@ exception; iCub has two in 34 pairs."""
 def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
     """Yield a finding if the axes of exactly one left-right pair have another sense than the rest.
 
-    In most published robots, the axes of all pairs are parallel, or all are mirror images. The
-    finding is about the joint whose axis points against most axes of the equal joints of other
-    limbs, or else of all other hinges with a parallel axis. If neither decides, the finding is
-    about the first joint of the pair.
+    In most published robots, the axes of all pairs are parallel, or the axes of all pairs are
+    mirror images. The finding names the joint of the pair whose axis is probably reversed. This is
+    the joint whose axis points against most axes of the equal joints of other limbs. If this does
+    not decide, the axes of all other parallel hinges are used. If neither decides, the first joint
+    of the pair is named.
     """
     pairs, parallel = [], []
     for mirror, first, second in list_joint_pairs(robot):
@@ -485,7 +487,8 @@ def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of joints with different damping, dry friction, armature or springs.
 
     If a quantity is equal in fewer than three quarters of the pairs, `find_unlike_pairs` reports
-    only pairs with a large ratio, unless few distinct values, for example one for each side, occur.
+    only pairs with a large ratio. Exception: if few distinct values occur, for example one for each
+    side, all different pairs are reported.
     """
     pairs = [(first.name, second.name) for _, first, second in list_joint_pairs(robot)]
     for attribute in PASSIVE_ATTRIBUTES:
@@ -519,10 +522,10 @@ to a tenth of their size: left and right meshes are cut differently. Chosen, not
 def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find pairs of left and right links with collision shapes that are no mirror images.
 
-    A finding is a link without shapes beside a link with shapes, or a difference above
-    `SIMPLE_SHAPE_TOLERANCE` or `SHAPE_TOLERANCE` between the bounding boxes along the base axes, at
-    zero angles. Shapes of links fixed to the link are included. Pairs at displaced positions are
-    left out. Boxes of shapes with unknown size are not compared.
+    A pair is a finding if only one link has shapes, or if the bounding boxes differ by more than
+    `SIMPLE_SHAPE_TOLERANCE` or `SHAPE_TOLERANCE`. The boxes are along the base axes, at zero
+    angles. They include shapes of links fixed to the link. Pairs at displaced positions are
+    omitted. Boxes of shapes with unknown size are not compared.
     """
     for mirror, first, second in _list_pairs_in_place(robot):
         pair = [_list_colliding_links(robot, link) for link in (first, second)]
@@ -620,12 +623,13 @@ def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links with different contact parameters on the ground.
 
     Geoms of links fixed to the link are included. MuJoCo combines the parameters of each geom with
-    the parameters of the ground: condim, friction, solref, solimp and margin. If both links have
-    the same number of geoms that can touch the ground, each combined parameter that differs is a
-    finding. If only one link has such geoms, the other link is a finding. If both links have the
-    same number of geoms, and different numbers of these can touch the ground, the link with fewer
-    is a finding. Links without collision geoms, and pairs at displaced positions, are not compared.
-    If the file has no ground, a plane with MuJoCo's defaults is assumed.
+    the parameters of the ground: condim, friction, solref, solimp and margin. The number of geoms
+    that can touch the ground is compared. If it is equal for both links, each combined parameter
+    that differs is a finding. If only one link has geoms that can touch the ground, the other link
+    is a finding. If both links have the same total number of geoms, and fewer geoms of one link can
+    touch the ground, this link is a finding. Links without collision geoms, and pairs at displaced
+    positions, are not compared. If the file has no ground, a plane with MuJoCo's defaults is
+    assumed.
     """
     model = robot.mj_model
     if model is None:

@@ -90,10 +90,11 @@ def _measure_rod(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
 def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find capsules and cylinders that begin at a joint but do not end at the next joint or foot.
 
-    Compared is the nearest joint or foot on the axis of the rod. Reported are rods longer by 2 %
-    (at least `POSITION_TOLERANCE`) or more, or shorter by 20 % or more, unless a radius at the end
-    makes up the difference. Shapes are often shortened on purpose, to avoid contact with the
-    neighbour. Rods of equal length on a link are reported once.
+    The end of the rod is compared with the nearest joint or foot on its axis. A rod is reported if
+    it is too long by 2 % or more (and by `POSITION_TOLERANCE` or more), or too short by 20 % or
+    more. It is not reported if the difference equals the radius at the end. The limit for short
+    rods is larger, since shapes are often shortened on purpose to avoid contact with the neighbour.
+    Rods of equal length on a link are reported once.
     """
     for body in robot.links.values():
         if not body.moving:
@@ -136,10 +137,11 @@ def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
 def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find collision rods and slabs along a link that are away from the line between the joints.
 
-    Checked are moving links with a single moving child, and shapes of 60 to 140 % of the length
-    between the joints, more than twice as long as wide. Reported are shapes whose centre is farther
-    from the line than the half width plus 10 % of the link length, or displaced by more than 40 %
-    along the line. In 119 published shapes the largest values are 3 % and 20 %.
+    Only moving links with a single moving child are checked. A shape is checked if its length is 60
+    to 140 % of the distance between the joints, and more than twice its width. It is reported if
+    its centre is farther from the line than the half width plus 10 % of the link length. It is also
+    reported if its centre is displaced along the line by more than 40 % of this length. In 119
+    published shapes the largest values are 3 % and 20 %.
     """
     for body in robot.links.values():
         ends = [
@@ -294,10 +296,11 @@ MIN_DENSITY = 2.0
 has 1.2, the lightest foam 10, the lightest published link 8.8."""
 
 MIN_MASS_FRACTION = 0.01
-"""Mass of a link with its fixed links, relative to the robot's mass, below which density and
-missing collision shapes are not checked, and which does not count for the median density: the
-shapes of light links may be markers instead of the real geometry. The density of a free base is
-checked with any mass. Chosen, not tuned."""
+"""Smallest mass of a link with its fixed links, relative to the robot's mass, at which density and
+missing collision shapes are checked. Lighter links do not count for the median density, since their
+shapes may be markers instead of the real geometry. The density of a free base is checked with any
+mass. Chosen, not tuned.
+"""
 
 MIN_SHAPE_FRACTION = 0.5
 """Extent of a link's shapes, relative to the extent of its joints and frames, below which its
@@ -324,11 +327,13 @@ reported as too large. Measured: the largest ratio of 1500 published links is 2.
 def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find implausible densities: mass / volume of the convex hull of the shapes.
 
-    The mass is the sum of a root link or moving link and all links fixed to it. Visual and
-    collision shapes, and the origins of link, frames and children, define the hull. Plausible are 2
-    to 20000 kg/m^3, or at most 100000 kg/m^3 if the size of a shape is unknown, for example because
-    a mesh was not read. The severity is WARNING, and ERROR above `IMPOSSIBLE_SIZE_RATIO` times
-    `MAX_DENSITY`. A plausible density is reported, too, if above `DENSITY_OF_STEEL` and above
+    The mass is that of a root link or moving link and all links fixed to it. Visual and collision
+    shapes, and the origins of link, frames and children, define the hull. Densities of 2 to 20000
+    kg/m^3 are plausible. If the size of a shape is unknown, for example because a mesh was not
+    read, densities of at most 100000 kg/m^3 are plausible. The severity is WARNING, and ERROR above
+    `IMPOSSIBLE_SIZE_RATIO` times `MAX_DENSITY`.
+
+    A plausible density is also reported if it is above `DENSITY_OF_STEEL` and above
     `MIN_DENSITY_RATIO` times the median of the other links.
 
     Skipped are, for example, light bodies (`MIN_MASS_FRACTION`) other than a free base, bodies with
@@ -436,10 +441,11 @@ def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
 def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find links whose collision shapes are apart from the visual shapes.
 
-    Reported are bounding boxes along the axes of the link with a gap above `MIN_GAP_FRACTION` of
-    the extent of the visual shapes. If a size is unknown, for example of a mesh that was not read,
-    the gap is the distance between the origins of the same mesh (`_measure_equal_mesh_gap`), and
-    the extent is that of the origins of link, frames and children.
+    The gap between the bounding boxes along the axes of the link is compared with the extent of the
+    visual shapes. A gap above `MIN_GAP_FRACTION` of the extent is reported. If a size is unknown,
+    for example of a mesh that was not read, the gap is measured between the origins of the same
+    mesh in both (`_measure_equal_mesh_gap`). The extent is then that of the origins of link, frames
+    and children.
     """
     for body in robot.links.values():
         sides = [

@@ -71,10 +71,10 @@ def armature_zero(robot: MjcfModel) -> Iterator[CheckFinding]:
 def foot_frictionless(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find feet without sliding friction in the ground contact.
 
-    Contact parameters are combined as in MuJoCo. Without ground in the file, MuJoCo's default
-    ground is assumed: condim 1 of the foot is replaced by 3, unless the foot has a higher priority.
-    A friction coefficient of the foot below 1e-3 is reported nevertheless, as the ground of a scene
-    may have none either.
+    Contact parameters are combined as in MuJoCo. If the file has no ground, MuJoCo's default ground
+    is assumed. A foot with condim 1 then has friction, since the contact has condim 3, unless the
+    foot has a higher priority. A friction coefficient of the foot below 1e-3 is reported
+    nevertheless, since the ground of another scene may have no friction.
     """
     model = robot.mj_model
     if model is None:
@@ -103,9 +103,9 @@ def _make_geom_finding(robot: MjcfModel, geom: int, message: Diagnostic) -> Chec
 def list_foot_geoms(robot: MjcfModel) -> list[int]:
     """Return the indices of the collision geoms of feet in MuJoCo's model.
 
-    A foot is a geom of a moving body with "foot" in the name of the geom or body, or with the
-    centre within 1 mm of a site of the same body with "foot" in the name. Empty if the model does
-    not compile.
+    A foot is a geom of a moving body. The name of the geom or body contains "foot", or the centre
+    of the geom is within 1 mm of a site of the same body whose name contains "foot". The result is
+    empty if the model does not compile.
     """
     model = robot.mj_model
     if model is None:

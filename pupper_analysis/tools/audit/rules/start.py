@@ -45,9 +45,10 @@ MAX_KEYFRAMES = 100
 except `home` by the rules for a single keyframe. Chosen, to bound the time."""
 
 MAX_SAG = 0.5
-"""Difference between a servo command and the joint position in a keyframe [rad, m], above which
-(plus 1 mrad or 1 mm) the keyframe is reported, for a servo without torque limit. Chosen, not
-tuned."""
+"""Largest accepted difference between a servo command and the joint position in a keyframe [rad,
+m], for a servo without torque limit. 1 mrad or 1 mm is added. A keyframe with a larger difference
+is reported. Chosen, not tuned.
+"""
 
 _MIN_TIMESTEP = 1e-4
 """Time step [s] below which a file is not simulated: each run would need more than 20,000 steps.
@@ -212,9 +213,11 @@ def keyframe_torques_are_angles(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MIN_FOOT_CLEARANCE = 0.05
-"""Height of all feet above the lowest other shape of the robot [m] from which a keyframe is
-reported. A robot may be dropped from a keyframe, but with its feet below. The same value [m] bounds
-the distance of the feet from the ground after the proposed change of signs. Chosen, not tuned."""
+"""Smallest height of all feet above the lowest other shape of the robot [m] at which a keyframe is
+reported. A keyframe may start in the air, but the feet must be the lowest shapes. The same value
+bounds the distance of the feet from the ground after the proposed change of signs. Chosen, not
+tuned.
+"""
 
 
 @rule
@@ -291,10 +294,11 @@ def _find_opposite_signs(
         heights: Returns the height [m] of the lowest point of each geom, from qpos and ids.
 
     Returns:
-        Names of the joints, and the largest distance of a foot from the ground [m]. None if no set
-        of joints, or several sets of the smallest size, put all feet below the other shapes and
-        within `MIN_FOOT_CLEARANCE` of the ground, or if the legs have different numbers of hinges,
-        none, or over `MAX_LEG_JOINTS`.
+        Names of the joints, and the largest distance of a foot from the ground [m]. A set of joints
+        is a solution if it puts all feet below the other shapes, and within `MIN_FOOT_CLEARANCE` of
+        the ground. None if there is no solution, or if several solutions have the smallest size.
+        None also if the legs have no hinges, different numbers of hinges, or more than
+        `MAX_LEG_JOINTS` hinges.
     """
     model = robot.mj_model
     assert model is not None
@@ -368,12 +372,12 @@ def _compute_heights(
 def keyframe_falls(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find a keyframe from which the robot falls or moves away, or MuJoCo's simulation diverges.
 
-    The keyframe ``home``, or else the first, is simulated by `simulate_keyframe`, with and without
-    a small velocity disturbance at the start. The actuators receive the ctrl of the keyframe. If no
-    ctrl is specified, position servos are commanded to the pose, provided that there are at least
-    half as many servos as moving joints; otherwise nothing is simulated. Robots without a free
-    base, files that MuJoCo refuses, and files without a ground or with a time step below
-    `_MIN_TIMESTEP`, are skipped.
+    `simulate_keyframe` simulates the keyframe ``home``, or the first keyframe if ``home`` is
+    missing, with and without a small velocity disturbance at the start. The actuators receive the
+    ctrl of the keyframe. If the keyframe has no ctrl, position servos are commanded to the pose. In
+    this case nothing is simulated if there are fewer than half as many servos as moving joints.
+    Robots without a free base and files that MuJoCo refuses are skipped. Files without a ground, or
+    with a time step below `_MIN_TIMESTEP`, are skipped as well.
     """
     model = robot.mj_model
     if model is None or robot.refusal is not None or not model.nkey or not robot.base:
