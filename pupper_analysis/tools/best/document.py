@@ -75,9 +75,9 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
 def _make_next_step(study: BestStudy) -> doc.NextStep:
     """Return the next command: ``path``, with the best stance as goal.
 
-    The result is ``stand`` instead if the best stance fails in simulation (with the payload, if one
-    is sought), and ``workspace`` if its task specifies absolute foot positions, a CoM that is not
-    in the centre, or no height.
+    If the best stance fails in simulation (with the payload, if a payload is sought), the result is
+    ``stand`` instead. The result is ``workspace`` if the task specifies absolute foot positions, a
+    CoM that is not in the centre, or no height.
     """
     task = study.best.stand.task
     if not study.passed:

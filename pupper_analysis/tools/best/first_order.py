@@ -27,9 +27,10 @@ from pupper_analysis.stance.stand import Stand, stand_contacts
 from pupper_analysis.statics.equilibrium import distribute_loads
 
 SMALL_PAYLOAD_RATIO = 0.1
-"""Payload mass, relative to the robot's mass, of an equilibrium from which torques and forces are
-extrapolated, together with the equilibrium without payload. A mass that tips the robot has no
-equilibrium. Chosen, not tuned."""
+"""Payload mass relative to the robot's mass [1]. Torques and forces at larger payloads are
+extrapolated from two equilibria: with this payload and without payload. The payload is small, since
+a mass that tips the robot has no equilibrium. Chosen, not tuned.
+"""
 
 
 class SmallPayload:

@@ -85,9 +85,11 @@ constraints, so that descents end at stances without violations despite SLSQP's 
 the penetration is not reduced. Chosen, not tuned."""
 
 _CONSTRAINT_PENALTY = 10.0
-"""Weight of the sum of constraint violations in `StanceSearch.merit`, which adds it to the level
-(scaled objective). It is also a penalty for coordinates at which no stand exists: each constraint
-value is then that at the start of the descent minus this number. Chosen, not tuned."""
+"""Weight of the sum of constraint violations. `StanceSearch.merit` adds the weighted sum to the
+level (scaled objective). The constant is also a penalty for coordinates at which no stand exists.
+Each constraint then has its value at the start of the descent minus this constant. Chosen, not
+tuned.
+"""
 
 
 class Objective(StrEnum):
@@ -244,10 +246,11 @@ class StanceSearch:
     def list_next_best(self) -> Iterator[EvaluatedStance]:
         """Yield worse allowed stances, from better to worse, then the stance of the initial task.
 
-        Stances of almost equal level (scaled objective, smaller is better) are skipped: each level
-        exceeds that of the stance before (at first the best) by at least ``_MIN_LEVEL_STEP`` times
-        the difference between the initial and the best level. Stances that are not better than the
-        initial stance are skipped, too.
+        The level is the scaled objective; smaller is better. Stances of almost equal level are
+        skipped. The level of each stance exceeds the level of the previous stance by at least
+        ``_MIN_LEVEL_STEP`` times the difference between the initial and the best level. The
+        sequence starts after the best stance. Stances that are not better than the initial stance
+        are skipped as well.
         """
         allowed = [stance for stance in self.known.values() if stance and stance.allowed]
         step = _MIN_LEVEL_STEP * (self.nominal.level - self.best.level)
@@ -292,7 +295,7 @@ class StanceSearch:
 
         Returns:
             Level [1], the smallest number that satisfies a + b level >= 0 for all rows (a, b), for
-            the payload only for the rows with b > 0; and the rows, shape (k, 2).
+            the payload, only rows with b > 0 count. Second, the rows, shape (k, 2).
 
         Raises:
             NoEquilibriumError: If the objective is the payload, and the servos do not hold the

@@ -71,15 +71,16 @@ the optimiser slightly violates this constraint while it follows it. The reserve
 amount, so the joint stays within its limits and the task's margin. Chosen, not tuned."""
 
 MIN_MOTION_RCOND = 1e-6
-"""Smallest over largest singular value of the contact points' Jacobian by the joints, below which
-the joint motions count as undetermined (`StanceSpace.compute_motions` returns None). Chosen, not
-tuned."""
+"""Smallest accepted ratio of the smallest to the largest singular value of the Jacobian of the
+contact points by the joints. Below, the joint motions are undetermined, and
+`StanceSpace.compute_motions` returns None. Chosen, not tuned.
+"""
 
 MAX_MOTION_RESIDUAL = 1e-9
-"""Largest error of the velocity of a contact point, per unit velocity of a coordinate [m/m or
-m/rad], with which `StanceSpace.compute_motions` returns joint motions for the shifts of the contact
-points; None above. The equations of soles are redundant, and are satisfied to rounding. Chosen, not
-tuned."""
+"""Largest accepted error of the velocity of a contact point, per unit velocity of a coordinate [m/m
+or m/rad]. If the error is larger, `StanceSpace.compute_motions` returns None. The equations of
+soles are redundant, and are satisfied to rounding. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -336,9 +336,10 @@ def match_elements(
 ) -> dict[ElementKey, ModelElement]:
     """Return the new elements under the names of the old elements to which they correspond.
 
-    Geoms with equal names correspond. Other geoms of a body are matched if they agree in all
-    values, then in shape, then in order if both can collide or both cannot, so that a different
-    order in the file is no change. Geoms without a match get an unused number if the name is taken.
+    Geoms with equal names correspond. The other geoms of a body are matched in three steps: by
+    equal values, by equal shape, and by order. In the last step both geoms must be able to collide,
+    or neither. So a different order in the file is no change. If a geom has no match and its name
+    is taken, it gets an unused number.
 
     Args:
         old: Elements of the old file.

@@ -507,11 +507,12 @@ class Range:
 def make_slider_ranges(robot: Robot) -> dict[str, Range]:
     """Return {name of a slider: range}, in mm, degrees, kg, N m/rad and N m s/rad.
 
-    The ends of the range of a length are multiples of the height of the nominal stand, of a mass
-    multiples of the robot's mass, of a gain multiples of the median gain (without servos, of the
-    slider's initial value); their magnitudes are rounded up (`round_up_slider_end`); a lower end of
-    0 that is not allowed becomes one step. Ranges of angles do not depend on the robot. Initial
-    values are not rounded. Sliders of joints are not included.
+    The ends of a range are multiples of a reference value. The reference of a length is the height
+    of the nominal stand, and that of a mass is the robot's mass. The reference of a gain is the
+    median gain, or the slider's initial value if the robot has no servos. The magnitudes of the
+    ends are rounded up (`round_up_slider_end`). If a lower end of 0 is not allowed, it becomes one
+    step. Ranges of angles do not depend on the robot. Initial values are not rounded. Sliders of
+    joints are not included.
     """
     ranges = {}
     for name, control in CONTROL_BY_NAME.items():
