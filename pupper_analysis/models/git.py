@@ -96,8 +96,9 @@ def run_git(command: list[str], folder: Path | None = None) -> subprocess.Comple
 def refuse_uncommitted(path: Path) -> None:
     """Refuse a file of a git repository with uncommitted changes.
 
-    Untracked files are accepted, and files that differ in line ends only. Every file is accepted
-    without git, and if git cannot list the files, for example of another owner.
+    Accepted are untracked files, and files that differ from the commit only in line ends. Every
+    file is accepted if git is not installed, or cannot list the files (for example of another
+    owner).
 
     Raises:
         OutputError: If the file has uncommitted changes, was added but never committed, or will be

@@ -137,7 +137,7 @@ def read_model(
 
     Raises:
         ConfigurationError: If ``path`` is neither a path, a text nor a robot in memory, or is a
-            ``pin.GeometryModel``, or ``xacro_args`` are given with another file than a xacro file.
+            ``pin.GeometryModel``. Also if ``xacro_args`` are given, but the file is no xacro file.
         ModelError: If the file cannot be loaded. The message is a single line with location and
             reason.
         UnknownNameError: If MuJoCo Menagerie has no such robot, or a xacro file declares no such

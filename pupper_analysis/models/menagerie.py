@@ -22,17 +22,17 @@ _ROBOT_NAME_PATTERN: Final = re.compile(r"[a-z0-9_]+")
 """Pattern of the name of a robot of MuJoCo Menagerie, such as ``unitree_go2``."""
 
 _MAX_NAME_LENGTH: Final = 200
-"""Largest number of characters of a text that can name a robot of MuJoCo Menagerie, with its folder
-and file. Chosen, not tuned: file systems permit 255 per name."""
+"""Largest number of characters of a name of a robot of MuJoCo Menagerie, including folder and file.
+A longer text is not searched as such a name. Chosen, not tuned: file systems permit 255 per name.
+"""
 
 
 def is_menagerie_name(word: str) -> bool:
     """Return True if a text names a robot of MuJoCo Menagerie, and no existing path.
 
-    Valid forms are ``mujoco_menagerie/ROBOT`` and ``mujoco_menagerie/ROBOT/FILE.xml`` with any
-    robot, and ``ROBOT`` and ``ROBOT/FILE.xml`` with a robot that the installed package lists or a
-    clone contains. In the latter forms the robot must contain an underscore. The suffix is not
-    checked.
+    With the prefix ``mujoco_menagerie/``, any text of the form ``ROBOT`` or ``ROBOT/FILE.xml`` is a
+    name. Without this prefix, the installed package must list the robot, or a clone must contain
+    it. The robot's name must then contain an underscore. The suffix of the file is not checked.
     """
     parts = Path(word).parts
     if not 1 <= len(parts) <= 3 or len(word) > _MAX_NAME_LENGTH or _exists(word):
@@ -57,9 +57,9 @@ def find_menagerie_file(word: str) -> Path:
 
     `is_menagerie_name` states the valid forms of ``word``.
 
-    Without a file name, the file is the default model of the package, without the scene; for a
-    robot that no installed package lists, the file whose stem is the longest end of the robot's
-    name.
+    If ``word`` contains no file name, the result is the package's default model, without the scene.
+    If no installed package lists the robot, it is the file with the longest stem with which the
+    robot's name ends.
 
     Raises:
         ModelError: If the package is not installed and there is no clone, if the robot is not
@@ -90,8 +90,9 @@ def find_menagerie_file(word: str) -> Path:
 def _find_default_file(folder: Path, name: str, robot: Any) -> Path | None:
     """Return the default model of a robot in ``folder``; None if there is none.
 
-    ``robot`` is the robot's entry in the Menagerie package. Without an entry (None), the result is
-    the XML file with the longest stem with which ``name`` ends.
+    ``robot`` is the robot's entry in the Menagerie package. If there is no entry (None), stems of
+    the XML files are compared with the end of ``name``. The file with the longest matching stem is
+    returned.
     """
     if robot is not None:
         return folder / str(robot.entry(robot.default_model).file)

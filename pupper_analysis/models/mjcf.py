@@ -51,7 +51,7 @@ def scalar_joints(model: mujoco.MjModel) -> NDArray[np.intp]:
 
 
 def has_free_joint(model: mujoco.MjModel | mujoco.MjSpec) -> bool:
-    """Return True if a MuJoCo model or spec has a free joint, of the robot or of an object."""
+    """Return True if a MuJoCo model or spec has a free joint, for the robot or for an object."""
     if isinstance(model, mujoco.MjSpec):
         return any(joint.type == JointKind.FREE for joint in model.joints)
     return bool((model.jnt_type == JointKind.FREE).any())
@@ -93,9 +93,10 @@ def make_start_data(model: mujoco.MjModel) -> mujoco.MjData:
 
 
 TIMESTEP_RANGE = 1e-5, 0.1
-"""Lower and upper bound of the time step of a simulation [s]; other time steps are refused. Chosen:
-with the lower bound, 12 s take 1.2 million steps. Contacts oscillate within 10 ms, and in one step
-of the upper bound a base falls 5 cm."""
+"""Lower and upper bound of the time step of a simulation [s]; other time steps are refused. Chosen.
+At the lower bound, a simulation of 12 s takes 1.2 million steps. At the upper bound, a base falls 5
+cm in one step, although contacts oscillate within 10 ms.
+"""
 
 
 def parse_spec(path: Path) -> mujoco.MjSpec:
@@ -247,8 +248,9 @@ def format_equality_name(index: int, *ends: str) -> str:
 _IGNORE_MESSAGE: Final = ctypes.CDLL("msvcrt" if os.name == "nt" else None).strlen
 """Warning handler without effect: a function of the C library that only reads the message.
 
-MuJoCo's bindings end the process (``std::terminate``) if a thread that simulates calls a handler
-written in Python while another thread removes this handler. C functions are called directly.
+A handler written in Python can end the process (``std::terminate``): one thread simulates and calls
+the handler, while another thread removes it. MuJoCo calls a C function directly, without this
+problem.
 """
 
 
@@ -372,8 +374,8 @@ def _read_assets(spec: mujoco.MjSpec) -> dict[str, bytes]:
 def embed_meshes(spec: mujoco.MjSpec) -> None:
     """Read the mesh files of a spec into its assets, in place, if the spec has assets.
 
-    MuJoCo prefixes all mesh files of a spec with assets when the spec is attached to another spec,
-    so that files outside of the assets would not be found.
+    If a spec with assets is attached to another spec, MuJoCo adds a prefix to the names of all its
+    mesh files. MuJoCo would then not find the files that are not among the assets.
     """
     if not spec.assets:
         return

@@ -142,8 +142,8 @@ def _describe_missing_files(
     Args:
         meshes: {mesh: missing file}.
         textures: {texture: missing file}.
-        geoms: Geoms with these meshes. The note names their bodies, and the meshes of geoms that
-            can collide and are not part of the world.
+        geoms: Geoms with these meshes. The note names their bodies. It also names the meshes of
+            geoms that can collide and do not belong to the world body.
     """
     collision_meshes = dict.fromkeys(
         meshes[geom.meshname]
@@ -299,8 +299,9 @@ _MAX_PRODUCTS: Final = (
 exhaust the memory. The tag "*" represents each tag. Chosen, not tuned."""
 
 _SECTION_TAGS: Final = ("actuator", "sensor", "equality", "tendon", "contact", "deformable")
-"""Sections of an MJCF whose elements are indexed by section and name in addition to tag and name,
-so that an actuator, for example, is found without its tag."""
+"""Sections of an MJCF whose elements can also be found by (section, name) instead of (tag, name).
+For example, an actuator can be found if its tag (``motor``, ``position`` ...) is unknown.
+"""
 
 
 class IncludeTree:
@@ -393,8 +394,9 @@ class IncludeTree:
     ) -> tuple[Path, etree._Element]:
         """Return path and root element of the file of an ``<include>``; parse each file once.
 
-        ``path`` is the file that contains the ``<include>``, and ``within`` are the resolved paths
-        of the files whose inclusion leads to it: a file must not include itself.
+        ``path`` is the file that contains the ``<include>``. ``within`` is the chain of including
+        files from the main file to ``path``, as resolved paths. An included file must not be in
+        this chain.
         """
         included = self._find_included(element, path)
         resolved = included.resolve()
@@ -478,8 +480,9 @@ def _check_sizes(path: Path, element: etree._Element) -> None:
 
 
 _FORMAT_DIRECTIVE: Final = re.compile(r"%[-+ #0-9.*'$hlLqjzt]*[nsS]")
-"""Directives of printf (``%n``, ``%s``, ``%S``) that access memory. MuJoCo's reader uses some texts
-as format strings and would crash, so a file with such a text is refused."""
+"""Pattern of the printf directives that access memory (``%n``, ``%s``, ``%S``). A file with such a
+text is refused, because MuJoCo's reader uses some texts as format strings and would crash.
+"""
 
 _TEXT_ATTRIBUTES: Final = ("data", "file", "meshdir", "texturedir", "assetdir")
 """Attributes that may contain directives of printf, because MuJoCo does not use them as format
@@ -519,10 +522,11 @@ def walk_elements(root: XmlNode) -> Iterator[XmlNode]:
 def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
     """Return the index {(tag or section, name): element} of the elements of an MJCF.
 
-    The name of a default is its class; that of a mesh, texture or height field without name is the
-    file name without suffix. A ``freejoint`` is also listed as ``joint``. Of elements with equal
-    keys, the first is listed. If no element has the key, an actuator is also listed by the name of
-    its joint, and a joint without name by the name of its body.
+    The section (`_SECTION_TAGS`) is the tag of the parent element. The name of a default is its
+    class. The name of a mesh, texture or height field without name is the file name without suffix.
+    A ``freejoint`` is also listed as ``joint``. If several elements have the same key, the first is
+    listed. Two keys are added if no other element has them: an actuator by the name of its joint,
+    and a joint without name by the name of its body.
     """
     index: dict[tuple[str, str], XmlNode] = {}
     fallback: dict[tuple[str, str], XmlNode] = {}
@@ -553,8 +557,8 @@ def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -
 
     The default class is the class of the element, or the ``childclass`` of a body above it, or else
     the first top-level class. A class inherits from the enclosing classes. In a class, only
-    elements with the tag of the element are searched; for attributes of all actuators
-    (`_COMMON_ACTUATOR_ATTRIBUTES`), elements with the tag of any actuator.
+    elements with the same tag are searched. For an attribute that all actuators have
+    (`_COMMON_ACTUATOR_ATTRIBUTES`), elements with the tag of any actuator are searched.
 
     Args:
         root: Root element.
@@ -618,21 +622,22 @@ class MjcfFile:
             text.
         notes: Diagnostics of removed or replaced elements.
         refusal: Message and location if MuJoCo does not compile the file, or if a number of the
-            compiled model is not valid; None otherwise.
-            A copy of ``spec`` may compile although the file does not, since ``MjSpec.copy()`` drops
-            dangling elements.
-        as_it_is: Message and location of the error in the unmodified file that was repaired (flat
-            meshes); None otherwise.
+            compiled model is not valid; None otherwise. A copy of ``spec`` may compile although the
+            file does not, because ``MjSpec.copy()`` drops elements that refer to missing elements.
+        as_it_is: Message and location of MuJoCo's error for the unmodified file, if the reader
+            repaired the file (flat meshes); None otherwise.
         unknown: {kind of a joint parameter: joints with an unknown value}. Set if the MJCF was
             converted from a format in which a missing parameter is unknown, and not zero.
-        stands_for: Word for the original file of a converted robot; "" for an MJCF.
-        gains: {joint: (stiffness, damping) of the servo} (N m/rad, N m s/rad; N/m, N s/m) in a file
-            of another format; None for an MJCF, and for a format without servos.
+        stands_for: Word that messages use for the original file of a converted robot; "" for an
+        MJCF.
+        gains: {joint: (stiffness, damping) of the servo} (N m/rad, N m s/rad; N/m, N s/m), from the
+            original file of a converted robot. None for an MJCF, and for a format without servos.
         of_urdf: Whether the MJCF was converted from a URDF, which does not specify ground and
             contacts.
-        deferred_visuals: Function that converts the visual meshes of a URDF, puts them into a spec
-            in place, and returns notes on meshes that were removed. None if no mesh is deferred;
-            otherwise ``spec`` and ``model`` contain small tetrahedra instead.
+        deferred_visuals: Function that converts the visual meshes of a URDF later. It puts the
+            meshes into a spec in place, and returns notes on meshes that were removed. Until then,
+            ``spec`` and ``model`` contain small tetrahedra instead of the meshes. None if no mesh
+            is deferred.
     """
 
     path: Path
@@ -694,12 +699,13 @@ class MjcfFile:
             body: Name of the body; ``"world"`` for the worldbody.
             tag: Tag of the element.
             number: Number of the element among the direct children of the body.
-            attributes: If given, the location at which one of these attributes is set, in the
-                element or in a default class; that of the element if no attribute is set.
+            attributes: If given, the result is the location at which one of these attributes is
+                set, in the element or in a default class. If none is set, it is the location of the
+                element.
 
         Returns:
-            The location; that of the body if there are not enough elements, for example within a
-            ``<frame>``.
+            The location of the element; the location of the body if the element is not found, for
+            example because it is within a ``<frame>``.
         """
         node = self._index.get(("body", body))
         tops = (top for root in self._roots for top in root.children if top.tag == "worldbody")
@@ -747,15 +753,16 @@ class MjcfFile:
                     yield node.attributes, node.place
 
     def place_by_number(self, section: str, number: int) -> Place:
-        """Return the location of an element without a name, by the number in a section.
+        """Return the location of an element without a name, by its number in a section of the file.
 
         Args:
             section: ``"actuator"``, ``"equality"`` or ``"tendon"``.
             number: Number in the section, from 0.
 
         Returns:
-            The location; the file without line if there is no such element, if attached models or
-            replicates add elements, or if the file has no XML text (a model in memory).
+            The location. It is the file without line if there is no such element, or if the file
+            has no XML text (a model in memory). The same holds if attached models or replicates add
+            elements, because the numbers then differ.
         """
         if len(self._roots) != 1 or any(True for _ in self.elements("replicate")):
             return Place(self.path)
@@ -894,9 +901,9 @@ def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] 
 def _disable_unset_ranges(spec: mujoco.MjSpec, index: Mapping[tuple[str, str], XmlNode]) -> None:
     """Switch off, in place, the unset force and control ranges that MuJoCo writes as "0 0".
 
-    In a spec, an unset range has two zero ends and the switch "auto", with which MuJoCo applies no
-    range. If the default class has another range, MuJoCo writes the unset range as "0 0", which in
-    a file means a motor without torque.
+    In a spec, an unset range has two zero ends and the flag "auto"; MuJoCo then applies no range.
+    But if the default class has a range, MuJoCo writes the unset range as "0 0" to the XML. In a
+    file, "0 0" means a motor without torque.
     """
 
     def is_unset(tag: str, name: str, attribute: str, ends: ArrayLike, switch: int) -> bool:
@@ -973,8 +980,8 @@ def _parse_spec(
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
     """Parse an MJCF, and remove meshes and textures without files; also return diagnostics.
 
-    ``index`` finds the elements of the file by tag and name (`index_of`). ModelError if MuJoCo
-    cannot parse the file, or the mass of a body depends on a missing mesh.
+    ``index`` finds the elements of the file by tag and name (`index_of`). A ModelError is raised if
+    MuJoCo cannot parse the file, or if the mass of a body depends on a missing mesh.
     """
     try:
         with silence_mujoco():
@@ -998,9 +1005,9 @@ def _locate_message(
 ) -> tuple[str, Place]:
     """Return MuJoCo's message, and the location of the element that the message concerns.
 
-    MuJoCo reports the line in the main file, or in an unspecified file, and 0 for included
-    elements. The reported name may be that of a missing element. The location is the main file
-    without line if no element is found.
+    MuJoCo's line number alone is not sufficient. It may belong to an unspecified file, and is 0 for
+    included elements. Therefore the element is also searched by the name in the message, which may
+    name a missing element. If no element is found, the location is the main file without line.
 
     Args:
         tree: Elements of the file.

@@ -269,15 +269,15 @@ def from_pinocchio(
 def joint_placements(model: pin.Model, q: Array) -> list[pin.SE3]:
     """Return the world placement of each joint of a model, in the order of the joint indices.
 
-    As ``pin.forwardKinematics``, but without ``pin.Data``, whose size grows at least with the
-    square of the number of joints.
+    The result equals that of ``pin.forwardKinematics``. ``pin.Data`` is not used, because its size
+    grows at least with the square of the number of joints.
 
     Args:
         model: Pinocchio model.
         q: Pinocchio's configuration, shape (model.nq,).
 
     Returns:
-        Placements [m]; the first is the identity, that of the universe.
+        Placements [m]; element 0 belongs to Pinocchio's joint "universe" and is the identity.
     """
     placements = [pin.SE3.Identity()]
     for index in range(1, model.njoints):
@@ -312,10 +312,10 @@ _JOINT_FIELDS = {
 def copy_value(
     tree: MultibodyTree, source: MultibodyTree, kind: str, element: str
 ) -> MultibodyTree:
-    """Return a tree in which one value, such as a mass or a joint axis, is that of another tree.
+    """Return a copy of a tree with one value of another tree, such as a mass or a joint axis.
 
-    If the value is the parent of a joint, and would create a loop in the tree, the parents of all
-    joints are copied.
+    If the value is the parent of a joint, the new parent might create a loop. In this case the
+    parents of all joints are copied.
 
     Args:
         tree: Tree to modify; the result is a copy.

@@ -65,7 +65,7 @@ def is_object(model: object) -> bool:
 
 
 def require_path(argument: str, model: object) -> None:
-    """Raise an error if a model is a robot in memory, which has no file that could be written.
+    """Raise an error if a model is a robot in memory, because it has no file to write.
 
     Args:
         argument: Name of the argument, for the message.
@@ -94,10 +94,10 @@ class ObjectFiles:
     folder: Path
 
     def add_pinocchio_values(self, mjcf: MjcfFile) -> MjcfFile:
-        """Add the values of the Pinocchio model that its URDF cannot state to an MJCF.
+        """Add armature and gravity of the Pinocchio model to an MJCF; a URDF cannot state them.
 
-        Armature [kg m^2, kg] and gravity [m/s^2] are copied, and meshes of the temporary folder
-        become assets in memory.
+        Armature is in kg m^2 or kg, gravity in m/s^2. Meshes of the temporary folder become assets
+        in memory.
 
         Args:
             mjcf: MJCF that was converted from the URDF of the Pinocchio model.
@@ -134,8 +134,8 @@ def read_objects(
     Meshes of a geometry model are in a private temporary folder, which is removed at the end.
 
     Args:
-        models: Objects; a ``pin.GeometryModel`` belongs to the only ``pin.Model``. Of a
-            ``pin.RobotWrapper``, the model and the collision model are read.
+        models: Objects. A ``pin.GeometryModel`` contains the shapes of the only ``pin.Model`` in
+            the list. Of a ``pin.RobotWrapper``, the model and the collision model are read.
         packages: Folders of ROS packages, for ``package://`` in a URDF.
 
     Raises:
@@ -221,12 +221,12 @@ def _read_object(
 def _read_spec(path: Path, spec: mujoco.MjSpec, name: str) -> MjcfFile:
     """Return the model file of a spec.
 
-    MuJoCo cannot write the XML of a spec to which a model with other compiler settings is attached,
-    and does not state the folder of the files of an attached model. Such a spec is read from its
-    compiled model, with a note.
+    A spec with an attached model may have no usable XML. MuJoCo cannot write the XML if the
+    compiler settings of both differ, and the folder of the attached model's files is unknown. In
+    these cases the file is made from the compiled model, with a note.
 
     Args:
-        path: Path in place of a file's, for messages.
+        path: Path that messages contain instead of a file's path.
         spec: Spec.
         name: Kind of the robot in memory, for the note, such as ``MjSpec``.
     """

@@ -28,9 +28,10 @@ _MAX_POSITION: Final = 1e6
 largest double."""
 
 _IDENTITY_ATOL: Final = 1e-12
-"""Tolerance of the placement of a body frame in the frame of its joint, positions in m and matrix
-entries, up to which both frames count as equal. An equal frame names the link of the joint; another
-frame gets a link of its own. Chosen, not tuned."""
+"""Tolerance for equality of a body frame and the frame of its joint: positions [m] and entries of
+the rotation matrix. If both frames are equal, the link of the joint gets the name of the body
+frame. Otherwise the body frame gets a link of its own. Chosen, not tuned.
+"""
 
 _WORLD: Final = "world"
 """Name of the root link above a free base."""
@@ -48,9 +49,9 @@ def write_urdf_of_model(
         source: Name of the model, for messages.
 
     Raises:
-        ModelError: If the model has a joint of another type, several free flyers, a free
-            flyer that is not the only joint at the root, a sliding joint without limits, or a shape
-            that a URDF cannot state.
+        ModelError: If the model has a joint of another type, a sliding joint without limits,
+            several free flyers, or a shape that a URDF cannot state. Also if the root has a free
+            flyer and another joint, or if a free flyer is not at the root.
     """
     floating = _check_joints(model, source)
     writer = _UrdfWriter(model, floating, source)
@@ -64,8 +65,8 @@ def _check_joints(model: pin.Model, source: str) -> bool:
     """Return True if the first joint is a free flyer, and False if the model has none.
 
     Raises:
-        ModelError: If another joint is a free flyer or has no URDF type (neither hinge nor slide),
-            or a joint besides that of the free base is connected to the world.
+        ModelError: If a joint other than the first is a free flyer, or has a type other than hinge
+            and slide. Also if the base is free, and a further joint is connected to the world.
     """
     flyers = [
         index for index in range(1, model.njoints) if model.joints[index].shortname() == _FREE_FLYER
@@ -119,9 +120,9 @@ class _UrdfWriter:
     def add_links(self) -> None:
         """Add the links and joints of the Pinocchio model to the URDF.
 
-        Each joint and the root have a link. A body frame at its joint names this link; each other
-        body frame, and each further one at the same joint, has a link of its own. Body frames that
-        are fixed to the world beside a free base are left out.
+        Each joint and the root have a link. If a body frame is equal to the frame of its joint, the
+        link of the joint gets its name. Each further body frame gets a link of its own. If the base
+        is free, body frames that are fixed to the world are omitted.
         """
         model = self._model
         frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]
@@ -232,7 +233,7 @@ class _UrdfWriter:
 
 
 def _make_stl(solid: coal.CollisionGeometry, name: str, source: str) -> bytes:
-    """Return the bytes of an STL file [m] of a mesh, the hull of a convex shape, or an ellipsoid.
+    """Return an STL file [m] as bytes. The shape is a mesh, a convex shape or an ellipsoid.
 
     Raises:
         ModelError: If the shape is of another type.

@@ -91,8 +91,8 @@ stores lines."""
 def forget_lines(root: etree._Element) -> None:
     """Set the line numbers of all elements to unknown, for a text that is not in a file.
 
-    Blank texts between the elements are removed: libxml2 returns their line for an element whose
-    line is unknown.
+    White space between the elements is removed. Otherwise libxml2 would return its line for an
+    element whose line is unknown.
     """
     for element in root.iter():
         if element.text is not None and not element.text.strip():

@@ -34,8 +34,8 @@ def existing_file(path: Path) -> Path | None:
     """Return the path if it is an existing file, and register the file as an input of the run.
 
     Returns:
-        The path; None if there is no regular file, if the file is a Git LFS pointer without
-        content, or if the system rejects the path, for example because of its length.
+        The path. None if there is no regular file, or if the file is a Git LFS pointer without
+        content. Also None if the system rejects the path, for example because of its length.
 
     Raises:
         OutputError: If the run will write this file.
@@ -152,8 +152,8 @@ def _list_descriptions() -> list[str]:
 def _is_description(word: str) -> bool:
     """Return True if a word names a robot description.
 
-    Such a word has the prefix ``DESCRIPTION_PREFIX``, or has the form of ``go2_mj_description`` and
-    is not an existing path.
+    A word is a description in two cases: it has the prefix ``DESCRIPTION_PREFIX``, or it has the
+    form of ``go2_mj_description`` and is not an existing path.
     """
     if word.startswith(DESCRIPTION_PREFIX) or _BARE_DESCRIPTION.fullmatch(word) is None:
         return word.startswith(DESCRIPTION_PREFIX)
@@ -166,8 +166,8 @@ def _is_description(word: str) -> bool:
 def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> Path:
     """Return the file of a model: a path, a published name, or ``package://NAME/FILE``.
 
-    A path is returned unchanged, also if no such file exists. Of a description with several files,
-    the MJCF is returned, or else the URDF, or else the xacro file.
+    A path is returned unchanged, also if the file does not exist. If a description has several
+    files, the first available one of MJCF, URDF and xacro file is returned.
 
     Args:
         model: Path or name.
@@ -176,9 +176,9 @@ def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> 
             ``AMENT_PREFIX_PATH``.
 
     Raises:
-        ModelError: If ``robot_descriptions`` is not installed, or has no such description, if its
-            cache does not contain the files, if the description contains no model file, or if a ROS
-            package or its file is not found; see also `find_menagerie_file`.
+        ModelError: If a ROS package or its file is not found. If ``robot_descriptions`` is not
+            installed, has no such description, or has not cached its files. If the description
+            contains no model file. See also `find_menagerie_file`.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
     """
     word = str(model)
@@ -242,8 +242,8 @@ def _find_in_package(name: str, packages: Mapping[str, Path]) -> Path:
 def _import_cached_description(source: str, name: str, cache: ModuleType) -> ModuleType:
     """Import a description of ``robot_descriptions`` from its local cache, without downloading.
 
-    ``source`` is the name in error messages, ``name`` the module of the description, and ``cache``
-    the module with the function that otherwise downloads.
+    ``source`` is the name in error messages, and ``name`` the module of the description. ``cache``
+    is the module with the function that downloads; the function is replaced during the import.
 
     Raises:
         ModelError: If there is no such description, or its repository is not in the cache.

@@ -107,8 +107,9 @@ class Mesh:
 def _integrate_hull(hull: Mesh) -> pin.Inertia | None:
     """Return the spatial inertia of a convex hull with a density of 1 kg/m^3; None without volume.
 
-    The hull is divided into tetrahedra with edges e_i from the mean of the vertices. The integral
-    of x x^T over a tetrahedron of volume V is V/20 (sum_i e_i e_i^T + s s^T), s = sum_i e_i.
+    The hull is divided into tetrahedra with a common corner at the mean of the vertices. From this
+    corner, a tetrahedron has three edges e_i. The integral of x x^T over a tetrahedron of volume V
+    is V/20 (sum_i e_i e_i^T + s s^T), with s = sum_i e_i.
     """
     middle = hull.vertices.mean(axis=0)
     edges = hull.vertices[hull.faces] - middle
@@ -150,11 +151,11 @@ class Shape:
         name: Name; "" if there is none.
         kind: ``sphere``, ``box``, ``cylinder``, ``capsule``, ``ellipsoid``, ``mesh`` or another.
         pose: Pose in the frame of the body.
-        size: Radius; radius and half length; or three half sizes [m]. Empty for a mesh and for
-            other kinds.
-        collides: Whether the shape can collide; without explicit contact pairs of an MJCF.
-        read: Function that returns the mesh, or the hull for collisions, in the frame of the shape;
-            None if unknown.
+        size: One to three numbers [m]: (radius,), (radius, half length), or three half sizes. Empty
+            for a mesh and for other kinds.
+        collides: Whether the shape can collide. Explicit contact pairs of an MJCF are not counted.
+        read: Function that returns the mesh in the frame of the shape. For a shape that collides,
+            it returns the convex hull. None if unknown.
         read_volume: Function that returns the volume [m^3] of a mesh; None if unknown, or if the
             surface is not closed.
         read_solid: Function that returns the spatial inertia of the solid of a mesh with a density
@@ -197,9 +198,9 @@ class Shape:
     def compute_solid_inertia(self) -> pin.Inertia | None:
         """Compute the spatial inertia of the solid shape with a density of 1 kg/m^3.
 
-        The solid of a mesh whose surface is not closed, or whose ``read_solid`` is unknown, is its
-        convex hull. The result is in the frame of the body; None for ellipsoids, for other kinds
-        such as planes, and for meshes that were not read or have no volume.
+        The result is expressed in the frame of the body. If the surface of a mesh is not closed, or
+        ``read_solid`` is None, the convex hull is used. The result is None for ellipsoids and for
+        other kinds such as planes. It is also None for meshes that were not read or have no volume.
         """
         size = self.size
         match self.kind:
@@ -388,8 +389,9 @@ class Shape:
     def points(self) -> Array | None:
         """Points (n, 3) [m] in the frame of the body, whose hull approximates the shape.
 
-        A ball or an ellipsoid is replaced by 26 points on its surface, an ellipse by a polygon with
-        16 corners; the hull of the points lies inside the shape. None if the extent is unknown.
+        A ball or an ellipsoid is replaced by 26 points on its surface, and an ellipse by a polygon
+        with 16 corners. Therefore the hull of the points lies inside of the shape. None if the
+        extent of the shape is unknown.
         """
         centres = self.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
         if centres is None or self.minkowski_terms is None or not self.minkowski_terms.ball:
@@ -421,8 +423,10 @@ class Shape:
 
 
 _SPHERE_POINTS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
-"""Unit vectors (26, 3) from the centre of a cube to its corners, edges and faces, the sampled
-points of a ball or an ellipsoid; normalised below."""
+"""Unit vectors (26, 3) from the centre of a cube to its corners, the middles of its edges, and the
+middles of its faces. They are the sampled points of a ball or an ellipsoid. The next statement
+normalises them.
+"""
 
 _SPHERE_POINTS /= np.linalg.norm(_SPHERE_POINTS, axis=1, keepdims=True)
 _CIRCLE_POINTS = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 17)[:-1]])
@@ -474,7 +478,7 @@ def get_mesh(model: mujoco.MjModel, mesh: int) -> Mesh:
 
 
 def _read_hull(model: mujoco.MjModel, mesh: int) -> Mesh:
-    """Return the convex hull of a mesh: that of MuJoCo if available, otherwise computed.
+    """Return the convex hull of a mesh, from MuJoCo's compiled model if available.
 
     The layout of ``mesh_graph`` is that of MuJoCo's compiler: numbers of vertices and faces,
     address of the edges of each vertex, mesh numbers of the vertices, edges, faces as mesh numbers.

@@ -29,8 +29,9 @@ _SIDE_PATTERN = re.compile(
     rf"(?<![A-Za-z])({'|'.join(sorted(_OPPOSITE_SIDE, key=len, reverse=True))})(?![A-Za-z])"
     "|^[LR](?=[A-Z][a-z])"
 )
-"""Pattern of a side's word without a letter on either side, or of L or R at the start before a
-capitalised word."""
+"""Pattern of the word for a side (such as left) in a name. There must be no letter directly before
+or after the word. L or R at the start may be followed by a capitalised word.
+"""
 
 ASYMMETRIC_PART_NAME = re.compile("gripper|finger|camera|imu|sensor", re.IGNORECASE)
 """Pattern in the names of parts that are often not mounted as mirror images of each other;
@@ -46,14 +47,17 @@ _MOTOR_PARAMETER_RTOL = 0.02
 the same type have identical values."""
 
 _MIN_EQUAL_PAIRS_PER_UNEQUAL = 3
-"""Smallest number of equal pairs of left and right motors, per unequal pair, with which each
-unequal pair is reported. Chosen, not tuned: such a model has a single set of values per motor type.
-If each motor was identified individually, no pair is equal."""
+"""Threshold of the ratio (number of pairs with equal left and right motor) / (number of unequal
+pairs). From this ratio on, each unequal pair is reported: the model has a single set of values per
+motor type, so an unequal pair is probably an error. If each motor was identified individually, no
+pair is equal. Chosen, not tuned.
+"""
 
 _MIN_REPORTED_RATIO = 20.0
-"""Ratio between the values of left and right motor from which a pair is reported although motors
-were identified individually. Chosen: in five published robots, individually identified armatures
-differ by a factor of at most 13."""
+"""Ratio between the values of left and right motor. From this ratio on, a pair is reported even if
+the motors were identified individually. Chosen: in five published robots, individually identified
+armatures differ by a factor of at most 13.
+"""
 
 
 def mirror_name(name: str) -> str:
@@ -97,13 +101,14 @@ def find_unlike_pairs(
 ) -> list[tuple[str, str]]:
     """Return the mirror pairs of joints with unexpectedly different motor, damper or spring.
 
-    If at least three quarters of the pairs are equal, the result contains the unequal pairs, since
-    motors of the same type have a single set of values. The unequal pairs are also in the result if
-    these pairs have at most one distinct value per pair: for example one value for all left and
-    another for all right joints. In five published robots with identified motors, there are 1.67 to
-    2 values per unequal pair. Otherwise, the motors were identified individually, and the result
-    contains the pairs whose absolute values differ by a factor of ``_MIN_REPORTED_RATIO`` or
-    more.
+    The result contains all unequal pairs in two cases. First, if at least three quarters of the
+    pairs are equal, because motors of the same type have a single set of values. Second, if the
+    unequal pairs have at most one distinct value per pair: for example one value for all left
+    joints and another for all right joints. (In five published robots with identified motors, there
+    are 1.67 to 2 values per unequal pair.)
+
+    Otherwise, the motors were identified individually. The result then contains the pairs whose
+    absolute values differ by a factor of at least ``_MIN_REPORTED_RATIO``.
 
     Args:
         pairs: Pairs of a left and a right joint, in any order.

@@ -41,9 +41,10 @@ _OPTION_VALUES: Final[dict[tuple[str, AttributeValue], Any]] = {
 """{(option, text in the XML): value in MuJoCo's editable model}."""
 
 MIN_RANGE = 1e-9
-"""Smallest effort [N m, N] of a written force range (-effort, effort), and width [rad, m] of a
-written joint range whose limits are equal. MuJoCo rejects an enabled range with equal ends. Chosen,
-not tuned."""
+"""Smallest effort [N m, N] that is written as force range (-effort, effort). Also the width [rad,
+m] of a joint range that is written for equal limits. MuJoCo rejects an enabled range with equal
+ends. Chosen, not tuned.
+"""
 
 
 def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
@@ -216,9 +217,9 @@ class SpecTree:
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:
         """Multiply a joint parameter by a factor.
 
-        An effort is scaled in the joint, in the force ranges of the actuators whose target has the
-        name of the joint, and in the control ranges of those without bias (torque motors). A limit
-        scales both ends of the range.
+        If the parameter is the effort, three ranges are scaled: the force range of the joint, the
+        force ranges of its actuators, and the control ranges of its actuators without bias (torque
+        motors). If the parameter is a position limit, both ends of the range are scaled.
 
         Args:
             joint: Joint.
@@ -263,14 +264,14 @@ class SpecTree:
     def add_floor(self, beneath: float | None = None) -> mujoco.MjsGeom:
         """Add a horizontal plane with MuJoCo's default contact parameters as floor.
 
-        ``conaffinity`` of the plane contains the ``contype`` bits of all geoms, so that the plane
-        collides with each geom with a ``contype``. This includes geoms whose bits only permit
-        contact with each other, such as left and right legs: scenes of these robots contain a floor
-        with those bits.
+        ``conaffinity`` of the plane contains the ``contype`` bits of all geoms. Therefore the plane
+        collides with each geom whose ``contype`` is not 0. This includes geoms whose bits only
+        permit contact with each other, such as left and right legs. The floor in the scenes of
+        these robots has the same bits.
 
         Args:
-            beneath: None to add the plane at z = 0 to the world. A number is the height z [m] of
-                the plane, which is added to a new body; existing bodies keep their ids.
+            beneath: Height z [m] of the plane, which is then added to a new body; existing bodies
+                keep their ids. If None, the plane is added to the world body at z = 0.
         """
         bits, name = 1, make_unique_name(FLOOR_NAME, {geom.name for geom in self.spec.geoms})
         for geom in self.spec.geoms:
@@ -464,9 +465,10 @@ class SpecTree:
 
 
 _MIN_SINGULAR_VALUE: Final = 0.1
-"""Lower bound of the smallest singular value of the unit axes of three slides (or three hinges),
-shape (3, 3), with which the joints move a base in all directions. For coordinate axes the value is
-1. Chosen, not tuned."""
+"""Threshold of the smallest singular value of the matrix (3, 3) of the unit axes of three slides or
+three hinges. If the value is larger, the joints move a base in all directions. For orthogonal axes
+the value is 1. Chosen, not tuned.
+"""
 
 _THREE_SLIDES: Final = [JointKind.SLIDE] * 3
 """Types of three slides, by which MJCFs without a free joint let a base translate in all
@@ -537,9 +539,9 @@ def _delete_sensors(spec: mujoco.MjSpec, name: str) -> None:
 def _find_free_base(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBody | None:
     """Return the body of the world with the most joints in its subtree, if it is a free base.
 
-    Its own joints must be three slides, and three hinges or a ball, with axes in all directions and
-    without actuator, ``stiffness`` or name in ``stated``; further joints must follow. None
-    otherwise.
+    The joints of a free base are three slides, and either three hinges or a ball. Their axes must
+    span all directions. None of them may have an actuator, a ``stiffness`` or a name in ``stated``.
+    The bodies below must have further joints. None if there is no free base.
     """
     joint_type = mujoco.mjtObj.mjOBJ_JOINT
     bodies = list(spec.worldbody.bodies)

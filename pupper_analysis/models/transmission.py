@@ -1,8 +1,8 @@
 """Actuators of hinge and slide joints in an MJCF: transmission, force law and type.
 
 Input is a compiled MuJoCo model. The force law of an actuator is F = gain ctrl - stiffness l -
-damping dl/dt with the length l = gear q; from the laws of its actuators, each joint is classified,
-for example as driven by a servo, a motor, a velocity servo or no actuator (`classify_joint_drive`).
+damping dl/dt, with the length l = gear q. `classify_joint_drive` determines the type of a joint's
+drive from these laws, for example servo, motor, velocity servo or no actuator.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ def list_joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
     """Return the ids of the actuators at a hinge or slide.
 
     For these joints the transmissions ``joint`` and ``jointinparent`` are equal. Ids of actuators
-    are below ``model.nactuator``, which may be smaller than ``model.nu``, because an actuator may
-    have several controls.
+    are less than ``model.nactuator``. This number may be smaller than ``model.nu``, because an
+    actuator may have several controls.
     """
     candidates = np.flatnonzero(model.actuator_trnid[:, 0] == joint).tolist()
     return [actuator for actuator in candidates if is_at_one_joint(model, actuator)]
@@ -94,9 +94,9 @@ def tendon_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
 def list_tendon_joints(model: mujoco.MjModel) -> dict[int, set[int]]:
     """Return {actuator at a tendon: joints on whose positions the length of the tendon depends}.
 
-    A fixed tendon depends on the joints with a nonzero coefficient; a spatial tendon on the joints
-    that move some, but not all points of a branch of its path. Tendons with a gear of zero, and
-    spatial tendons that depend on a free joint or a ball joint, have no joints.
+    A fixed tendon depends on the joints with a nonzero coefficient. A spatial tendon depends on the
+    joints that move some, but not all points of a branch of its path. The result has no joints for
+    a gear of zero, and for a spatial tendon that depends on a free joint or a ball joint.
     """
     found = {actuator: set(levers) for actuator, levers in fixed_tendon_levers(model).items()}
     for actuator in found:
@@ -182,8 +182,8 @@ def fixed_tendon_levers(model: mujoco.MjModel) -> dict[int, dict[int, float]]:
     the actuator times the lever, which is the gear times the coefficient of the joint.
 
     Returns:
-        {actuator id: {joint id: lever}} of all actuators at tendons, without levers that are zero;
-        an empty dictionary for a spatial tendon.
+        {actuator id: {joint id: lever}} of all actuators at tendons. Levers of zero are omitted.
+        For an actuator at a spatial tendon, the inner dictionary is empty.
     """
     levers = {}
     at_tendons = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON.value)
@@ -225,8 +225,8 @@ class ActuatorLaw:
     constant bias is left out.
 
     Attributes:
-        gain: kp of a position servo (N m/rad or N/m), or torque or force per unit of ctrl of a
-            motor (N m or N), before the gear.
+        gain: Force per unit of ctrl, before the gear. For a position servo this is kp (N m/rad or
+            N/m), for a motor the torque or force (N m or N) at ctrl = 1.
         stiffness: Stiffness (N m/rad or N/m); 0 for a motor.
         damping: Damping (N m s/rad or N s/m).
         gear: Gear ratio.
@@ -256,8 +256,9 @@ def read_actuator_law(model: mujoco.MjModel, actuator: int) -> ActuatorLaw:
 
 
 _GAIN_RTOL = 1e-5
-"""Relative tolerance for equality of gain and stiffness of a position servo, and of gain and
-damping of a velocity servo: the default of ``numpy.isclose``."""
+"""Relative tolerance of two equalities. A position servo has equal gain and stiffness, a velocity
+servo equal gain and damping. The default of ``numpy.isclose``.
+"""
 
 
 class Drive(StrEnum):
@@ -308,10 +309,11 @@ class MadeServo:
 def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
     """Return the type of the actuator at a hinge or slide.
 
-    Several actuators are classified together: if an actuator is ``WRONG_SIGN``, the sum of the
-    stiffnesses decides between this type and ``SERVO``; otherwise the first type in
-    ``_TYPE_PRIORITY`` is returned. Without an actuator, the type is ``TENDON`` if the length of a
-    tendon with an actuator depends on the joint (`list_tendon_joints`), and else ``NONE``.
+    If a joint has several actuators, the type that is first in ``_TYPE_PRIORITY`` is returned.
+    Exception: if an actuator is ``WRONG_SIGN``, the sum of the stiffnesses decides between this
+    type and ``SERVO``. If a joint has no actuator, the type is ``TENDON`` or ``NONE``. It is
+    ``TENDON`` if the length of a tendon with an actuator depends on the joint
+    (`list_tendon_joints`).
 
     Args:
         model: Unmodified model of the MJCF.
@@ -332,8 +334,9 @@ def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
 _TYPE_PRIORITY = (
     Drive.SERVO, Drive.MOTOR, Drive.VELOCITY, Drive.OTHER, Drive.FORCE, Drive.NO_STIFFNESS
 )  # fmt: skip
-"""Types of actuators by descending priority: if actuators of different types act on a joint, the
-first of these types is that of the joint."""
+"""Types of actuators by descending priority. If actuators of different types act on a joint, the
+joint has the type that comes first in this tuple.
+"""
 
 
 def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:

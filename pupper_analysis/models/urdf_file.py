@@ -46,16 +46,18 @@ class UrdfFile:
     Attributes:
         path: The file.
         text: XML for the engines. It differs from the file if the reader changed an element or
-            attribute (except white space in an attribute with several numbers), if a joint without
-            a range was made continuous, or if the file starts with white space.
+            attribute, if a joint without a range was made continuous, or if the file starts with
+            white space. Changed white space in an attribute with several numbers alone does not
+            count.
         root: Root element without comments; ``sourceline`` is the line of an element.
         packages: Folders of ROS packages, for ``package://``.
         notes: Diagnostics of assumptions.
         unknown: {kind of a joint parameter: joints with an unknown value}. Set if the URDF was
             converted from a format in which a missing parameter is unknown, and not zero.
-        stands_for: Word for the original file of a converted robot; "" for a URDF.
-        gains: {joint: (stiffness, damping) of the servo} (N m/rad, N m s/rad; N/m, N s/m) in a file
-            of another format; None for a URDF, and for a format without servos.
+        stands_for: Word that messages use for the original file of a converted robot; "" for a
+        URDF.
+        gains: {joint: (stiffness, damping) of the servo} (N m/rad, N m s/rad; N/m, N s/m), from the
+            original file of a converted robot. None for a URDF, and for a format without servos.
     """
 
     path: Path
@@ -117,8 +119,9 @@ class UrdfFile:
 
         ``package://NAME/...`` and ``model://NAME/...`` are searched in ``packages``, in the folders
         of ``ROS_PACKAGE_PATH``, and in the folders above the URDF, with and without resolving
-        links. Finally, the folders above the URDF are assumed to be the package, or a folder in it,
-        because a copy may have another name. Other names are relative to the URDF.
+        links. Finally, each folder above the URDF is assumed to be the package, or a folder in the
+        package, because a copy of a package may have another name. A name without scheme is
+        relative to the URDF.
         """
         return next(filter(None, map(existing_file, self.list_mesh_places(filename))), None)
 
@@ -331,8 +334,8 @@ def check_element(path: Path, element: etree._Element) -> bool:
     """Check children and numbers of a link, joint or material, and normalise white space in place.
 
     Returns:
-        True if white space was removed from an attribute with a single number, so that the text of
-        the URDF must be rewritten.
+        True if white space was removed from an attribute with a single number. The text of the URDF
+        must then be rewritten.
 
     Raises:
         ModelError: If the element is not valid.
@@ -511,7 +514,7 @@ def complete_limits(root: etree._Element) -> Diagnostic | None:
 
 
 def remove_repeated_origins(root: etree._Element) -> list[Diagnostic]:
-    """Remove each ``<origin>`` after the first of a link, a joint or a child of these, in place.
+    """Remove repeated ``<origin>`` elements in place; the first in each parent element remains.
 
     urdfdom, the reader of ROS and Pinocchio, evaluates the first ``<origin>``; MuJoCo refuses the
     file.
@@ -548,9 +551,10 @@ def _describe_origin(origin: etree._Element) -> str:
 def states_no_limits(joint: UrdfJoint) -> bool:
     """Return True if the ``<limit>`` of a revolute joint contains no information about the range.
 
-    This is the case without ``lower`` and ``upper``, or if lower, upper and effort are all zero or
-    missing: exporters omit these attributes, or write zeros, if the limits are unknown. An effort
-    of at least ``UNSTATED`` counts as missing. A range from 0 to 0 with an effort is a valid range.
+    The result is True if ``lower`` and ``upper`` are missing, or if lower, upper and effort are all
+    zero or missing. Exporters omit these attributes, or write zeros, if the limits are unknown. An
+    effort of at least ``UNSTATED`` counts as missing. A range from 0 to 0 is valid if the file
+    states an effort.
     """
     limit = joint.element.find("limit")
     if joint.kind != "revolute" or limit is None:

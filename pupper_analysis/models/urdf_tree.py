@@ -250,8 +250,8 @@ def _scale_attribute(element: etree._Element | None, attribute: str, factor: flo
 class UrdfTree:
     """Links and joints of a URDF.
 
-    Links and joints are cached. After adding or removing elements by other means than the methods
-    of this class, create a new tree.
+    Links and joints are cached. If elements are added or removed without the methods of this class,
+    a new tree must be created.
 
     Attributes:
         root: ``<robot>`` element.

@@ -28,8 +28,9 @@ _HARMLESS_TAGS: Final = ("material", "transmission", "gazebo", "ros2_control")
 only these and declarations is accepted, and ignored."""
 
 _HARMLESS_NAMES: Final = re.compile(r"materials?|colou?rs?|transmissions?|gazebo|ros2_control")
-"""Pattern in the names of included files that are assumed to contain no links or joints, if the
-file does not exist here."""
+"""Pattern in the names of included files that do not exist on this computer. If the name matches,
+the file is assumed to contain no links or joints.
+"""
 
 _EXPRESSION: Final = re.compile(r"\$[{(]")
 """Start of a xacro expression, ``${...}`` or ``$(...)``."""
@@ -58,8 +59,9 @@ def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) 
         A list with a note on the removed elements; empty if there are none.
 
     Raises:
-        ModelError: If the file uses xacro: a called macro, a condition, an included file that may
-            change links or joints, or an expression in the rest of the file.
+        ModelError: If the file uses xacro: it calls a macro, contains a condition, includes a file
+            that may change links or joints, or has a xacro expression outside of the removed
+            elements.
     """
     declared = [element for element in root.iter() if element.prefix == XACRO_PREFIX]
     if not declared:
@@ -94,9 +96,9 @@ def _remove(element: etree._Element) -> None:
 def _is_harmless(element: etree._Element, resolve: ResolveMesh, depth: int) -> bool:
     """Return True if a xacro element is known to change neither links nor joints.
 
-    An ``<include>`` is harmless if the children of the included file are, or if there is no such
-    file and its name matches `_HARMLESS_NAMES`. ``resolve`` finds this file, and ``depth`` is the
-    number of files that include each other up to here.
+    An ``<include>`` is harmless if all elements of the included file are harmless. It is also
+    harmless if the file does not exist and its name matches `_HARMLESS_NAMES`. ``resolve`` finds
+    the file. ``depth`` is the number of nested includes up to this element.
     """
     tag = etree.QName(element).localname
     if tag in _DECLARATIONS:

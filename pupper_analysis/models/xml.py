@@ -46,9 +46,11 @@ _FAULTY_DECLARATION: Final = re.compile(
     rb"(?:\A|(?<=\A\xef\xbb\xbf))"
     rb"(?:\s+<\?xml\s[^>]*\?>|<\?xml\s(?!\s*version\s*=\s*[\"']1\.\d+[\"'])[^>]*\?>)"
 )
-"""XML declaration that parsers reject: behind white space, such as a blank first line, or with a
-version that does not begin with ``1.``, such as ``<?xml version="0.0"?>``. Eight of 902 public
-URDFs have such a version; MuJoCo and Pinocchio read them."""
+"""Pattern of an XML declaration that parsers reject. The declaration follows white space (for
+example a blank first line), or its version does not begin with ``1.`` (for example ``<?xml
+version="0.0"?>``). Eight of 902 public URDFs have a rejected version, but MuJoCo and Pinocchio read
+these files.
+"""
 
 _DOCTYPE_START: Final = re.compile(r"(?:\s|<!--.*?-->|<\?.*?\?>)*+<!(?!--)", re.DOTALL)
 """Start of a text with a DOCTYPE, which precedes the root element."""
@@ -59,15 +61,17 @@ numbers are refused. Chosen: products of six such numbers do not overflow."""
 
 
 def parse_xml(path: Path) -> tuple[str, etree._Element]:
-    """Return the text of a file, and the root element without comments and default namespace.
+    """Return the text of an XML file, and its root element.
+
+    Comments and the default namespace are removed from the tree.
 
     Returns:
         Text as read; root element.
 
     Raises:
-        ModelError: If the file cannot be read, is empty, is a Git LFS pointer or of another format,
-            has a DOCTYPE, is not well-formed, exceeds a limit, or uses xacro in another file than a
-            URDF.
+        ModelError: If the file cannot be read, is empty, is a Git LFS pointer, or has another
+            format. If the XML has a DOCTYPE, is not well-formed, or exceeds a limit. If a file that
+            is no URDF uses xacro.
         OutputError: If the run will write this file.
     """
     text = _read_model_text(path)
@@ -81,8 +85,8 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
     the tree; ``xacro_declarations`` removes or refuses them.
 
     Raises:
-        ModelError: If the text has a DOCTYPE, is not well-formed, exceeds a limit, or uses xacro in
-            another file than a URDF.
+        ModelError: If the text has a DOCTYPE, is not well-formed, or exceeds a limit. Also if a
+            file that is no URDF uses xacro.
     """
     if found := _DOCTYPE_START.match(text):
         line = text.count("\n", 0, found.end()) + 1

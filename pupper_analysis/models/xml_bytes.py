@@ -29,8 +29,8 @@ _START_TAG_PATTERN: Final = re.compile(rb"""<[^\s/>]+(?:"[^"]*"|'[^']*'|[^>"'])*
 class XmlElement:
     """Element with the position of the start tag in the file.
 
-    ``get``, ``set``, ``find`` and ``findall`` are named as in lxml, so that `UrdfTree` reads links
-    and joints of either. Unlike in lxml, a path of several tags finds nothing.
+    ``get``, ``set``, ``find`` and ``findall`` are named as in lxml, so that `UrdfTree` can use
+    elements of both classes. Unlike in lxml, a path of several tags finds nothing.
 
     Attributes:
         tag: Tag.
@@ -40,7 +40,7 @@ class XmlElement:
         line: Line of the start tag, from 1.
         parent: Parent element, across includes.
         children: Child elements, with includes replaced by the included content.
-        changes: {attribute: new value}, by the new name of a renamed attribute.
+        changes: {attribute: new value}. The key of a renamed attribute is its new name.
         renamed: {attribute: new name}.
     """
 
@@ -220,7 +220,7 @@ def _splice_children(
     The new elements get the indentation of the first child, if it is on a line of its own.
 
     Yields:
-        (first byte, byte after the last, new bytes) of the replaced part of ``data``.
+        (start, end, new bytes): ``data[start:end]`` is replaced by the new bytes.
     """
     end = _find_tag_end(data, element)
     if data[end - 2 : end - 1] == b"/":

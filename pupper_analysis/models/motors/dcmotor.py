@@ -20,9 +20,10 @@ from pupper_analysis.models.transmission import actuator_gear
 def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> Motor:
     """Return the motor of a ``dcmotor`` actuator.
 
-    An armature of zero, the thermal numbers of an actuator without thermal model, and limits that
-    are not set are unknown. The supply voltage is the largest control, and unknown for an actuator
-    whose control is no voltage (attribute ``input``). A gear has no losses in this actuator.
+    Some numbers are unknown (None): an armature of zero, limits that are not set, and thermal
+    numbers if the actuator has no thermal model. The supply voltage is the upper end of the control
+    range. It is unknown if the control is no voltage (attribute ``input``). The gear of this
+    actuator has no losses.
 
     Args:
         model: MuJoCo model.
@@ -85,10 +86,10 @@ def list_dcmotors(model: mujoco.MjModel, source: str) -> dict[str, Motor]:
 def make_dcmotor_element(motor: Motor, joint: str, name: str = "") -> str:
     """Return the ``dcmotor`` element of a motor at a joint.
 
-    A network of two thermal nodes is replaced by one node with the sum of the thermal resistances
-    and the sum of the heat capacities: the final temperature is equal, the winding heats up more
-    slowly. Unknown numbers are omitted; without thermal resistance or capacity of the winding, all
-    thermal numbers are.
+    The element has one thermal node. If the motor has two (winding and housing), their thermal
+    resistances and their heat capacities are added. The final temperature is then equal, but the
+    winding heats up more slowly. Unknown numbers are omitted. If the thermal resistance or the
+    capacity of the winding is unknown, all thermal numbers are omitted.
 
     Args:
         motor: Motor.
@@ -96,8 +97,9 @@ def make_dcmotor_element(motor: Motor, joint: str, name: str = "") -> str:
         name: Name of the actuator; by default that of the joint.
 
     Raises:
-        ModelError: If torque constant, resistance or gear ratio are unknown, or a temperature or
-            the rise of the resistance beside a known thermal resistance and capacity.
+        ModelError: If torque constant, resistance or gear ratio are unknown. Also if thermal
+            resistance and capacity are known, but a temperature or the rise of the resistance is
+            unknown.
     """
     constant = motor.get("torque_constant")
     words = {

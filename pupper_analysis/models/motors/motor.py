@@ -61,7 +61,7 @@ class Motor:
         rotor_inertia: Inertia of the rotor [kg m^2].
         coulomb_friction: Dry friction at the output [N m].
         viscous_friction: Viscous friction at the output [N m s/rad].
-        load_friction: Dry friction per torque, as a fraction.
+        load_friction: Load-dependent dry friction, as a fraction of the torque.
         supply_voltage: Voltage of the supply [V].
         current_limit: Largest current [A].
         peak_torque: Largest torque at the output [N m], as limited by the drive.
@@ -163,8 +163,8 @@ class Motor:
     def _check_conventions(self) -> None:
         """Raise a ModelError if two stated numbers for the same constant contradict each other.
 
-        Compared are the output torque constant with Kt N (torque constant x gear ratio), and the
-        speed without load with V / (Kt N), with the supply voltage V. Their ratio must be in
+        The output torque constant is divided by Kt N (torque constant x gear ratio). The speed
+        without load is divided by V / (Kt N), with the supply voltage V. Each ratio must be in
         [`MIN_STALL_RATIO`, `MAX_CONVENTION_RATIO`].
         """
         if self.torque_constant is None or self.gear_ratio is None:
@@ -261,10 +261,10 @@ class Motor:
 
     @property
     def largest_torque(self) -> tuple[float, str] | None:
-        """Largest torque at the output at rest [N m], and the number of the motor that limits it.
+        """Largest torque at the output at rest [N m], and the name of the limiting motor number.
 
-        The smallest of the known limits: peak torque, stall torque, current limit x torque per
-        current, and supply voltage / resistance x torque per current. None if all are unknown.
+        The torque is the smallest known value of peak torque, stall torque, current limit x torque
+        per current, and supply voltage / resistance x torque per current. None if all are unknown.
         """
         limits: list[tuple[float, str]] = []
         if self.peak_torque is not None:
@@ -294,11 +294,11 @@ class Motor:
     def compute_available_torques(self, speeds: Array) -> Array:
         """Return the largest torques at the output at speeds [N m], at least 0.
 
-        The supply voltage less the back-EMF drives the current through the cold winding; the
-        current limit bounds the current, and stall torque and peak torque bound the torque. tau =
-        min(I_max, (V - Ke w) / R) Kt N eta, with speed w, current limit I_max, supply voltage V,
-        resistance R, torque constant Kt, gear ratio N and gear efficiency eta. The constant Ke of
-        the back-EMF is the larger of Kt N and V / speed without load, as far as these are known.
+        The torque is tau = min(I_max, (V - Ke w) / R) Kt N eta, and at most stall torque and peak
+        torque. The symbols are speed w, current limit I_max, supply voltage V, resistance R of the
+        cold winding, torque constant Kt, gear ratio N and gear efficiency eta. The back-EMF
+        constant Ke is the larger of Kt N and V / speed without load. If one of these is unknown, Ke
+        is the other.
 
         Args:
             speeds: Speeds of the output, in the direction of the torques [rad/s].
@@ -307,8 +307,8 @@ class Motor:
             Shape of `speeds`.
 
         Raises:
-            ModelError: If supply voltage, resistance or torque per current are unknown, or both
-                constants of the back-EMF.
+            ModelError: If supply voltage, resistance or torque per current are unknown. Also if
+                both values for Ke are unknown.
         """
         voltage = self.get("supply_voltage")
         constants = []

@@ -52,8 +52,8 @@ def find_motor(name: str) -> Motor:
         name: Name of `list_motors`, or path.
 
     Raises:
-        UnknownNameError: If the text is neither a known name nor a file and has no suffix, or if a
-            key of a TOML file is unknown.
+        UnknownNameError: If ``name`` has no suffix, and is neither a known name nor a file. Also if
+            a key of a TOML file is unknown.
         ModelError: If the file cannot be read, or is not valid.
     """
     if name in list_motors():
@@ -94,10 +94,10 @@ def read_motor(path: Path) -> Motor:
 def read_bam_parameters(path: Path) -> Motor:
     """Read the parameter file of a servo model, m1 to m6.
 
-    Torque constant, friction and armature of these files are those at the output; the gear ratio is
-    therefore 1. A motor that drives loses the fraction of its torque that the load-dependent
-    friction of the model states. Models m1 and m2 have no such friction, so that the efficiency is
-    unknown. Other terms of the models are not read.
+    Torque constant, friction and armature in these files refer to the output. The gear ratio is
+    therefore 1. The gear efficiency comes from the load-dependent friction of the model: a driving
+    motor loses this fraction of its torque. Models m1 and m2 have no load-dependent friction, so
+    the efficiency is unknown. Other terms of the models are not read.
 
     Args:
         path: JSON file.

@@ -28,8 +28,9 @@ def compute_region_utilisation(motor: Motor, torques: ArrayLike, speeds: ArrayLi
         speeds: Speeds of the output [rad/s], shape (n,).
 
     Returns:
-        Shape (n,). 0 for a torque up to `_MIN_TORQUE`, at any speed; otherwise infinite if the
-        motor exerts no torque at the speed, and not a number if torque or speed is not.
+        Utilisation, shape (n,). It is 0 for a torque up to `_MIN_TORQUE`, at any speed. For larger
+        torques, it is infinite if the motor has no torque at the speed. It is NaN if torque or
+        speed is NaN.
 
     Raises:
         ModelError: If a number of the motor is unknown.

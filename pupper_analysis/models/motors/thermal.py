@@ -92,7 +92,7 @@ class ThermalNetwork:
         return self.current**2 * ohms
 
     def _matrices(self) -> tuple[Array, Array]:
-        """Return A (n, n) [1/s] and b (n,) [K/s] of dx/dt = A x + b, x relative to the ambient."""
+        """Return A (n, n) [1/s] and b (n,) [K/s] of dx/dt = A x + b; x is T - T_ambient [K]."""
         size = len(self.resistances)
         flows = np.zeros((size, size))  # heat flow into each node per temperature [W/K]
         for node, resistance in enumerate(self.resistances.tolist()):
@@ -188,9 +188,9 @@ def compute_continuous_torque(
     """Return the largest torque at the output that a motor exerts permanently at rest [N m].
 
     With this torque the winding finally reaches its limit: i^2 R (1 + alpha (T_limit - T_0)) =
-    (T_limit - T_a) / R_th. If thermal numbers are unknown, the torque is the continuous torque that
-    the data sheet states, which holds for the temperatures of the data sheet only. The result is at
-    most the largest torque of the motor at rest, if known.
+    (T_limit - T_a) / R_th. If thermal numbers are unknown, the result is the continuous torque of
+    the data sheet. This torque is valid only for the temperatures of the data sheet. The result is
+    never above the largest torque of the motor at rest, if this is known.
 
     Args:
         motor: Motor.
@@ -198,9 +198,9 @@ def compute_continuous_torque(
         limit: Largest temperature of the winding [degC]; that of the motor by default.
 
     Raises:
-        ModelError: If a thermal number is unknown, and the data sheet states no continuous torque
-            or a temperature is given; or if all thermal numbers are known, but not the electrical
-            resistance or the torque per current.
+        ModelError: If a thermal number is unknown, and the data sheet states no continuous torque.
+            If a thermal number is unknown, and ``ambient`` or ``limit`` is given. If all thermal
+            numbers are known, but the electrical resistance or the torque per current is unknown.
     """
     unknown = list_unknown_thermal_numbers(motor, ambient)
     if limit is None:

@@ -90,8 +90,8 @@ def parse_motor_quantity(name: str, text: object, kind: UnitKind) -> float:
         kind: Kind of quantity.
 
     Raises:
-        ConfigurationError: If the text has no number, a missing or another unit, or a value outside
-            of the permitted range.
+        ConfigurationError: If the number or the unit is missing, the unit does not belong to the
+            quantity, or the value is out of the permitted range.
     """
     units = [unit for unit in kind.factors if unit]
     if isinstance(text, bool) or not isinstance(text, str | int | float):

@@ -234,10 +234,10 @@ def _stated_values(
 ) -> dict[str, float]:
     """Return {kind: value} of the joint parameters that the file specifies, including defaults.
 
-    Infinite limits are omitted. A parameter other than a limit is omitted if its value is 0 and
-    neither the joint nor a default class contains the attribute. ``limits`` is
-    {field of `TreeJoint`: limit}. Without ``spec_joint``, only the limits are returned. ``joint``
-    is the id of the joint in the compiled model, ``body`` the name of its body.
+    ``joint`` is the id of the joint in the compiled model, and ``body`` the name of its body.
+    ``limits`` is {field of `TreeJoint`: limit}. If ``spec_joint`` is None, only the limits are
+    returned. Infinite limits are omitted. Another parameter is omitted if its value is 0, and
+    neither the joint nor a default class contains the attribute.
     """
     values = {
         attribute.kind: limits[attribute.field]

@@ -212,10 +212,10 @@ units and poses and are not supported."""
 
 
 def mesh_hull(path: Path) -> Mesh | None:
-    """Return the convex hull of an STL or OBJ file; None for missing, other or invalid files.
+    """Return the convex hull of an STL or OBJ file; None if missing, invalid or of another type.
 
-    The vertices are in the file's unit of length, which a URDF takes as metres, without the scale
-    of a ``<mesh>``.
+    The vertices are in the file's unit of length, which counts as metre in a URDF. The scale of a
+    ``<mesh>`` is not applied.
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
         return None
@@ -279,7 +279,7 @@ def _read_binary_stl(path: Path) -> Mesh | None:
 
 
 def _load_mesh(path: Path, *, merge: bool) -> Any:
-    """Read all parts of a mesh file as one mesh of trimesh, with equal vertices merged or not."""
+    """Read all parts of a mesh file as one mesh of trimesh; ``merge`` merges equal vertices."""
     import trimesh  # slow to import; yourdfpy depends on it
 
     return trimesh.load(path, force="mesh", process=merge, skip_materials=True)
