@@ -294,8 +294,9 @@ class StanceSearch:
             slack: Constraint slacks of the stand.
 
         Returns:
-            Level [1], the smallest number that satisfies a + b level >= 0 for all rows (a, b), for
-            the payload, only rows with b > 0 count. Second, the rows, shape (k, 2).
+            Level [1], and the rows (a, b), shape (k, 2). The level is the smallest number that
+            satisfies a + b level >= 0 for all rows. For the payload, only the rows with b > 0 are
+            used.
 
         Raises:
             NoEquilibriumError: If the objective is the payload, and the servos do not hold the

@@ -82,11 +82,11 @@ def _describe_first_cause(check: RepositoryCheck) -> doc.Words:
 def _select_next_step(check: RepositoryCheck) -> doc.NextStep | None:
     """Return the command that details the first failing finding, or examines the first pair.
 
-    If nothing fails and the baseline has stale entries, the command updates the baseline. Otherwise
-    the first pair with two files is examined. If its differences are known, the command is
-    ``crosscheck``. If the files agree, the command is ``stand``, or ``hold`` for a fixed base. The
-    result is None for a failing change, for a failing finding of another tool, and if no pair has
-    two files.
+    If nothing fails and the baseline has stale entries, the command updates the baseline. If
+    nothing fails and no entry is stale, the first pair with two files is examined. If its
+    differences are known, the command is ``crosscheck``. If the files agree, the command is
+    ``stand``, or ``hold`` for a fixed base. The result is None for a failing change, for a failing
+    finding of another tool, and if no pair has two files.
     """
     if check.stale and not check.updated and not check.failures:
         return doc.NextStep("check", ("--update-baseline",))

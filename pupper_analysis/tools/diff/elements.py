@@ -270,9 +270,10 @@ _NUM_SAMPLES = 200
 Chosen, not tuned."""
 
 _MIN_FALL_HEIGHT = 1.0
-"""Height [m] of the old version's CoM above the new version's CoM, beyond which the new robot is
-reported as falling through or off the floor. The heights are those at the end of the simulations.
-Chosen, not tuned."""
+"""Smallest drop [m] of the CoM at which the new robot is reported as falling through or off the
+floor. The drop is the CoM height of the old version minus that of the new version, both at the end
+of the simulations. Chosen, not tuned.
+"""
 
 NUMBER_RTOL = 1e-9
 """Relative difference up to which two numbers of elements count as equal: rounding by programs that
@@ -854,9 +855,9 @@ def _find_static_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
 def _choose_ground_height(model: mujoco.MjModel) -> float:
     """Return the height at which a ground is added [m].
 
-    The height is 0, as in the scene files of published models, since published start poses may have
-    feet some centimetres in the ground. If the depth of the lowest geom below 0 exceeds a quarter
-    of the CoM height above this geom, the ground is added at the lowest geom instead.
+    The height is usually 0, as in the scene files of published models, although feet may then start
+    some centimetres below the ground. Exception: the ground is added at the lowest geom if the
+    depth of this geom below 0 exceeds a quarter of the CoM height above the geom.
     """
     data = make_start_data(model)
     middle, half = model.geom_aabb[:, :3], model.geom_aabb[:, 3:]
