@@ -579,8 +579,8 @@ class _StagedFile:
         """Rename the temporary file with the new content to the target.
 
         Raises:
-            OutputError: If the rename fails, or the target cannot be read or has an unexpected
-                content (`Writing.before`).
+            OutputError: If the rename fails, or the target cannot be read. Also if the content of
+                the target differs from `Writing.before`.
         """
         assert self.new is not None
         try:

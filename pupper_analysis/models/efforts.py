@@ -238,7 +238,7 @@ def resolve_effort_limit(
     drives: Sequence[int] | None = None,
     empty_range: EffortStatement | None = None,
 ) -> EffortLimit:
-    """Return the torque limit of a joint by both files.
+    """Return the torque limit of a joint: the smallest of the limits that URDF and MJCF state.
 
     Args:
         model: MuJoCo model of the MJCF.
@@ -247,8 +247,8 @@ def resolve_effort_limit(
             the URDF states none.
         name: Name of the joint in the URDF. Default: as in the MJCF.
         drives: Ids of the actuators of the joint. Default: determined from the model.
-        empty_range: Empty force range of the MJCF from ``null_efforts``, which the compiled model
-            lacks.
+        empty_range: Empty force range of the joint in the MJCF, found by ``null_efforts``. The
+            compiled model does not contain such a range. None if there is no empty range.
     """
     own = str(model.joint(joint).name)
     drives = list_joint_actuators(model, joint) if drives is None else drives

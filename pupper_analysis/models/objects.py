@@ -33,7 +33,7 @@ class UrdfObject(Protocol):
     """Parsed URDF of another package that writes its XML, such as ``yourdfpy.URDF``."""
 
     def write_xml_string(self, **kwargs: Any) -> bytes:
-        """Return the XML text of the URDF."""
+        """Return the XML text of the URDF; ``kwargs`` are options of the object's own method."""
 
 
 ModelObject: TypeAlias = (
