@@ -90,11 +90,11 @@ def _measure_rod(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
 def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find capsules and cylinders that begin at a joint but do not end at the next joint or foot.
 
-    The end of the rod is compared with the nearest joint or foot on its axis. A rod is reported if
-    it is too long by 2 % or more (and by `POSITION_TOLERANCE` or more), or too short by 20 % or
-    more. It is not reported if the difference equals the radius at the end. The limit for short
-    rods is larger, since shapes are often shortened on purpose to avoid contact with the neighbour.
-    Rods of equal length on a link are reported once.
+    The end of the rod is compared with the joint or foot on its axis that is nearest to this end. A
+    rod is reported if it is too long by 2 % or more (and by `POSITION_TOLERANCE` or more), or too
+    short by 20 % or more. A rod that is too short by its radius is not reported, within the
+    tolerance for long rods. The limit for short rods is larger, since shapes are often shortened on
+    purpose to avoid contact with the neighbour. Rods of equal length on a link are reported once.
     """
     for body in robot.links.values():
         if not body.moving:
