@@ -581,7 +581,7 @@ def test_topics_have_joints_by_name_and_commands_in_the_controllers_order(
     joint.
     """
     ros, names = Stub(), robot.joint_names
-    monkeypatch.setattr("pupper_analysis.tools.fit.record.ros._DISCOVERY_TIMEOUT", 0.1)
+    monkeypatch.setattr("pupper_analysis.tools.fit.record.ros._DISCOVERY_TIMEOUT", 1.0)
     for name, module in (
         ("rclpy", ros),
         ("rclpy.qos", ros.qos),

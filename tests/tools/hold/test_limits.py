@@ -64,7 +64,7 @@ def test_no_random_posture_exceeds_the_worst_torque() -> None:
     assert (check_worst(robot, find_posture(robot), samples) > 0.7).all()
 
 
-@pytest.mark.parametrize("what", ["stiffness", "gravcomp"])
+@pytest.mark.parametrize("effect", ["stiffness", "gravcomp"])
 def test_worst_postures_include_springs_and_gravcomp(effect: str, tmp_path: Path) -> None:
     """References: spring torque and reduced gravity in closed form, MuJoCo's load, and random
     postures, none of which needs more torque.
