@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.linalg import cho_factor, cho_solve
 
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
@@ -65,11 +65,6 @@ Chosen, not tuned."""
 _MAX_DAMPING = 1e2
 """Largest damping of a step, relative to the diagonal of the posterior information matrix. If this
 matrix is diagonal, the largest damping shortens the step to a hundredth. Chosen, not tuned.
-"""
-
-_MAX_BOUND_CHANGES = 10
-"""Maximum number of iterations per parameter to compute a step within the lower bounds. Each
-iteration fixes a parameter at its lower bound, or releases it. Chosen, not tuned.
 """
 
 
@@ -235,7 +230,8 @@ def estimate_parameters(
 ) -> Posterior:
     """Compute the most probable parameters by damped Gauss-Newton steps (Levenberg-Marquardt).
 
-    A step minimises the linearised cost within the lower bounds. The step is accepted if the cost
+    A step minimises the linearised cost; entries that would violate a lower bound end at the bound
+    (`_QuadraticCost.compute_step`). The step is accepted if the cost
     decreases by at least 10 % of the predicted decrease, minus `_MIN_PREDICTED_DECREASE`. Otherwise
     an undamped step gets up to two second-order corrections, and the step is then repeated with
     more damping.
@@ -342,24 +338,24 @@ class _QuadraticCost:
     def compute_step(self, damping: float) -> Array:
         """Return the damped Gauss-Newton step, shape (n,), in units of the prior widths.
 
-        The step minimises the damped quadratic cost within the lower bounds.
+        Entries that would violate a lower bound end at the bound. The other entries are then solved
+        again. No entry is released from its bound, so that the step need not be the minimum within
+        the bounds. If several entries end at their bounds, the predicted decrease may be negative.
 
         Args:
             damping: Damping factor [1]. The product of ``damping`` and the diagonal of the
                 posterior information is added to the posterior information.
         """
         lower_bounds = (self.lower_bounds - self.x) / self.table.width
+        step, free = np.zeros(len(self.x)), np.ones(len(self.x), dtype=bool)
         damped = self.posterior_information + damping * np.diag(np.diag(self.posterior_information))
-        factor = cholesky(damped)  # the cost is |factor step - right_side|^2 plus a constant
-        right_side = solve_triangular(factor, self.descent, trans="T")
-        step: Array = solve_triangular(factor, right_side)
-        if (step < lower_bounds).any():
-            from scipy.optimize import lsq_linear  # slow to import
-
-            bounds = lower_bounds, np.full(len(step), np.inf)
-            step = lsq_linear(
-                factor, right_side, bounds, method="bvls", max_iter=_MAX_BOUND_CHANGES * len(step)
-            ).x
+        while free.any():
+            right_side = self.descent[free] - damped[np.ix_(free, ~free)] @ step[~free]
+            step[free] = cho_solve(cho_factor(damped[np.ix_(free, free)]), right_side)
+            violated = free & (step < lower_bounds)
+            if not violated.any():
+                break
+            step[violated], free = lower_bounds[violated], free & ~violated
         return step
 
     def predict_decrease(self, step: Array) -> float:

@@ -85,22 +85,6 @@ def test_bounded_parameter_stops_at_zero_and_others_stay_optimal(kind: str) -> N
     assert found.mean == pytest.approx([0.0, alone], abs=1e-6)
 
 
-def test_bound_is_released_if_the_cost_decreases_inwards() -> None:
-    """Unbounded, both values are negative. With both at zero, the cost decreases towards positive
-    damping, since both are coupled. Reference: optimum of the damping with a friction of zero.
-    """
-    given = table("damping", "friction")
-    rows = np.array([[100.0, -99.0], [0.0, 14.1]])
-    right = rows @ [-0.5, -4.0]
-    found = estimate_parameters(
-        given, lambda x, _: LinearisedResiduals.from_residuals(rows @ x - right, rows)
-    )
-    weight = 1 / given.width[0] ** 2
-    alone = (rows[:, 0] @ right + weight * given.stated[0]) / (rows[:, 0] @ rows[:, 0] + weight)
-    assert alone > 3
-    assert found.mean == pytest.approx([alone, 0.0], rel=1e-6, abs=1e-6)
-
-
 def evaluate_rosenbrock(x: Array) -> tuple[Array, Array]:
     """Return the residuals 10 (y - x^2) and 1 - x of Rosenbrock's function, and their
     derivative.
