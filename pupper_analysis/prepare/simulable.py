@@ -35,8 +35,9 @@ does not fall."""
 
 _GEAR_RANGE = 1e-6, 1e6
 """Lower and upper bound of the absolute gear ratio of an actuator at a joint [1, or rad/m at a
-slide]; outside, `check_simulable` raises an error. A screw with a pitch of 1 mm has some thousand
-rad/m; outside of the range, squares exceed the precision of a double."""
+slide]. Outside of this range, `check_simulable` raises an error, except for a gear of 0. A screw
+with a pitch of 1 mm has some thousand rad/m. Chosen, not tuned: stiffness is multiplied by the
+square of the gear."""
 
 
 _MIN_IMPRATIO = 1e-9

@@ -477,7 +477,7 @@ def _find_option_value(option: str, name: str, known: Mapping[str, Any]) -> int:
 
 
 MIN_TIMESTEP = 5e-5
-"""Smallest accepted time step that a user may request [s]; smaller values are refused. Measured: a
+"""Smallest time step that `with_options` accepts [s]; smaller values are refused. Measured: a
 stand of Pupper v3 takes 6 s of processor time with 1e-4 s, and 45 s with 1e-5 s. Public files
 specify 5e-4 s or more."""
 

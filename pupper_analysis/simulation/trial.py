@@ -91,8 +91,8 @@ of four feet with only 1/10,000 of the weight. Chosen, not tuned.
 """
 
 _LIMIT_ATOL = 1e-6
-"""Two tolerances [rad, m]. A joint rests on its limit if its distance from the limit is at most
-this value. A joint range permits no motion if its width is at most this value. Chosen as the
+"""Two tolerances [rad, m]. A joint rests on its limit if its distance from the limit is below this
+value. A joint range permits no motion if its width is at most this value. Chosen as the
 rounding of configurations in files.
 """
 

@@ -230,11 +230,12 @@ def _load_tables() -> Mapping[str, str]:
 
 @cache
 def list_entries(file: str) -> Mapping[str, str]:
-    """Return the entries of a catalogue file, and of the tools, that are single TOML lines.
+    """Return the single-line TOML entries of a catalogue file, and of this package's tools.
 
     Args:
         file: Name of the catalogue file, an element of ``LINE_ENTRY_FILES``. Entries of the same
-            kind in the ``words.toml`` files of the tools are included.
+            kind in the ``words.toml`` files of this package's tools and formats are included, but
+            not those of other packages.
 
     Returns:
         {key: TOML text ``{ en = "...", zh = "..." }``}.

@@ -97,9 +97,9 @@ def make_dcmotor_element(motor: Motor, joint: str, name: str = "") -> str:
         name: Name of the actuator; by default that of the joint.
 
     Raises:
-        ModelError: If torque constant, resistance or gear ratio are unknown. Also if thermal
-            resistance and capacity are known, but a temperature or the rise of the resistance is
-            unknown.
+        ModelError: If torque constant or gear ratio are unknown, or if the resistance is neither
+            stated nor known from supply voltage and stall current. Also if thermal resistance and
+            capacity are known, but a temperature or the rise of the resistance is unknown.
     """
     constant = motor.get("torque_constant")
     words = {

@@ -384,9 +384,10 @@ class _ConfigReader:
         )
 
     def resolve_file(self, key: str, text: str) -> Path:
-        """Return the path of an existing file that the configuration names.
+        """Return the path of an existing file or folder that the configuration names.
 
-        Relative paths in the configuration refer to its folder.
+        Relative paths in the configuration refer to its folder. For ``FILE:NAME``, the result ends
+        with ``:NAME``, and only FILE must exist.
 
         Args:
             key: Key of the [[pair]]: ``urdf``, ``mjcf``, or the name of a tool such as

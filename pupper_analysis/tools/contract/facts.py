@@ -468,8 +468,8 @@ class LocatedValue:
 
 
 _FLOAT_PATTERN = re.compile(r"[-+]?(\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?$")
-"""Unquoted text of a YAML file that is read as a number. Includes ``1e-3``, which is a text in YAML
-1.1, but a number for the C++ readers."""
+"""Unquoted text of a YAML file that is read as a finite number, if it has at most 64 characters.
+Includes ``1e-3``, which is a text in YAML 1.1, but a number for the C++ readers."""
 
 _DECIMALS_PATTERN = re.compile(r"[-+]?\d*\.?(\d*)(?:[eE]([-+]?\d{1,9}))?")
 """Number as written, with groups for the decimals and the exponent."""

@@ -532,7 +532,7 @@ def _lump_fixed_bodies(
 def _find_imu_sensors(model: mujoco.MjModel, site: str | None) -> tuple[int, int] | None:
     """Return the addresses in ``sensordata`` of the gyro and the accelerometer at a site.
 
-    None if the site lacks gyro or accelerometer.
+    None if the site lacks gyro or accelerometer, or if ``site`` is None.
     """
     addresses = []
     for kind in (mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER):

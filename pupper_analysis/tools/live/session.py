@@ -262,7 +262,7 @@ class Session:
         self._pending_job = None
 
     def _run_safely(self, work: Callable[[], None]) -> None:
-        """Run a function; show an unexpected error on the page."""
+        """Run a function; show an unexpected error on the page, unless the session is closed."""
         try:
             work()
         except Exception as error:

@@ -419,7 +419,11 @@ def without_visuals(description: Description) -> Description:
 
 
 def _has_no_mass(geom: mujoco.MjsGeom) -> bool:
-    """Return True if a geom contributes no mass to a moving body."""
+    """Return True if a geom contributes no mass to its body, or belongs to the world.
+
+    The body has a stated inertial, or the geom has a stated mass of 0. A density of 0 is not
+    considered, nor the option ``inertiafromgeom="true"``, with which stated inertials are ignored.
+    """
     return bool(geom.parent.name == "world" or geom.parent.explicitinertial or geom.mass == 0)
 
 

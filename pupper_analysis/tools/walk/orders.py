@@ -38,9 +38,10 @@ DEFAULT_COMMANDS = ((0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8))
 orders can walk as well."""
 
 MIN_COST_RATIO = 1.1
-"""Ratio of costs (`Candidate.cost`) of the second-best and the best interpretation of a policy. If
-the ratio is larger, the best interpretation is clearly better. Chosen: for Pupper's own policy on
-the model v3 the ratio is 1.2.
+"""Ratio of the costs (`Candidate.cost`) of the second-best and the best interpretation of a policy
+(joint order and signs), if both track equally many commands. If they track at least one command,
+and the ratio is larger, the best interpretation is clearly better. Chosen: for Pupper's own policy
+on the model v3 the ratio is 1.2.
 """
 
 SCALE_FACTORS = (0.5, 2.0)

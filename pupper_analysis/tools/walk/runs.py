@@ -211,9 +211,9 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
 def with_contract_efforts(robot: Robot, contract: PolicyContract, joints: IntArray) -> Robot:
     """Return the robot with the torque limits of a policy's contract, if the contract states any.
 
-    A limit of a TOML file replaces the limit of the robot's files. A limit of another source, for
-    example a deployment, replaces the robot's limit only if it is lower, since both limits apply to
-    the motor.
+    A finite limit of a TOML file replaces the limit of the robot's files. A limit of another
+    source, for example a deployment, replaces the robot's limit only if it is lower, since both
+    limits apply to the motor. An infinite limit changes nothing.
 
     Args:
         robot: Robot.
