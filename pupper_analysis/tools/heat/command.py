@@ -73,8 +73,8 @@ def command(
       pupper-analysis heat v3 --motor dephy-actpack \\
         --motor '*_3=mit-mini-cheetah' --limit 80 --payload 1 --figure heat.png
 
-    Exit status: 0 no motor reaches its limit, 1 a motor does, is too weak or a number is
-    unknown, 2 bad input.
+    Exit status: 0 no motor reaches its limit, 1 a motor does, is too weak, or has an
+    unknown number, or a joint has no motor, 2 bad input.
     """  # noqa: D301 - click reads the \b
     if list_motors:
         refuse_unused("--list-motors", {"--list-motors": {"list_motors"}})

@@ -23,6 +23,7 @@ from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownN
 from pupper_analysis.models.attributes import BY_KIND, BY_MJCF
 from pupper_analysis.models.description import Description, ModelTree
 from pupper_analysis.models.mjcf import compile_spec
+from pupper_analysis.models.mjcf_file import gives_mass
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
@@ -405,7 +406,12 @@ def without_visuals(description: Description) -> Description:
     for geom in list(spec.geoms):
         collides = geom.contype or geom.conaffinity
         in_pair = any(geom.name in (pair.geomname1, pair.geomname2) for pair in spec.pairs)
-        if not collides and not in_pair and geom.name not in kept_names and _has_no_mass(geom):
+        if (
+            not collides
+            and not in_pair
+            and geom.name not in kept_names
+            and not gives_mass(spec, geom)
+        ):
             spec.delete(geom)
     used = {geom.meshname for geom in spec.geoms}
     for mesh in list(spec.meshes):
@@ -416,15 +422,6 @@ def without_visuals(description: Description) -> Description:
     for texture in list(spec.textures):
         spec.delete(texture)
     return replace(description, mjcf=spec)
-
-
-def _has_no_mass(geom: mujoco.MjsGeom) -> bool:
-    """Return True if a geom contributes no mass to its body, or belongs to the world.
-
-    The body has a stated inertial, or the geom has a stated mass of 0. A density of 0 is not
-    considered, nor the option ``inertiafromgeom="true"``, with which stated inertials are ignored.
-    """
-    return bool(geom.parent.name == "world" or geom.parent.explicitinertial or geom.mass == 0)
 
 
 # Offsets of centres of mass, in the URDF and in the MJCF.

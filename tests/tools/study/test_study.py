@@ -559,3 +559,16 @@ def test_variable_of_a_joint_with_brackets_selects_the_joint(kind: str, tmp_path
     urdf, mjcf = (text.replace('"elbow"', '"arm[0]"') for text in (URDF, MJCF))
     robot = load_arm(tmp_path, urdf=urdf, mjcf=mjcf)
     assert find_moving_joints(robot, VariablePattern(kind, "arm[0]")) == ("arm[0]",)
+
+
+def test_visual_geoms_that_give_mass_are_kept_without_visuals(tmp_path: Path) -> None:
+    """MuJoCo ignores stated inertials with ``inertiafromgeom="true"``: the sphere weighs 5 kg."""
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><compiler inertiafromgeom="true"/><worldbody><body name="arm" pos="0 0 1">'
+        '<inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/><joint name="hinge"/>'
+        '<geom size="0.1" mass="5" pos="0.2 0 0" contype="0" conaffinity="0"/></body></worldbody>'
+        '<actuator><position joint="hinge" kp="100"/></actuator></mujoco>'
+    )
+    description = pa.load_robot(path).description
+    assert without_visuals(description).mjcf.compile().body_mass[1] == 5.0
