@@ -18,7 +18,6 @@ import yaml
 import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.tools.audit.audit import CHECKS
-from pupper_analysis.tools.fit.record.bridge import ENTRY_POINT_GROUP
 from tests.support.layers import LAYERS
 from tests.support.names import public, public_modules
 from tests.support.repository import ROOT, script
@@ -62,7 +61,10 @@ def test_relative_links_of_pages_exist() -> None:
 
 
 def test_modules_named_in_pages_exist() -> None:
-    """Of this package, as a path (``robot/contact.py``, ``stance/sag/``) or with dots."""
+    """Of this package, as a path (``robot/contact.py``, ``stance/sag/``) or with dots.
+
+    A group of entry points ("the group `pupper_analysis.bridges`") is no module.
+    """
     ignored = (ROOT / ".gitignore").read_text()
     for page in PAGES:
         for path in re.findall(r"`([a-z_]+/[a-z_/]*(?:\.py)?)`", page.read_text()):
@@ -71,9 +73,8 @@ def test_modules_named_in_pages_exist() -> None:
                 assert (PACKAGE / path).exists(), f"{page}: {path}"
             else:  # of the repository, or made by a command of the Makefile
                 assert (ROOT / path).exists() or f"{folder}/" in ignored, f"{page}: {path}"
-        for name in re.findall(r"`(pupper_analysis\.[a-z_.]+)`", page.read_text()):
-            if name != ENTRY_POINT_GROUP:
-                importlib.import_module(name)
+        for name in re.findall(r"(?<!group )`pupper_analysis\.([a-z_.]+)`", page.read_text()):
+            importlib.import_module(f"pupper_analysis.{name}")
 
 
 def test_sections_named_by_documents_exist() -> None:
