@@ -270,13 +270,16 @@ def simulate_from_keyframe(path: Path, seconds: float = 5.0) -> float:
     place, up = data.xpos[base].copy(), data.xmat[base].reshape(3, 3)[2].copy()
     start = float(place[2])
     began = data.time
-    for _ in range(round(seconds / model.opt.timestep)):
-        try:
+    remaining = round(seconds / model.opt.timestep)
+    try:
+        while remaining and math.isnan(touched):
             mujoco.mj_step(model, data)
-        except mujoco.FatalError:
-            return math.inf
-        if math.isnan(touched) and _list_touching_bodies(model, data):
-            touched = float(data.xpos[base][2])
+            remaining -= 1
+            if _list_touching_bodies(model, data):
+                touched = float(data.xpos[base][2])
+        mujoco.mj_step(model, data, nstep=remaining)
+    except mujoco.FatalError:
+        return math.inf
     mujoco.mj_kinematics(model, data)
     lies = base in _list_touching_bodies(model, data)
     if touched < start and not lies:  # it hung in the air, and was dropped

@@ -145,9 +145,6 @@ def judge_mjcf(pair: Pair, plain: Pair, *, whole: bool) -> dict[str, Any]:
         add_audit(result, pair.mjcf)
     if math.isnan(lost) and result.get("audit") in ("OK", "WARNINGS"):
         result["bad"].append(f"{result['audit']}, and MuJoCo refuses it")
-    lasting = (
-        falls and not abs(simulate_from_keyframe(pair.mjcf, LONG_DURATION)) <= MAX_HEIGHT_LOSS
-    )  # and does not merely bob
     if falls and result.get("audit") == "OK":
         result["bad"].append("OK, and it falls")
     if falls or whole:
@@ -162,7 +159,12 @@ def judge_mjcf(pair: Pair, plain: Pair, *, whole: bool) -> dict[str, Any]:
             stance = call_recorded(result, "stand", lambda: study_stance(loaded, pa.StandTask()))
             if stance is not None:
                 result["stand"] = stance.verdict.code.value
-                if lasting and stance.verdict.passed:
+                lost_later = (
+                    simulate_from_keyframe(pair.mjcf, LONG_DURATION)
+                    if falls and stance.verdict.passed
+                    else 0.0
+                )
+                if not abs(lost_later) <= MAX_HEIGHT_LOSS:  # and it does not merely bob
                     result["bad"].append(f"it falls, and {stance.verdict.code.value}")
     if not math.isnan(lost):
         differs = call_recorded(result, "numbers", lambda: _mjcf_differs(pair.mjcf, plain.mjcf))
