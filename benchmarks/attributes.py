@@ -284,6 +284,18 @@ def _add_actuator(root: etree._Element, kind: str, words: str) -> etree._Element
     return section[-1]
 
 
+def parse_error(root: etree._Element) -> str:
+    """Return MuJoCo's message about the elements and attributes of an MJCF; "" if it reads them.
+
+    The model is not compiled.
+    """
+    try:
+        mujoco.MjSpec.from_string(etree.tostring(root).decode())
+    except ValueError as error:
+        return str(error) or "?"
+    return ""
+
+
 @silence_mujoco()
 def compile_error(root: etree._Element) -> str:
     """Return MuJoCo's message about an MJCF; "" if it compiles."""
@@ -308,7 +320,7 @@ def count_numbers(mjcf: bytes, path: str, name: str) -> int:
             return len(str(found[0].get(name)).split())
         for element in found:
             element.set(name, " ".join(["0.1"] * number))
-        said = compile_error(root)
+        said = parse_error(root)
         if not ("enough data" in said or ("attribute" in said.lower() and "data" in said.lower())):
             return number
     return 1
