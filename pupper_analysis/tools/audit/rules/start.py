@@ -436,8 +436,7 @@ def _command_servos(robot: MjcfModel, data: mujoco.MjData) -> bool:
 
 def _run_simulation(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> None:
     """Simulate for ``seconds`` [s], rounded to whole time steps; ``data`` is changed in place."""
-    for _ in range(round(seconds / model.opt.timestep)):
-        mujoco.mj_step(model, data)
+    mujoco.mj_step(model, data, nstep=round(seconds / model.opt.timestep))
 
 
 @rule
