@@ -127,8 +127,7 @@ class SimulatedRobot:
         """
         model, data = self._drive.model, self._data
         data.ctrl[:] = self._drive.command(self._loaded, self.sent[-1] - self.offset)
-        for _ in range(max(1, round(seconds / model.opt.timestep))):
-            mujoco.mj_step(model, data)
+        mujoco.mj_step(model, data, nstep=max(1, round(seconds / model.opt.timestep)))
         self._time += seconds
 
     def close(self) -> None:
