@@ -136,17 +136,17 @@ class PinocchioConvention:
         return None if self._qpos_address_of_q is None else np.argsort(self._qpos_address_of_q)
 
     def with_joints(self, q: Array, joints: Array) -> Array:
-        """Return a copy of Pinocchio's q with other joint positions.
+        """Return a copy of Pinocchio's q with other joint positions, or k copies.
 
         Args:
             q: Pinocchio's configuration, shape (model.nq,).
-            joints: Joint positions in actuator order, shape (n,) [rad, m].
+            joints: Joint positions in actuator order, shape (n,) or (k, n) [rad, m].
         """
-        result = q.copy()
+        result = np.tile(q, (*joints.shape[:-1], 1)) if joints.ndim > 1 else q.copy()
         unbounded = self.unbounded
-        result[self.q_index[~unbounded]] = joints[~unbounded]
-        result[self.q_index[unbounded]] = np.cos(joints[unbounded])
-        result[self.q_index[unbounded] + 1] = np.sin(joints[unbounded])
+        result[..., self.q_index[~unbounded]] = joints[..., ~unbounded]
+        result[..., self.q_index[unbounded]] = np.cos(joints[..., unbounded])
+        result[..., self.q_index[unbounded] + 1] = np.sin(joints[..., unbounded])
         return result
 
     def qpos(self, q: Array) -> Array:

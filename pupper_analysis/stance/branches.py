@@ -415,8 +415,8 @@ class _Descent:
         ends = np.empty((len(joints), len(self._last), 3, 4))
         columns = np.empty((len(joints), 1, 6, len(self._joints)))
         own = convention.v_index[self._joints]
-        for index, row in enumerate(self._all_joints(joints)):
-            pin.computeJointJacobians(model, data, convention.with_joints(self._q, row))
+        for index, q in enumerate(convention.with_joints(self._q, self._all_joints(joints))):
+            pin.computeJointJacobians(model, data, q)
             columns[index] = data.J.reshape(6, -1)[:, own]
             for end, joint in enumerate(self._last):
                 ends[index, end] = data.oMi[joint].homogeneous[:3]
