@@ -41,7 +41,7 @@ from pupper_analysis.models.places import Place
 from pupper_analysis.models.shapes import COMPARISON_DIRECTIONS, Pose, Shape, read_shape
 from pupper_analysis.models.sides import LEG_JOINT_NAME
 from pupper_analysis.models.stated.mjcf import find_collidable_geoms, place_of_geom, read_mjcf_model
-from pupper_analysis.models.stated.model import RobotModel
+from pupper_analysis.models.stated.model import MjcfModel, RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
@@ -97,7 +97,11 @@ class _PlacedShape:
 
 
 def compare_collisions(
-    matched: Match, urdf: UrdfFile, mjcf: MjcfFile, moved: Collection[str]
+    matched: Match,
+    urdf: UrdfFile,
+    mjcf: MjcfFile,
+    mjcf_model: MjcfModel,
+    moved: Collection[str],
 ) -> tuple[list[Difference], list[Diagnostic]]:
     """Compare the height of the lowest collision shape of each foot, in a URDF and an MJCF.
 
@@ -110,6 +114,7 @@ def compare_collisions(
         matched: Matched joints, links and bodies of both files.
         urdf: The URDF.
         mjcf: The MJCF.
+        mjcf_model: Model of the MJCF.
         moved: Joints (or the base) whose placement differs between the files. Shapes that move with
             these joints are not compared.
 
@@ -120,7 +125,7 @@ def compare_collisions(
         outside of the world body.
     """
     conventions = matched.conventions
-    urdf_model, mjcf_model = read_urdf_model(urdf), read_mjcf_model(mjcf)
+    urdf_model = read_urdf_model(urdf)
     has_collision_shapes = any(
         shape.collides for link in urdf_model.links.values() for shape in link.shapes
     )
@@ -555,8 +560,9 @@ def compare_files(
     name_differences = (_report_name(*pair) for pair in renamed_joints.items())
     unplaced = (*explanation.differences, *name_differences, *servos)
     located = tuple(_add_places(unplaced, sources, urdf_file, mjcf_file))
+    mjcf_model = read_mjcf_model(mjcf_file)
     contact_differences, contact_notes = _compare_ground_contact(
-        matched, urdf_file, mjcf_file, located
+        matched, urdf_file, mjcf_file, mjcf_model, located
     )
     differences = tuple(
         sorted((*located, *contact_differences), key=lambda difference: difference.rank)
@@ -591,7 +597,7 @@ def compare_files(
         objections=objections,
         agree=not (differences or unmatched or objections),
         same_robot=not (_has_mechanical_difference(differences) or unmatched or objections),
-        floating=read_mjcf_model(mjcf_file).has_free_base,
+        floating=mjcf_model.has_free_base,
     )
     return Compared(result, matched, explanation, sources)
 
@@ -632,11 +638,16 @@ def _report_missing_base_mass(matched: Match) -> Iterator[Diagnostic]:
 
 
 def _compare_ground_contact(
-    matched: Match, urdf: UrdfFile, mjcf: MjcfFile, found: Iterable[Difference]
+    matched: Match,
+    urdf: UrdfFile,
+    mjcf: MjcfFile,
+    mjcf_model: MjcfModel,
+    found: Iterable[Difference],
 ) -> tuple[list[Difference], list[Diagnostic]]:
     """Compare the collision shapes of feet, unless a file was converted from another format.
 
-    ``found`` contains the other differences. Feet that these differences displace are not compared.
+    ``mjcf_model`` is the model of the MJCF. ``found`` contains the other differences. Feet that
+    these differences displace are not compared.
 
     Returns:
         Differences, and messages; both empty if a file was converted.
@@ -644,7 +655,7 @@ def _compare_ground_contact(
     if urdf.stands_for or mjcf.stands_for:
         return [], []
     moved = {difference.element for difference in found if difference.kind in _DISPLACING_KINDS}
-    return compare_collisions(matched, urdf, mjcf, moved)
+    return compare_collisions(matched, urdf, mjcf, mjcf_model, moved)
 
 
 _DISPLACING_KINDS = ("type", "parent", "base frame", "zero", "position", "rotation", "axis")
