@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.robot.compare import compare
 from pupper_analysis.robot.compare.attribution import explain_differences
 from pupper_analysis.robot.compare.compare import FilesCompared
 from pupper_analysis.robot.compare.differences import Explanation
@@ -356,9 +357,9 @@ def compare_files(files: Files, **options: Any) -> Comparison:
 
 def files_agree(files: Files) -> bool:
     """Return whether two files have the same numbers, and the same dynamics up to rounding."""
-    compared = pa.compare_models(
-        files.urdf, files.mjcf, tolerances=pa.matching.Tolerances.strict(), configurations=2
-    )
+    compared = compare.compare_files(
+        files.urdf, files.mjcf, tolerances=pa.matching.Tolerances.strict()
+    ).result
     return compared.agree and max(compared.deviations.values()) < 1e-9
 
 

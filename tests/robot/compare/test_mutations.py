@@ -19,6 +19,7 @@ from xml.etree import ElementTree
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.robot.compare.compare import FilesCompared, compare_files
 from pupper_analysis.robot.compare.differences import Difference
 from pupper_analysis.tools.crosscheck.crosscheck import Comparison, compare_models
 from tests.support import robots
@@ -413,7 +414,14 @@ def sources(name: str) -> tuple[str, str]:
         return urdf.read_text(), text_of(root)
 
 
-def mutate(name: str, kind: str, seed: int, folder: Path) -> tuple[Comparison, Expected] | None:
+def mutate(
+    name: str, kind: str, seed: int, folder: Path, *, cross_check: bool
+) -> tuple[FilesCompared, Expected] | None:
+    """Return the comparison of a pair with a change, and the expected first difference.
+
+    None if no place suits the change. The engines are compared as well if ``cross_check``: this
+    takes a third of the time, and neither adds nor removes a difference of the files.
+    """
     urdf, mjcf = sources(name)
     # The URDF as bytes: its declaration names the encoding.
     choose = random.Random(f"{name} {kind} {seed}")
@@ -425,12 +433,13 @@ def mutate(name: str, kind: str, seed: int, folder: Path) -> tuple[Comparison, E
             break
     if expected is None:
         return None
-    return compare_texts(
-        folder, text_of(files.urdf), text_of(files.mjcf), configurations=3
-    ), expected
+    texts = text_of(files.urdf), text_of(files.mjcf)
+    if cross_check:
+        return compare_texts(folder, *texts, configurations=3), expected
+    return compare_files(*robots.write(folder, *texts)).result, expected
 
 
-def is_named_first(comparison: Comparison, expected: Expected) -> bool:
+def is_named_first(comparison: FilesCompared, expected: Expected) -> bool:
     first: Difference | None = next(iter(comparison.differences), None)
     return first is not None and first.kind in expected[0] and first.element in expected[1]
 
@@ -447,12 +456,13 @@ def test_the_unchanged_pairs_agree(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", MUTATIONS)
 def test_a_change_is_found_named_first_and_explained(kind: str, tmp_path: Path) -> None:
     """Three robots, three random places each: the files disagree, the changed number is the first
-    difference, with its line in both files, and the explanation is complete.
+    difference, with its line in both files, and the explanation is complete. The first place is
+    compared by all engines.
     """
     tried = 0
     for name in ("v3", "v3-long-leg", "original"):
         for seed in range(PLACES):
-            outcome = mutate(name, kind, seed, tmp_path)
+            outcome = mutate(name, kind, seed, tmp_path, cross_check=not tried)
             if outcome is None:
                 continue
             tried += 1
