@@ -9,9 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
+from pupper_analysis.models import multibody
+from pupper_analysis.models.multibody import MultibodyTree
+from pupper_analysis.robot.matching.conventions import find_conventions
+from pupper_analysis.robot.matching.tolerances import Tolerances
 from tests.support.robots import (
     FEET,
     Files,
@@ -249,6 +254,36 @@ def test_moved_base_frame_is_found_if_masses_differ_as_well(tmp_path: Path) -> N
     assert format_headline(comparison).startswith("DISAGREE: the base's frame is elsewhere")
     kinds = {kind for kind, _ in list_differences(comparison)}
     assert kinds == {"base frame", "mass", "com", "inertia"}
+
+
+def tree_of_two_hips(offset: float, turn: Rotation, mass: float) -> MultibodyTree:
+    """Two hinges about y at (-+offset, -+0.1, 0) m, in a base frame that is rotated by `turn`."""
+    model, rotation = pin.Model(), turn.as_matrix().T
+    for side, name in ((-1, "right"), (1, "left")):
+        place = pin.SE3(rotation, rotation @ np.array([side * offset, side * 0.1, 0.0]))
+        joint = model.addJoint(0, pin.JointModelRY(), place, name)
+        model.appendBodyToJoint(joint, pin.Inertia.FromSphere(1.0, 0.05), pin.SE3.Identity())
+    model.appendBodyToJoint(0, pin.Inertia.FromSphere(mass, 0.1), pin.SE3(np.eye(3), mass * ONES))
+    return multibody.from_pinocchio(model, "base", ["right", "left"], {})
+
+
+ONES = np.ones(3)
+
+
+@pytest.mark.parametrize(("offset", "is_found"), [(0.004, True), (0.0004, False)])
+def test_pose_of_the_base_needs_joints_whose_distance_from_a_line_exceeds_a_millimetre(
+    offset: float, is_found: bool
+) -> None:
+    """The joints are 0.2 m apart along their axes, and up to 4 or 0.4 mm off their common line.
+    Reference: the base frame is rotated by 0.5 rad about that line.
+    """
+    turn = Rotation.from_rotvec([0, 0.5, 0])
+    first = tree_of_two_hips(offset, Rotation.identity(), 1.0)
+    second = tree_of_two_hips(offset, turn, 7.0)
+    base = find_conventions(first, second, Tolerances(), fixed=False).base
+    assert (base is not None) == is_found
+    if base is not None:
+        np.testing.assert_allclose(base.rotation, turn.as_matrix().T, atol=1e-9)
 
 
 @pytest.mark.parametrize("pose", POSES)
