@@ -12,6 +12,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
+from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.units import HINGE_UNITS, SLIDE_UNITS
 
 if TYPE_CHECKING:
@@ -85,15 +88,23 @@ class JointAttribute:
 
 
 UNSTATED = 1e9
-"""Threshold of effort [N m, N] and velocity [rad/s, m/s] in a URDF. A value of at least this number
-counts as unspecified. The ``<limit>`` of a URDF must state both as finite numbers. Chosen, not
-tuned: the strongest motors have 1e4 N m.
+"""Threshold of effort [N m, N], velocity [rad/s, m/s] and absolute position limit [rad, m] in a
+file. A value of at least this number counts as unspecified. The ``<limit>`` of a URDF must state
+all as finite numbers. Chosen, not tuned: the strongest motors have 1e4 N m.
 """
 
 
 def known_limit(stated: float) -> float:
     """Return a URDF's effort [N m, N] or velocity limit [rad/s, m/s]; inf from ``UNSTATED`` up."""
     return math.inf if stated >= UNSTATED else stated
+
+
+def known_positions(stated: Array) -> Array:
+    """Return position limits [rad, m] with the values from ``UNSTATED`` up replaced by infinity.
+
+    The sign of each limit is kept.
+    """
+    return np.where(np.abs(stated) >= UNSTATED, np.copysign(np.inf, stated), stated)
 
 
 def _list_units(quantity: str) -> tuple[str, str]:

@@ -49,7 +49,7 @@ def write_urdf_of_model(
         source: Name of the model, for messages.
 
     Raises:
-        ModelError: If the model has a joint of another type, a sliding joint without limits,
+        ModelError: If the model has a joint of another type, a sliding joint without both limits,
             several free flyers, or a shape that a URDF cannot state. Also if the root has a free
             flyer and another joint, or if a free flyer is not at the root.
     """
@@ -158,9 +158,10 @@ class _UrdfWriter:
             set_origin(joint, frame.placement)
 
     def _add_joint(self, index: int) -> None:
-        """Add the joint with an index; raise ModelError for a slide without limits.
+        """Add the joint with an index; raise ModelError for a slide without two limits.
 
-        A hinge without two finite limits becomes continuous.
+        A hinge without limits becomes continuous. If a hinge has a single limit, the other limit is
+        written as `UNSTATED`, since a URDF has no infinite numbers.
         """
         model = self._model
         is_flyer = self._floating and index == 1
@@ -186,17 +187,22 @@ class _UrdfWriter:
                 (model.upperPositionLimit, np.inf),
             )
         )
-        bounded = max(abs(lower), abs(upper)) < _MAX_POSITION
-        if slides and not bounded:
+        stated = {
+            word: end
+            for word, end in (("lower", lower), ("upper", upper))
+            if abs(end) < _MAX_POSITION
+        }
+        if slides and len(stated) < 2:
             raise ModelError(self._source, diagnose("pinocchio-slide-without-limits", joint=name))
-        element.set("type", "prismatic" if slides else "revolute" if bounded else "continuous")
+        element.set("type", "prismatic" if slides else "revolute" if stated else "continuous")
         dof = joint.idx_v
         limits = {
             word: _write_limit(float(values[dof]))
             for word, values in (("effort", model.effortLimit), ("velocity", model.velocityLimit))
         }
-        if bounded:
-            limits |= {"lower": _write(lower), "upper": _write(upper)}
+        if stated:
+            ends = {"lower": -UNSTATED, "upper": UNSTATED} | stated
+            limits |= {word: _write(end) for word, end in ends.items()}
         add_element(element, "limit", **limits)
         damping, friction = float(model.damping[dof]), float(model.friction[dof])
         if damping or friction:

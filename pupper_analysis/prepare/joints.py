@@ -16,6 +16,7 @@ import mujoco
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.models.attributes import known_positions
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import group_actuators_by_joint
@@ -77,8 +78,9 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
             continue
         mjcf_low, mjcf_high = (float(value) for value in model.jnt_range[joint])
         bounds = max(mjcf_low, float(low)), min(mjcf_high, float(high))
+        known_low, known_high = known_positions(model.jnt_range[joint])
         if bounds[0] < bounds[1] and (
-            mjcf_low > low + _LIMIT_ATOL or mjcf_high < high - _LIMIT_ATOL
+            known_low > low + _LIMIT_ATOL or known_high < high - _LIMIT_ATOL
         ):
             narrower[name] = bounds
     if not narrower:

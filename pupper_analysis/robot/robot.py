@@ -26,6 +26,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnos
 from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.units import EARTH_GRAVITY
+from pupper_analysis.models.attributes import known_positions
 from pupper_analysis.models.conversion import UrdfImport, acting_gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.efforts import (
@@ -597,12 +598,12 @@ class Robot(EngineModels):
 
     @property
     def lower_limits(self) -> Array:
-        """Lower joint limits (nu,) [rad, m] of the URDF; -inf for a continuous joint."""
+        """Lower joint limits (nu,) [rad, m] of the URDF; -inf without a limit."""
         return self._select_positions(self.pin_model.lowerPositionLimit, -np.inf)
 
     @property
     def upper_limits(self) -> Array:
-        """Upper joint limits (nu,) [rad, m] of the URDF; inf for a continuous joint."""
+        """Upper joint limits (nu,) [rad, m] of the URDF; inf without a limit."""
         return self._select_positions(self.pin_model.upperPositionLimit, np.inf)
 
     @property
@@ -663,15 +664,17 @@ class Robot(EngineModels):
         return found
 
     def _select_positions(self, values: Array, unbounded: float) -> Array:
-        """Return the values (nu,) of the joints from a vector in the order of Pinocchio's q.
+        """Return position limits (nu,) of the joints from a vector in the order of Pinocchio's q.
+
+        Absolute limits of at least ``UNSTATED`` become infinite.
 
         Args:
-            values: Vector, shape (pin_model.nq,) [rad, m].
+            values: Limits, shape (pin_model.nq,) [rad, m].
             unbounded: Value for continuous joints, for which Pinocchio's model has no limit.
         """
         limits = np.array(values[self.pin_convention.q_index])
         limits[self.pin_convention.unbounded] = unbounded
-        return limits
+        return known_positions(limits)
 
     def check_not_welded(self, what: str) -> None:
         """Raise an error if a task welds a part to the world, or a part grips.

@@ -18,6 +18,7 @@ import yourdfpy
 
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf import to_xml
+from pupper_analysis.robot.joints import default_positions, joint_ranges
 from tests.robots.test_real_robots import LAB, file
 from tests.support.repository import ROOT
 from tests.support.states import random_state
@@ -169,6 +170,25 @@ def test_armature_and_gravity_of_pinocchio_model_are_kept() -> None:
         own.gravity = pin.Motion(robot.gravity, np.zeros(3))
         a = robot.accelerations_to_pinocchio(qpos, qvel, qacc)
         np.testing.assert_allclose(pin.rnea(own, own.createData(), q, v, a), expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("missing", [np.inf, 1.7976931348623157e308])
+def test_a_single_limit_of_a_hinge_in_a_pinocchio_model_is_kept(missing: float, sign: int) -> None:
+    """The limits of the given model are -0.5 rad and none, or none and 0.5 rad. The default
+    position is zero: the middle of a range with one limit does not exist.
+    """
+    ends = sorted((-0.5 * sign, missing * sign))
+    model = with_joint(pin.JointModelRY())
+    model.lowerPositionLimit[:], model.upperPositionLimit[:] = ends
+    robot = pa.load_robot(model)
+    expected = np.array(sorted((-0.5 * sign, np.inf * sign)))[None]
+    assert (robot.lower_limits, robot.upper_limits) == tuple(expected.T)
+    np.testing.assert_array_equal(joint_ranges(robot), expected)
+    assert default_positions(robot)[0] == 0.0
+    limited = robot.mj_model.jnt_range[robot.mj_model.joint("odd").id]
+    assert limited[(1 - sign) // 2] == -0.5 * sign
+    assert not [note for note in robot.notes if note.code == "narrower-limits-kept"]
 
 
 def make_box_shapes(model: pin.Model) -> pin.GeometryModel:
