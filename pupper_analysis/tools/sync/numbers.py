@@ -157,8 +157,11 @@ def write_numbers(
         ModelError: If a number cannot be written (the message lists all, with reasons), a file
             cannot be read, the files cannot be matched or do not describe the robot, or the new
             files are refused.
-        UnknownNameError: If an element does not exist.
+        UnknownNameError: If an element does not exist, or a kind of number is unknown.
     """
+    for kind, _ in numbers:
+        if kind not in NUMBER_KINDS:
+            raise UnknownNameError(robot.name, "number", kind, NUMBER_KINDS)
     description = robot.description
     urdf_path, mjcf_path = files or (
         None if description.converted == "urdf" else description.urdf_source,
@@ -375,6 +378,8 @@ JOINT_PARAMETER_KINDS = ("damping", "friction", "armature")
 """Kinds of numbers of a joint that `write_numbers` accepts."""
 SERVO_KINDS = ("kp", "kd")
 """Kinds of numbers of a position servo that `write_numbers` accepts."""
+NUMBER_KINDS = (*BODY_KINDS, *JOINT_PARAMETER_KINDS, *SERVO_KINDS)
+"""All kinds of numbers that `write_numbers` accepts."""
 
 _SAME_ROBOT_RTOL = 1e-6
 """Tolerance of the difference between a body of the loaded robot and the same body in the files. If

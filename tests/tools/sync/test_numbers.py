@@ -163,6 +163,13 @@ def test_unwritable_number_is_named_and_no_file_is_changed(plain: Files, tmp_pat
     assert refused.value.cause.code == "robot-is-not-its-files"
 
 
+def test_unknown_kind_of_number_is_refused_by_name(plain: Files) -> None:
+    """`frictionloss` is the word of an MJCF; the kind is `friction`, as the error lists."""
+    with pytest.raises(pa.UnknownNameError, match="frictionloss") as refused:
+        write_numbers(robot_of(plain), {("frictionloss", "knee1"): 0.05, ("mass", "base"): 5.0})
+    assert "friction" in refused.value.known
+
+
 def test_files_of_a_variant_are_found_from_their_copies(tmp_path: Path) -> None:
     """Of includes, default classes, meshes of another folder."""
     robot = pa.load_variant("v3")
