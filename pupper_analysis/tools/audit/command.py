@@ -139,12 +139,21 @@ def _fix_files(audits: Sequence[Audit], *, confirmed: bool) -> bool:
 
     ``confirmed`` is True with ``--yes``; otherwise the user is asked, and without a terminal
     nothing is written. The patch is on standard output, questions and remarks are on standard
-    error. Return True if the files were written.
+    error. Estimates are named on standard error, and not written. Return True if the files were
+    written.
     """
     from pupper_analysis.present.document import text
-    from pupper_analysis.tools.audit.fix import apply_repairs, make_patch, write_documents
+    from pupper_analysis.tools.audit.document import describe_repair
+    from pupper_analysis.tools.audit.fix import (
+        apply_repairs,
+        list_estimates,
+        make_patch,
+        write_documents,
+    )
 
     documents, count = apply_repairs(audits)
+    for repair in list_estimates(audits):
+        click.echo(describe_repair(repair).en, err=True)
     for document in documents:
         click.echo(make_patch(document), nl=False)
     if not documents:

@@ -136,13 +136,21 @@ def _describe_repairs(finding: Finding) -> Iterable[doc.Words]:
         (_format_change(repair), doc.diagnostic_text(repair.reason)) for repair in finding.repairs
     ]
     if len(candidates) == 1:
-        ((change, reason),) = candidates
-        yield text("repair-unique", change=change, reason=reason)
+        yield describe_repair(finding.repairs[0])
     elif candidates:
         changes = join_words(
             text("repair-candidate", change=change, reason=reason) for change, reason in candidates
         )
         yield text("repair-candidates", changes=changes)
+
+
+def describe_repair(repair: ValueRepair) -> doc.Text:
+    """Describe the only repair of a finding, and whether `audit --fix` writes the repair."""
+    return text(
+        "repair-estimate" if repair.is_estimate else "repair-unique",
+        change=_format_change(repair),
+        reason=doc.diagnostic_text(repair.reason),
+    )
 
 
 def _format_change(repair: ValueRepair) -> doc.Name:

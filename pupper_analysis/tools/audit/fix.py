@@ -1,6 +1,7 @@
 """Write the repairs of an audit into the files: a patch, and the changed bytes.
 
-Inputs are audits, of whose findings only those with a single repair are applied. Attribute values
+Inputs are audits, of whose findings only those with a single repair are applied. A repair that
+estimates a value (`ValueRepair.is_estimate`) is not applied. Attribute values
 are replaced, and missing attributes and elements inserted, in the bytes of the file, so that all
 other bytes stay. Files with uncommitted changes in git are not written.
 """
@@ -61,6 +62,19 @@ def _change_elements(document: XmlDocument, repair: ValueRepair) -> bool:
 
 
 def list_unique_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
+    """Return the repairs of the findings that have exactly one repair, without repetitions.
+
+    Estimates are left out (`list_estimates`).
+    """
+    return [repair for repair in _list_single_repairs(audits) if not repair.is_estimate]
+
+
+def list_estimates(audits: Iterable[Audit]) -> list[ValueRepair]:
+    """Return the single repairs of findings that estimate a value; these are not written."""
+    return [repair for repair in _list_single_repairs(audits) if repair.is_estimate]
+
+
+def _list_single_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
     """Return the repairs of the findings that have exactly one repair, without repetitions."""
     found = [
         finding.repairs[0]

@@ -137,6 +137,11 @@ class ValueRepair(Result):
     reason: Diagnostic
     further: tuple[ValueRepair, ...] = ()
 
+    @property
+    def is_estimate(self) -> bool:
+        """Whether the new values rest on the density of other links, which need not be equal."""
+        return self.reason.code == "repair-density"
+
     def list_changes(self) -> tuple[ValueRepair, ...]:
         """Return this change and the changes that belong to the same repair."""
         return (self, *self.further)

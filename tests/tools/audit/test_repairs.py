@@ -15,7 +15,8 @@ from click.testing import CliRunner
 from pupper_analysis.cli import group
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.tools.audit.audit import Audit, audit_model
-from pupper_analysis.tools.audit.fix import apply_repairs, write_documents
+from pupper_analysis.tools.audit.document import describe_repair
+from pupper_analysis.tools.audit.fix import apply_repairs, list_estimates, write_documents
 from pupper_analysis.tools.audit.registry import ValueRepair
 from tests.support.repository import ROOT
 
@@ -309,10 +310,10 @@ def test_limits_in_degrees_of_a_wide_range_are_found_by_the_other_limbs(tmp_path
     ]
 
 
-def test_link_denser_than_steel_and_the_other_links_gets_candidates(tmp_path: Path) -> None:
-    """The numbers are those of a published arm: 42.872 kg in a tube of 110 x 360 mm."""
+def write_dense_arm(path: Path, dense_mass: float) -> None:
+    """Write a URDF of four cylinders, of which the link `b` has the given mass [kg]."""
     links, joints = "", ""
-    sizes = {"base": (2.0, 0.08, 0.1), "a": (4.0, 0.06, 0.16), "b": (42.872, 0.055, 0.36)}
+    sizes = {"base": (2.0, 0.08, 0.1), "a": (4.0, 0.06, 0.16), "b": (dense_mass, 0.055, 0.36)}
     previous = ""
     for name, (mass, radius, length) in {**sizes, "c": (2.4, 0.045, 0.3)}.items():
         moment = mass * length**2 / 12 if mass < 9 else 0.55
@@ -329,8 +330,30 @@ def test_link_denser_than_steel_and_the_other_links_gets_candidates(tmp_path: Pa
                 '<limit lower="-2" upper="2" effort="150" velocity="3"/></joint>'
             )
         previous = name
-    path = tmp_path / "arm.urdf"
     path.write_text(f'<robot name="arm">{links}{joints}</robot>')
+
+
+def test_mass_from_the_density_of_other_links_is_named_and_not_written(tmp_path: Path) -> None:
+    """The density is 31 times the median of the other links: no power of ten makes it plausible.
+    The estimate is the volume times the median density, that of the link `c`.
+    """
+    path = tmp_path / "arm.urdf"
+    write_dense_arm(path, 133.0)
+    audit = audit_model(path)
+    (found,) = (f for f in audit.findings if f.rule == "density-implausible")
+    (repair,) = found.repairs
+    volumes = [radius**2 * length for radius, length in ((0.055, 0.36), (0.045, 0.3))]
+    assert float(repair.new["value"]) == pytest.approx(2.4 * volumes[0] / volumes[1], rel=1e-3)
+    assert apply_repairs([audit]) == ([], 0)
+    assert repair.is_estimate
+    assert list_estimates([audit]) == [repair]
+    assert describe_repair(repair).en.startswith("estimate: link 'b': mass value 133.0")
+
+
+def test_link_denser_than_steel_and_the_other_links_gets_candidates(tmp_path: Path) -> None:
+    """The numbers are those of a published arm: 42.872 kg in a tube of 110 x 360 mm."""
+    path = tmp_path / "arm.urdf"
+    write_dense_arm(path, 42.872)
     (found,) = (f for f in audit_model(path).findings if f.rule == "density-implausible")
     assert found.diagnostic.code == "denser-than-others"
     assert found.element == "link 'b'"
