@@ -457,7 +457,7 @@ def flatten_soles(context: SearchContext, goal: Goal, stand: Stand) -> Stand:
     return min(other, stand, key=foot_error) if other.solved else stand
 
 
-_MAX_SOLE_ERROR = 5e-5
+MAX_SOLE_ERROR = 5e-5
 """Upper bound of the foot error [m] with which a sole on a leg of fewer than six joints is accepted
 as in place. Chosen as a tenth of the usual penetration of feet into MuJoCo's ground."""
 
@@ -472,10 +472,17 @@ def has_underactuated_feet(robot: Robot) -> bool:
     Such a leg does not determine all six coordinates of the sole: with four joints, for example,
     roll and yaw may follow from position and pitch. IK may therefore leave the sole tilted.
     """
-    return any(
-        len(points) > 1 and _count_leg_joints(robot, points[0]) < _NUM_POSE_JOINTS
-        for points in robot.feet.values()
-    )
+    return bool(count_joints_of_short_legs(robot))
+
+
+def count_joints_of_short_legs(robot: Robot) -> dict[str, int]:
+    """Count the joints of each leg with fewer than six joints and a sole, as {foot: joints}."""
+    counts = {
+        foot: _count_leg_joints(robot, points[0])
+        for foot, points in robot.feet.items()
+        if len(points) > 1
+    }
+    return {foot: count for foot, count in counts.items() if count < _NUM_POSE_JOINTS}
 
 
 def describe_mechanism_limit(robot: Robot, goal: Goal) -> Diagnostic | None:
@@ -489,15 +496,13 @@ def describe_mechanism_limit(robot: Robot, goal: Goal) -> Diagnostic | None:
     task = goal.task
     if goal.give is not None and goal.give.any():
         return diagnose("loops-give-way", most=Quantity(abs(goal.give).max(), "rad or m"))
-    moved = [
-        sole for sole in robot.feet if {sole, *robot.feet[sole]} & {*task.swing, *task.foot_offsets}
-    ]
+    moved = {*task.swing, *task.foot_offsets}
     short = {
-        sole: _count_leg_joints(robot, robot.feet[sole][0])
-        for sole in moved
-        if len(robot.feet[sole]) > 1
+        sole: count
+        for sole, count in count_joints_of_short_legs(robot).items()
+        if {sole, *robot.feet[sole]} & moved
     }
-    if not short or min(short.values()) >= _NUM_POSE_JOINTS:
+    if not short:
         return None
     sole = min(short, key=short.__getitem__)
     return diagnose("sole-needs-six-joints", subject=("foot", sole), joints=short[sole])
@@ -516,14 +521,14 @@ def relax_foot_orientation(robot: Robot, goal: Goal, point: SolverResult) -> Goa
 
     A leg with fewer than six joints may be unable to lay a flat foot exactly on the ground. The
     goal is unchanged if IK converged, the position error of the feet is at least
-    `_MAX_SOLE_ERROR`, or no flat foot is on a leg with fewer than six joints.
+    `MAX_SOLE_ERROR`, or no flat foot is on a leg with fewer than six joints.
 
     Args:
         robot: Robot.
         goal: Goal with the foot targets.
         point: Result of the IK solver, with the reached configuration.
     """
-    if point.converged or point.foot_error >= _MAX_SOLE_ERROR or not has_underactuated_feet(robot):
+    if point.converged or point.foot_error >= MAX_SOLE_ERROR or not has_underactuated_feet(robot):
         return goal
     places = Configuration(robot, point.qpos).foot_positions()
     return replace(goal, targets=freeze_arrays({foot: places[foot] for foot in goal.targets}))

@@ -30,6 +30,7 @@ from pupper_analysis.robot.joints import joint_unit, resolve_posture
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.problem import feet_centre, ground_normals
+from pupper_analysis.stance.search import MAX_SOLE_ERROR, count_joints_of_short_legs
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
@@ -120,7 +121,8 @@ def solve_segments(
 
     Raises:
         ConfigurationError: If stances have different grounds, mix points and ``"inside"`` as
-            ``com``, move a foot that carries load, have fewer than three contact points in common,
+            ``com``, move a foot that carries load, or tilt or rotate a loaded sole on a leg with
+            fewer than six joints. Also if stances have fewer than three contact points in common,
             a foot lands while another lifts, or no stand can satisfy a task.
         StanceUnreachableError: If a stance is out of reach. The error contains the number of the
             stance.
@@ -153,9 +155,9 @@ def solve_segments(
         if len(sets[-1]) < 3:
             problem = diagnose("too-few-feet-carry", count=len(sets[-1]), where=where)
             raise ConfigurationError("stances", problem)
-        for foot in sets[-1]:
-            if np.abs(start.feet[foot] - end.feet[foot]).max() > 1e-9:
-                problem = diagnose("carrying-foot-moves", subject=("foot", foot), where=where)
+        for point in sets[-1]:
+            if np.abs(start.feet[point] - end.feet[point]).max() > _MAX_FOOT_MOTION:
+                problem = _describe_moved_foot(robot, start, end, point, where)
                 raise ConfigurationError("stances", problem)
         if number > 1 and not (set(sets[-1]) <= set(sets[-2]) or set(sets[-1]) >= set(sets[-2])):
             problem = diagnose("lands-as-another-lifts", number=number)
@@ -166,6 +168,34 @@ def solve_segments(
         for number, (start, end) in enumerate(pairwise(keys), 1)
     ]
     return segments, tuple(solved)
+
+
+_MAX_FOOT_MOTION = 1e-9
+"""Largest difference [m] between the positions of a loaded foot in two successive stances: the
+error of a solved stand. Chosen, not tuned."""
+
+
+def _describe_moved_foot(
+    robot: Robot, start: PathStance, end: PathStance, point: str, where: Diagnostic
+) -> Diagnostic:
+    """Return the message that a loaded contact point has different positions in two stances.
+
+    If both tasks place the foot equally, and its leg has fewer than six joints, the cause is the
+    leg: its sole is tilted or rotated in one of the stances (`relax_foot_orientation`).
+    """
+    foot = robot.foot_of(point)
+    moved = float(np.linalg.norm(end.feet[point] - start.feet[point]))
+    joints = count_joints_of_short_legs(robot).get(foot)
+    if joints is None or moved > 2 * MAX_SOLE_ERROR:
+        return diagnose("carrying-foot-moves", subject=("foot", point), where=where)
+    return diagnose(
+        "short-leg-moves-sole",
+        subject=("foot", foot),
+        joints=joints,
+        moved=Quantity(moved, "m"),
+        limit=Quantity(_MAX_FOOT_MOTION, "m"),
+        where=where,
+    )
 
 
 def interpolate_task(

@@ -13,11 +13,13 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import pupper_analysis as pa
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.tools.path.dynamics import joint_resistance
+from pupper_analysis.tools.path.geometry import solve_segments
 from pupper_analysis.tools.path.plan import StancePath, stance_path
 from pupper_analysis.tools.path.tracking import track_path
-from tests.support.legged import quadruped_with_slides
+from tests.support.legged import biped, edit_pair, fix_hinges, quadruped_with_slides
 from tests.support.variants import load
 
 Task = pa.StandTask
@@ -304,6 +306,23 @@ def test_a_path_refuses_bad_arguments(
     with pytest.raises(pa.ConfigurationError, match=named) as caught:
         stance_path(load("v3"), tasks, seconds, rate=rate)
     assert "\n" not in str(caught.value)
+
+
+def test_sole_on_a_short_leg_that_cannot_stay_in_place_is_named(tmp_path: Path) -> None:
+    """Legs without a yaw joint rotate their soles with the base. Reference: the number of joints
+    of a leg, and the yaw times the distance of a corner of the sole from the middle of both feet.
+    """
+    key = f'<keyframe><key name="home" qpos="0 0 0.6932 1 0 0 0 {"0 -0.3 0.6 -0.3 0 " * 2}"/>'
+    pair = fix_hinges(biped(tmp_path), "_yaw")
+    robot = pa.load_robot(*edit_pair(pair, {}, {"</mujoco>": f"{key}</keyframe></mujoco>"}))
+    with pytest.raises(pa.ConfigurationError, match="a leg with 5 joints") as refused:
+        solve_segments(robot, [Task(), Task(yaw=2e-4)])
+    problem = refused.value.problem
+    assert isinstance(problem, Diagnostic)
+    assert problem.code == "short-leg-moves-sole"
+    moved = problem.values["moved"]
+    assert isinstance(moved, Quantity)
+    assert 1e-9 < moved.value < 2e-4 * math.hypot(0.12, 0.14)
 
 
 def test_refusals_name_the_moment() -> None:
