@@ -54,11 +54,18 @@ class ComparedLink:
         name: Link of the URDF, or body of the MJCF.
         body: Mass [kg], CoM [m], and inertia about the CoM [kg m^2].
         axes: Rotation matrix from the axes of the link to the axes of the body, shape (3, 3).
+        origin: Origin of the link in the frame of the moving body, shape (3,) [m].
     """
 
     name: str
     body: TreeBody
     axes: Array
+    origin: Array
+
+    @property
+    def offset(self) -> Array:
+        """CoM relative to the origin of the link, in the axes of the moving body, (3,) [m]."""
+        return self.body.com - self.origin
 
 
 Links = Mapping[str, tuple[ComparedLink, ...]]
@@ -82,7 +89,12 @@ def list_urdf_links(robot: Robot) -> Links:
         body = TreeBody.of(inertia).transform(frame.placement)
         moving_joint = _get_moving_joint(robot, model, int(frame.parentJoint))
         links_by_joint.setdefault(moving_joint, []).append(
-            ComparedLink(name, body, np.array(frame.placement.rotation))
+            ComparedLink(
+                name,
+                body,
+                np.array(frame.placement.rotation),
+                np.array(frame.placement.translation),
+            )
         )
     return {moving_joint: tuple(links) for moving_joint, links in links_by_joint.items()}
 
@@ -109,7 +121,7 @@ def list_mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) ->
         pose = aligned_poses[moving_joint].actInv(raw_poses[moving_joint]) * frame.placement
         link_body = TreeBody.of(inertia_of_body(mujoco_model, index)).transform(pose)
         links_by_joint.setdefault(moving_joint, []).append(
-            ComparedLink(name, link_body, np.array(pose.rotation))
+            ComparedLink(name, link_body, np.array(pose.rotation), np.array(pose.translation))
         )
     return {moving_joint: tuple(links) for moving_joint, links in links_by_joint.items()}
 
@@ -654,16 +666,12 @@ class _TensorPair:
         moving_joint: Joint that moves the body, or the base.
         urdf: Link of the URDF.
         mjcf: Body of the MJCF.
-        urdf_offset: CoM relative to the origin of the moving body in the URDF, shape (3,) [m].
-        mjcf_offset: CoM relative to the origin of the moving body in the MJCF, shape (3,) [m].
         turn: Rotation of ``<inertial><origin>`` in the URDF, in the axes of the body, shape (3, 3).
     """
 
     moving_joint: str
     urdf: ComparedLink
     mjcf: ComparedLink
-    urdf_offset: Array
-    mjcf_offset: Array
     turn: Array
 
     def equals(self, urdf: Array, mjcf: Array, tolerances: Tolerances) -> bool:
@@ -695,18 +703,17 @@ def _list_tensor_pairs(case: PatternCase) -> Iterator[_TensorPair]:
             name,
             urdf,
             mjcf,
-            case.first.bodies[name].com,
-            mjcf.axes @ case.raw.bodies[name].com,
             urdf.axes @ turn @ urdf.axes.T,
         )
 
 
-def _compute_origin_shift(link: ComparedLink, offset: Array) -> Array:
-    """Compute a link's tensor about the origin minus that about the CoM, shape (3, 3) [kg m^2].
+def _compute_origin_shift(link: ComparedLink) -> Array:
+    """Compute a link's tensor about its origin minus that about the CoM, shape (3, 3) [kg m^2].
 
     This is m (c.c E - c c^T), with the mass m, the identity E, and the CoM c relative to the origin
-    of the link: ``offset``, shape (3,) [m], in the body axes.
+    of the link (`ComparedLink.offset`). The tensor is in the axes of the moving body.
     """
+    offset = link.offset
     tensor: Array = link.body.mass * (float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
     return tensor
 
@@ -714,19 +721,21 @@ def _compute_origin_shift(link: ComparedLink, offset: Array) -> Array:
 def _has_inverse_axes(pair: _TensorPair, tolerances: Tolerances) -> bool:
     """Return True if the tensors of a pair have inverse principal axes.
 
-    Inverse means: for a rotation E and a diagonal matrix D, the tensors are E D E^T and E^T D E.
-    All orders and signs of the principal axes that form a right-handed frame are tested.
+    Inverse means: for a rotation E and a diagonal matrix D, the tensors are E D E^T and E^T D E in
+    the axes of the link whose file has the mistake. Both files are tested, since their links may
+    have different axes. All orders and signs of the principal axes that form a right-handed frame
+    are tested.
     """
-    moments, axes = np.linalg.eigh(pair.urdf.body.inertia)
-    axes = axes * float(np.sign(np.linalg.det(axes)))
-    return any(
-        pair.equals(
-            (axes @ turn).T @ (turn.T @ np.diag(moments) @ turn) @ (axes @ turn),
-            pair.mjcf.body.inertia,
-            tolerances,
-        )
-        for turn in quarter_turns()
-    )
+    urdf, mjcf = pair.urdf, pair.mjcf
+    for link, other in ((mjcf, urdf), (urdf, mjcf)):
+        stated, right = (link.axes.T @ each.body.inertia @ link.axes for each in (link, other))
+        moments, axes = np.linalg.eigh(right)
+        axes = axes * float(np.sign(np.linalg.det(axes)))
+        for turn in quarter_turns():
+            inverse = (axes @ turn).T @ (turn.T @ np.diag(moments) @ turn) @ (axes @ turn)
+            if pair.equals(inverse, stated, tolerances):
+                return True
+    return False
 
 
 _MIN_TURN = 1e-3
@@ -750,10 +759,10 @@ def find_tensor_mistakes(case: PatternCase) -> PatternFindings:
         for pair in pairs:
             urdf, mjcf = pair.urdf.body.inertia, pair.mjcf.body.inertia
             if file == "URDF":
-                moved = urdf - _compute_origin_shift(pair.urdf, pair.urdf_offset)
+                moved = urdf - _compute_origin_shift(pair.urdf)
                 about_origin += [pair] if pair.equals(moved, mjcf, tolerances) else []
                 continue
-            moved = mjcf - _compute_origin_shift(pair.mjcf, pair.mjcf_offset)
+            moved = mjcf - _compute_origin_shift(pair.mjcf)
             about_origin += [pair] if pair.equals(urdf, moved, tolerances) else []
             written = pair.turn.T @ urdf @ pair.turn
             is_turned = float(np.linalg.norm(pin.log3(pair.turn))) > _MIN_TURN

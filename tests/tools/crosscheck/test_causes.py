@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -360,17 +361,25 @@ def with_tensor(part: Part, tensor: np.ndarray) -> Part:
     return replace(part, inertia=tuple(float(entry) for entry in entries))
 
 
+def state_about_origin(part: Part) -> Part:
+    """Return a part whose tensor is about the origin of its link (Steiner) instead of the CoM."""
+    com = np.array(part.com)
+    shift = part.mass * (com @ com * np.eye(3) - np.outer(com, com))
+    return with_tensor(part, tensor_of(part) + shift)
+
+
+def invert_axes(part: Part) -> Part:
+    """Return a part with the tensor E^T D E instead of E D E^T, in the axes of its link."""
+    moments, axes = np.linalg.eigh(tensor_of(part))
+    return with_tensor(part, axes.T @ np.diag(moments) @ axes)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("file", ["URDF", "MJCF"])
 def test_tensors_about_the_origin_of_the_link_are_one_cause(file: str, tmp_path: Path) -> None:
     """Steiner: the tensor about the origin exceeds that about the com by m (c.c E - c c^T)."""
 
-    def moved(part: Part) -> Part:
-        com = np.array(part.com)
-        shift = part.mass * (com @ com * np.eye(3) - np.outer(com, com))
-        return with_tensor(part, tensor_of(part) + shift)
-
-    slips = {name: moved(part) for name, part in quadruped().items()}
+    slips = {name: state_about_origin(part) for name, part in quadruped().items()}
     files = (slips, quadruped()) if file == "URDF" else (quadruped(), slips)
     comparison = compare_files(write(tmp_path, urdf_text(files[0]), mjcf_text(files[1])))
     (cause,) = comparison.causes
@@ -381,15 +390,38 @@ def test_tensors_about_the_origin_of_the_link_are_one_cause(file: str, tmp_path:
     )
 
 
+@pytest.mark.parametrize(
+    ("kind", "make"), [("inertia origin", state_about_origin), ("inertia axes", invert_axes)]
+)
+@pytest.mark.parametrize("file", ["URDF", "MJCF"])
+def test_mistaken_tensor_of_a_link_on_a_massless_link_is_found_in_its_own_frame(
+    kind: str, make: Callable[[Part], Part], file: str, tmp_path: Path
+) -> None:
+    """The frame of the link with mass is shifted and rotated in the moving link without mass.
+    Reference: Steiner's theorem and the eigenvectors of the tensor, in the axes of that link.
+    """
+    parts = quadruped()
+    for leg in range(2):
+        thigh = parts[f"thigh{leg}"]
+        turn = tuple(Rotation.from_rotvec([0.4, -0.7, 0.9]).as_quat(scalar_first=True))
+        name = f"shell{leg}"
+        shell = replace(
+            thigh, link=name, parent=thigh.link, joint=f"to_{name}", kind="fixed",
+            position=(0.03, -0.02, 0.05), quaternion=turn,
+        )  # fmt: skip
+        parts |= {thigh.link: replace(thigh, mass=0.0), name: shell}
+    slips = parts | {name: make(parts[name]) for name in ("shell0", "shell1")}
+    urdf, mjcf = (slips, parts) if file == "URDF" else (parts, slips)
+    comparison = compare_files(write(tmp_path, urdf_text(urdf), mjcf_text(mjcf)))
+    (cause,) = comparison.causes
+    assert cause.kind == kind
+    assert len(cause.differences) == len(comparison.differences) == 2
+
+
 @pytest.mark.slow
 def test_tensors_with_axes_of_the_inverse_rotation_are_one_cause(tmp_path: Path) -> None:
     """I = E D E^T in the URDF is E^T D E in the MJCF, as with a conjugated quaternion."""
-
-    def conjugated(part: Part) -> Part:
-        moments, axes = np.linalg.eigh(tensor_of(part))
-        return with_tensor(part, axes.T @ np.diag(moments) @ axes)
-
-    mjcf = {name: conjugated(part) for name, part in quadruped().items()}
+    mjcf = {name: invert_axes(part) for name, part in quadruped().items()}
     comparison = compare_files(pair(tmp_path, mjcf))
     (cause,) = comparison.causes
     assert cause.kind == "inertia axes"
