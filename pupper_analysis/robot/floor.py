@@ -37,12 +37,13 @@ def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
 
 
 def merge_planes(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> None:
-    """Make the floor the only plane of the world body that collides, in place.
+    """Make a level floor the only level plane of the world body that collides, in place.
 
-    The contact bits of all other planes are added to those of the floor, and are then cleared.
+    The contact bits of all other level planes are added to those of the floor, and are then
+    cleared. Tilted planes, such as walls, are not changed.
     """
     for geom in spec.worldbody.geoms:
-        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE and geom != floor:
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE and geom != floor and _is_level(geom):
             floor.contype |= geom.contype
             floor.conaffinity |= geom.conaffinity
             geom.contype = geom.conaffinity = 0
@@ -120,15 +121,22 @@ def is_fixed(body: mujoco.MjsBody | None) -> bool:
     return True
 
 
-def _is_level_at_zero(floor: mujoco.MjsGeom) -> bool:
-    """Return True if a plane in the world body, outside of <frame>, is level at z = 0."""
+def _is_level(plane: mujoco.MjsGeom) -> bool:
+    """Return True if a plane in the world body, outside of <frame>, is level at any height.
+
+    A plane with another form of orientation than a quaternion counts as not level.
+    """
     return bool(
-        floor.parent.name == "world"
-        and floor.frame is None
-        and floor.alt.type == mujoco.mjtOrientation.mjORIENTATION_QUAT
-        and abs(floor.pos[2]) < _LEVEL_ATOL
-        and np.abs(floor.quat[1:3]).max() < _LEVEL_ATOL
+        plane.parent.name == "world"
+        and plane.frame is None
+        and plane.alt.type == mujoco.mjtOrientation.mjORIENTATION_QUAT
+        and np.abs(plane.quat[1:3]).max() < _LEVEL_ATOL
     )
+
+
+def _is_level_at_zero(plane: mujoco.MjsGeom) -> bool:
+    """Return True if a plane in the world body, outside of <frame>, is level at z = 0."""
+    return _is_level(plane) and abs(plane.pos[2]) < _LEVEL_ATOL
 
 
 def _level_floor(

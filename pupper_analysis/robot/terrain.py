@@ -35,8 +35,8 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
 
     The floor is tilted. A box is added for each step, and a cylinder for each bar. These geoms have
     the contact parameters of the floor. Exception: if a plane has a friction coefficient of its
-    own, the parameters come from `Robot.contacts`. The floor replaces other planes of the world
-    (`merge_planes`). The following collisions are disabled:
+    own, the parameters come from `Robot.contacts`. The floor replaces other level planes of
+    the world (`merge_planes`). The following collisions are disabled:
 
     - between a foot on a step and the floor: in a pit, the foot is below the floor, and through a
       low step, it may reach the floor;
@@ -251,7 +251,7 @@ def _add_ground(
 ) -> None:
     """Tilt the floor, and add the box or cylinder under each foot (`Ground.steps`), in place.
 
-    Other planes of the world, such as a second level plane, no longer collide (`merge_planes`).
+    Other level planes of the world no longer collide (`merge_planes`).
 
     Args:
         robot: Robot.

@@ -10,10 +10,25 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.robot.floor import merge_planes
 from pupper_analysis.robot.terrain import build_on_ground
 from tests.support.legged import quadruped
 
 WALL = '<geom name="wall" type="plane" size="1 1 1" pos="3 0 0" quat="0.7071 0 -0.7071 0"/>'
+
+
+def test_a_wall_still_collides_if_level_planes_are_merged() -> None:
+    """Reference: contact bits of MuJoCo's compiled model. The wall has 2, the second floor 4."""
+    second = '<geom name="second" type="plane" size="1 1 1" contype="4"/>'
+    wall = WALL.replace("/>", ' contype="2"/>')
+    floor = '<geom name="floor" type="plane" size="1 1 1"/>'
+    spec = mujoco.MjSpec.from_string(
+        f"<mujoco><worldbody>{floor}{second}{wall}</worldbody></mujoco>"
+    )
+    merge_planes(spec, spec.geom("floor"))
+    model = spec.compile()
+    bits = {name: int(model.geom(name).contype[0]) for name in ("floor", "second", "wall")}
+    assert bits == {"floor": 5, "second": 0, "wall": 2}
 
 
 @pytest.mark.parametrize("first", [WALL, '<geom name="second" type="plane" size="1 1 1"/>'])
