@@ -14,6 +14,7 @@ from typing import Any
 
 import click
 
+from pupper_analysis.base.errors import StanceUnreachableError
 from pupper_analysis.base.kinds import GENERATOR_NAME
 from pupper_analysis.cli.shared import TYPED_WORDS, OutputPath, sort_model_paths
 from pupper_analysis.present.document import NextStep
@@ -147,6 +148,48 @@ def _list_excluded_options(step: NextStep, values: Mapping[str, Any]) -> list[st
     if not (searches or values.get("payload") or "--payload" in step.words):
         excluded.append("--payload-at")
     return excluded
+
+
+def complete_relaxed_command(error: StanceUnreachableError) -> str:
+    """Return the running command for the nearest reachable stance: `error.nearest`.
+
+    Options of the relaxed requirements have the values of the reachable stance. The other typed
+    words are unchanged.
+
+    Args:
+        error: Refusal of the requested stance.
+
+    Returns:
+        Command line. Empty without a reachable stance, or if a relaxed requirement has no option
+        of lengths or angles (a contact surface), or if `complete_command` returns an empty line.
+    """
+    from pupper_analysis.cli.stance_fields import format_as_options
+
+    context = click.get_current_context(silent=True)
+    if context is None or error.nearest is None:
+        return ""
+    task = error.nearest.task
+    relaxed = next(
+        (
+            list(limits)
+            for limits in error.limits.values()
+            if all(getattr(task, demand) == value for demand, value in limits.items())
+        ),
+        [],
+    )
+    options = format_as_options(task, relaxed)
+    if not options:
+        return ""
+    first = [
+        word
+        for argument in context.command.params
+        if isinstance(argument, click.Argument) and argument.name not in _ROBOT_ARGUMENTS
+        for word in _split_parameter(context.params.get(str(argument.name)))
+    ]
+    words = [word for option, values in options.items() for value in values
+             for word in (option, value)]  # fmt: skip
+    step = NextStep(str(context.command.name), (*first, *words), omitted=tuple(options))
+    return complete_command(step)
 
 
 def print_next_step(step: NextStep | None) -> None:

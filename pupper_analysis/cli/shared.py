@@ -25,7 +25,7 @@ from click.core import ParameterSource
 from pupper_analysis.base import kinds
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.drivers import import_without_opengl, no_mujoco_log
-from pupper_analysis.base.errors import ConfigurationError, OutputError
+from pupper_analysis.base.errors import ConfigurationError, OutputError, StanceUnreachableError
 from pupper_analysis.base.kinds import Folder, OutputKind
 from pupper_analysis.base.progress import MIN_REPORTED_TIME, ProgressClock, observe_progress
 from pupper_analysis.base.runs import ensure_run, register_input
@@ -328,6 +328,11 @@ class Command(click.Command):
                 for note in getattr(error, "__notes__", ()):
                     named.add_note(note)
                 raise named from error
+            raise
+        except StanceUnreachableError as error:
+            from pupper_analysis.cli.next_step import complete_relaxed_command
+
+            error.add_note(complete_relaxed_command(error))
             raise
 
     def _find_typed_option(self, context: click.Context, field: str) -> str:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
@@ -111,6 +112,44 @@ def make_task(values: Mapping[str, Any]) -> StandTask:
     return StandTask().with_values(
         {name: to_task_value(OPTION_FIELDS[name], value) for name, value in values.items()}
     )
+
+
+def format_as_options(task: StandTask, attributes: Sequence[str]) -> dict[str, list[str]]:
+    """Format requirements of a stand task as options of a command, the inverse of `make_task`.
+
+    Args:
+        task: Task.
+        attributes: Attributes of `StandTask` to format.
+
+    Returns:
+        {option: its values}, for example ``{"--swing": ["FL=20mm"]}``. Empty if an attribute has a
+        value that is no length, angle or point, for example a contact surface.
+    """
+    stated = task.values()
+    fields = [field for field in FIELDS.values() if field.attribute in attributes]
+    options: dict[str, list[str]] = {}
+    for field in fields:
+        values = stated[field.name] if field.per else {"": stated[field.name]}
+        for key, value in values.items():
+            if value is None:
+                continue
+            if field.name not in OPTION_FIELDS or field.kind not in ("length", "angle", "point"):
+                return {}
+            numbers = ",".join(
+                _format_number(number, field.kind)
+                for number in (value if isinstance(value, tuple) else (value,))
+            )
+            options.setdefault(f"--{field.option}", []).append(
+                f"{key}={numbers}" if key else numbers
+            )
+    return options
+
+
+def _format_number(value: float, kind: str) -> str:
+    """Format a length [m] in mm, or an angle [rad] in deg, with its unit and up to ten digits."""
+    if kind == "angle":
+        return f"{math.degrees(value):.10g}deg"
+    return f"{1e3 * value:.10g}mm"
 
 
 def to_task_value(field: Field, value: Any) -> Any:

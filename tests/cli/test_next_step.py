@@ -7,13 +7,17 @@ import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import click
 import pytest
 
+import pupper_analysis as pa
 from pupper_analysis import cli
-from pupper_analysis.cli.next_step import complete_command
+from pupper_analysis.base.errors import StanceUnreachableError
+from pupper_analysis.cli.next_step import complete_command, complete_relaxed_command
 from pupper_analysis.cli.shared import TYPED_WORDS
+from pupper_analysis.cli.stance_fields import OPTION_FIELDS, format_as_options, make_task
 from pupper_analysis.present.document import NextStep
 from pupper_analysis.tools.audit.audit import audit_model
 from pupper_analysis.tools.audit.document import audit_document
@@ -192,3 +196,51 @@ def test_printed_next_command_is_accepted(line: str, tmp_path: Path) -> None:
         with contextlib.chdir(tmp_path):
             cli.find_command(step[0]).make_context(step[0], step[1:]).close()
     assert ("arm" in line or "new" in line) <= (step[0] not in ("stand", "payload")), step
+
+
+@pytest.mark.parametrize(
+    ("typed", "expected"),
+    [
+        ("stand v3 --height 20cm --kp 8", "stand v3 --kp 8 --height 0.15m"),
+        ("best payload v3 --swing FL=2cm", "best payload v3 --height 150mm --swing FL=2cm"),
+    ],
+)
+def test_refusal_is_followed_by_the_command_for_the_nearest_stance(
+    typed: str, expected: str
+) -> None:
+    """Reference: the task that click parses from the suggested command."""
+    name, *words = shlex.split(typed)
+    reachable = pa.StandTask(height=0.15)
+    error = StanceUnreachableError(
+        reachable.phrase(), {}, {}, nearest=SimpleNamespace(task=reachable),
+        limits={"pitch": {"pitch": 0.1}, "height": {"height": 0.15}},
+    )  # fmt: skip
+    root = click.Context(cli.group, info_name="pupper-analysis")
+    command = cli.find_command(name)
+    with command.make_context(name, [*words], parent=root) as context:
+        context.meta[TYPED_WORDS] = tuple(words)
+        line = complete_relaxed_command(error)
+    _, *suggested = shlex.split(line)
+    parsed, wanted = (
+        command.make_context(name, given[1:], parent=root).params
+        for given in (suggested, shlex.split(expected))
+    )
+    assert {key: parsed[key] for key in ("words", "height", "swing", "kp")} == {
+        key: wanted[key] for key in ("words", "height", "swing", "kp")
+    }
+
+
+def test_options_of_a_task_are_parsed_to_the_same_task() -> None:
+    """Reference: `make_task`, the inverse. A contact surface has no such options."""
+    task = pa.StandTask(height=0.1415, pitch=-0.1, swing={"FL": 0.02}, offset=(0.01, -0.02),
+                        foot_offsets={"FR": (0.0, 0.003)})  # fmt: skip
+    attributes = ["height", "pitch", "swing", "offset", "foot_offsets"]
+    options = format_as_options(task, attributes)
+    words = [word for name, values in options.items() for value in values for word in (name, value)]
+    command = cli.find_command("stand")
+    parsed = command.make_context("stand", ["v3", *words]).params
+    made = make_task({name: parsed[name] for name in OPTION_FIELDS})
+    for attribute in attributes:
+        given, found = getattr(task, attribute), getattr(made, attribute)
+        assert repr(found) == repr(given) or found == pytest.approx(given, rel=1e-9)
+    assert format_as_options(task, ["contacts"]) == {}
