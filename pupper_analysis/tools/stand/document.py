@@ -124,6 +124,12 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
     run = stance.verification
     stand = stance.stand
     positions = get_display_scales(stance.units) * stance.joint_positions
+    soft = tuple(_describe_soft_servos(stance))
+    numbers = (*_describe_height(stance), *_describe_servo_gains(stance))
+    # Line 2 is the reason for a qualified verdict: texts of the verdict, before height and gains.
+    qualified = stance.verdict.code is VerdictCode.HOLDS_WITH_FEEDFORWARD and not soft
+    # The cause of a failure of the unmodified file is part of the verdict.
+    own_soft = _has_soft_drives(stance)
     blocks = [
         view_block(robot, stand, stance.statics, list_motions([run])),
         *load_blocks(
@@ -147,14 +153,12 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         (
             *_describe_peak_torque(stance),
             *_warn_of_model_mismatch(run),
+            *(numbers if qualified else ()),
+            *(soft if own_soft else ()),
             *_list_findings(stance),
         ),
-        limits=(
-            *_describe_height(stance),
-            *(_describe_soft_servos(stance) if stance.passed else ()),
-            *_describe_servo_gains(stance),
-        ),
-        causes=() if stance.passed else _describe_soft_servos(stance),
+        limits=() if qualified else (*numbers[:1], *(soft if stance.passed else ()), *numbers[1:]),
+        causes=() if stance.passed or own_soft else soft,
         details=(task_text(stance.stand.task), *_list_details(stance)),
         notes=robot_notes(robot),
         next_step=_select_next_step(stance),
@@ -196,15 +200,20 @@ def _select_next_step(stance: Stance) -> NextStep:
     if any(failure.code == "height-lost" for failure in verdict.failures):
         run, height = stance.verification, stance.stand.task.height or 0.0
         step = NextStep("stand", ("--height", f"{math.floor(1e3 * (height - run.height_loss))}mm"))
-    own = verdict.keyframe_run
-    soft = own is not None and any(cause.code == "soft-servos" for cause in own.causes)
-    if verdict.code is VerdictCode.OWN_DRIVES_FAIL and soft:
+    if _has_soft_drives(stance):
         step = _stiffen_servos(stance.verification)
     if verdict.code is VerdictCode.FAILS and stance.soft_servos is not None:
         step = _stiffen_soft_servos(stance) or step
     if stance.minimum_stiffness is not None and "--minimum-stiffness" in step.words:
         step = NextStep("payload")
     return step
+
+
+def _has_soft_drives(stance: Stance) -> bool:
+    """Return True if the unmodified file does not stand because its own servos are too soft."""
+    own = stance.verdict.keyframe_run
+    soft = own is not None and any(cause.code == "soft-servos" for cause in own.causes)
+    return stance.verdict.code is VerdictCode.OWN_DRIVES_FAIL and soft
 
 
 def _stiffen_servos(run: StandVerification) -> NextStep:
