@@ -39,7 +39,7 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     # The largest motor load and the height are details: the objective is the answer.
     load, height, *others = stand_document.findings
     coordinates, *more = stand_document.details
-    step = _make_next_step(study)
+    step = _make_next_step(study, stand_document.next_step)
     messages: tuple[doc.Words, ...] = (_make_search_line(study.best), *others)
     details: tuple[doc.Words, ...] = (load, height, *more)
     if step.command == "path":  # its options state the coordinates
@@ -72,15 +72,19 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     )
 
 
-def _make_next_step(study: BestStudy) -> doc.NextStep:
+def _make_next_step(study: BestStudy, stand_step: doc.NextStep | None) -> doc.NextStep:
     """Return the next command: ``path``, with the best stance as goal.
 
     If the best stance fails in simulation (with the payload, if a payload is sought), the result is
-    ``stand`` instead. The result is ``workspace`` if the task specifies absolute foot positions, a
-    CoM that is not in the centre, or no height.
+    ``best`` with the gains that ``stand_step``, the next command of the stand's document, contains.
+    Without such gains it is ``stand``. The result is ``workspace`` if the task specifies absolute
+    foot positions, a CoM that is not in the centre, or no height.
     """
     task = study.best.stand.task
     if not study.passed:
+        gains = () if stand_step is None else stand_step.words
+        if "--kp" in gains:
+            return doc.NextStep("best", (study.best.objective.value, *gains))
         return doc.NextStep("stand")
     if task.feet or task.com != "centre" or task.height is None:
         return doc.NextStep("workspace")

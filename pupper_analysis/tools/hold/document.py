@@ -46,6 +46,11 @@ of the 600 random postures. Chosen, not tuned.
 """
 
 
+MIN_FURTHER_SHARE = 0.1
+"""Ratio [1] of a further payload to the present payload, below which the further payload is not
+proposed: it is the rest that rounding left in the last proposal. Chosen, not tuned."""
+
+
 @build_document.register(Hold)
 def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
     """Create the report of a held posture: torques, worst postures, payload, push force, verdict.
@@ -102,18 +107,23 @@ def _find_overloaded_motors(hold: Hold) -> list[str]:
 def _select_next_step(hold: Hold) -> doc.NextStep:
     """Return the next command: `hold` with the payload that all found postures hold, rounded down.
 
-    There are three exceptions. If this payload is unknown, unlimited or zero, or if the posture
-    fails, the next command is `audit`, which checks the files. If a difference of the two files
-    explains a failure, it is `crosscheck`. After a failure with a payload, it is `hold` without the
-    payload, which finds the largest payload.
+    There are four exceptions. If this payload is unknown, unlimited or zero, or if the posture
+    fails, the next command is `audit`, which checks the files. It is also `audit` if the posture is
+    already loaded, and the rest of the payload is below `MIN_FURTHER_SHARE` of the load. If a
+    difference of the two files explains a failure, it is `crosscheck`. If the posture fails with a
+    payload, or a found posture does, it is `hold` without the payload, which finds the largest
+    payload.
     """
     payload = hold.payload.worst_posture_mass
+    overloaded = hold.carried > 0 and bool(_find_overloaded_motors(hold))
     if not hold.passed:
         step = doc.NextStep("audit")
         if hold.carried > 0:
             step = doc.NextStep("hold", omitted=("--payload",))
         return select_step_after_failure(hold.verdict, step)
-    if not math.isfinite(payload) or payload <= 0:
+    if overloaded:
+        return doc.NextStep("hold", omitted=("--payload",))
+    if not math.isfinite(payload) or payload <= MIN_FURTHER_SHARE * hold.carried:
         return doc.NextStep("audit")
     carried = hold.carried + round_mass_down(payload)
     return doc.NextStep("hold", ("--payload", f"{carried:.6g}kg"))
@@ -139,6 +149,7 @@ def _describe_worst_posture(hold: Hold) -> doc.Words:
         joint=doc.Name(worst.joint_names[index]),
         tool=doc.Name(hold.tool.name),
         payload=_format_payload_limit(payload),
+        loaded=hold.carried > 0,
         unstated=math.isnan(payload),
     )
 
@@ -162,6 +173,7 @@ def _describe_loads(hold: Hold) -> Iterator[doc.Words]:
         posture=posture,
         load=loads[0] if loads else "",
         payload=_format_payload_limit(hold.payload.mass),
+        loaded=hold.carried > 0,
         tool=doc.Name(hold.tool.name),
     )
 

@@ -82,15 +82,18 @@ def _select_next_step(limit: PayloadLimit) -> NextStep:
     """Return the command to run next.
 
     If motor limits are unknown and the upper bound is above 0 kg, this is `audit`. If the result
-    does not pass, it is `stand`, which states the cause, or `crosscheck` or `audit` if the files
-    explain the failure. Otherwise it is the command for the bound that limits the payload
-    (`_NEXT_STEPS`). Except for `best`, which searches for a payload, the command loads the robot
-    with `VERIFIED_FRACTION` of a finite bound.
+    does not pass, it is `crosscheck` or `audit` if the files explain the failure. If the files do
+    not explain the failure, it is `payload` without the present payload, which finds the largest
+    payload, or `stand`, which states the cause, without a present payload. Otherwise it is the
+    command for the bound that limits the payload (`_NEXT_STEPS`). Except for `best`, which searches
+    for a payload, the command loads the robot with `VERIFIED_FRACTION` of a finite bound.
     """
     if limit.unknown_limits and limit.upper_bound > 0:
         return NextStep("audit")
     if not limit.passed or not limit.bounds:
-        return select_step_after_failure(limit.verdict, NextStep("stand"))
+        loaded = limit.carried > 0
+        step = NextStep("payload", omitted=("--payload",)) if loaded else NextStep("stand")
+        return select_step_after_failure(limit.verdict, step)
     smallest = min(limit.bounds, key=lambda name: limit.bounds[name].mass)
     step = _NEXT_STEPS.get(smallest, NextStep("push"))
     mass = VERIFIED_FRACTION * limit.upper_bound

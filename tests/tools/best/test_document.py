@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pupper_analysis.present.document import Document, Table, get_english
-from pupper_analysis.tools.best.document import best_document
+from pupper_analysis.present.document import Document, NextStep, Table, get_english
+from pupper_analysis.tools.best.document import _make_next_step, best_document
 from pupper_analysis.tools.stand.document import stance_document
 from tests.support.stubs import best, stance
 
@@ -23,3 +23,11 @@ def test_best_stance_is_described_as_a_stance_alone() -> None:
         for document in (found, alone)
     )
     assert expected <= texts
+
+
+def test_next_step_of_a_failing_stance_searches_again_with_the_gains_that_hold() -> None:
+    """Reference: the gains that `stand` proposes; without gains, `stand` states the cause."""
+    gains = ("--kp", "leg_*_1=10", "--kd", "leg_*_1=0.2")
+    assert _make_next_step(best(), NextStep("stand", gains)) == NextStep("best", ("margin", *gains))
+    for step in (None, NextStep("stand", ("--minimum-stiffness",))):
+        assert _make_next_step(best(), step) == NextStep("stand")

@@ -37,7 +37,7 @@ def test_written_results_equal_the_python_results(
     found = json.loads(out[0].read_text())
     del found["generator"], found["provenance"]
     assert found == json.loads(held.to_json())
-    assert f"{held.payload.mass:.3g} kg at tip" in output
+    assert f"{held.payload.mass:.3g} kg more at tip" in output
     assert imread(out[1]).std() > 0.01
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.diagnostics import Quantity, diagnose
-from pupper_analysis.present.document import Table
+from pupper_analysis.present.document import NextStep, Table
 from pupper_analysis.tools.hold.document import describe_hardest_motor, hold_document
 from tests.support.arm import arm
 
@@ -71,12 +71,12 @@ def test_verdict_word_is_qualified_only_if_another_posture_exceeds_a_motor_limit
 
 
 def test_masses_are_not_rounded_up_to_a_payload_that_does_not_hold() -> None:
-    """Reference: 10.06 kg at the tool, and at most 0.0123 kg more; a limit of 999.7 kg."""
+    """Reference: 0.06 kg at the tool, and at most 0.0123 kg more; a limit of 999.7 kg."""
     held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
-    loaded = replace(held, carried=10.06, payload=replace(held.payload, worst_posture_mass=0.0123))
+    loaded = replace(held, carried=0.06, payload=replace(held.payload, worst_posture_mass=0.0123))
     step = hold_document(loaded).next_step
     assert step is not None
-    assert step.words == ("--payload", "10.072kg")
+    assert step.words == ("--payload", "0.072kg")
     strong = replace(held, payload=replace(held.payload, worst_posture_mass=999.7))
     assert "payload limit at tip: 1000 kg" in " ".join(map(str, hold_document(strong).findings))
 
@@ -89,3 +89,13 @@ def test_torques_from_1000_are_printed_as_integers() -> None:
     texts = str(hold_document(strong))
     assert "1230" in texts
     assert "1.23e+03" not in texts
+
+
+def test_next_step_after_a_loaded_posture_does_not_propose_the_same_payload_again() -> None:
+    """The rest that rounding left is not proposed; an overload leads to the largest payload."""
+    held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
+    loaded = replace(held, carried=10.0, payload=replace(held.payload, worst_posture_mass=0.5))
+    assert hold_document(loaded).next_step == NextStep("audit")
+    shares = np.full(len(held.worst.utilisation), 1.01)
+    overloaded = replace(loaded, worst=replace(held.worst, utilisation=shares))
+    assert hold_document(overloaded).next_step == NextStep("hold", omitted=("--payload",))

@@ -36,3 +36,15 @@ def test_next_command_simulates_the_payload_with_the_typed_one(carried: float, m
     step = payload_document(result).next_step
     assert step is not None
     assert (step.command, step.words) == ("stand", ("--minimum-stiffness", "--payload", mass))
+
+
+@pytest.mark.parametrize(("carried", "command"), [(0.0, "stand"), (9.0, "payload")])
+def test_next_command_of_a_failure_with_a_typed_payload_leaves_the_payload_out(
+    carried: float, command: str
+) -> None:
+    result = make_payload_result()
+    result.passed, result.carried = False, carried
+    step = payload_document(result).next_step
+    assert step is not None
+    assert step.command == command
+    assert ("--payload" in step.omitted) is (carried > 0)
