@@ -34,16 +34,16 @@ _VERDICT_KEYS = {
 @build_document.register(GainStudy)
 def gains_document(study: GainStudy, robot: Robot | None = None) -> doc.Document:
     """Create the report of a gain study; see ``build_document``."""
-    failures = tuple(_describe_failures(study))
+    gains, failures = _describe_stable_gains(study), tuple(_describe_failures(study))
     return doc.Document(
         text("gains"),
         doc.Name(study.name),
         (_make_class_table(study), _make_bound_table(study), gain_plot(study)),
         passed=study.passed,
         verdict=text(_VERDICT_KEYS[study.worst.stable, study.passed]),
-        failures=failures,
+        failures=(gains, *failures) if failures else (),
         findings=(
-            _describe_stable_gains(study),
+            *(() if failures else (gains,)),
             _describe_controller(study),
             *_describe_added_servos(study),
         ),
