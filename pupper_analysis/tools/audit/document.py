@@ -53,10 +53,22 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
         passed=audit.passed,
         verdict=passed if audit.passed else text("audit-errors"),
         warned=audit.passed and suspect,
-        findings=(join_words([*counts, rules]),),
+        findings=(join_words([*counts, rules]), *_describe_worst_finding(audit)),
         next_step=_select_next_step(audit),
         notes=tuple(map(doc.diagnostic_text, audit.notes)),
     )
+
+
+def _describe_worst_finding(audit: Audit) -> Iterable[doc.Words]:
+    """Yield the text of the most severe finding, if there is a finding."""
+    if audit.findings:
+        diagnostic = audit.findings[0].diagnostic
+        message = doc.diagnostic_text(diagnostic)
+        element = format_element(diagnostic)
+        yield text(
+            "audit-first",
+            finding=text("element-message", element=element, message=message),
+        )
 
 
 def _select_next_step(audit: Audit) -> doc.NextStep | None:
