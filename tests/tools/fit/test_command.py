@@ -228,7 +228,9 @@ def test_each_option_of_a_mode_reaches_a_function_or_is_refused(
 def test_refusal_of_an_option_names_the_modes_that_use_the_option(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    message = "--weight: it does nothing with --plan, it is of --stands; leave one of the two out"
+    message = (
+        "--weight: it has no effect with --plan; it applies to --stands; leave one of the two out"
+    )
     check_refusal(capfd, tmp_path, ("fit", "v3", "--plan", "2", "--weight", "3kg"), message)
 
 
