@@ -24,7 +24,7 @@ from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.workspace import Interval
 from pupper_analysis.tools.best.search import EvaluatedStance, Objective, StanceSearch
 from pupper_analysis.tools.payload.limit import PayloadLimit, payload_limit
-from pupper_analysis.tools.stand.stance import Stance, study_stance
+from pupper_analysis.tools.stand.stance import Stance, simulate_stance, study_stance
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +286,7 @@ def study_best(
         return study
     for stance in search.list_next_best():
         best = _make_best_stance(search, stance, point, kp, kd)
-        next_study = BestStudy(best, study_stance(robot, best.stand, kp=kp, kd=kd))
-        if next_study.passed:
-            return next_study
+        simulated = simulate_stance(robot, best.stand, kp=kp, kd=kd)
+        if simulated.passed and (best.payload is None or best.payload.passed):
+            return BestStudy(best, simulated.complete())
     return study

@@ -1,7 +1,8 @@
 """Evaluate a stance: statics, sag, presses, simulation and verdict.
 
 `study_stance` solves a stand task, computes torques and contact forces, predicts the equilibrium
-without feed-forward, and verifies both in MuJoCo. `largest_presses` computes the largest force of
+without feed-forward, and verifies both in MuJoCo. `simulate_stance` omits the bounds of the servo
+gains, which a search needs for its result only. `largest_presses` computes the largest force of
 each hand; `explain_loading` prepares a robot and lists the steps.
 """
 
@@ -185,48 +186,111 @@ def study_stance(
             both given, or if the ground cannot be added (``build_on_ground``).
         UnknownNameError: If the task names a foot or joint that the robot does not have.
     """
+    return simulate_stance(robot, stance, kp=kp, kd=kd).complete(stiffness=stiffness)
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedStance:
+    """Stance with simulations and verdict, without bounds of the servo gains.
+
+    A search that tries several stances completes only the stance that it returns: for a stance that
+    fails, the bounds take most of the time of `study_stance`.
+
+    Attributes:
+        robot: Robot, with the contacts of the stand.
+        held: Stand on MuJoCo's soft ground.
+        kp: Servo stiffness as given [N m/rad]; None for the model's.
+        kd: Servo damping as given [N m s/rad]; None for the model's.
+        statics: Motor torques and contact forces with minimum tangential forces.
+        fed: Simulation with feed-forward.
+        alone: Simulation without feed-forward.
+        verdict: Verdict on the stance.
+        settled: Predicted equilibrium without feed-forward; None if there is no equilibrium.
+        unsettled: Reason why ``settled`` is None; None if there is an equilibrium.
+    """
+
+    robot: Robot
+    held: Stand
+    kp: ArrayLike | None
+    kd: ArrayLike | None
+    statics: GravityCompensation
+    fed: StandVerification
+    alone: StandVerification
+    verdict: Verdict
+    settled: SteadyState | None
+    unsettled: Diagnostic | None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the verdict on the stance passes."""
+        return self.verdict.passed
+
+    def complete(self, *, stiffness: bool = False) -> Stance:
+        """Compute the bounds of the gains, the presses and the smallest motor utilisation.
+
+        Args:
+            stiffness: Also compute the minimum stiffness of the servos (a second or two).
+
+        Raises:
+            StaticsInfeasibleError: If no contact forces balance the stance.
+        """
+        robot, held, kp, kd = self.robot, self.held, self.kp, self.kd
+        min_kp, no_stiffness, servos, soft = None, None, None, None
+        if stiffness:
+            try:
+                min_kp = minimum_stiffness(robot, held)
+            except NoStiffnessError as error:
+                no_stiffness = error.diagnostic
+        with contextlib.suppress(ConfigurationError):  # a diverging step has no linear model
+            servos = bound_servo_gains(robot, held, kp=kp, kd=kd, stands=self.alone.stays)
+            soft = find_soft_servos(robot, held, self.fed, kp=kp, kd=kd)
+        return Stance(
+            name=robot.name,
+            joint_positions=held.joint_positions(robot),
+            units=list_position_units(robot),
+            limits=robot.effort_limits,
+            limit_origins=tuple(limit.origin for limit in robot.efforts),
+            stand=held,
+            statics=self.statics,
+            min_max_torque=stand_statics(
+                robot, held, distribution=ForceDistribution.MIN_MAX_TORQUE
+            ),
+            verification=self.fed,
+            sagging=self.alone,
+            verdict=self.verdict,
+            settled=self.settled,
+            unsettled=self.unsettled,
+            presses=largest_presses(robot, held),
+            minimum_stiffness=min_kp,
+            no_stiffness=no_stiffness,
+            servos=servos,
+            soft_servos=soft,
+        )
+
+
+def simulate_stance(
+    robot: Robot,
+    stance: StandTask | Stand,
+    *,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+) -> SimulatedStance:
+    """Solve a stance, and judge the stance by simulation. Arguments and errors: `study_stance`."""
     robot, stand = resolve_stance(robot, stance)
-    settled, unsettled, min_kp, no_stiffness = None, None, None, None
+    settled, unsettled = None, None
     held = solve_stand_as_simulated(robot, stand)
     try:
         settled = steady_state(robot, held, kp=kp)
     except NoEquilibriumError as error:
         unsettled = error.diagnostic
-    if stiffness:
-        try:
-            min_kp = minimum_stiffness(robot, held)
-        except NoStiffnessError as error:
-            no_stiffness = error.diagnostic
     statics = stand_statics(robot, held)
     report_progress("simulations", 0, _NUM_SIMULATIONS)
     fed = verify_stand(robot, held, kp=kp, kd=kd)
     report_progress("simulations", 1, _NUM_SIMULATIONS)
     alone = verify_stand(robot, held, kp=kp, kd=kd, feedforward=False, settled=settled)
     report_progress("simulations", 2, _NUM_SIMULATIONS)
-    servos = soft = None
-    with contextlib.suppress(ConfigurationError):  # a diverging step has no linear model
-        servos = bound_servo_gains(robot, held, kp=kp, kd=kd, stands=alone.stays)
-        soft = find_soft_servos(robot, held, fed, kp=kp, kd=kd)
-    return Stance(
-        name=robot.name,
-        joint_positions=held.joint_positions(robot),
-        units=list_position_units(robot),
-        limits=robot.effort_limits,
-        limit_origins=tuple(limit.origin for limit in robot.efforts),
-        stand=held,
-        statics=statics,
-        min_max_torque=stand_statics(robot, held, distribution=ForceDistribution.MIN_MAX_TORQUE),
-        verification=fed,
-        sagging=alone,
-        verdict=judge_simulation(robot, stand, fed, alone, statics=statics, kp=kp, kd=kd),
-        settled=settled,
-        unsettled=unsettled,
-        presses=largest_presses(robot, held),
-        minimum_stiffness=min_kp,
-        no_stiffness=no_stiffness,
-        servos=servos,
-        soft_servos=soft,
-    )
+    verdict = judge_simulation(robot, stand, fed, alone, statics=statics, kp=kp, kd=kd)
+    return SimulatedStance(robot, held, kp, kd, statics, fed, alone, verdict, settled, unsettled)
 
 
 @dataclass(frozen=True, eq=False)
