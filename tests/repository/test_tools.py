@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import ast
+import compileall
+import json
 import os
 import random
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
 import pytest
 
 from pupper_analysis.base.tools import HELP_HEADINGS, own_packages, own_tools
+from tests.support.patience import PATIENCE
 from tests.support.repository import ROOT
 
 QUICK = (
@@ -54,14 +57,23 @@ def dependents(tools: Iterable[str]) -> set[str]:
     return gone
 
 
-def copy_without(tools: Iterable[str], folder: Path) -> Path:
-    """Copy the checkout without some tools and their dependents; return the copy."""
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Copy of the checkout with the bytecode of the package, from which all copies are linked."""
     left_out = shutil.ignore_patterns(".git", ".venv*", "build", ".*_cache", "docs")
-    copy = folder / "checkout"
+    copy = tmp_path_factory.mktemp("complete") / "checkout"
     shutil.copytree(ROOT, copy, ignore=left_out)
     shutil.copytree(ROOT / "docs/how-to", copy / "docs/how-to")  # of which tests take examples
     shutil.copytree(ROOT / "docs/data", copy / "docs/data")  # tables that are tests
     shutil.copy(ROOT / "docs/draw_architecture.py", copy / "docs")  # which knows who imports whom
+    assert compileall.compile_dir(copy / "pupper_analysis", quiet=1)
+    return copy
+
+
+def copy_without(tools: Iterable[str], checkout: Path, folder: Path) -> Path:
+    """Link the files of a checkout, except some tools and their dependents; return the folder."""
+    copy = folder / "checkout"
+    shutil.copytree(checkout, copy, copy_function=os.link)
     for one in dependents(tools):
         shutil.rmtree(copy / "pupper_analysis/tools" / one)
         shutil.rmtree(copy / "tests/tools" / one, ignore_errors=True)
@@ -82,17 +94,77 @@ def run_in_copy(copy: Path, *words: str) -> str:
     return done.stdout
 
 
-def check_imports(tool: str, copy: Path) -> None:
-    """Import each public name of a copy without a tool, and compare the commands that it lists."""
-    code = (
-        "import runpy, sys; import pupper_analysis as pa; print(pa.__file__); "
-        "[getattr(pa, name) for name in pa.__all__]; "
-        "[getattr(module, name) for module in vars(pa).values() if hasattr(module, '__all__')"
-        " for name in module.__all__ if module.__name__.startswith('pupper_analysis.')]; "
-        "sys.argv = ['pupper-analysis', '--help']; "
-        "runpy.run_module('pupper_analysis', run_name='__main__')"
+FORKING = """
+import json, os, runpy, sys, traceback
+import clarabel, lxml.etree, matplotlib.figure, mujoco.rollout, pinocchio, placo, rich.progress
+import scipy.optimize, scipy.signal
+
+assert not any(name.startswith(("pupper_analysis", "tests")) for name in sys.modules)
+for line in sys.stdin:
+    copy, output = json.loads(line)
+    if child := os.fork():
+        print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+        continue
+    status = 1
+    try:
+        file = os.open(output, os.O_WRONLY | os.O_CREAT)
+        os.dup2(file, 1), os.dup2(file, 2)
+        os.chdir(copy)
+        sys.path.insert(0, copy)
+        import pupper_analysis as pa
+        print(pa.__file__)
+        [getattr(pa, name) for name in pa.__all__]
+        [getattr(module, name) for module in vars(pa).values() if hasattr(module, "__all__")
+         for name in module.__all__ if module.__name__.startswith("pupper_analysis.")]
+        sys.argv = ["pupper-analysis", "--help"]
+        runpy.run_module("pupper_analysis", run_name="__main__")
+        status = 0
+    except SystemExit as leaving:
+        status = leaving.code or 0
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+"""
+"""Program that imports each public name of copies of the package, and prints the help.
+
+For each copy a child process is forked before the package is imported. The libraries, whose import
+takes most of the time, are imported once."""
+
+
+@pytest.fixture(scope="module")
+def import_copy() -> Iterator[Callable[[Path], str]]:
+    """Return the function that imports a copy of the package, and returns the printed text."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-c", FORKING],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd="/",
+        env=environment,
     )
-    printed = run_in_copy(copy, "-c", code)
+    assert process.stdin is not None
+    assert process.stdout is not None
+
+    def import_in_child(copy: Path) -> str:
+        output = copy.parent / "output.txt"
+        print(json.dumps([str(copy), str(output)]), file=process.stdin, flush=True)
+        status = process.stdout.readline().strip()  # type: ignore[union-attr]
+        printed = output.read_text()
+        assert status == "0", printed[-3000:]
+        return printed
+
+    yield import_in_child
+    process.stdin.close()
+    assert process.wait(PATIENCE) == 0
+    process.stdout.close()
+
+
+def check_imports(tool: str, copy: Path, printed: str) -> None:
+    """Compare the commands that a copy without a tool lists with its folders."""
     assert str(copy) in printed
     left = {path.parent.name for path in (copy / "pupper_analysis/tools").glob("*/command.py")}
     listed = re.findall(r"^  (\w+)  +\S", printed.partition(f"{HELP_HEADINGS[0]}:")[2], re.M)
@@ -125,8 +197,11 @@ def test_core_names_no_package_without_command() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tool", own_packages())
-def test_the_package_is_imported_without_a_tool(tool: str, tmp_path: Path) -> None:
-    check_imports(tool, copy_without((tool,), tmp_path))
+def test_the_package_is_imported_without_a_tool(
+    tool: str, checkout: Path, import_copy: Callable[[Path], str], tmp_path: Path
+) -> None:
+    copy = copy_without((tool,), checkout, tmp_path)
+    check_imports(tool, copy, import_copy(copy))
 
 
 def list_imports(path: Path) -> list[str]:
@@ -167,18 +242,19 @@ def test_tests_of_other_tools_do_not_import_a_tool(tool: str) -> None:
 
 
 @pytest.mark.slow
-def test_all_other_tests_are_collected_without_five_tools(tmp_path: Path) -> None:
+def test_all_other_tests_are_collected_without_five_tools(checkout: Path, tmp_path: Path) -> None:
     """The tools are deleted together: each collection takes 7 s."""
-    run_in_copy(
-        copy_without(ALONE, tmp_path), "-m", "pytest", "-n", "0", "--collect-only", "-q", "tests"
-    )
+    copy = copy_without(ALONE, checkout, tmp_path)
+    run_in_copy(copy, "-m", "pytest", "-n", "0", "--collect-only", "-q", "tests")
 
 
 @pytest.mark.slow
-def test_quick_tests_pass_without_a_tool_drawn_by_the_commit(tmp_path: Path) -> None:
+def test_quick_tests_pass_without_a_tool_drawn_by_the_commit(
+    checkout: Path, tmp_path: Path
+) -> None:
     """Each commit draws another tool; the same commit draws the same tool."""
     head = subprocess.run(
         ["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
     )
     tool = random.Random(head.stdout.strip()).choice(sorted(own_packages()))
-    run_tests(copy_without((tool,), tmp_path))
+    run_tests(copy_without((tool,), checkout, tmp_path))
