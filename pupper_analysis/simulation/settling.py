@@ -29,7 +29,7 @@ from pupper_analysis.simulation.rollout import (
     STATE_SPEC,
     StandStart,
     make_stand_start,
-    roll_out,
+    simulate_commands,
     simulate_in_intervals,
 )
 from pupper_analysis.simulation.shaking import (
@@ -277,13 +277,12 @@ def _simulate_until_rest(
     model, state = held.drive.model, held.start
     timestep = float(model.opt.timestep)
     ctrl = np.tile(held.ctrl, (max(2, round(_CHECK_INTERVAL / timestep)), 1))
-    # Allocating MuJoCo's data takes as long as the simulation of an interval.
     data, worker = mujoco.MjData(model), mujoco.MjData(model)
     intervals = deque[tuple[Array, Array]](maxlen=round(MEASURING_TIME / _CHECK_INTERVAL))
     last_second, ratio, displacement_ratios = None, math.inf, list[float]()
     num_intervals = round((1 - NUDGED_FRACTION) * HOLD_DURATION / _CHECK_INTERVAL)
     for number in range(num_intervals):
-        states = roll_out(model, worker, state, ctrl[None])[0]
+        states = simulate_commands(model, state, ctrl, worker)
         state = states[-1]
         if monitor.has_diverged(states, timestep):
             return None

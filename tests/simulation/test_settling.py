@@ -296,7 +296,7 @@ def test_settling_ends_early_if_the_robot_shakes_without_decay(
     robot, stand = standing
     step, simulated = float(robot.mj_model.opt.timestep), []
 
-    def shake(model: Any, start: np.ndarray, ctrl: np.ndarray) -> np.ndarray:
+    def shake(model: Any, start: np.ndarray, ctrl: np.ndarray, *_: Any) -> np.ndarray:
         """Return a stand at rest whose first velocity oscillates at 10 Hz with 0.05 m/s."""
         begin = len(ctrl) * step * len(simulated)
         simulated.append(len(ctrl) * step)
@@ -321,7 +321,7 @@ def test_settling_ends_early_if_the_robot_rests_with_displaced_feet(
     robot, stand = standing
     step, simulated = float(robot.mj_model.opt.timestep), []
 
-    def shift(model: Any, start: np.ndarray, ctrl: np.ndarray) -> np.ndarray:
+    def shift(model: Any, start: np.ndarray, ctrl: np.ndarray, *_: Any) -> np.ndarray:
         """Return a stand at rest, shifted by 1.4 times the bound along x from the first call on."""
         states = np.tile(start, (len(ctrl), 1))
         states[:, 0] += step * np.arange(1, len(ctrl) + 1)
