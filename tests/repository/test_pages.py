@@ -7,6 +7,7 @@ from __future__ import annotations
 import pickle
 import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,18 @@ import pytest
 from pupper_analysis import cli
 from tests.support import pages
 from tests.support.repository import ROOT
+from tests.support.shared_rollouts import share_rollouts
 
 BLOCKS = {path.relative_to(ROOT).as_posix(): pages.blocks_of(path) for path in pages.pages()}
 BLOCKS |= {f"{name} --help": pages.blocks_of_help(name) for name in cli.COMMAND_NAMES}
 BLOCKS = {name: found for name, found in BLOCKS.items() if found}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def simulate_once() -> Iterator[None]:
+    """Simulate each rollout once: most pages simulate the nominal stand of Pupper v3."""
+    with share_rollouts():
+        yield
 
 
 @pytest.mark.slow
