@@ -8,6 +8,7 @@ import pytest
 
 from tests.support import agreement, arm_features
 from tests.support.every_command import share_robots
+from tests.support.shared_rollouts import share_rollouts
 
 
 @pytest.mark.slow
@@ -26,7 +27,7 @@ def test_commands_agree_on_the_same_robot(
         [(name, files)] = agreement.write_random_robots(seed, 1, tmp_path)
     place = tmp_path / "answers"
     place.mkdir()
-    with share_robots():
+    with share_robots(), share_rollouts():
         found = agreement.compare_commands(
             name, place, *files, everywhere=seed is None, objectives=objectives
         )
@@ -40,7 +41,7 @@ def test_commands_agree_on_the_same_robot(
 def test_payload_of_the_best_stance_equals_that_of_the_command_payload(tmp_path: Path) -> None:
     """On the variant whose search is shortest."""
     found = agreement.Agreement("original")
-    with share_robots():
+    with share_robots(), share_rollouts():
         run = agreement.Commands(tmp_path, ("original",))
         agreement.compare_best(found, run, ("payload",))
     assert found.codes.keys() == {"best payload", "payload of the best"}

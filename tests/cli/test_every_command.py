@@ -13,6 +13,7 @@ import pytest
 from tests.prepare.test_planted import ODD
 from tests.support import arm_features, every_command
 from tests.support.every_command import COMMANDS, FILES, Truth
+from tests.support.shared_rollouts import share_rollouts
 
 EDITS = dict(every_command.list_edits())
 
@@ -29,6 +30,9 @@ KINDS = (
 )
 """One edit for each pair of outcome in MuJoCo and reason of a verdict that does not pass."""
 
+KINDS_LAST = sorted(EDITS, key=KINDS.__contains__)
+"""Names of all edits in the order of the tests: the robots of `KINDS` are used again later."""
+
 SURELY = {
     "as it is": Truth.STANDS,
     "kp -150 at a knee": Truth.FALLS,
@@ -39,14 +43,24 @@ SURELY = {
 }
 
 
+@pytest.fixture(scope="module")
+def find_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], Path]]:
+    """Return the folder of an edit. All commands on an edit share its robot and rollouts."""
+    folders = {name: tmp_path_factory.mktemp("edit") for name in EDITS}
+    with every_command.share_robots(), share_rollouts():
+        yield folders.__getitem__
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in EDITS if name not in ODD])
-def test_no_verdict_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", [name for name in KINDS_LAST if name not in ODD])
+def test_no_verdict_is_better_than_bare_mujoco(
+    name: str, find_folder: Callable[[str], Path]
+) -> None:
     """``judge_stand`` forms the verdict of each command; the reference is ``mj_step`` alone.
 
     tests/prepare/test_planted.py compares the edits in ``ODD`` with the same reference.
     """
-    row = every_command.make_row(name, EDITS[name], tmp_path, ("python",))
+    row = every_command.make_row(name, EDITS[name], find_folder(name), ("python",))
     assert row.cells.keys() == {"python"}
     assert not row.wrong, row.cells["python"].word
 
@@ -87,14 +101,6 @@ PAIRS += [("one iteration", "study")]
 confirms, and a metric that uses the linearised step alone would pass it."""
 
 
-@pytest.fixture(scope="module")
-def find_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], Path]]:
-    """Return the folder of an edit. All commands on an edit share its robot."""
-    folders = {name: tmp_path_factory.mktemp("edit") for name in {name for name, _ in PAIRS}}
-    with every_command.share_robots():
-        yield folders.__getitem__
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "command"), PAIRS)
 def test_no_command_is_better_than_bare_mujoco(
@@ -113,9 +119,11 @@ def test_no_command_is_better_than_bare_mujoco(
         "joint stiffness", "welded to the world", "kp 15", "timestep 10", "slip: kp is ten times",
     ],
 )  # fmt: skip
-def test_no_converted_file_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> None:
+def test_no_converted_file_is_better_than_bare_mujoco(
+    name: str, find_folder: Callable[[str], Path]
+) -> None:
     """``convert`` there and back, and a stance on a slope with a payload, which a file states."""
-    row = every_command.make_row(name, EDITS[name], tmp_path, FILES)
+    row = every_command.make_row(name, EDITS[name], find_folder(name), FILES)
     assert row.cells.keys() == FILES.keys()
     assert not row.wrong, {one: row.cells[one].word for one in row.wrong}
 

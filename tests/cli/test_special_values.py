@@ -22,6 +22,7 @@ from tests.support.commands import run_command
 from tests.support.legged import quadruped
 from tests.support.patience import PATIENCE
 from tests.support.repository import ROOT
+from tests.support.shared_rollouts import share_rollouts
 from tests.tools.walk import made
 
 TABLE = ROOT / "docs" / "data" / "special-values.csv"
@@ -197,7 +198,10 @@ def list_arguments(folder: Path, row: dict[str, str]) -> list[str]:
 def find_folder(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[Callable[[dict[str, str]], Path]]:
-    """Return the folder of a row's edit. The commands of ``ROBOT_COMMANDS`` share its robot."""
+    """Return the folder of a row's edit.
+
+    The commands of ``ROBOT_COMMANDS`` share its robot and rollouts.
+    """
     folders: dict[tuple[str, ...], Path] = {}
 
     def find(row: dict[str, str]) -> Path:
@@ -208,7 +212,7 @@ def find_folder(
             folders[key] = tmp_path_factory.mktemp("edit")
         return folders[key]
 
-    with every_command.share_robots():
+    with every_command.share_robots(), share_rollouts():
         yield find
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -81,8 +82,27 @@ class Truth(StrEnum):
     REFUSED = "is refused"
 
 
-@silence_mujoco()
+_truths: dict[tuple[object, ...], Truth] = {}
+"""{content of the files, and load: result} of the simulations of this process."""
+
+
 def simulate_truth(
+    path: Path,
+    plain: Path,
+    *,
+    slope: float = 0.0,
+    load: float = 0.0,
+    stance: tuple[list[float], dict[str, tuple[float, float]]] | None = None,
+) -> Truth:
+    """Simulate a file as `_simulate_truth` does; files with the same content once per process."""
+    key = path.read_bytes(), plain.read_bytes(), slope, load, repr(stance)
+    if key not in _truths:
+        _truths[key] = _simulate_truth(path, plain, slope=slope, load=load, stance=stance)
+    return _truths[key]
+
+
+@silence_mujoco()
+def _simulate_truth(
     path: Path,
     plain: Path,
     *,
@@ -178,12 +198,17 @@ def _copy_keyframe(plain: mujoco.MjModel, model: mujoco.MjModel, data: mujoco.Mj
             data.ctrl[motor] = data.qpos[model.jnt_qposadr[model.actuator_trnid[motor, 0]]]
 
 
+MAX_SHARED_ROBOTS = 24
+"""Largest number of robots that are stored at a time; the least recently used is dropped. Chosen
+above the number of edits of which a test module runs several commands."""
+
+
 @contextmanager
 def share_robots() -> Iterator[None]:
     """Prepare a pair of files once: commands that load the same bytes with the same options get
     the same robot. Robots are immutable.
     """
-    shared: dict[tuple[object, ...], pa.Robot] = {}
+    shared: OrderedDict[tuple[object, ...], pa.Robot] = OrderedDict()
 
     def make_shared_robot(urdf: UrdfFile, mjcf: MjcfFile, **options: Any) -> pa.Robot:
         given = {name: value for name, value in options.items() if name != "finish"}
@@ -191,6 +216,9 @@ def share_robots() -> Iterator[None]:
         key = (*paths, *(path.read_bytes() for path in paths), repr(given))
         if key not in shared:
             shared[key] = make_robot(urdf, mjcf, **options)
+        shared.move_to_end(key)
+        if len(shared) > MAX_SHARED_ROBOTS:
+            shared.popitem(last=False)
         return shared[key]
 
     with mock.patch.object(load, "make_robot", make_shared_robot):
@@ -486,7 +514,8 @@ def make_row(
 ) -> Row:
     """Run commands on an edited file, each in its own folder.
 
-    Several rows of one edit may use the same folder, if their commands differ.
+    Several rows of one edit may use the same folder. ``python`` may be among the commands of two
+    rows; other commands write files, and must differ.
     """
     (folder / "plain").mkdir(exist_ok=True)
     plain = slips.standing(folder / "plain")
@@ -494,6 +523,6 @@ def make_row(
     row = Row(name, simulate_truth(pair.mjcf, plain.mjcf))
     for command in commands:
         place = folder / command
-        place.mkdir()
+        place.mkdir(exist_ok=command == "python")
         row.cells[command] = STANDING[command](pair.urdf, pair.mjcf, place)
     return row
