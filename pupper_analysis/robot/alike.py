@@ -1,8 +1,8 @@
 """Limbs with the same structure: groups of corresponding joints, and limbs that lack a foot.
 
-Limbs with the same types of joints, and with similar masses or dimensions, usually have the same
-function. Suppose that at least half of these limbs end in a foot, and one limb does not. The file
-of that limb then probably contains a wrong value, or lacks a shape.
+Limbs with the same joint types, and with similar masses or dimensions, usually have the same
+function. If at least half of such limbs end in a foot, and one limb does not, the file probably
+contains a wrong value for this limb, or lacks a shape.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from pupper_analysis.robot.robot import Robot
 _SIMILARITY_TOLERANCE = 0.05
 """Tolerance [1] with which two limbs count as similar (`Limb.is_similar_to`). It applies to masses
 (relative to the larger mass), to distances between joints (relative to the length of the limb), and
-to |cos| between axes (absolute). A larger difference makes two limbs dissimilar. Left and right
-limbs of published robots agree within 1 %."""
+to |cos| between axes (absolute). Left and right limbs of published robots agree within 1 %. Chosen,
+not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """Limb, from the base to the end.
+    """Chain of moving bodies from the base to a limb end: joint types, masses and dimensions.
 
     Attributes:
-        bodies: Ids of the moving bodies in MuJoCo's model.
+        bodies: Ids of the moving bodies in MuJoCo's model, from the base outwards.
         kinds: Types of the joints (MuJoCo's ``jnt_type``).
-        masses: Mass [kg] of each of the n bodies with the bodies that are fixed to it, shape (n,).
-        lengths: Distances [m] between successive joints, invariant under mirroring.
-        turns: |cos| of the angles between successive joint axes, invariant under mirroring.
+        masses: Mass [kg] of each of the n bodies, with the bodies that are fixed to it, shape (n,).
+        lengths: Distances [m] between successive joints; invariant under mirroring.
+        turns: |cos| of the angles between successive joint axes; invariant under mirroring.
     """
 
     bodies: tuple[int, ...]
@@ -43,18 +43,16 @@ class Limb:
     turns: Array
 
     def is_similar_to(self, other: Limb) -> bool:
-        """Return True if two limbs have the same joint types, and similar dimensions or masses.
+        """Return True if two limbs have equal joint types, and similar dimensions or masses.
 
-        The tolerance is 0.05 (`_SIMILARITY_TOLERANCE`). Either similarity is sufficient, because a
-        single wrong value of a file affects only masses or only dimensions.
+        One of the two similarities is sufficient, because a single wrong value of a file affects
+        only masses or only dimensions.
 
-        Dimensions are similar under two conditions. Distances between joints differ by at most 0.05
-        times the length of the limb. |cos| between successive axes differs by at most 0.05. The
-        length is the sum of the larger distances. If the length is 0 (one joint, or all joints in
-        one point), only masses are compared.
-
-        Masses are similar if both limbs have the same number of bodies, and each mass differs by at
-        most 0.05 times the larger mass.
+        - Dimensions are similar if all distances between joints differ by at most 0.05 times the
+          length of the limb, and all |cos| between successive axes by at most 0.05. The length is
+          the sum of the larger distances. If the length is 0, dimensions are not compared.
+        - Masses are similar if both limbs have the same number of bodies, and each mass differs by
+          at most 0.05 times the larger mass.
 
         Args:
             other: Limb of the same robot.
@@ -82,8 +80,8 @@ class Limb:
 def list_limbs(robot: Robot) -> list[Limb]:
     """Return the limbs of a robot: the chains of moving bodies from the base to the limb ends.
 
-    A limb end is a moving body without moving descendants. Bodies that are fixed to a moving body
-    count as part of this body.
+    A limb end is a moving body without moving descendants. A body that is fixed to a moving body
+    counts as part of the moving body.
     """
     model, data = robot.mj_model, robot.compute_kinematics()
     weld, base = model.body_weldid, int(model.body_weldid[model.body(robot.mj_base).id])
@@ -114,11 +112,14 @@ def list_limbs(robot: Robot) -> list[Limb]:
 
 
 def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
-    """Return {joint: corresponding joints of similar limbs}.
+    """Find the corresponding joints of similar limbs, for example the knees of a quadruped.
 
-    Limbs are similar if `Limb.is_similar_to` holds, for example the legs of a quadruped.
-    Corresponding joints have the same index, counted from the base. A joint is omitted if no other
-    limb is similar to its limb, or if the similar limb contains this joint too.
+    Limbs are similar if `Limb.is_similar_to` holds. Corresponding joints have the same index,
+    counted from the base.
+
+    Returns:
+        {joint: corresponding joints of all similar limbs}. A joint is omitted if its limb is
+        similar to no other limb, or if a similar limb contains the same joint.
     """
     model, limbs = robot.mj_model, list_limbs(robot)
     joints = [
@@ -141,10 +142,10 @@ def sibling_joints(robot: Robot) -> dict[str, tuple[str, ...]]:
 
 
 def report_limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Report each limb without a foot, if at least half of the limbs similar to it have a foot.
+    """Report each limb without a foot, if at least half of the similar limbs have a foot.
 
-    The limb itself counts as one of the similar limbs. The result is empty if this package did not
-    detect the feet (no note ``feet-found``).
+    The limb counts as one of its similar limbs. The result is empty if this package did not detect
+    the feet (no note ``feet-found``).
     """
     if not any(note.code == "feet-found" for note in robot.notes):
         return ()
@@ -173,9 +174,10 @@ def report_limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
 
 
 def group_joints(robot: Robot, kp: Array, kd: Array) -> list[list[int]]:
-    """Group corresponding joints with actuator that have equal gains and effort limits.
+    """Group corresponding joints of similar limbs that have equal gains and effort limits.
 
-    `sibling_joints` defines the corresponding joints of similar limbs, such as the knees.
+    Corresponding joints are, for example, all knees (`sibling_joints`). Joints without actuator are
+    omitted.
 
     Args:
         robot: Robot.
@@ -183,8 +185,8 @@ def group_joints(robot: Robot, kp: Array, kd: Array) -> list[list[int]]:
         kd: Servo damping, shape (nu,) [N m s/rad, N s/m].
 
     Returns:
-        Indices (in actuator order) of the joints of each group. A joint that corresponds to no
-        other joint is a group of its own. The groups are in the order of their first joint.
+        Joint indices (in actuator order) of each group, in the order of the first joints. A joint
+        without corresponding joint is a group by itself.
     """
     siblings, names = sibling_joints(robot), robot.joint_names
     values = np.stack([kp, kd, robot.effort_limits])
@@ -204,8 +206,8 @@ def group_joints(robot: Robot, kp: Array, kd: Array) -> list[list[int]]:
 def name_joints(names: Sequence[str]) -> str:
     """Return one short name for several joints, for example ``leg_*_1``.
 
-    The common beginning and end of the names, cut at underscores, are joined by ``*``. If the names
-    have no common part, the result lists two names and the number of further names. A single name
+    The common beginning and the common end of the names, cut at underscores, are joined by ``*``.
+    Names without common part are listed: two names, and the number of further names. A single name
     is returned unchanged.
     """
     if len(names) == 1:

@@ -1,9 +1,9 @@
 """Results about the robot as published: own simulation, servos, and causes of deviations.
 
-A prepared robot differs from its file, so verdicts also simulate the unmodified file: from its own
-keyframe (`OwnRun`), and from a computed state whose equilibrium is compared (`PublishedRun`). The
-module contains these results, and the limits above which a run counts as failed or deviating.
-`ServosUsed` describes the servos that a result depends on.
+A prepared robot differs from its published file. Verdicts therefore also simulate the unmodified
+file: from its own keyframe (`OwnRun`), and from a computed equilibrium, which is compared with the
+simulation (`PublishedRun`). The module contains these results, and the limits above which a run
+counts as failed or deviating. `ServosUsed` describes the servos that a result depends on.
 
 Data only: ``prepare`` computes the results, ``simulation/verdict.py`` evaluates the results, and
 ``present/verdict.py`` formats the results.
@@ -22,7 +22,7 @@ from pupper_analysis.robot.fall import FALLEN_TILT, MAX_HEIGHT_LOSS_RATIO, BodyM
 
 
 class ServoSource(StrEnum):
-    """Origin of the servo gains."""
+    """Origin of servo gains: from the MJCF, added by this package, or given by the caller."""
 
     FILE = "the MJCF's"
     ADDED = "added"
@@ -59,11 +59,10 @@ class ServosUsed:
 
 
 MIN_UNHELD_DISPLACEMENT = 0.05
-"""Displacement of a joint [rad, m] above which the joint counts as displaced, in a simulation of a
-published file from its keyframe. A displaced joint without servo counts as not held
-(`OwnRun.unheld`). A displaced joint with servo may count as moved by its command
-(`JointOff.commanded_away`). A joint without servo has no stiffness, and usually moves to a stop.
-Chosen, not tuned."""
+"""Displacement [rad, m] above which a joint counts as displaced, in a simulation of a published
+file from its keyframe. A displaced joint without servo counts as not held (`OwnRun.unheld`): it has
+no stiffness, and usually moves to a stop. A displaced joint with servo may count as moved by its
+command (`JointOff.commanded_away`). Chosen, not tuned."""
 
 
 MAX_TORQUE_DEVIATION = 0.05
@@ -73,9 +72,9 @@ by spheres."""
 
 MAX_IMPORTED_TORQUE_DEVIATION = 0.1
 """Largest `PublishedRun.torque_error` [1] with which a simulation of a URDF agrees with the
-computed equilibrium. For a URDF, this value replaces ``MAX_TORQUE_DEVIATION``. MuJoCo's import of a
-URDF keeps the collision meshes of the file. Their contacts are at slightly different positions than
-the contacts of the computed spheres (error of Go2: 0.065)."""
+computed equilibrium; replaces ``MAX_TORQUE_DEVIATION``. MuJoCo's import of a URDF keeps the
+collision meshes of the file. Their contacts are at slightly different positions than the contacts
+of the computed spheres (error of Go2: 0.065)."""
 
 MAX_PUBLISHED_DEVIATION = 0.02
 """Largest deviation of a joint position [rad, m] with which a simulation with feed-forward agrees
@@ -88,7 +87,7 @@ MIN_POSTURE_DEVIATION = 0.5
 
 
 class OwnCommands(StrEnum):
-    """Commands of the actuators in the simulation of a published file."""
+    """Commands of the actuators in a simulation of a published file from its keyframe."""
 
     STATED = "the keyframe's ctrl"
     ABSENT = "the zeros of a keyframe without ctrl"
@@ -117,9 +116,10 @@ class JointOff:
     def commanded_away(self) -> bool:
         """True if the servo's command explains the displacement of this joint in the simulation.
 
-        Both conditions must hold. The displacement exceeds ``MIN_UNHELD_DISPLACEMENT``. The
-        distance of the command from the initial position exceeds half of the displacement. The
-        result is False without a command.
+        Both conditions must hold; without a command, the result is False:
+
+        - The displacement exceeds ``MIN_UNHELD_DISPLACEMENT``.
+        - The distance of the command from the initial position exceeds half of the displacement.
         """
         if self.commanded is None or abs(self.off) <= MIN_UNHELD_DISPLACEMENT:
             return False
@@ -202,10 +202,11 @@ class OwnRun(BodyMotion):
 
     @property
     def has_left_posture(self) -> bool:
-        """True if a joint of a robot with a fixed base has moved far, and no command explains this.
+        """True if a joint of a robot with a fixed base has moved far, without command.
 
-        The displacement of the joint that moved most exceeds ``MIN_POSTURE_DEVIATION``, and its
-        command does not explain the displacement (`JointOff.commanded_away`).
+        Evaluated for the joint with the largest displacement: the displacement exceeds
+        ``MIN_POSTURE_DEVIATION``, and its command does not explain the displacement
+        (`JointOff.commanded_away`).
         """
         worst = None if self.standing else self.worst
         return (
@@ -231,9 +232,9 @@ class OwnRun(BodyMotion):
 
     @property
     def falls(self) -> bool:
-        """True if the robot collapses, a joint has left the posture, or a joint is not held.
+        """True if the robot collapses (``collapses``), or a joint does not stay in place.
 
-        The joint conditions are those of ``has_left_posture`` and ``unheld``.
+        The joint conditions are ``has_left_posture``, and a joint in ``unheld``.
         """
         return self.collapses or self.has_left_posture or self.unheld is not None
 
@@ -241,10 +242,10 @@ class OwnRun(BodyMotion):
     def fails(self) -> bool:
         """True if the published file does not stand in this simulation.
 
-        * Most joints have no servo and no command (``limp``): False.
-        * With a keyframe: True if the robot ``falls`` or ``is_tilted``. The commands are the ctrl
-          of the keyframe, or the zeros after a reset if it has none.
-        * Without a keyframe: True if a joint is not held (``unheld``).
+        - If most joints have no servo and no command (``limp``): False.
+        - With a keyframe: True if the robot ``falls`` or ``is_tilted``. The commands are the ctrl
+          of the keyframe, or zeros if the keyframe has no ctrl.
+        - Without a keyframe: True if a joint is not held (``unheld``).
         """
         if self.limp:
             return False
@@ -261,9 +262,9 @@ class PublishedRun:
         feedforward: Whether the commands include feed-forward; otherwise positions only.
         duration: Simulated time (s); the nudge is applied after the first second.
         torque_error: Largest torque deviation within the last second, divided by a scale [1]. The
-            scale is the largest computed torque, or a fraction of the weight times 1 m if that is
-            larger. With a fixed base, the dry friction of the joint is subtracted from the
-            deviation.
+            scale is the largest computed torque, or a fraction of the weight times 1 m if this
+            product is larger. With a fixed base, the dry friction of the joint is subtracted from
+            the deviation.
         height_error: Final minus computed height of the CoM (m); None if the base is fixed.
         joint_error: Largest joint deviation.
         collapses: Whether the robot has fallen over, has sunk or risen by ``MAX_HEIGHT_LOSS_RATIO``
@@ -295,10 +296,10 @@ class PublishedRun:
 
     @property
     def agrees_with_equilibrium(self) -> bool:
-        """True if the robot does not collapse in this run and is near the computed equilibrium.
+        """True if the robot does not collapse in this run, and is near the computed equilibrium.
 
-        Near means that the torque error is at most ``MAX_TORQUE_DEVIATION`` (for a URDF
-        ``MAX_IMPORTED_TORQUE_DEVIATION``). With feed-forward, the joint error must also be at most
+        Limits: torque error ``MAX_TORQUE_DEVIATION`` (for a URDF
+        ``MAX_IMPORTED_TORQUE_DEVIATION``); with feed-forward, also joint error
         ``MAX_PUBLISHED_DEVIATION``.
         """
         near = not self.feedforward or self.joint_error <= MAX_PUBLISHED_DEVIATION
@@ -333,7 +334,7 @@ class Published:
 
     @property
     def worst(self) -> PublishedRun | None:
-        """Worst simulation that deviates from the computed equilibrium; None if none deviates.
+        """Worst simulation that deviates from the computed equilibrium; None if all agree.
 
         A simulation with a collapse is worse than a simulation without a collapse. Otherwise, a
         simulation with feed-forward is worse than a simulation without feed-forward.

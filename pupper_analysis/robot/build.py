@@ -1,8 +1,8 @@
-"""Building of a ``Robot`` from a ``Description``, and rebuilding with changes.
+"""Build a ``Robot`` from a ``Description``, and rebuild a robot with changes.
 
-Input: URDF and MJCF. Both models are built, the joints are matched by name, and the armature of
-the MJCF is copied to Pinocchio's model. The result contains contact points, nominal stand and
-notes. Effort limits can be replaced, and limits that appear to be placeholders are reported.
+Input: URDF and MJCF. Both models are built, the joints are matched by name, and the armature of the
+MJCF is copied to Pinocchio's model. The result contains contact points, nominal stand and notes.
+Effort limits can be replaced, and limits that appear to be placeholders are reported.
 """
 
 from __future__ import annotations
@@ -65,22 +65,25 @@ from pupper_analysis.robot.tendons import report_ignored_equalities, report_igno
 def build_robot(
     description: Description, *, fixed_base: bool = False, foot_depth: float | None = None
 ) -> Robot:
-    """Build the robot of a description.
+    """Build a robot from the contents of its URDF and MJCF.
 
     Args:
         description: Contents of the URDF and the MJCF, contact points and other data.
         fixed_base: Whether to fix a free base to the world, at the pose in the MJCF. If True,
             contacts with planes and height fields are disabled.
         foot_depth: Distance [m] of the feet below the hips in the nominal stand (the stand of the
-            default `StandTask`). It determines the height of the base in this stand. By default,
-            the lowest foot touches the ground with the joint positions of ``Robot.home``.
+            default `StandTask`). The distance determines the height of the base in this stand. By
+            default, the lowest foot touches the ground with the joint positions of ``Robot.home``.
 
     Raises:
-        ModelError: If MuJoCo or Pinocchio rejects a file. If a number of the compiled model is not
-            valid. If the MJCF has a flexible body, a ball joint or no joint. If a joint of the URDF
-            has no axis, is planar, or is floating within the tree. If both files have different
-            joints. If ``description.foot_geoms`` has no entry for a contact point, and the contact
-            point is not the centre of a collision sphere.
+        ModelError: In these cases:
+
+            - MuJoCo or Pinocchio rejects a file, or a number of the compiled model is not valid.
+            - The MJCF has a flexible body, a ball joint or no joint.
+            - A joint of the URDF has no axis, is planar, or is floating within the tree.
+            - Both files have different joints.
+            - ``description.foot_geoms`` has no entry for a contact point, and the contact point is
+              not the centre of a collision sphere.
         UnknownNameError: If a contact point has no link in the URDF, or no site, body or geom in
             the MJCF.
         KeyError: If ``description.foot_geoms`` names a geom that the MJCF lacks.
@@ -167,10 +170,12 @@ def _refuse_flexes(model: mujoco.MjModel, source: Path) -> None:
 
 
 def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
-    """Build a robot with a changed description; see `copy_metadata` for the data that are kept.
+    """Build a robot with a changed description, and keep the metadata of the original.
+
+    `copy_metadata` lists the kept data.
 
     Args:
-        robot: The robot.
+        robot: The original robot.
         changes: New values of fields of ``Description``, for example ``mjcf=spec``.
 
     Raises:
@@ -186,10 +191,15 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
 
 
 def with_additions(robot: Robot, *additions: Addition) -> Robot:
-    """Build a robot with additions to the MJCF; see `copy_metadata` for the data that are kept.
+    """Build a robot with additions to the MJCF, and keep the metadata of the original.
 
-    Additions do not change the URDF, so the result has a copy of the Pinocchio model of ``robot``.
-    Changes of this model in memory, such as other limits, are kept.
+    `copy_metadata` lists the kept data. Additions do not change the URDF: the result has a copy of
+    the Pinocchio model of ``robot``, including changes of this model in memory, such as other
+    limits.
+
+    Args:
+        robot: The original robot.
+        additions: Elements for the MJCF, for example a floor or servos.
 
     Raises:
         ModelError: If MuJoCo rejects the MJCF with the additions.
@@ -202,14 +212,17 @@ def with_additions(robot: Robot, *additions: Addition) -> Robot:
 
 
 def copy_metadata(built: Robot, robot: Robot) -> Robot:
-    """Return a rebuilt robot with those data of the original that its description does not contain.
+    """Copy to a rebuilt robot the data of the original that a description does not contain.
 
-    The data are ``stand_height``, the notes, and the published file. If the robot has contacts of a
-    task (``touching``), these and the fingerprint are copied as well.
+    The data are ``stand_height``, the notes, and the published file. If the original has contacts
+    of a task (``touching``), the contacts and the fingerprint are copied as well.
 
     Args:
-        built: Rebuilt robot.
+        built: Rebuilt robot; not changed.
         robot: Original robot.
+
+    Returns:
+        Copy of ``built`` with these data.
     """
     result = replace(
         built,
@@ -221,12 +234,12 @@ def copy_metadata(built: Robot, robot: Robot) -> Robot:
 
 
 def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) -> Robot:
-    """Add the contacts of a task to a rebuilt robot: friction, hands and welds.
+    """Return a rebuilt robot with the contacts of a task: friction, hands and welds.
 
     Args:
         built: Rebuilt robot; its files contain the contact geometry of the task.
         robot: Original robot, whose fingerprint (key for caches) is kept.
-        touching: {foot or other part: contact of this part}.
+        touching: {foot or other part: contact settings of this part}.
     """
     hands = {name for name, properties in touching.items() if properties.offset is not None}
     feet = sorted(built.feet.items(), key=lambda foot: foot[0] in hands)  # hands last
@@ -242,9 +255,9 @@ def with_touching(built: Robot, robot: Robot, touching: Mapping[str, Touching]) 
 def _check_forces_at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
     """Report settings of the MJCF with effect at rest; make gravity compensation passive, in place.
 
-    Reported are MuJoCo's sleep, passive forces at rest (such as springs), and gravity compensation
-    that MuJoCo would add to the motor torques. ``actuatorgravcomp`` is cleared, so that this
-    compensation becomes a passive force. A passive force reduces the motor torques.
+    Reported settings are MuJoCo's sleep, passive forces at rest (such as springs), and gravity
+    compensation that MuJoCo would add to the motor torques. ``actuatorgravcomp`` is cleared:
+    gravity compensation then is a passive force, which reduces the motor torques.
     """
     notes: list[Diagnostic] = []
     if mj_model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP.value:
@@ -478,7 +491,8 @@ reported if it is set (`report_options`)."""
 def report_options(model: mujoco.MjModel) -> Iterator[Diagnostic]:
     """Yield diagnostics of MuJoCo options that are unusual for a robot on Earth.
 
-    The options are gravity, the disable flags of `_REPORTED_FLAGS`, and disabled actuator groups.
+    The options are gravity, flags that disable contacts, constraints or actuation, and disabled
+    actuator groups.
     """
     gravity = acting_gravity(model)
     if float(np.linalg.norm(gravity - DOWNWARD_GRAVITY)) > _GRAVITY_ATOL:
@@ -498,11 +512,11 @@ def report_options(model: mujoco.MjModel) -> Iterator[Diagnostic]:
 
 @check_arguments
 def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
-    """Return a copy of the robot with other effort limits, and a note that reports them.
+    """Return a copy of the robot with other effort limits of joints, and a note about this change.
 
     Use this function if the files contain placeholder limits. The new limits apply to computations
-    and simulations of the robot; the published file is simulated with the limits of the file. Other
-    changes of the robot's Pinocchio model in memory are kept.
+    and simulations of the robot. Simulations of the published file use the limits of the file.
+    Other changes of the robot's Pinocchio model in memory are kept.
 
     Args:
         robot: The robot.
@@ -558,9 +572,10 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
 
 
 def report_placeholder_efforts(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Report effort limits of the files that appear to be placeholders.
+    """Report the effort limits of the files that appear to be placeholders, in one diagnostic.
 
-    Limits that the caller passed (`with_efforts`) are not examined.
+    A placeholder is a number that nobody determined, such as 100 N m at every joint. Limits that
+    the caller passed (`with_efforts`) are not examined.
     """
     efforts = {
         limit.joint: max(-limit.lower, limit.upper)

@@ -1,16 +1,17 @@
 """Closed kinematic loops and joint couplings from the equality constraints of an MJCF.
 
-A URDF is a tree, and can only express ``<mimic>``. MuJoCo's residuals phi(q) are zero if the loops
-are closed (constraint violations otherwise). With the Jacobian A of phi, A qvel = 0, and the
-constraints exert A^T lambda. The dependent joints (index F) have no motor and exert no torque:
+A URDF is a tree; apart from ``<mimic>``, it cannot express constraints. MuJoCo's residuals phi(q)
+are the constraint violations: they are zero if the loops are closed. With the Jacobian A of phi, A
+qvel = 0, and the constraints exert A^T lambda. The dependent joints (index F) have no motor and
+exert no torque:
 
     0 = x_F - A_F^T lambda,    x' = x - A^T lambda
 
 for a generalised load x. The motors of the independent joints hold x' (principle of virtual work).
 
-MuJoCo's constraints are soft: at rest each has a static deflection that depends on its force. There
-may be more equations than dependent joints: a planar loop has three equations, of which one is
-redundant. The compliances then determine the distribution of the load.
+MuJoCo's constraints are soft: at rest, each constraint has a static deflection that depends on its
+force. There may be more equations than dependent joints: a planar loop has three equations, of
+which one is redundant. The compliances then determine the distribution of the load.
 """
 
 from __future__ import annotations
@@ -42,9 +43,8 @@ Chosen, not tuned."""
 _RANK_RTOL = 1e-7
 """Singular value of the constraint Jacobian, relative to the largest singular value, above which an
 equation counts as independent. The redundant equation of a planar loop has a ratio of up to 1e-9 in
-files with rounded numbers. The value is also used as an absolute bound: smaller entries of a
-constraint Jacobian, and negative determinants of smaller size (`Closure.has_reference_assembly`),
-count as zero."""
+files with rounded numbers. The value is also used as an absolute bound, below which entries of a
+constraint Jacobian and determinants (`Closure.has_reference_assembly`) count as zero."""
 
 _MAX_ITERATIONS = 50
 """Maximum number of Newton iterations that close a loop. Chosen, not tuned."""
@@ -54,8 +54,8 @@ _MAX_NEWTON_STEP = 0.3
 longer step is scaled down. Chosen, not tuned."""
 
 _START_ATOL = 1e-3
-"""Constraint violation [m, rad] below which the loops of qpos0 or of a keyframe count as closed, so
-that it can be the reference configuration. Files contain keyframes with a few digits, which violate
+"""Constraint violation [m, rad] below which the loops of qpos0 or of a keyframe count as closed.
+Such a configuration can be the reference configuration. Keyframes with a few digits violate
 constraints by up to a millimetre. Chosen, not tuned."""
 
 _DIFFERENCE_STEP = 1e-7
@@ -71,8 +71,8 @@ not for the deflected loop. Chosen, not tuned."""
 
 _FOOT_JOINT_MOBILITY = 1e-2
 """Step weight [1] of joints between base and feet, when Newton's method closes loops. Other joints
-have the weight 1. Because of the low weight, the feet stay near their initial positions. Chosen,
-not tuned."""
+have the weight 1. With a low weight, the feet stay near their initial positions. Chosen, not
+tuned."""
 
 _DISABLE_FLAGS = (
     *("mjDSBL_CONTACT", "mjDSBL_LIMIT", "mjDSBL_FRICTIONLOSS", "mjDSBL_ACTUATION"),
@@ -84,7 +84,9 @@ actuator forces nor sensors."""
 
 
 class Closure:
-    """Closed loops and couplings of a robot.
+    """Closed loops and joint couplings of a robot: violations, Jacobians and load transfer.
+
+    A dependent joint has no motor; its position follows from the constraints.
 
     Args:
         model: MuJoCo model of the robot.
@@ -92,11 +94,9 @@ class Closure:
         joint_names: Joints in actuator order.
 
     Attributes:
-        dependent_joints: Indices, shape (k,), of the joints without motor whose positions follow
-            from the constraints.
-        driving_joints: Indices, shape (n,), of the other joints in loops and couplings.
-        constraint_names: Type and name of each active equality constraint, such as ``connect`` of a
-            rod.
+        dependent_joints: Indices of the dependent joints, shape (k,).
+        driving_joints: Indices of the other joints in loops and couplings, shape (n,).
+        constraint_names: Type and name of each active equality constraint, such as ``connect rod``.
         is_world_coupled: Whether a constraint couples a free base to the world, which is not
             supported.
     """
@@ -141,8 +141,7 @@ class Closure:
         """Return the derivatives of ``residual`` by the joint positions, shape (m, nu).
 
         Columns are in actuator order. The columns of joints outside of loops and couplings are
-        zero. The pose of the base does not affect the violations, unless `is_world_coupled` is
-        true.
+        zero. The pose of the base does not affect the residuals, unless `is_world_coupled` is true.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -151,9 +150,9 @@ class Closure:
         return rows if self._is_used is None else rows * self._is_used
 
     def static_deflection(self, qpos: Array, load: Array) -> Array:
-        """Return the static deflection of the soft constraints, shape (m,) [m, rad].
+        """Return the static deflection of the soft constraints under a load, shape (m,) [m, rad].
 
-        Sign and order are those of ``residual``.
+        Sign and order are the same as in ``residual``.
 
         Args:
             qpos: Configuration, shape (nq,), with closed loops.
@@ -169,8 +168,9 @@ class Closure:
     def load_transfer(self, qpos: Array) -> Array:
         """Return the matrix P that maps a joint load x to the torques P x of the loop constraints.
 
-        The motors exert the rest, x - P x. At the dependent joints the rest is zero, because these
-        joints have no motor. P x depends only on the load of the dependent joints.
+        The motors exert the remaining load x - P x. At the dependent joints, the remaining load is
+        zero, because these joints have no motor. P x depends only on the load of the dependent
+        joints.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -190,14 +190,14 @@ class Closure:
     def constraint_torques(self, qpos: Array) -> Array:
         """Return the joint torques and forces that the soft loop constraints exert at rest.
 
-        tau = -A^T (r / c), with the Jacobian A, the constraint violations r [m, rad], and their
-        compliances c [m/N, rad/(N m)]. All velocities are zero.
+        tau = -A^T (r / c), with the Jacobian A, the constraint violations r [m, rad], and the
+        compliances c [m/N, rad/(N m)] of the constraints. All velocities are zero.
 
         Args:
             qpos: Configuration, shape (nq,).
 
         Returns:
-            Shape (nu,) [N m, N], acting on the robot.
+            Torques and forces on the joints, shape (nu,) [N m, N].
         """
         forces: Array = self.jacobian(qpos).T @ (
             -self.residual(qpos) / self._evaluate_compliance(qpos).current_compliance()
@@ -205,12 +205,15 @@ class Closure:
         return forces
 
     def constraint_torque_jacobian(self, qpos: Array) -> Array:
-        """Return the derivative of the constraint torques by the joint positions, shape (nu, nu).
+        """Return the derivative of ``constraint_torques`` with respect to the joint positions.
 
-        Computed by central differences. Units: N m/rad for hinges, N/m for slides.
+        Computed by central differences.
 
         Args:
             qpos: Configuration, shape (nq,).
+
+        Returns:
+            Shape (nu, nu), units N m/rad for hinges and N/m for slides. Columns: joint positions.
         """
         first, columns = self._num_coordinates - len(self._joint_names), []
         for joint in range(first, self._num_coordinates):
@@ -233,14 +236,14 @@ class Closure:
         return basis
 
     def independent_equations(self, qpos: Array) -> tuple[Array, Array]:
-        """Return linearly independent combinations of the constraint equations.
+        """Return r linearly independent combinations of the constraint equations.
 
         Args:
             qpos: Configuration, shape (nq,).
 
         Returns:
-            Jacobian by the joint positions, shape (r, nu), and constraint violations, shape (r,) [m
-            and rad mixed].
+            Jacobian with respect to the joint positions, shape (r, nu); constraint violations,
+            shape (r,) [m and rad mixed].
         """
         rows = self.jacobian(qpos)
         combinations = self._independent_combinations(rows)
@@ -257,24 +260,28 @@ class Closure:
                 deflections under a load. Default: 0.
 
         Returns:
-            Configuration, shape (nq,), with the base pose of ``qpos``. None if the iteration does
-            not converge. None if it converges to another assembly mode (`has_reference_assembly`),
-            for example with crossed rods. Without ``give``, also None if a redundant equation is
-            violated by ``MAX_OPENING`` or more.
+            Configuration, shape (nq,), with the base pose of ``qpos``. None in three cases: the
+            iteration does not converge; it converges to another assembly mode
+            (`has_reference_assembly`), for example with crossed rods; without ``give``, a redundant
+            equation is violated by ``MAX_OPENING`` or more.
         """
         result = self._close_by_newton(qpos, moving, give)
         return result if result is not None and self.has_reference_assembly(result) else None
 
     def has_reference_assembly(self, qpos: Array) -> bool:
-        """Return True if all loops at ``qpos`` (nq,) have the assembly mode of the reference.
-
-        The reference is the first of qpos0 and the keyframes in which the loops are closed. If
-        there is none, it is qpos0 with loops closed by Newton's method, if the method converges.
+        """Return True if all loops have the assembly mode of the reference configuration.
 
         A four-bar linkage, for example, has two assembly modes: with and without crossed rods. The
-        mode counts as different if det(A^T A_ref) is below ``-_RANK_RTOL`` for a loop. A is the
-        Jacobian of the loop equations by the dependent joints of the loop. A_ref is the value of A
-        in the reference configuration.
+        mode of a loop counts as different if det(A^T A_ref) < ``-_RANK_RTOL``. A is the Jacobian of
+        the loop equations with respect to the dependent joints of the loop, A_ref its value in the
+        reference configuration.
+
+        The reference configuration is the first of qpos0 and the keyframes in which the loops are
+        closed. If there is none, it is qpos0 with loops closed by Newton's method, or qpos0 itself
+        if the method does not converge.
+
+        Args:
+            qpos: Configuration, shape (nq,).
         """
         rows = self.jacobian(qpos)[:, self.dependent_joints]
         return all(
@@ -283,7 +290,7 @@ class Closure:
         )
 
     def _close_by_newton(self, qpos: Array, moving: Array, give: Array | None) -> Array | None:
-        """Close the loops as `close_loops`, with the same arguments, but accept any assembly mode.
+        """Close the loops with the arguments of `close_loops`, but accept any assembly mode.
 
         Returns:
             Configuration, shape (nq,). None if the iteration does not converge, or if, without
@@ -308,7 +315,7 @@ class Closure:
     def largest_violation(self, qpos: Array) -> float:
         """Return the largest absolute constraint violation of the loops and couplings [m or rad].
 
-        0 without constraints.
+        The result is 0 without constraints.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -318,7 +325,7 @@ class Closure:
     def violation_error(self, qpos: Array, give: Array | None = None) -> float:
         """Return the largest deviation of the constraint violations from the required violations.
 
-        Metres and radians are mixed. Only independent combinations of the equations are evaluated,
+        Metres and radians are mixed. The deviations are independent combinations of the equations,
         because files with rounded numbers violate the redundant equation of a planar loop by
         nanometres.
 
@@ -335,7 +342,7 @@ class Closure:
         """Raise an error unless the loops are closed, up to their deflection under a static load.
 
         The accepted violation of a constraint is ``MAX_OPENING`` + ``_MAX_COMPLIANCE_FACTOR`` *
-        force * compliance. The compliance is the largest that the constraint can have.
+        force * compliance, with the largest compliance that the constraint can have.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -343,8 +350,8 @@ class Closure:
                 (nu,) [N m, N].
 
         Raises:
-            ConfigurationError: If a constraint violation is larger, or the configuration is
-                singular.
+            ConfigurationError: If a constraint violation exceeds the accepted violation, or the
+                configuration is singular.
         """
         forces = self._force_distribution(qpos) @ load[self.dependent_joints]
         allowed = MAX_OPENING + _MAX_COMPLIANCE_FACTOR * self._evaluate_compliance(
@@ -358,10 +365,10 @@ class Closure:
             )
 
     def step_weights(self, placing: IntArray) -> Array:
-        """Return the step weight of each joint for `close_loops`, shape (nu,), actuator order.
+        """Return the step weight of each joint for `close_loops`, shape (nu,), in actuator order.
 
-        Joints between base and feet have the low weight ``_FOOT_JOINT_MOBILITY``, so that closing
-        the loops moves the feet only a little. Other joints have the weight 1.
+        Joints between base and feet have the low weight ``_FOOT_JOINT_MOBILITY``: closing the loops
+        then moves the feet only a little. Other joints have the weight 1.
 
         Args:
             placing: Indices of the joints between base and feet.
@@ -379,7 +386,10 @@ class Closure:
         return diagnose("joints-follow", following=following, leading=leading)
 
     def _evaluate_constraints(self, qpos: Array) -> mujoco.MjData:
-        """Return MuJoCo data of the current thread with constraint rows at a configuration."""
+        """Return MuJoCo data with the constraint rows at a configuration, shape (nq,).
+
+        The data belong to the current thread, and are valid until the next call.
+        """
         thread_data, model = self._thread_data, self._model
         if not hasattr(thread_data, "data"):
             thread_data.data, thread_data.at = mujoco.MjData(model), np.full(len(qpos), np.nan)
@@ -407,6 +417,9 @@ class Closure:
         """Return the constraint forces (m, k) per unit load on each of the k dependent joints.
 
         Of all forces that balance the load, the forces with minimum elastic energy are selected.
+
+        Args:
+            qpos: Configuration, shape (nq,).
 
         Raises:
             ConfigurationError: If the configuration is singular.
@@ -478,7 +491,10 @@ class Closure:
     def _find_loops(self, rows: Array) -> tuple[IntArray, ...]:
         """Return groups of dependent joints that occur in common equations (connected loops).
 
-        The values are indices in ``dependent_joints``.
+        A group contains indices of elements of ``dependent_joints``.
+
+        Args:
+            rows: Jacobian (m, nu) of the constraints.
         """
         is_coupled = np.abs(rows[:, self.dependent_joints]) > _RANK_RTOL
         loops: list[tuple[set[int], NDArray[np.bool_]]] = []  # (joints, mask of their equations)
@@ -534,16 +550,17 @@ def _list_constraints(model: mujoco.MjModel) -> tuple[str, ...]:
 def find_closure(
     model: mujoco.MjModel, convention: MujocoConvention, joint_names: Sequence[str]
 ) -> Closure | None:
-    """Return the loops and couplings of a robot; None if there are none.
-
-    The result is None if no active equality constraint acts on a joint of the robot, or if
-    constraints are disabled. It is also None if a constraint couples a free base to the world,
-    because this is not supported.
+    """Find the closed loops and joint couplings of a robot.
 
     Args:
         model: MuJoCo model of the robot.
         convention: Coordinate maps of the model.
         joint_names: Joints in actuator order.
+
+    Returns:
+        The loops and couplings. None in three cases: no active equality constraint acts on a joint
+        of the robot; constraints are disabled; a constraint couples a free base to the world, which
+        is not supported.
     """
     disabled = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY
     if not model.eq_active0.any() or model.opt.disableflags & int(disabled):

@@ -2,8 +2,8 @@
 
 MuJoCo's contacts are soft. Input: the contact parameters of a foot. Output: `GroundLaw`, with the
 penetration under a normal force (solved by Newton's method), the normal stiffness, and the
-viscosity. MuJoCo's regularised friction lets a foot creep (slip slowly) at a speed proportional to
-the tangential force; the viscosity is the ratio of force to speed.
+viscosity. MuJoCo's regularised friction lets a foot creep (slip slowly), with a speed proportional
+to the tangential force. The viscosity is the ratio of force to speed.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ value. The value is about two roundings of double precision (2.2e-16 each)."""
 
 @dataclass(frozen=True)
 class GroundLaw:
-    """Force law of the ground under a foot, as in MuJoCo at rest.
+    """Force law of MuJoCo's soft ground under a contact point at rest.
 
     r is the penetration plus the contact margin, and d(r) the impedance of ``solimp``. A is
     MuJoCo's ``diagApprox`` of the contact (approximate inverse inertia), and R = (1 - d)/d A. A
@@ -51,7 +51,7 @@ class GroundLaw:
 
     with the creep velocity v, for the elliptic friction cone. For the pyramidal cone see
     `of_contact`. If ``solref`` is positive, k = 1/(dmax timeconst dampratio)^2 and b = 2/(dmax
-    timeconst). If it is negative, k = -solref[0]/dmax^2 and b = -solref[1]/dmax.
+    timeconst). If ``solref`` is not positive, k = -solref[0]/dmax^2 and b = -solref[1]/dmax.
 
     Source: MuJoCo documentation, "Computation: Solver parameters"; ``engine_core_constraint.c``.
 
@@ -76,9 +76,9 @@ class GroundLaw:
     def of_contact(robot: Robot, foot: str) -> GroundLaw:
         """Return the force law between a contact point and the ground in MuJoCo's model.
 
-        `GroundLaw` defines the symbols. With MuJoCo's pyramidal friction cone, ``tangential`` is
-        A_t = (1 + mu^2) A / impratio. The normal force is then the sum of the forces of 2 (condim -
-        1) edges, so ``normal`` is A_t mu^2 / (condim - 1).
+        The class docstring defines the symbols. With MuJoCo's pyramidal friction cone,
+        ``tangential`` is A_t = (1 + mu^2) A / impratio. The normal force is then the sum of the
+        forces of 2 (condim - 1) edges; therefore ``normal`` is A_t mu^2 / (condim - 1).
 
         Args:
             robot: Robot whose MuJoCo model has a ground.
@@ -119,7 +119,11 @@ class GroundLaw:
         return solimp_impedance(self.solimp, depth + self.margin)
 
     def force(self, depth: float) -> float:
-        """Return the normal force [N] on a contact point at rest at a penetration ``depth`` [m]."""
+        """Return the normal force [N] on a contact point at rest.
+
+        Args:
+            depth: Penetration [m].
+        """
         d, _ = self._impedance_and_slope(depth)
         return self.stiffness * d**2 * (depth + self.margin) / ((1 - d) * self.normal)
 
@@ -141,13 +145,13 @@ class GroundLaw:
         """Return the penetration [m] at rest under a normal force: the inverse of ``force``.
 
         Method for positive forces: Newton steps within a lower and an upper bound of the
-        penetration. A step is replaced by the geometric mean of the bounds in two cases: if it
-        leaves the bounds, or if the previous step did not halve the residual. While the lower bound
-        is zero, half the upper bound replaces the geometric mean. With ``near``, up to
+        penetration. The geometric mean of the bounds replaces a step in two cases: the step leaves
+        the bounds, or the previous step did not halve the residual. While the lower bound is zero,
+        half the upper bound replaces the geometric mean. With ``near``, up to
         `_NUM_UNBOUNDED_STEPS` Newton steps without bounds are tried first.
 
-        The iteration ends if the relative step is at most `_STEP_RTOL`, or the relative distance of
-        the bounds is at most `_DEPTH_RTOL`. It ends after `_MAX_ITERATIONS` in any case.
+        The iteration ends if the relative step is at most `_STEP_RTOL`, if the relative distance of
+        the bounds is at most `_DEPTH_RTOL`, or after `_MAX_ITERATIONS`.
 
         Args:
             force: Normal force [N].
@@ -155,9 +159,9 @@ class GroundLaw:
                 none.
 
         Returns:
-            Penetration [m]. If the force is positive, it is at least -margin. Otherwise it is at
-            most -margin, extrapolated with the initial stiffness. If the ground exerts no force
-            (``solref`` of zero), it is infinite for a positive force, and -margin otherwise.
+            Penetration [m]. A positive force gives at least -margin. Another force gives at most
+            -margin, extrapolated with the initial stiffness. Ground without force (``solref`` of
+            zero) gives infinity for a positive force, otherwise -margin.
         """
         start = -self.margin
         if not self._initial_stiffness:  # solref is zero: no contact force
@@ -206,7 +210,7 @@ class GroundLaw:
     def viscosity(self, depth: float) -> float:
         """Return the viscosity c [N s/m] of the contact at a penetration ``depth`` [m].
 
-        c is the tangential force divided by the creep velocity, the slow slip that MuJoCo's
+        c is the tangential force divided by the creep velocity: the slow slip that MuJoCo's
         regularised friction permits inside the friction cone.
         """
         d = self.impedance(depth)

@@ -2,8 +2,8 @@
 
 Coordinates are MuJoCo's, with the joints in actuator order (``robot.coordinates``).
 
-Pinocchio computes the results from the URDF. MuJoCo computes the forces of springs, gravity
-compensation and wind, because a URDF does not contain such forces.
+Pinocchio computes the results from the URDF. MuJoCo computes the passive forces (springs, gravity
+compensation, wind ...), because a URDF does not contain such forces.
 """
 
 from __future__ import annotations
@@ -43,10 +43,11 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 class Configuration(Pictured):
-    """Robot at a state (qpos, qvel). Construction runs the forward kinematics.
+    """Robot at a state (qpos, qvel): kinematics and dynamics. Construction runs the kinematics.
 
-    The coordinates are defined in ``pupper_analysis.robot.coordinates``: MuJoCo's, with the joints
-    in actuator order. A configuration is immutable; the quaternion is normalised.
+    The coordinates are MuJoCo's, with the joints in actuator order
+    (``pupper_analysis.robot.coordinates``). A configuration is immutable. The base quaternion (w,
+    x, y, z) is normalised.
 
     Attributes:
         robot: The robot.
@@ -55,12 +56,12 @@ class Configuration(Pictured):
     """
 
     def __init__(self, robot: Robot, qpos: ArrayLike, qvel: ArrayLike | None = None) -> None:
-        """Run the forward kinematics.
+        """Run the forward kinematics of a state.
 
         Args:
             robot: The robot.
-            qpos: Configuration (nq,).
-            qvel: Velocity (nv,); zero by default.
+            qpos: Configuration, shape (nq,).
+            qvel: Velocity, shape (nv,); zero by default.
 
         Raises:
             ConfigurationError: If ``robot`` has another type, a vector has a wrong length, a value
@@ -117,7 +118,7 @@ class Configuration(Pictured):
         return render_table(f"Configuration of {robot.name}", rows)
 
     def frame_position(self, name: str) -> Array:
-        """Return the position (3,) [m] of the frame of a link in the world.
+        """Return the position (3,) [m] of the origin of a link, in the world frame.
 
         Raises:
             UnknownNameError: If the URDF has no such link.
@@ -139,16 +140,16 @@ class Configuration(Pictured):
         *,
         reference: Reference = "local_world_aligned",
     ) -> Array:
-        """Return the Jacobian (6, nv) of a point that moves with a link.
+        """Return the Jacobian J (6, nv) of a point that moves with a link.
 
-        J qvel = (linear velocity [m/s], angular velocity [rad/s]), as ``pin.getFrameJacobian``.
+        J qvel = (linear velocity [m/s], angular velocity [rad/s]), as in ``pin.getFrameJacobian``.
 
         Args:
             name: Name of the link.
-            offset: Vector (3,) [m] from the origin of the link to the point, in world axes; zero
-                by default.
-            reference: Velocity to which J maps. "local_world_aligned": velocity of the point, in
-                world axes. "local": velocity of the point, in the axes of the link. "world":
+            offset: Vector (3,) [m] from the origin of the link to the point, in world axes; zero by
+                default.
+            reference: Velocity that J qvel returns. "local_world_aligned": velocity of the point,
+                in world axes. "local": velocity of the point, in the axes of the link. "world":
                 velocity of the material point of the link at the world origin, in world axes;
                 ``offset`` then has no effect, and is not checked.
 
@@ -180,8 +181,8 @@ class Configuration(Pictured):
     ) -> Array:
         """Return the time derivative dJ/dt, shape (6, nv), of ``frame_jacobian`` at ``qvel``.
 
-        The acceleration of the point is J qacc + dJ/dt qvel if ``reference`` is
-        "local_world_aligned". Computed by ``pin.getFrameJacobianTimeVariation``.
+        With ``reference`` "local_world_aligned", the acceleration of the point is J qacc + dJ/dt
+        qvel. Computed by ``pin.getFrameJacobianTimeVariation``.
 
         Args:
             name: Name of the link.
@@ -294,9 +295,9 @@ class Configuration(Pictured):
             raise
 
     def _jacobians(self, feet: Iterable[str]) -> Array:
-        """Return the Jacobians (n, 6, nv) of the sphere centres of feet, in world axes.
+        """Return the Jacobians (n, 6, nv) of the sphere centres of n contact points, in world axes.
 
-        Rows of each: linear velocity of the centre [m/s], then angular velocity [rad/s].
+        Rows of each Jacobian: linear velocity of the centre [m/s], then angular velocity [rad/s].
         """
         jacobians = np.array([self._jacobian(frame) for frame in self._foot_frames(feet)])
         return jacobians.reshape(-1, 6, self._structure.nv)
@@ -329,7 +330,11 @@ class Configuration(Pictured):
         return index
 
     def foot_positions(self) -> dict[str, Array]:
-        """Return {contact point: sphere centre in the world frame, shape (3,) [m]}."""
+        """Return the sphere centres of all contact points in the world frame.
+
+        Returns:
+            {contact point: position (3,) [m]}.
+        """
         placements, frames = self._data.oMf, self._structure.feet
         return {foot: np.array(placements[frame].translation) for foot, frame in frames.items()}
 
@@ -348,14 +353,17 @@ class Configuration(Pictured):
         return np.array(positions, dtype=float).reshape(-1, 3)
 
     def foot_jacobians(self) -> dict[str, Array]:
-        """Return {contact point: Jacobian (3, nv) of its sphere centre} in world axes.
+        """Return {contact point: Jacobian J (3, nv) of its sphere centre}.
 
-        J qvel is the velocity of the sphere centre in the world [m/s].
+        J qvel is the velocity of the sphere centre [m/s], in world axes.
         """
         return {foot: self._jacobian(frame)[:3] for foot, frame in self._structure.feet.items()}
 
     def foot_rotations(self, feet: Iterable[str]) -> Array:
-        """Return the rotations (n, 3, 3) from the frames of contact points to world axes.
+        """Return the rotations (n, 3, 3) from the frames of n contact points to the world axes.
+
+        Args:
+            feet: Names of the contact points.
 
         Raises:
             ConfigurationError: If ``feet`` is a text or no iterable.
@@ -366,9 +374,12 @@ class Configuration(Pictured):
         return np.array(rotations).reshape(-1, 3, 3)
 
     def foot_twist_jacobians(self, feet: Sequence[str]) -> Array:
-        """Return the Jacobians, shape (n, 6, nv), of the centres of n contact points.
+        """Return the Jacobians J, shape (n, 6, nv), of the sphere centres of n contact points.
 
         J qvel = (linear velocity of the centre [m/s], angular velocity [rad/s]), in world axes.
+
+        Args:
+            feet: Names of the contact points.
 
         Raises:
             ConfigurationError: If ``feet`` is a text or no iterable.
@@ -377,10 +388,13 @@ class Configuration(Pictured):
         return self._jacobians(feet)
 
     def contact_points(self, feet: Iterable[str] | None = None) -> dict[str, Array]:
-        """Return {contact point: lowest point (3,) [m] of the sphere} in the world.
+        """Return the lowest point of the sphere of each contact point, in the world frame.
 
         Args:
-            feet: Contact points; all by default.
+            feet: Names of the contact points; all by default.
+
+        Returns:
+            {contact point: sphere centre minus radius times the world's z axis, shape (3,) [m]}.
 
         Raises:
             ConfigurationError: If ``feet`` is a text or no iterable.
@@ -394,12 +408,17 @@ class Configuration(Pictured):
         }
 
     def point_jacobians(self, feet: Sequence[str], offsets: Array) -> Array:
-        """Return the Jacobians (n, 3, nv) of points that move with feet, in world axes.
+        """Return the Jacobians (n, 3, nv) of n points that move with feet, in world axes.
 
         Args:
-            feet: Names of n contact points.
-            offsets: Vector from the sphere centre of each contact point to the point, in world
+            feet: Name of a contact point for each point. The point moves with the link of this
+                contact point.
+            offsets: Vectors from the sphere centres of the contact points to the points, in world
                 axes, shape (n, 3) [m].
+
+        Raises:
+            ConfigurationError: If ``feet`` is a text or no iterable.
+            UnknownNameError: If there is no such contact point.
         """
         jacobians = self._jacobians(feet)
         result: Array = jacobians[:, :3] - cross_matrices(offsets) @ jacobians[:, 3:]
@@ -412,7 +431,7 @@ class Configuration(Pictured):
         return np.array(self._structure.total_com(moving))
 
     def com_jacobian(self) -> Array:
-        """Return the Jacobian (3, nv) of the CoM; J qvel is the velocity of the CoM [m/s]."""
+        """Return the Jacobian J (3, nv) of the CoM: J qvel is its velocity [m/s], in world axes."""
         if self._structure.fixed == 1:  # the moving links have no mass
             return np.zeros((3, self._structure.nv))
         moving = pin.jacobianCenterOfMass(self._model, self._data, self._q)
@@ -438,12 +457,11 @@ class Configuration(Pictured):
     def centroidal_map_time_variation(self) -> Array:
         """Return the time derivative dA/dt, shape (6, nv), of ``centroidal_map`` at ``qvel``.
 
-        The derivative of the centroidal momentum is A qacc + dA/dt qvel. It equals the sum of the
-        external forces, and the sum of their moments about the CoM. The bias of the momentum is
-        dA/dt qvel.
+        The rate of the centroidal momentum is A qacc + dA/dt qvel. It equals the sum of the
+        external forces and the sum of their moments about the CoM.
 
         The angular rows differ from ``pin.computeCentroidalMapTimeVariation`` (Pinocchio's issue
-        2093), because Pinocchio differentiates about a fixed point at the present CoM. This method
+        2093). Pinocchio differentiates about a fixed point at the present CoM. This method
         subtracts the missing term: the cross product of the CoM velocity and the linear rows of
         ``centroidal_map``. Multiplied by qvel, both matrices give the same vector, unless a fixed
         base has mass.
@@ -522,8 +540,8 @@ class Configuration(Pictured):
     def bias_forces(self) -> Array:
         """Return the bias h (nv,) [N, N m]: Coriolis, centrifugal and gravity forces.
 
-        M qacc + h = tau + J^T f. Passive joint forces are not part of h. h is the result of
-        ``pin.nonLinearEffects``, sorted into the order of qvel.
+        The equation of motion is M qacc + h = tau + J^T f, plus passive forces, which are not part
+        of h. Computed by ``pin.nonLinearEffects``; in the order of qvel.
         """
         forces = pin.nonLinearEffects(self._model, self._data, self._q, self._v)
         return self._structure.to_qvel_order(forces)
@@ -532,8 +550,9 @@ class Configuration(Pictured):
         """Return the gravity vector g, shape (nv,) [N, N m]: the bias forces at rest.
 
         Computed by ``pin.computeGeneralizedGravity``. With a free base, g[:3] = -m gravity [N]. The
-        joint part contains the motor torques of a robot with a held base, without contacts and
-        passive forces. For the motor torques of a standing robot use ``gravity_compensation``.
+        joint part contains the motor torques that hold the joints if the base is held, and if there
+        are no contacts and passive forces. For the motor torques of a standing robot use
+        ``gravity_compensation``.
         """
         forces = pin.computeGeneralizedGravity(self._model, self._data, self._q)
         return self._structure.to_qvel_order(forces)
@@ -541,9 +560,9 @@ class Configuration(Pictured):
     def passive_forces(self) -> Array:
         """Return the passive generalised forces of the MJCF at zero velocity, shape (nv,) [N, N m].
 
-        The forces are MuJoCo's ``qfrc_passive``, for example of springs, gravity compensation, wind
-        and flexible bodies. A URDF does not contain such forces. The result is zero if the MJCF has
-        no source of such forces (`Robot.acts_at_rest`).
+        The forces are MuJoCo's ``qfrc_passive`` at this configuration, for example of springs,
+        gravity compensation, wind and flexible bodies. A URDF does not contain such forces. The
+        result is zero if the MJCF has no source of such forces (`Robot.acts_at_rest`).
         """
         if not self.robot.acts_at_rest:
             return np.zeros(self.robot.nv)
@@ -553,17 +572,17 @@ class Configuration(Pictured):
     def static_load(self) -> Array:
         """Return the generalised force required to hold the robot at rest, shape (nv,) [N, N m].
 
-        Motors, contacts and constraints must exert this force together. It is the gravity vector
-        minus the passive forces of the MJCF.
+        The force is the gravity vector minus the passive forces of the MJCF. Motors, contacts and
+        constraints must exert it together.
         """
         return self.gravity() - self.passive_forces() if self.robot.acts_at_rest else self.gravity()
 
     def transfer_to_motors(self, forces: Array) -> Array:
-        """Transfer the loads of joints without motor to the motors, through loops and couplings.
+        """Transfer loads of joints without motor to the motors, through closed loops and couplings.
 
-        Dependent joints have no motor. Constraint forces transfer their load to the motors of other
+        A dependent joint has no motor. Constraint forces transfer its load to the motors of other
         joints (`Closure.load_transfer`). The rows of dependent joints become zero. The first nv -
-        nu rows (the base) are unchanged. Without loops and couplings the result is ``forces``.
+        nu rows (the base) are unchanged. Without loops and couplings, the result is ``forces``.
 
         Args:
             forces: Generalised forces that motors and constraints must exert together, shape (nv,)
@@ -590,15 +609,17 @@ class Configuration(Pictured):
         return result
 
     def static_load_derivative(self, wrenches: Mapping[str, Array]) -> Array:
-        """Return the derivative (nv, nv) of the static load minus constant wrenches on feet.
+        """Return the derivative of the robot's static load under constant wrenches on its feet.
 
         The differentiated force is l - sum J^T w. l is the `static_load` (gravity minus passive
-        forces), w a wrench, and J the Jacobian (6, nv) of the sphere centre of a foot. Column i
-        contains the derivatives with respect to a displacement along qvel[i].
+        forces), w a wrench, and J the Jacobian (6, nv) of the sphere centre of a contact point.
 
         Args:
-            wrenches: {contact point: wrench (6,)}: force [N] and moment about the centre [N m],
-                constant in world axes.
+            wrenches: {contact point: wrench (6,)}: force [N] and moment about the sphere centre [N
+                m], constant in world axes.
+
+        Returns:
+            Shape (nv, nv). Column i: derivative with respect to a displacement along qvel[i].
 
         Raises:
             ConfigurationError: If ``wrenches`` is no mapping with names as keys, or a wrench is no
@@ -611,19 +632,19 @@ class Configuration(Pictured):
         return self.loaded_points_derivative(self._jacobians(wrenches), pushes)
 
     def loaded_points_derivative(self, jacobians: Array, wrenches: Array) -> Array:
-        """Return the derivative (nv, nv) of the static load minus constant wrenches on points.
+        """Return the derivative of the robot's static load under constant wrenches on points.
 
-        The differentiated force is l - sum J^T w, with l the `static_load` (gravity minus passive
-        forces), and w a wrench. Column i contains the derivatives with respect to a displacement
-        along qvel[i].
+        The differentiated force is l - sum J^T w. l is the `static_load` (gravity minus passive
+        forces), w a wrench, and J the Jacobian of its point.
 
         Args:
             jacobians: Jacobians J of n points that move with links, shape (n, 6, nv): linear
                 velocity, then angular velocity, in world axes.
-            wrenches: Force [N] and moment about the point [N m], shape (n, 6), in world axes.
+            wrenches: Force [N] and moment about the point [N m], shape (n, 6), constant in world
+                axes.
 
         Returns:
-            Shape (nv, nv).
+            Shape (nv, nv). Column i: derivative with respect to a displacement along qvel[i].
         """
         structure = self._structure
         workspace = structure.acquire_workspace()
@@ -636,18 +657,16 @@ class Configuration(Pictured):
         return changed
 
     def wrenches_derivative(self, jacobians: Array, wrenches: Array) -> Array:
-        """Return the derivative (nv, nv) of the generalised force of constant wrenches on points.
-
-        The differentiated force is sum J^T w. Column i contains the derivatives with respect to a
-        displacement along qvel[i].
+        """Return the derivative of sum J^T w, the generalised force of constant wrenches on points.
 
         Args:
             jacobians: Jacobians J of n points that move with links, shape (n, 6, nv): linear
                 velocity, then angular velocity, in world axes.
-            wrenches: Force [N] and moment about the point [N m], shape (n, 6), in world axes.
+            wrenches: Force [N] and moment about the point [N m], shape (n, 6), constant in world
+                axes.
 
         Returns:
-            Shape (nv, nv).
+            Shape (nv, nv). Column i: derivative with respect to a displacement along qvel[i].
         """
         structure, n = self._structure, self._structure.nv
         turned = cross_matrices(wrenches.reshape(-1, 3)).reshape(-1, 6, 3) @ jacobians[:, 3:]
@@ -677,10 +696,10 @@ class Configuration(Pictured):
         return self._structure.to_qvel_order(acceleration)
 
     def joint_torque_regressor(self, qacc: ArrayLike) -> Array:
-        """Return the regressor Y (nv, 10 n) of the inverse dynamics of n bodies.
+        """Return the regressor Y (nv, 10 n) of the inverse dynamics of n bodies, at this state.
 
-        Inverse dynamics are linear in the inertial parameters: M qacc + h = Y p, without armature,
-        with p from ``dynamic_parameters``. Computed by ``pin.computeJointTorqueRegressor``.
+        M qacc + h = Y p, with the inertial parameters p from ``dynamic_parameters``. M is the mass
+        matrix without armature. Computed by ``pin.computeJointTorqueRegressor``.
 
         Args:
             qacc: Generalised acceleration (nv,).
@@ -704,11 +723,12 @@ class Configuration(Pictured):
         return np.array(rows).T
 
     def dynamic_parameters(self) -> Array:
-        """Return the inertial parameters (10 n,) of the bodies of ``joint_torque_regressor``.
+        """Return the inertial parameters p (10 n,) of the n bodies of ``joint_torque_regressor``.
 
-        Ten numbers per body: mass m [kg], m c [kg m] with c the CoM, and Ixx, Ixy, Iyy, Ixz, Iyz,
-        Izz [kg m^2]. The inertias are about the origin of the joint, in the axes of the joint, as
-        in Pinocchio's ``Inertia.toDynamicParameters``. Links on fixed joints are part of the body.
+        Ten numbers per body: mass m [kg]; m c [kg m] with the CoM c; Ixx, Ixy, Iyy, Ixz, Iyz, Izz
+        [kg m^2]. Moments of inertia are about the origin of the body's joint, in the axes of the
+        joint, as in Pinocchio's ``Inertia.toDynamicParameters``. Links on fixed joints are part of
+        the body.
         """
         inertias = self._model.inertias
         parameters = [inertias[int(body)].toDynamicParameters() for body in self._bodies()]
@@ -723,13 +743,16 @@ class Configuration(Pictured):
         return np.array([*base, *self._structure.joints.values()], dtype=np.int64)
 
     def foot_accelerations(self, qacc: ArrayLike) -> dict[str, Array]:
-        """Return {contact point: acceleration (6,)} in world axes.
+        """Return the acceleration of the sphere centre of each contact point, in world axes.
 
-        Linear acceleration of the centre [m/s^2], and angular acceleration [rad/s^2]: the
-        derivative of J qvel, with J of ``frame_jacobian``.
+        The acceleration is the time derivative of J qvel, with J of ``frame_jacobian``.
 
         Args:
-            qacc: Generalised acceleration (nv,).
+            qacc: Generalised acceleration, shape (nv,).
+
+        Returns:
+            {contact point: linear acceleration [m/s^2] and angular acceleration [rad/s^2], shape
+            (6,)}.
 
         Raises:
             ConfigurationError: If the vector has a wrong length, or a value is not finite.
@@ -746,9 +769,8 @@ class Configuration(Pictured):
         """Return the acceleration of the CoM, J qacc + dJ/dt qvel, shape (3,) [m/s^2], world axes.
 
         Args:
-            qacc: Generalised acceleration, shape (nv,), in the convention of MuJoCo's qacc with the
-                joints in actuator order: linear acceleration of the base in world axes, angular
-                acceleration in base axes, then joints.
+            qacc: Generalised acceleration, shape (nv,): linear acceleration of a free base in world
+                axes, angular acceleration in base axes, then the joints in actuator order.
 
         Raises:
             ConfigurationError: If the vector has a wrong length, or a value is not finite.
@@ -774,12 +796,12 @@ class Configuration(Pictured):
         return self._structure.to_model_order(self.qvel)
 
     def imu(self, qacc: ArrayLike, name: str | None = None) -> tuple[Array, Array]:
-        """Return the readings of gyro and accelerometer at the frame of a link.
+        """Return the ideal readings of a gyro and an accelerometer at the frame of a link.
 
-        The reading of the accelerometer is the acceleration of the frame's origin minus gravity.
+        The accelerometer reads the acceleration of the frame's origin minus gravity.
 
         Args:
-            qacc: Generalised acceleration (nv,).
+            qacc: Generalised acceleration, shape (nv,).
             name: Link with the sensors; by default ``Robot.imu``.
 
         Returns:
@@ -820,8 +842,8 @@ def _check_reference(reference: str) -> pin.ReferenceFrame:
 _DIFFERENCE_STEP = 1e-6
 """Step of the central differences of passive forces [rad, m]. Most passive forces are smooth:
 springs are linear or polynomial, and gravity compensation varies with sines of the angles.
-Exception: a tendon spring has a kink at each end of its range of rest lengths. Chosen, not
-tuned."""
+Exception: the spring force of a tendon has a kink at both ends of the dead band of its rest length.
+Chosen, not tuned."""
 
 
 class AtRest:
@@ -844,13 +866,15 @@ class AtRest:
         return self._passive_forces()
 
     def force_derivative(self, qpos: Array) -> Array:
-        """Return the derivative of the passive forces at rest, shape (nv, nv).
+        """Return the derivative of the passive forces at rest with respect to the configuration.
 
-        Column i contains the derivatives with respect to a displacement along qvel[i], computed by
-        central differences.
+        Computed by central differences.
 
         Args:
             qpos: Configuration, shape (nq,).
+
+        Returns:
+            Shape (nv, nv). Column i: derivative with respect to a displacement along qvel[i].
         """
         data, index = self._data, self._convention.qvel_index
         self._convention.set_state(data, qpos)

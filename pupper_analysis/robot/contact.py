@@ -1,8 +1,8 @@
 """Contacts of feet with the ground in MuJoCo: geoms, positions, forces and effective parameters.
 
-Input is a compiled MuJoCo model with a ground plane; outputs are the geom, radius and contact
-parameters of each contact point. Parameters of two geoms are combined by MuJoCo's rule
-(`combine_geoms`): priority, larger condim and friction, and solref and solimp weighted by solmix.
+Input is a compiled MuJoCo model with a ground plane. Outputs are the geom, radius and contact
+parameters of each contact point. `combine_geoms` combines the parameters of two geoms by MuJoCo's
+rule.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pupper_analysis.robot.impedance import effective_solref
 
 @dataclass(frozen=True)
 class ContactParameters:
-    """Effective parameters of the contact between two geoms.
+    """Effective parameters of the contact between two geoms in MuJoCo.
 
     Attributes:
         condim: Friction of the contact: 1 none, 3 sliding, 4 also torsional, 6 also rolling.
@@ -50,15 +50,17 @@ class ContactParameters:
 
 
 def combine_geoms(model: mujoco.MjModel, first: int, second: int | None) -> ContactParameters:
-    """Return the contact parameters of two geoms without a ``<pair>``, as in MuJoCo.
+    """Combine the contact parameters of two geoms without a ``<pair>``, by MuJoCo's rule.
 
-    If the priorities differ, the parameters of the geom with the higher priority are used. If they
-    are equal, the larger condim and the larger of each friction coefficient are used. solref and
-    solimp are means weighted by solmix. Exception: if the first number of a solref is not positive,
-    the smaller of each solref number is used. Margins are always added. The resulting solref is
-    replaced by `effective_solref`.
+    - Different priorities: the geom with the higher priority determines all parameters except the
+      margin.
+    - Equal priorities: the larger condim, and the larger of each friction coefficient.
+    - Equal priorities: solref and solimp are means weighted by solmix. Exception: if the first
+      number of a solref is not positive, the smaller of each solref number is used.
+    - The margins are added.
 
-    Source: MuJoCo documentation, "Computation: Contact parameters".
+    The resulting solref is replaced by `effective_solref`. Source: MuJoCo documentation,
+    "Computation: Contact parameters".
 
     Args:
         model: MuJoCo model.
@@ -103,15 +105,18 @@ if no second geom is given."""
 
 
 def contact_offset(radius: ArrayLike, normal: Array, depth: ArrayLike) -> Array:
-    """Return the vector (..., 3) [m] from the centre of a foot's sphere to the contact.
+    """Return the vector from the centre of a foot's sphere to its contact with the ground.
 
-    MuJoCo places the contact in the middle between the two penetrating surfaces.
+    MuJoCo places the contact in the middle between the two penetrating surfaces: the offset is
+    -(radius - depth / 2) normal.
 
     Args:
         radius: Radius (...) [m] of the foot's sphere.
-        normal: Unit normal (..., 3) out of the ground. The result is expressed in the frame of the
-            normal.
+        normal: Unit normal (..., 3) out of the ground.
         depth: Penetration (...) [m].
+
+    Returns:
+        Vector (..., 3) [m], expressed in the frame of ``normal``.
     """
     distance = np.asarray(radius) - np.asarray(depth) / 2
     offset: Array = -distance[..., None] * normal
@@ -119,10 +124,10 @@ def contact_offset(radius: ArrayLike, normal: Array, depth: ArrayLike) -> Array:
 
 
 def ground_geom(model: mujoco.MjModel) -> int | None:
-    """Return the id of the ground plane; None if no plane is fixed to the world.
+    """Return the id of the ground plane: a plane geom that is fixed to the world.
 
-    If there are several planes, the first plane with enabled contacts is returned. If all contacts
-    are disabled, the first plane is returned.
+    Of several planes, the first plane with enabled contacts is returned. If all contacts are
+    disabled, the first plane is returned. None if there is no plane.
     """
     fixed = model.body_weldid[model.geom_bodyid] == 0
     planes = np.flatnonzero(fixed & (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value))
@@ -131,7 +136,7 @@ def ground_geom(model: mujoco.MjModel) -> int | None:
 
 
 def foot_geom(model: mujoco.MjModel, body: int, position: Array) -> int | None:
-    """Return the id of the collision sphere of a body with its centre at a position.
+    """Find the collision sphere of a body whose centre is at a given position.
 
     Args:
         model: MuJoCo model.
@@ -139,7 +144,7 @@ def foot_geom(model: mujoco.MjModel, body: int, position: Array) -> int | None:
         position: Position (3,) [m] in the frame of the body.
 
     Returns:
-        Id of the geom; None if there is no such sphere within 1 micrometre.
+        Id of the geom; None if no sphere with enabled contacts is within 1 micrometre.
     """
     for geom in range(model.ngeom):
         if (
@@ -153,9 +158,10 @@ def foot_geom(model: mujoco.MjModel, body: int, position: Array) -> int | None:
 
 
 def find_acting_contacts(data: mujoco.MjData) -> NDArray[np.bool_]:
-    """Return a mask, shape (ncon,): True for MuJoCo's contacts that are closer than their margin.
+    """Return a mask, shape (ncon,), of the contacts that can exert a force.
 
-    MuJoCo also detects contacts in the ``gap`` beyond the margin, which exert no force.
+    These contacts are closer than their margin. MuJoCo also detects contacts in the ``gap`` beyond
+    the margin, which exert no force.
 
     Args:
         data: Data after ``mj_collision``.
@@ -167,8 +173,8 @@ def find_acting_contacts(data: mujoco.MjData) -> NDArray[np.bool_]:
 def list_contact_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[np.int64]:
     """Return the ids of the two bodies of each of n contacts, shape (n, 2).
 
-    If one side of a contact is a flexible body (``flex``), there is no geom. The result then
-    contains the body of the touched vertex.
+    A side of a contact that is a flexible body (``flex``) has no geom. Its id is the body of the
+    touched vertex.
 
     Args:
         model: MuJoCo model.
@@ -185,7 +191,7 @@ def list_contact_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> NDArray[n
 
 
 def _find_flex_body(model: mujoco.MjModel, touch: mujoco.MjContact, side: int) -> int:
-    """Return the id of the body that carries a touched vertex of a flex.
+    """Return the id of the body to which a touched vertex of a flex belongs.
 
     If an element is touched, its first vertex counts. If the vertices are interpolated between
     nodes, the result is the body of the first node.
@@ -207,9 +213,10 @@ def _find_flex_body(model: mujoco.MjModel, touch: mujoco.MjContact, side: int) -
 def ground_forces(
     model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> tuple[dict[str, Array], set[str]]:
-    """Sum the contact forces between the world body and each foot at a state.
+    """Sum the contact forces between the ground and each foot at a state.
 
-    Geoms of MuJoCo's world body (floor, steps) are the ground.
+    The ground consists of all geoms of MuJoCo's world body (floor, steps). Contacts in the gap
+    beyond the margin are ignored.
 
     Args:
         model: MuJoCo model.
@@ -219,7 +226,6 @@ def ground_forces(
     Returns:
         {foot: force (3,) [N] of the ground on the foot, in world axes}, for feet in contact; and
         the names of bodies that touch the ground with a geom that is not in ``foot_geoms``.
-        Contacts in the gap beyond the margin are ignored.
     """
     forces: dict[str, Array] = {}
     other_bodies: set[str] = set()
@@ -246,10 +252,10 @@ def ground_forces(
 def find_ground_contacts(
     model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> tuple[set[str], set[str]]:
-    """Return the names of the feet, and of the other bodies, that touch the world body (ground).
+    """Find the feet and the other bodies that touch the ground, without computing forces.
 
-    Unlike `ground_forces`, no forces are computed. Contacts in the gap beyond the margin are
-    ignored.
+    The ground consists of all geoms of MuJoCo's world body. Contacts in the gap beyond the margin
+    are ignored.
 
     Args:
         model: MuJoCo model.
@@ -257,7 +263,8 @@ def find_ground_contacts(
         foot_geoms: {geom id: foot}.
 
     Returns:
-        Names of the feet in contact; names of the bodies that touch with another geom.
+        Names of the feet in contact; names of the bodies that touch the ground with a geom that is
+        not in ``foot_geoms``.
     """
     acting = find_acting_contacts(data)
     pairs, bodies = data.contact.geom[acting], list_contact_bodies(model, data)[acting]
@@ -274,9 +281,10 @@ def find_ground_contacts(
 def bodies_on_ground(
     model: mujoco.MjModel, data: mujoco.MjData, foot_geoms: Mapping[int, str]
 ) -> set[str]:
-    """Return the names of bodies that touch the world body with a geom that belongs to no foot.
+    """Return the names of bodies that touch the ground with a geom that belongs to no foot.
 
-    Contacts in the gap beyond the margin are ignored.
+    The ground consists of all geoms of MuJoCo's world body. Contacts in the gap beyond the margin
+    are ignored.
 
     Args:
         model: MuJoCo model.
@@ -287,7 +295,7 @@ def bodies_on_ground(
 
 
 def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[int, Array]:
-    """Find the frame of a foot in a MuJoCo model by name: a site, body or geom.
+    """Find the frame of a foot in a MuJoCo model by name: a site, else a body, else a geom.
 
     Args:
         model: MuJoCo model.
@@ -316,7 +324,7 @@ def foot_site(model: mujoco.MjModel, frame: str, source: str | Path) -> tuple[in
 def foot_geoms(
     description: Description, model: mujoco.MjModel, centres: Mapping[str, tuple[int, Array]]
 ) -> dict[str, tuple[int, float]]:
-    """Return the geom of each contact point: {contact point: (geom id, radius [m])}.
+    """Find the collision geom of each contact point.
 
     The geom is the entry in ``description.foot_geoms``. Without an entry, the geom is a collision
     sphere of the contact point's body, with its centre at the contact point (`foot_geom`).
@@ -325,6 +333,9 @@ def foot_geoms(
         description: Description of the robot.
         model: MuJoCo model of the robot.
         centres: {contact point: (body id in ``model``, position (3,) [m] in the body frame)}.
+
+    Returns:
+        {contact point: (geom id, radius [m])}.
 
     Raises:
         ModelError: If a contact point has no entry and no such sphere.
@@ -374,20 +385,22 @@ def stand_height(
     keyframe: Array,
     foot_depth: float | None,
 ) -> float:
-    """Return the height [m] of the base above the ground in the stand of the default `StandTask`.
+    """Compute the height [m] of the base above the ground in the stand of the default `StandTask`.
 
-    In this stand, the lowest foot touches the ground. Without ``foot_depth``, the joints have the
-    positions of the keyframe. With ``foot_depth``, the joints have the positions of qpos0. The
-    centre of each foot then counts as this distance below its hip (the first body of its leg).
-    Distances are measured along the z axis of the base. The height is 0 without feet.
+    In this stand, the lowest foot touches the ground. Distances are measured along the z axis of
+    the base. The height is 0 without feet. The foot positions are:
+
+    - Without ``foot_depth``: with the joint positions of the keyframe.
+    - With ``foot_depth``: at this distance below the hip (the first body of the leg), with the
+      joint positions of qpos0.
 
     Args:
         model: MuJoCo model.
         base: Name of the base body.
         centres: {contact point: (body id, position (3,) [m] in the body)}.
         radius: {contact point: radius [m]}.
-        keyframe: Configuration in MuJoCo's order. Only the last ``model.nq`` values are used, since
-            the keyframe may belong to the same robot with a free base.
+        keyframe: Configuration in MuJoCo's order. Only the last ``model.nq`` values are used,
+            because the keyframe may belong to the same robot with a free base.
         foot_depth: Distance [m] of the centres of the feet below the hips, or None.
     """
     data = mujoco.MjData(model)
@@ -409,7 +422,7 @@ def stand_height(
 
 
 def limb_ends(model: mujoco.MjModel) -> list[int]:
-    """Return the ids of the limb ends: bodies with joints and without moving descendants."""
+    """Return the ids of the limb ends: bodies with joints that have no moving descendants."""
     moving_bodies = [body for body in range(1, model.nbody) if int(model.body_weldid[body]) == body]
     parents = {int(model.body_weldid[model.body_parentid[body]]) for body in moving_bodies}
     return [body for body in moving_bodies if body not in parents and model.body_jntnum[body]]

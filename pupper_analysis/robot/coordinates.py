@@ -70,7 +70,7 @@ class PinocchioConvention:
 
     @staticmethod
     def from_model(model: pin.Model, joint_names: Sequence[str]) -> PinocchioConvention:
-        """Return the maps between the coordinates of this package and of a Pinocchio model.
+        """Derive the coordinate maps of a Pinocchio model.
 
         Args:
             model: Pinocchio model.
@@ -103,7 +103,7 @@ class PinocchioConvention:
         return q
 
     def unit_q(self, qpos: Array) -> Array:
-        """Convert a qpos with normalised quaternion to Pinocchio's q, without normalising again.
+        """Convert a qpos with a unit quaternion to Pinocchio's q, without normalising it.
 
         Args:
             qpos: Configuration, shape (nq,): quaternion (w, x, y, z), joints in actuator order.
@@ -136,7 +136,7 @@ class PinocchioConvention:
         return None if self._qpos_address_of_q is None else np.argsort(self._qpos_address_of_q)
 
     def with_joints(self, q: Array, joints: Array) -> Array:
-        """Return a copy of Pinocchio's q with other joint positions, or k copies.
+        """Return a copy of Pinocchio's q with other joint positions; the base pose is kept.
 
         Args:
             q: Pinocchio's configuration, shape (model.nq,).
@@ -152,7 +152,7 @@ class PinocchioConvention:
     def qpos(self, q: Array) -> Array:
         """Convert Pinocchio's q to qpos, shape (nq,): quaternion (w, x, y, z), actuator order.
 
-        Continuous joints are between -pi and pi.
+        Positions of continuous joints are between -pi and pi.
 
         Args:
             q: Pinocchio's configuration, shape (model.nq,).
@@ -168,9 +168,10 @@ class PinocchioConvention:
         return np.concatenate([q[:3], q[[6, 3, 4, 5]], joints])
 
     def velocity_map(self, qpos: Array) -> Array:
-        """Return the matrix T, shape (model.nv, nv), of Pinocchio's velocity v_pin = T qvel.
+        """Return the matrix T, shape (model.nv, nv), that maps qvel to Pinocchio's v = T qvel.
 
-        T is orthogonal: qvel = T^T v_pin, tau_pin = T tau, J = J_pin T and M = T^T M_pin T.
+        T is orthogonal. With T also: qvel = T^T v, tau_pin = T tau, J = J_pin T and M = T^T M_pin
+        T.
 
         Args:
             qpos: Configuration, shape (nq,): quaternion (w, x, y, z), not zero, joints in actuator
@@ -185,10 +186,10 @@ class PinocchioConvention:
         return result
 
     def acceleration_offset(self, qpos: Array, qvel: Array) -> Array:
-        """Return the term dT/dt qvel, (model.nv,), of Pinocchio's acceleration T qacc + dT/dt qvel.
+        """Return the term dT/dt qvel of Pinocchio's acceleration a = T qacc + dT/dt qvel.
 
-        T is the `velocity_map`. It changes only with the orientation of the base, so the vector is
-        zero for a fixed base.
+        T is the `velocity_map`. T changes only with the orientation of the base: the term is zero
+        for a fixed base. Shape (model.nv,).
 
         Args:
             qpos: Configuration, shape (nq,): quaternion (w, x, y, z), not zero, joints in actuator
@@ -206,8 +207,9 @@ class PinocchioConvention:
 class MujocoConvention:
     """Index maps between public coordinates and the coordinates of a MuJoCo model.
 
-    ``data.qpos[qpos_index]`` is the public qpos, ``data.qvel[qvel_index]`` the public qvel. The
-    first control of an actuator is ``data.ctrl[model.actuator_ctrladr[actuator_index]]``.
+    Public coordinates are MuJoCo's, with the joints in actuator order. ``data.qpos[qpos_index]`` is
+    the public qpos, ``data.qvel[qvel_index]`` the public qvel. The first control of an actuator is
+    ``data.ctrl[model.actuator_ctrladr[actuator_index]]``.
 
     Attributes:
         qpos_index: Index in MuJoCo's qpos of each public coordinate, shape (nq,).
@@ -222,7 +224,7 @@ class MujocoConvention:
 
     @staticmethod
     def from_model(model: mujoco.MjModel, joint_names: Sequence[str]) -> MujocoConvention:
-        """Return the maps between the coordinates of this package and of a MuJoCo model.
+        """Derive the coordinate maps of a MuJoCo model.
 
         Args:
             model: MuJoCo model. The first free joint, if any, belongs to the base.
@@ -252,7 +254,7 @@ class MujocoConvention:
         )
 
     def set_state(self, data: mujoco.MjData, qpos: Array, qvel: Array | None = None) -> None:
-        """Write a state to MuJoCo's data; nothing is computed.
+        """Write qpos and qvel to MuJoCo's data, without computing anything.
 
         Args:
             data: MuJoCo data; modified.
@@ -263,7 +265,7 @@ class MujocoConvention:
         data.qvel[self.qvel_index] = 0.0 if qvel is None else qvel
 
     def read_state(self, data: mujoco.MjData) -> tuple[Array, Array]:
-        """Return qpos (nq,) and qvel (nv,) of MuJoCo's data, with joints in actuator order.
+        """Read qpos and qvel from MuJoCo's data, with the joints in actuator order.
 
         Returns:
             qpos, shape (nq,); qvel, shape (nv,). The linear base velocity is in the world frame,

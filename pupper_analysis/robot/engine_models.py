@@ -1,7 +1,8 @@
 """Models of a robot for other programs, and conversions between the conventions of both engines.
 
 `EngineModels` is a base class of ``Robot``. Public coordinates are MuJoCo's, with the joints in
-actuator order (``robot.coordinates``). Pinocchio's coordinates are those of ``robot.pin_model``.
+actuator order (``robot.coordinates``). Pinocchio's coordinates are the coordinates of
+``robot.pin_model``.
 """
 
 from __future__ import annotations
@@ -68,8 +69,8 @@ class EngineModels:
 
         The caller may change the spec, or attach it to another spec. ``mj_spec().compile()``
         returns a model with the same values as ``mj_model``. The spec contains the paths of the
-        meshes. If the robot was loaded from a spec in memory or converted from a URDF, the spec
-        contains the meshes themselves.
+        meshes. Exception: if the robot was loaded from a spec in memory or converted from a URDF,
+        the spec contains the meshes themselves.
         """
         spec: MujocoSpec
         spec, _, _ = make_mujoco_spec(self.description, fixed_base=not self.floating)
@@ -114,15 +115,16 @@ class EngineModels:
     def to_pinocchio(
         self, qpos: ArrayLike, qvel: ArrayLike | None = None
     ) -> Array | tuple[Array, Array]:
-        """Convert qpos, or qpos and qvel, to Pinocchio's q, or q and v.
+        """Convert qpos and qvel (MuJoCo's convention) to Pinocchio's q and v.
 
         Args:
-            qpos: Configuration (nq,); its quaternion (w, x, y, z) is normalised.
-            qvel: Velocity (nv,); the base linear velocity is in the world frame.
+            qpos: Configuration, shape (nq,): quaternion (w, x, y, z), which is normalised; joints
+                in actuator order.
+            qvel: Velocity, shape (nv,); the base linear velocity is in the world frame.
 
         Returns:
-            q (pin_model.nq,): quaternion (x, y, z, w), continuous joints as (cos, sin). With
-            ``qvel`` also v (pin_model.nv,), with the base linear velocity in the base frame.
+            q, shape (pin_model.nq,): quaternion (x, y, z, w), continuous joints as (cos, sin). With
+            ``qvel`` also v, shape (pin_model.nv,); the base linear velocity is in the base frame.
 
         Raises:
             ConfigurationError: If a vector has a wrong length, a value is not finite, or the
@@ -142,17 +144,18 @@ class EngineModels:
     def to_mujoco(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]: ...
 
     def to_mujoco(self, q: ArrayLike, v: ArrayLike | None = None) -> Array | tuple[Array, Array]:
-        """Convert Pinocchio's q, or q and v, to qpos, or qpos and qvel.
+        """Convert Pinocchio's q and v to qpos and qvel (MuJoCo's convention).
 
         This is the inverse of `to_pinocchio`.
 
         Args:
-            q: Pinocchio's configuration (pin_model.nq,).
-            v: Pinocchio's velocity (pin_model.nv,).
+            q: Pinocchio's configuration, shape (pin_model.nq,).
+            v: Pinocchio's velocity, shape (pin_model.nv,).
 
         Returns:
-            qpos (nq,), with continuous joints between -pi and pi; with ``v`` also qvel (nv,). The
-            joints are in actuator order; `MujocoConvention.set_state` writes the state to MjData.
+            qpos, shape (nq,), with continuous joints between -pi and pi; with ``v`` also qvel,
+            shape (nv,). The joints are in actuator order; `MujocoConvention.set_state` writes the
+            state to MjData.
 
         Raises:
             ConfigurationError: If a vector has a wrong length, a value is not finite, or the
@@ -167,10 +170,13 @@ class EngineModels:
         return qpos, self.pin_convention.velocity_map(qpos).T @ velocity
 
     def velocity_map(self, qpos: ArrayLike) -> Array:
-        """Return the matrix T, shape (pin_model.nv, nv), of Pinocchio's velocity v = T qvel.
+        """Return the matrix T, shape (pin_model.nv, nv), that maps qvel to Pinocchio's v = T qvel.
 
-        T is orthogonal. It also converts forces, tau_pin = T tau, Jacobians, J = J_pin T, and mass
-        matrices, M = T^T M_pin T.
+        T is orthogonal. It also converts forces (tau_pin = T tau), Jacobians (J = J_pin T), and
+        mass matrices (M = T^T M_pin T).
+
+        Args:
+            qpos: Configuration, shape (nq,).
 
         Raises:
             ConfigurationError: If ``qpos`` has not the shape (nq,), a value is not finite, or the
@@ -179,15 +185,15 @@ class EngineModels:
         return self.pin_convention.velocity_map(self._check_qpos(qpos))
 
     def forces_to_pinocchio(self, qpos: ArrayLike, forces: ArrayLike) -> Array:
-        """Convert generalised forces (nv,), dual to qvel, to Pinocchio's tau (pin_model.nv,).
+        """Convert generalised forces, dual to qvel, to Pinocchio's tau, shape (pin_model.nv,).
 
-        MuJoCo expresses the base force in the world frame, Pinocchio in the base frame. Both
-        express the base torque in the base frame. Bias forces that depend on the velocity
-        (``qfrc_bias``) are not converted by T alone: see `accelerations_to_pinocchio`.
+        The base force is in the world frame in MuJoCo, and in the base frame in Pinocchio. The base
+        torque is in the base frame in both. Bias forces that depend on the velocity (``qfrc_bias``)
+        need a further term: see `accelerations_to_pinocchio`.
 
         Args:
-            qpos: Configuration (nq,).
-            forces: Generalised forces (nv,) [N, N m].
+            qpos: Configuration, shape (nq,).
+            forces: Generalised forces, shape (nv,) [N, N m].
 
         Raises:
             ConfigurationError: If a vector has a wrong length, a value is not finite, or the
@@ -213,14 +219,14 @@ class EngineModels:
     def accelerations_to_pinocchio(
         self, qpos: ArrayLike, qvel: ArrayLike, qacc: ArrayLike
     ) -> Array:
-        """Convert an acceleration qacc (nv,) to Pinocchio's a = T qacc + dT/dt qvel.
+        """Convert qacc to Pinocchio's acceleration a = T qacc + dT/dt qvel, shape (pin_model.nv,).
 
         T is the `velocity_map`. Inverse dynamics then agree: rnea(q, v, a) = T (M qacc + bias).
 
         Args:
-            qpos: Configuration (nq,).
-            qvel: Velocity (nv,).
-            qacc: Acceleration (nv,) [m/s^2, rad/s^2].
+            qpos: Configuration, shape (nq,).
+            qvel: Velocity, shape (nv,).
+            qacc: Acceleration, shape (nv,) [m/s^2, rad/s^2].
 
         Raises:
             ConfigurationError: If a vector has a wrong length, a value is not finite, or the
@@ -232,12 +238,14 @@ class EngineModels:
         return self.velocity_map(qpos) @ acceleration + offset
 
     def accelerations_to_mujoco(self, qpos: ArrayLike, qvel: ArrayLike, a: ArrayLike) -> Array:
-        """Convert Pinocchio's acceleration a (pin_model.nv,) to qacc (nv,).
+        """Convert Pinocchio's acceleration a to qacc = T^T (a - dT/dt qvel), shape (nv,).
+
+        T is the `velocity_map`.
 
         Args:
-            qpos: Configuration (nq,), quaternion (w, x, y, z), joints in actuator order.
-            qvel: Velocity (nv,), joints in actuator order.
-            a: Pinocchio's acceleration (pin_model.nv,) [m/s^2, rad/s^2].
+            qpos: Configuration, shape (nq,): quaternion (w, x, y, z), joints in actuator order.
+            qvel: Velocity, shape (nv,), joints in actuator order.
+            a: Pinocchio's acceleration, shape (pin_model.nv,) [m/s^2, rad/s^2].
 
         Raises:
             ConfigurationError: If a vector has a wrong length, a value is not finite, or the
@@ -249,14 +257,16 @@ class EngineModels:
         return self.velocity_map(qpos).T @ (acceleration - offset)
 
     def jacobian_to_pinocchio(self, qpos: ArrayLike, jacobian: ArrayLike) -> Array:
-        """Convert the columns of a Jacobian to Pinocchio's: J T^T, with T of `velocity_map`.
+        """Convert a Jacobian J whose columns are dual to qvel to Pinocchio's J_pin = J T^T.
+
+        T is the `velocity_map`.
 
         Args:
-            qpos: Configuration (nq,).
-            jacobian: Jacobian (n, nv), whose columns are dual to qvel.
+            qpos: Configuration, shape (nq,).
+            jacobian: Jacobian J, shape (n, nv).
 
         Returns:
-            Shape (n, pin_model.nv).
+            Pinocchio's Jacobian, shape (n, pin_model.nv).
 
         Raises:
             ConfigurationError: If an array is not valid.
@@ -264,14 +274,16 @@ class EngineModels:
         return _check_columns("jacobian", jacobian, self.nv) @ self.velocity_map(qpos).T
 
     def jacobian_to_mujoco(self, qpos: ArrayLike, jacobian: ArrayLike) -> Array:
-        """Convert the columns of Pinocchio's Jacobian J_pin: J = J_pin T, with T of `velocity_map`.
+        """Convert Pinocchio's Jacobian J_pin to J = J_pin T, whose columns are dual to qvel.
+
+        T is the `velocity_map`.
 
         Args:
-            qpos: Configuration (nq,), quaternion (w, x, y, z), joints in actuator order.
-            jacobian: Pinocchio's Jacobian (n, pin_model.nv).
+            qpos: Configuration, shape (nq,): quaternion (w, x, y, z), joints in actuator order.
+            jacobian: Pinocchio's Jacobian J_pin, shape (n, pin_model.nv).
 
         Returns:
-            Shape (n, nv), with columns dual to qvel.
+            J, shape (n, nv).
 
         Raises:
             ConfigurationError: If an array is not valid.

@@ -1,7 +1,7 @@
-"""Classes of the engines' models, as annotations of ``Robot``.
+"""Classes of the engines' models, for type annotations of ``Robot``.
 
-At run time these are the classes of Pinocchio and MuJoCo. Neither package contains type
-information, so ``engine_types.pyi`` states the types of their attributes for type checkers.
+At run time, the names are classes of Pinocchio and MuJoCo. Neither package contains type
+information: ``engine_types.pyi`` states the types of their attributes for type checkers.
 """
 
 from mujoco import MjModel as MujocoModel

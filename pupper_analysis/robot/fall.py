@@ -1,7 +1,7 @@
 """Detect whether a simulated robot has fallen, sunk, risen, or moved away horizontally.
 
-Heights are those of the robot's centre of mass (CoM) above the ground that carries it. The height
-of the base frame is not used, because a file may place that frame anywhere.
+Heights are heights of the robot's centre of mass (CoM) above the supporting ground. The height of
+the base frame is not used, because a file may place that frame anywhere.
 
 Each reference value is measured at reset, before the judged motion. The initial height is the CoM
 height above the ground at reset, minus the clearance of the robot's lowest point at reset.
@@ -28,15 +28,15 @@ fallen over. Chosen, not tuned."""
 MAX_HEIGHT_LOSS_RATIO = 0.3
 """Largest accepted change of the CoM height, upward or downward, relative to the initial height
 [1]. With a larger change, the robot has sunk or risen. The value lies between two cases: servo sag
-is a tenth of the height (Pupper v3 at kp 5: 9 %), and a robot on its shanks is half as high as
-before."""
+is a tenth of the height (Pupper v3 at kp 5: 9 %), and a robot on its shanks has half of its
+height."""
 
 
 def tilt_between(first: Array, second: Array) -> float:
     """Return the relative tilt [rad] of two orientations; a yaw about the world's z has no effect.
 
-    The third row of each matrix is the world's z axis in the axes of the body. The tilt is the
-    angle between the two rows.
+    The tilt is the angle between the world's z axes, each expressed in body axes: the third rows of
+    the two matrices.
 
     Args:
         first: Rotation matrix, body to world, shape (3, 3).
@@ -46,9 +46,9 @@ def tilt_between(first: Array, second: Array) -> float:
 
 
 MAX_KEYFRAME_DURATION = 5.0
-"""Simulated time of a run from a keyframe [s]; the time of a file with short time steps may be
-shorter (`keyframe_duration`). After this time, a drop by centimetres has ended, and slow failures
-are visible (a knee without torque: 2 cm/s after 2 s)."""
+"""Longest simulated time of a run from a keyframe [s]. Files with short time steps are simulated
+for a shorter time (`keyframe_duration`). After 5 s, a drop by centimetres has ended, and slow
+failures are visible (a knee without torque: 2 cm/s after 2 s)."""
 
 _MAX_KEYFRAME_STEPS = 5000
 """Maximum number of time steps of a run from a keyframe. If a file has short time steps, the
@@ -62,22 +62,23 @@ ground by then."""
 MAX_TRAVEL_RATIO = 1.0
 """Horizontal travel of the CoM, relative to the initial CoM height [1], above which a robot has
 moved away. Chosen, not tuned: on planted feet, a robot would fall earlier. (Sideways gravity moves
-it by 20 m in 2 s.)"""
+a robot by 20 m in 2 s.)"""
 
 NUDGE_SPEED = 1e-3
-"""Largest component of a nudge, a small change of the velocities [m/s, rad/s]. The nudge must be
-large enough for unstable equilibria, some of which survive changes of 1e-9 and fall after changes
-of 1e-7. Stable stands return even after 1e-2."""
+"""Largest component of a nudge, a small change of the initial velocities [m/s, rad/s]. The nudge
+must upset unstable equilibria: some survive changes of 1e-9 and fall after changes of 1e-7. Stable
+stands return even after 1e-2."""
 
 MAX_CLEARANCE = 5.0
 """Longest vertical distance (m) over which the ground below a robot is searched. Chosen, not tuned:
 a free fall over 5 m takes 1 s."""
 
 _MAX_RUN_DISTANCE = 1e-4
-"""Tolerance with which two runs from one keyframe count as equal: largest difference of a
+"""Tolerance with which two runs from the same keyframe count as equal: largest difference of a
 coordinate [m, rad], halfway through the runs. The second or third run then ends. The velocities
 must also be equal, within `NUDGE_SPEED`. Reason: if a nudge upsets a robot by the end of a run, the
-difference grows exponentially from about 1e-4 to `FALLEN_TILT`. Halfway, it then exceeds 1e-3."""
+difference grows exponentially from about 1e-4 to `FALLEN_TILT`. Halfway, the difference then
+exceeds 1e-3."""
 
 _SEARCH_MARGIN = 0.05
 """Longest downward step [m] of the search for the ground below a robot (`initial_height`). Also the
@@ -101,10 +102,10 @@ MuJoCo resets the state after such a warning."""
 
 
 def nudge_velocity(model: mujoco.MjModel) -> Array:
-    """Return a nudge: pseudo-random velocities of base and joints, shape (nv,) [m/s, rad/s].
+    """Return a nudge: small pseudo-random velocities of base and joints, shape (nv,) [m/s, rad/s].
 
-    The largest absolute value is ``NUDGE_SPEED`` or less. The vector is random, so that it excites
-    all modes in spite of symmetry. Its seed is constant, so that results are repeatable.
+    No absolute value exceeds ``NUDGE_SPEED``. The vector is random, so that it excites all modes in
+    spite of symmetry. The seed is constant, so that results are repeatable.
     """
     nudge = np.random.default_rng(0).uniform(-1.0, 1.0, model.nv)
     return np.asarray(NUDGE_SPEED * nudge / np.abs(nudge).max(initial=0.5))
@@ -113,7 +114,7 @@ def nudge_velocity(model: mujoco.MjModel) -> Array:
 def keyframe_duration(model: mujoco.MjModel) -> float:
     """Return the simulated time [s] of a run from a keyframe, from 2 to 5 s.
 
-    Within these bounds, it is the time of `_MAX_KEYFRAME_STEPS` time steps.
+    Within these bounds, the time is `_MAX_KEYFRAME_STEPS` time steps of the model.
     """
     affordable = _MAX_KEYFRAME_STEPS * float(model.opt.timestep)
     return min(MAX_KEYFRAME_DURATION, max(_MIN_KEYFRAME_DURATION, affordable))
@@ -154,7 +155,7 @@ class BodyMotion:
 
     @property
     def has_left_place(self) -> bool:
-        """True if the robot collapses only because its CoM travelled too far horizontally.
+        """True if the robot collapses only because its CoM moved too far horizontally.
 
         The limit is ``MAX_TRAVEL_RATIO`` times the initial CoM height.
         """
@@ -176,20 +177,21 @@ def simulate_keyframe(
     ground: float,
     advance: Callable[[mujoco.MjData, float], object],
 ) -> tuple[BodyMotion, mujoco.MjData]:
-    """Simulate a state for ``keyframe_duration``, up to three times, to test if the robot stays.
+    """Simulate a robot from a keyframe, up to three times, to test whether it stays in place.
 
-    The first run starts with a nudge, the second with the opposite nudge, the third without a
-    nudge. The result is the first run in which the robot collapses. If there is no such run, the
-    result is the first run. Two signs are needed, because a robot may fall to one side only.
+    Each run takes ``keyframe_duration``. A nudge is a small change of the velocities
+    (`nudge_velocity`). The first run starts with a nudge, the second with the opposite nudge,
+    because a robot may fall to one side only. The third run has no nudge. The result is the first
+    run in which the robot collapses, otherwise the first run.
 
-    The second and third run may end halfway: if their state equals that of the first run within
-    `_MAX_RUN_DISTANCE`, they count as runs without a collapse. Models with actuator activations are
-    always simulated to the end.
+    The second and third run end halfway if their state equals the state of the first run within
+    `_MAX_RUN_DISTANCE`; they then count as runs without a collapse. Models with actuator
+    activations are always simulated to the end.
 
     Args:
         model: MuJoCo model.
         start: State with commands; not changed.
-        base: Body index of the base.
+        base: Body id of the base.
         ground: Height of the ground [m] that is assumed if no ground is found below the robot.
         advance: Function that simulates a state for a time [s], in place. The time is a multiple of
             the time step.
@@ -247,7 +249,7 @@ def simulate_held_keyframe(
     start: mujoco.MjData,
     advance: Callable[[mujoco.MjData, float], object],
 ) -> tuple[BodyMotion, mujoco.MjData]:
-    """Simulate a robot with a fixed base after a nudge (small velocities), to test divergence.
+    """Simulate a robot with a fixed base after a nudge (small velocities), to detect divergence.
 
     The simulated time is ``keyframe_duration``.
 
@@ -257,7 +259,7 @@ def simulate_held_keyframe(
         advance: Function that simulates a state for a time [s], in place.
 
     Returns:
-        Motion of the robot; state at the end. In the motion, heights, distance and tilt are 0.
+        Motion of the robot, in which heights, distance and tilt are 0; state at the end.
     """
     data, seconds = copy.copy(start), keyframe_duration(model)
     data.qvel[:] += nudge_velocity(model)
@@ -270,16 +272,18 @@ def simulate_held_keyframe(
 
 
 def was_reset_by_mujoco(data: mujoco.MjData) -> bool:
-    """Return True if MuJoCo has reset the state: numbers were not finite, or too large.
+    """Return True if MuJoCo has reset a state because its numbers were not finite, or too large.
 
-    MuJoCo's warning counters are evaluated, because the simulation time does not show a reset in
-    the first step.
+    MuJoCo's warning counters are evaluated: the simulation time does not show a reset in the first
+    step.
     """
     return bool(count_resets(data).any())
 
 
 def count_resets(data: mujoco.MjData) -> NDArray[np.int32]:
-    """Return the counters of MuJoCo's warnings about a reset state, as a view into ``data``.
+    """Return MuJoCo's counters of bad qpos, qvel and qacc, shape (3,), as a view into ``data``.
+
+    MuJoCo resets the state if it increases one of these counters.
 
     The values change while MuJoCo simulates. See `was_reset_by_mujoco`.
     """
@@ -303,13 +307,13 @@ def measure_motion(
     seconds: float,
     initial: InitialHeight,
 ) -> BodyMotion:
-    """Compute the motion of a robot's base and CoM between two states.
+    """Compute the motion of a robot's base and CoM between reset and the end of a simulation.
 
     Args:
         model: MuJoCo model.
         start: State at reset.
         end: State at the end of the simulation.
-        base: Body index of the base.
+        base: Body id of the base.
         seconds: Simulated time [s].
         initial: CoM height, clearance and ground height at reset, from the function
             `initial_height`.
@@ -347,22 +351,22 @@ class InitialHeight:
 def initial_height(
     model: mujoco.MjModel, start: mujoco.MjData, base: int, ground: float
 ) -> InitialHeight:
-    """Measure CoM height, clearance and ground height at reset; nothing is simulated.
+    """Measure CoM height, clearance and ground height at reset, without simulation.
 
     The clearance is the vertical distance by which the robot can move downward to the ground.
 
-    Method: in a copy of the state, the robot is moved downward in steps, until its distance from
-    the ground is below ``_CONTACT_DISTANCE``. MuJoCo finds the contacts with fixed geoms within
-    ``_SEARCH_MARGIN``. Contacts count if the vertical component ``normal_z`` of the unit normal
-    exceeds ``_MIN_UPWARD_NORMAL``. The step is ``min(distance / normal_z)`` over these contacts,
-    but at most ``_SEARCH_MARGIN``, also if there is no such contact. The step penetrates no convex
-    geom. The clearance is 0 if no ground is found within ``MAX_CLEARANCE``.
+    Method: a copy of the robot is moved downward in steps, until its distance from the ground is
+    below ``_CONTACT_DISTANCE``. MuJoCo finds the contacts with fixed geoms within
+    ``_SEARCH_MARGIN``. A contact counts as ground if the vertical component ``normal_z`` of its
+    unit normal exceeds ``_MIN_UPWARD_NORMAL``. The step is ``min(distance / normal_z)`` over these
+    contacts, and at most ``_SEARCH_MARGIN``. Convex geoms do not penetrate in such a step. The
+    clearance is 0 if no ground is found within ``MAX_CLEARANCE``.
 
     Args:
         model: MuJoCo model. The option ``o_margin`` and the flag ``override`` are changed during
             the call.
         start: State at reset; not changed.
-        base: Body index of the base.
+        base: Body id of the base.
         ground: Ground height [m] of the result if no ground is found below the robot.
     """
     trial = _copy_with_kinematics(model, start)
@@ -390,10 +394,11 @@ def initial_height(
 def _distance_above_ground(
     model: mujoco.MjModel, data: mujoco.MjData, base: int
 ) -> tuple[float, float]:
-    """Return the vertical distance of a robot from fixed geoms, and the ground height (m).
+    """Return the vertical distance [m] of a robot from fixed geoms, and the ground height [m].
 
-    The height is that of the nearest ground point; 0 if no contact is found. The distance is at
-    most ``_SEARCH_MARGIN``, and negative if the robot penetrates the ground.
+    The ground height is measured at the nearest ground point. The distance is at most
+    ``_SEARCH_MARGIN``, and negative if the robot penetrates the ground. Without a contact, the
+    distance is ``_SEARCH_MARGIN`` and the height 0.
     """
     bodies = list_contact_bodies(model, data)
     fixed = model.body_weldid[bodies] == 0
@@ -452,11 +457,11 @@ def has_collapsed(leaning: float, lost: float, away: float, size: float) -> bool
     Also True if tilt, height loss or distance is NaN, as after a divergence.
 
     Args:
-        leaning: Tilt of the base relative to the start [rad]. The limit is ``FALLEN_TILT``.
-        lost: Height loss of the CoM [m], negative if the CoM rises. The limit of the absolute value
-            is ``MAX_HEIGHT_LOSS_RATIO`` times ``size``.
-        away: Horizontal distance of the CoM from the start [m]. The limit is ``MAX_TRAVEL_RATIO``
-            times ``size``.
+        leaning: Tilt of the base relative to the start [rad]. Limit: ``FALLEN_TILT``.
+        lost: Height loss of the CoM [m], negative if the CoM rises. Limit of the absolute value:
+            ``MAX_HEIGHT_LOSS_RATIO`` times ``size``.
+        away: Horizontal distance of the CoM from the start [m]. Limit: ``MAX_TRAVEL_RATIO`` times
+            ``size``.
         size: Initial height of the CoM above the ground [m].
     """
     upright = abs(lost) <= MAX_HEIGHT_LOSS_RATIO * size and leaning <= FALLEN_TILT

@@ -26,9 +26,10 @@ model, it applies to the height [m] and to 1 - cos(tilt). Chosen, not tuned."""
 
 
 def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
-    """Return the floor: a plane of the world body; None if there is none.
+    """Find the floor of an MJCF: a plane geom of the world body.
 
-    It is the first plane with enabled contacts, or the first plane if all contacts are disabled.
+    The first plane with enabled contacts counts; if all contacts are disabled, the first plane.
+    None if there is no plane.
     """
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     planes = [geom for geom in spec.worldbody.geoms if geom.type == plane]
@@ -39,8 +40,11 @@ def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
 def merge_planes(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> None:
     """Make a level floor the only level plane of the world body that collides, in place.
 
-    The contact bits of all other level planes are added to those of the floor, and are then
-    cleared. Tilted planes, such as walls, are not changed.
+    The contact bits of the other planes are added to the bits of the floor, and are then cleared.
+
+    Args:
+        spec: MJCF to modify.
+        floor: Plane of the world body.
     """
     for geom in spec.worldbody.geoms:
         if geom.type == mujoco.mjtGeom.mjGEOM_PLANE and geom != floor and _is_level(geom):
@@ -67,9 +71,9 @@ def disable_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
 
 
 def rotate_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
-    """Set the orientation of a floor to a quaternion (w, x, y, z).
+    """Set the orientation of a floor to a quaternion (w, x, y, z), in place.
 
-    The quaternion replaces other forms, such as Euler angles.
+    The quaternion replaces other representations in the spec, such as Euler angles.
     """
     floor.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     floor.quat = quat
@@ -78,11 +82,12 @@ def rotate_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
 def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     """Make the ground of an MJCF a level plane at z = 0 in the world, in place.
 
-    A tilted, higher or lower floor is replaced by a level floor at z = 0 of the world. So is a
-    floor on another fixed body. A missing floor is added. Contacts of other fixed geoms (stairs,
-    tables, walls) are disabled, because slopes and steps are part of the task. Planes at z = 0 are
-    excepted. If no plane can collide, the first plane of the world body is the floor, and is not
-    changed. Parameters of a ``<pair>`` with the floor are moved to the other geom.
+    - A floor at z = 0 is kept. A tilted, higher or lower floor, or a floor on another fixed body,
+      is replaced by a level floor at z = 0. A missing floor is added.
+    - If no plane can collide, the first plane of the world body is the floor, and is not changed.
+    - Contacts of other fixed geoms (stairs, tables, walls) are disabled, because slopes and steps
+      are part of the task. Planes at z = 0 are excepted.
+    - Contact parameters of a ``<pair>`` with the floor are moved to the other geom.
 
     Returns:
         Diagnostics of the changes.
@@ -112,7 +117,7 @@ def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
 def is_fixed(body: mujoco.MjsBody | None) -> bool:
     """Return True if a body is fixed to the world.
 
-    Neither the body nor an ancestor may have joints or be a mocap body.
+    Neither the body nor any ancestor has joints or is a mocap body.
     """
     while body is not None and body.name != "world":
         if body.joints or body.mocap:
@@ -144,12 +149,12 @@ def _level_floor(
 ) -> tuple[mujoco.MjsGeom, list[Diagnostic]]:
     """Return the floor; if no plane is level at z = 0, replace one plane by a level plane.
 
-    The replaced plane is the first level plane at another height. If no plane is level, it is the
-    first plane. The list ``floors`` is reordered, so that the result is its first element.
+    The replaced plane is the first level plane at another height. If no plane is level, the first
+    plane is replaced. The list ``floors`` is reordered, so that the result is its first element.
 
     Returns:
-        The floor; a diagnostic with the tilt and height of the replaced plane, if one of them was
-        not zero.
+        The floor; a diagnostic with the tilt and height of the replaced plane, if tilt or height
+        was not zero.
     """
     level_index = next((i for i, floor in enumerate(floors) if _is_level_at_zero(floor)), None)
     if level_index is not None:
@@ -180,9 +185,9 @@ def _level_floor(
 def _compiled_planes(
     spec: mujoco.MjSpec, planes: list[mujoco.MjsGeom]
 ) -> tuple[list[float], list[float]]:
-    """Return two lists: cosines of the tilts of n planes, and their heights above z = 0 [m].
+    """Return cosines of the tilts of planes, and heights of their origins above z = 0 [m].
 
-    They are computed from the compiled model. The height is that of the plane's origin.
+    Both lists are read from the compiled model.
     """
     numbers = [next(i for i, geom in enumerate(spec.geoms) if geom == one) for one in planes]
     copied = spec.copy()

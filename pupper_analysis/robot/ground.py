@@ -30,7 +30,7 @@ from pupper_analysis.base.units import find_untyped_degrees
 from pupper_analysis.robot.plane import Plane, describe_surface, slope_normal
 
 Point = tuple[float, float]
-"""Horizontal coordinates (x, y) in the world frame [m]."""
+"""Horizontal position (x, y) in the world frame [m]."""
 
 
 _DEFAULT_ANGLE = 0.0
@@ -43,12 +43,12 @@ class Step(NamedTuple):
     """Box or bar under a foot, for MuJoCo's model.
 
     Attributes:
-        centre: Centre (3,) [m] in the world. For a pit, the top face of the box is the bottom of
-            the pit.
+        centre: Centre (3,) [m] in the world. The top face of the box for a pit is the bottom of the
+            pit.
         half: Half sizes (3,) [m].
         rotation: Rotation matrix (3, 3) to world axes. The third column is the normal of the top
             face, or the axis of a bar.
-        round: Whether the step is a bar: a cylinder that fits into the box of these half sizes.
+        round: Whether the step is a bar: a cylinder in the box with the half sizes ``half``.
         height: Height [m] of the top above the plane of the ground, negative for a pit. 0 for a
             separate plane or bar under a foot that is not on a step.
     """
@@ -66,14 +66,14 @@ class Step(NamedTuple):
 
     @property
     def top(self) -> Array:
-        """Centre of the top face of this box, or of an end face of this bar, (3,) [m], in world."""
+        """Centre of the top face of a box, or of an end face of a bar, (3,) [m], in the world."""
         top: Array = self.centre + self.half[2] * self.rotation[:, 2]
         return top
 
 
 @dataclass(frozen=True)
 class Ground:
-    """Plane through the world's origin, with steps.
+    """Ground of a stand: a plane through the world's origin, with steps under individual feet.
 
     Attributes:
         slope: Angle to the horizontal (rad), in [0, pi/2).
@@ -120,14 +120,14 @@ class Ground:
         return ground
 
     def describe_surface(self, foot: str) -> Diagnostic | None:
-        """Describe the surface that a foot or hand touches instead of the floor, for messages.
+        """Name the surface that a foot or hand touches instead of the floor, for messages.
 
         Args:
             foot: Foot or hand.
 
         Returns:
             Kind of the surface (wall, table, ceiling, plane, bar or step) and the foot, such as
-            "wall of left_palm". None for a foot on the floor, which is in neither ``planes`` nor
+            "wall of left_palm". None for a foot on the floor, which has no entry in ``planes`` and
             ``heights``.
         """
         if foot in self._planes:
@@ -140,27 +140,32 @@ class Ground:
         """Return the unit normal of the ground under a foot, shape (3,), in the world frame.
 
         Args:
-            foot: Foot. If the foot has a separate plane (``planes``), the result is the normal of
-                this plane. Otherwise, and by default, it is the normal of the sloped ground.
+            foot: Foot. A foot with a separate plane (``planes``) gives the normal of this plane.
+                Another foot, or None, gives the normal of the sloped ground.
         """
         if foot is not None and foot in self._planes:
             return np.array(self._planes[foot].normal)
         return np.array(slope_normal(self.slope, self.uphill))
 
     def rotation(self, foot: str | None = None) -> Array:
-        """Return the shortest rotation (3, 3) that aligns z with the normal under a foot.
+        """Return the shortest rotation (3, 3) from the world's z to the normal under a foot.
 
         Args:
-            foot: Foot. If the foot has a separate plane (``planes``), the normal of this plane is
-                used. Otherwise, and by default, the normal of the sloped ground is used.
+            foot: Foot. A foot with a separate plane (``planes``) gives the normal of this plane.
+                Another foot, or None, gives the normal of the sloped ground.
         """
         return _align_z_with(self.normal(foot))
 
     def ground_point(self, foot: str, centre: Array) -> Array:
-        """Return the ground point (3,) [m] for the centre (3,) [m] of a foot, in the world frame.
+        """Return the ground point (3,) [m] under a foot, in the world frame.
 
-        If the foot has a separate plane (``planes``), the result is the nearest point of this
-        plane. Otherwise, it is the point of the ground or step vertically below the centre.
+        For a foot with a separate plane (``planes``), the result is the point of this plane nearest
+        to the foot. Otherwise, the result is the point of the ground or step vertically below the
+        foot.
+
+        Args:
+            foot: Foot.
+            centre: Centre of the foot's sphere, shape (3,) [m], in the world frame.
         """
         if foot in self._planes:
             return self._planes[foot].project(centre)
@@ -169,17 +174,22 @@ class Ground:
 
     @check_arguments
     def steps(self, places: Mapping[str, Array]) -> dict[str, Step]:
-        """Return {foot: box or cylinder} for feet on a step, or on a separate plane or bar.
+        """Return the box or cylinder for each foot on a step, a separate plane or a bar.
 
-        A box extends ``STEP_HALF_WIDTH`` beyond the contact points of the foot. The box of a step
-        with height h > 0 stands on the ground. For h < 0 (a pit), the top of the box is the bottom
-        of the pit at height h. The thickness of both boxes is abs(h) times the cosine of the slope.
-        The box below a separate plane is half as thick as wide. A foot without a contact point in
-        ``places`` is omitted, and so is a foot on a step of height 0 without a separate plane.
+        - Step with height h > 0: the box stands on the ground.
+        - Step with height h < 0 (pit): the top of the box is the bottom of the pit, at height h.
+        - Separate plane: the top of the box is in the plane. The box is half as thick as wide.
+
+        A box extends ``STEP_HALF_WIDTH`` beyond the contact points of the foot. The thickness of
+        the box of a step is abs(h) times the cosine of the slope.
 
         Args:
             places: {contact point: sphere centre (3,) [m] in the world frame}. The contact points
                 of a flat foot are named ``foot/1``, ``foot/2`` ...
+
+        Returns:
+            {foot: box or cylinder}. Feet without a contact point in ``places`` are omitted, and so
+            are feet on a step of height 0 without a separate plane.
         """
         steps = {}
         for foot in dict.fromkeys((*self.heights, *self._planes)):
@@ -210,7 +220,7 @@ class Ground:
         return steps
 
     def foot_ground_point(self, foot: str, centres: Array) -> tuple[Array, float]:
-        """Return the ground point, and the radius, of a foot with several contact spheres.
+        """Return the ground point under a foot with several contact spheres, and its radius.
 
         Args:
             foot: Foot.
@@ -238,7 +248,7 @@ class Ground:
     def centre(self, foot: str, place: Point | Array, radius: float) -> Array:
         """Return the centre (3,) [m] of a foot's sphere that touches the sloped ground or a step.
 
-        Separate planes of feet (``planes``) are not considered.
+        The centre is in the world frame. Separate planes of feet (``planes``) are not considered.
 
         Args:
             foot: Foot, which may be on a step.

@@ -1,9 +1,9 @@
 """MuJoCo's soft constraints: impedance, and static deflection under a force.
 
-Input: ``solimp`` and ``solref`` of constraints, or data with constraint rows. Output: the impedance
-at a constraint violation, the compliance of equality constraints at rest, and the violations under
-given constraint forces. The compliance depends on the violation, so the violation is solved by
-fixed-point iteration or bisection.
+Input: ``solimp`` and ``solref`` of constraints, or MuJoCo data with constraint rows. Output: the
+impedance at a constraint violation, the compliance of equality constraints at rest, and the
+violations under given constraint forces. The compliance depends on the violation: the violation
+under a force is solved by fixed-point iteration or bisection.
 
 Sources: MuJoCo documentation, "Computation: Solver parameters"; ``engine_core_constraint.c``.
 """
@@ -21,9 +21,9 @@ _NUM_EQUATIONS = {
     mujoco.mjtEq.mjEQ_CONNECT.value: 3,
     mujoco.mjtEq.mjEQ_WELD.value: 6,
 }
-"""{type of an equality constraint: number of its scalar equations}. The equations of these types
-share one impedance, which depends on the norm of their violations. In other types, each equation
-has its own impedance."""
+"""{type of an equality constraint: number of its scalar equations}. All equations of a constraint
+of these types share one impedance, which depends on the norm of their violations. In other types,
+each equation has a separate impedance."""
 
 _DEFAULT_REFERENCE = (0.02, 1.0)
 """Time constant [s] and damping ratio of MuJoCo's mj_defaultSolRefImp."""
@@ -56,23 +56,25 @@ def clip_solimp(solimp: Iterable[float]) -> tuple[float, ...]:
 
 
 def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
-    """Return the solref that MuJoCo uses: its default if exactly one of both values is positive.
+    """Return the solref that MuJoCo uses: its default if exactly one of the two values is positive.
 
-    Two positive values are time constant and damping ratio. Two other values are the negative
-    stiffness and the negative damping.
+    Two positive values are time constant and damping ratio. Two values that are not positive are
+    the negative stiffness and the negative damping. MuJoCo warns about a mixture of both forms.
 
-    Source: getsolparam in MuJoCo's ``engine_core_constraint.c``, which prints a warning.
+    Source: getsolparam in MuJoCo's ``engine_core_constraint.c``.
+
+    Args:
+        solref: Two numbers, as in the MJCF.
 
     Returns:
-        Time constant [s] and damping ratio [1] if both are positive; otherwise -stiffness and
-        -damping.
+        Time constant [s] and damping ratio [1]; or -stiffness and -damping.
     """
     first, second = (float(value) for value in solref)
     return (first, second) if (first > 0) == (second > 0) else _DEFAULT_REFERENCE
 
 
 def solimp_impedance(solimp: tuple[float, ...], violation: float) -> tuple[float, float]:
-    """Return the impedance d of a constraint, and its derivative by abs(violation) [1/m, 1/rad].
+    """Return the impedance d of a soft constraint, and the derivative of d by abs(violation).
 
     d changes from dmin at zero violation to dmax at the violation ``width``. If ``width`` is zero
     or less, d is the mean of dmin and dmax.
@@ -103,8 +105,9 @@ def solimp_impedance(solimp: tuple[float, ...], violation: float) -> tuple[float
 class EqualityCompliance:
     """Compliance of a model's equality constraints at a configuration, for any violation.
 
-    At rest, a constraint with violation x has the force k d^2 x / ((1 - d) A). d is the impedance
-    at ``abs(x)``. A (MuJoCo's ``diagApprox``) and k (stiffness from ``solref``) do not depend on x.
+    At rest, a constraint with the violation x exerts the force k d^2 x / ((1 - d) A). d is the
+    impedance at ``abs(x)``. A (MuJoCo's ``diagApprox``) and k (stiffness from ``solref``) do not
+    depend on x.
 
     Args:
         model: MuJoCo model.
@@ -127,15 +130,15 @@ class EqualityCompliance:
             row += num_rows
 
     def current_compliance(self) -> Array:
-        """Return the compliance of each of m scalar constraint equations, at its present violation.
+        """Return the compliance of each of m scalar equations, shape (m,) [m/N, rad/(N m)].
 
-        The compliance is violation / constraint force, shape (m,) [m/N, rad/(N m)]. The present
-        violations are those in the ``data`` of the constructor.
+        The compliance is violation / constraint force, at the violations in the data of the
+        constructor.
         """
         return self._compliance.copy()
 
     def max_compliance(self) -> Array:
-        """Return the largest possible compliance of each equation, shape (m,) [m/N, rad/(N m)].
+        """Return the largest compliance of each of m scalar equations, shape (m,) [m/N, rad/(N m)].
 
         The compliance of a MuJoCo equality constraint depends on its violation (``solimp``). The
         result is the maximum over all violations.
@@ -148,10 +151,10 @@ class EqualityCompliance:
         return compliance
 
     def solve_violations(self, forces: Array) -> Array:
-        """Return the violations of the equality constraints at rest, shape (m,) [m, rad].
+        """Return the violations of equality constraints at rest under forces, shape (m,) [m, rad].
 
         Args:
-            forces: Force of each of m scalar constraint equations, shape (m,) [N, N m].
+            forces: Force of each of m scalar equations, shape (m,) [N, N m].
         """
         openings = self._base_compliance * forces
         for rows, solimp in self._row_groups:

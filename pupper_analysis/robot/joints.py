@@ -1,9 +1,9 @@
 """Joints of a robot: motion types, legs, and postures.
 
-A posture contains the positions of joints that carry no foot, for example of the arms of a
-humanoid. The user specifies it as {joint name or pattern: position}. This module resolves the
-names, checks units, loops and joint ranges, and returns the default posture of a robot with a fixed
-base.
+A posture contains the positions of joints that move no foot, for example of the arms of a humanoid.
+The user specifies a posture as {joint name or pattern: position}. This module resolves the names,
+and checks units, loops and joint ranges. It also returns the default posture of a robot with a
+fixed base.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from pupper_analysis.robot.robot import Robot
 
 OBLIQUE_MOTIONS = ("oblique", "oblique slide")
 """Motion types of a hinge, and of a slide, whose axis is more than 1 degree from each world axis
-(see `joint_motions`)."""
+(`joint_motions`)."""
 
 
 def joint_motions(robot: Robot) -> dict[str, str]:
@@ -72,7 +72,7 @@ def _classify_motion(axis: Array, *, is_slide: bool) -> str:
 
 
 def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:
-    """Return the joints that move a contact point relative to the base, in order from the base.
+    """Return the joints between the base and a contact point, in order from the base.
 
     Args:
         robot: The robot.
@@ -90,12 +90,14 @@ def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:
 
 
 _LIMIT_ATOL = 1e-6
-"""Tolerance of joint limits [rad, m]. Users enter rounded positions, so a position may exceed a
-limit by up to this value. A position with a larger excess is refused. Chosen, not tuned."""
+"""Largest excess of a requested joint position over a joint limit [rad, m] that is accepted,
+because users enter rounded positions. Chosen, not tuned."""
 
 
 def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, float]:
-    """Convert a requested posture to {joint: position [rad, m]}, and check the joints.
+    """Convert a requested posture to {joint: position [rad, m]}, and check its joints.
+
+    A posture may only contain joints that move no foot.
 
     Args:
         robot: The robot.
@@ -104,8 +106,8 @@ def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, 
 
     Raises:
         UnknownNameError: If a pattern matches no joint; the message lists the joints.
-        ConfigurationError: If a position is not valid, or if a joint moves a foot. If the posture
-            contains a joint of a loop or coupling, but not all of them, or does not close the
+        ConfigurationError: If a position is not valid; or if a joint moves a foot; or if the
+            posture contains only some of the joints in loops and couplings, or does not close the
             loops.
     """
     placed = named_positions(robot, posture, "posture") if posture else {}
@@ -127,11 +129,13 @@ decimals."""
 def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, ...]:
     """Return the joints of loops and couplings whose positions a posture may determine.
 
-    ``placed`` is the posture, {joint: position [rad or m]}.
-
     Joints that move a foot are omitted, because the stance determines their positions. The posture
     must contain all joints of loops and couplings, and violate no constraint by more than
     `_MAX_POSTURE_VIOLATION`. Otherwise the result is empty.
+
+    Args:
+        robot: The robot.
+        placed: Posture, {joint: position [rad or m]}.
     """
     closure = robot.closure
     assert closure is not None
@@ -148,7 +152,7 @@ def _list_loop_joints(robot: Robot, placed: Mapping[str, float]) -> tuple[str, .
 
 
 def find_footless_joints(robot: Robot) -> tuple[str, ...]:
-    """Return the joints that move no foot or hand, and are in no loop or coupling.
+    """Return the joints that move no foot or hand, and belong to no loop or coupling.
 
     The joints are in actuator order.
     """
@@ -177,13 +181,16 @@ def _foot_joints(robot: Robot) -> set[str]:
 def named_positions(
     robot: Robot, joints: Mapping[str, float], argument: str = "joints"
 ) -> dict[str, Position]:
-    """Expand patterns of joint names, and return {joint: position with its unit}.
+    """Expand patterns of joint names in requested positions, and add the unit to each position.
 
     Args:
         robot: The robot.
         joints: {joint, or pattern such as ``*elbow*``: position [rad, m]}. If several patterns
             match a joint, the last counts.
         argument: Name of the caller's argument, for error messages.
+
+    Returns:
+        {joint: position with its unit}.
 
     Raises:
         UnknownNameError: If a pattern matches no joint.
@@ -232,14 +239,13 @@ def with_units(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
 
 
 _KEYFRAME_ROUNDING = 1e-3
-"""Distance of a keyframe's joint position beyond the joint limit [rad, m] that is attributed to the
-rounding of numbers in files. If the distance is smaller, the limit replaces the position. A
-keyframe with a larger distance is the default posture only if the caller names the keyframe.
-Chosen, not tuned."""
+"""Excess of a keyframe's joint position over the joint limit [rad, m] that is attributed to rounded
+numbers in files. If the excess is smaller, the limit replaces the position. A keyframe with a
+larger excess is the default posture only if the caller names the keyframe. Chosen, not tuned."""
 
 
 def joint_ranges(robot: Robot) -> Array:
-    """Return the ranges of the joint positions that both files permit, shape (nu, 2) [rad, m].
+    """Return the ranges of joint positions that both files permit, shape (nu, 2) [rad, m].
 
     Columns: lower limit, upper limit; infinite if neither file limits the joint. If the ranges of
     the files do not overlap, both limits are the larger of the two lower limits.
@@ -258,15 +264,18 @@ def joint_ranges(robot: Robot) -> Array:
 def default_positions(robot: Robot, keyframe: str | None = None) -> tuple[Array, str | None]:
     """Return the default posture of a robot with a fixed base, and the name of its keyframe.
 
-    The posture is the keyframe ``home``, otherwise the first keyframe. Its positions must be within
-    the joint ranges; excesses below `_KEYFRAME_ROUNDING` are clipped. Without such a keyframe, each
-    joint is at the middle of its range. A joint with an infinite limit is then at the position of
-    its range that is nearest to zero. Loops are not closed.
+    1. The keyframe ``keyframe``, if the caller names it.
+    2. Otherwise the keyframe ``home`` (without it, the first keyframe), if its positions are within
+       the joint ranges.
+    3. Otherwise the middle of each joint range. If a limit is infinite, the position in the range
+       nearest to zero.
+
+    Positions that exceed a limit by less than `_KEYFRAME_ROUNDING` are clipped. Loops are not
+    closed.
 
     Args:
         robot: Robot with a fixed base.
-        keyframe: Name of a keyframe of the MJCF. This keyframe is used even if it is outside of the
-            joint ranges.
+        keyframe: Name of a keyframe of the MJCF. Its positions may exceed the joint ranges.
 
     Returns:
         Joint positions in actuator order, shape (nu,) [rad, m]; name of the keyframe, None if no
@@ -339,12 +348,15 @@ def get_joint_units(robot: Robot, joint: str) -> JointUnits:
 def check_motor_joints(robot: Robot, joints: Iterable[str], argument: str) -> None:
     """Raise a ConfigurationError if a rotary motor is assigned to a slide.
 
-    The force of a slide would depend on the lead of a screw, which no file states.
+    The force of a slide with a rotary motor depends on the lead of a screw, which no file states.
 
     Args:
         robot: Robot.
         joints: Joints to which motors are assigned.
         argument: Name of the argument or option, for the message.
+
+    Raises:
+        ConfigurationError: If a joint is a slide.
     """
     slides = [joint for joint in joints if is_slide(robot, joint)]
     if slides:
@@ -352,7 +364,10 @@ def check_motor_joints(robot: Robot, joints: Iterable[str], argument: str) -> No
 
 
 def get_common_units(robot: Robot, joints: Iterable[str]) -> JointUnits:
-    """Return common units of several joints, with both units if hinges and slides are mixed."""
+    """Return the units of the quantities of several joints.
+
+    If hinges and slides are mixed, each unit names both, such as "rad or m".
+    """
     return combine_joint_units(get_joint_units(robot, joint) for joint in joints)
 
 

@@ -16,16 +16,16 @@ from pupper_analysis.robot.floor import disable_ground, find_floor
 def make_mujoco_spec(
     description: Description, *, fixed_base: bool
 ) -> tuple[mujoco.MjSpec, Array, list[Diagnostic]]:
-    """Return a copy of the MJCF of a description, with its base fixed if requested.
+    """Return a copy of the MJCF of a description as a spec, with its base fixed if requested.
 
-    If ``fixed_base`` is true, free joints and keyframes are removed. The ground then does not
-    collide, if the MJCF had a free joint. If ``fixed_base`` is false, a robot with a free joint and
-    without a floor gets a floor.
+    - ``fixed_base`` true: free joints and keyframes are removed. If a free joint was removed, the
+      ground no longer collides.
+    - ``fixed_base`` false: a robot with a free joint and without a floor gets a floor.
 
     Returns:
-        Spec; qpos; notes. qpos belongs to the keyframe ``home``, otherwise to the first keyframe.
-        It is in MuJoCo's order, and includes the coordinates of a removed free joint. It is empty
-        if the MJCF states no keyframe or no qpos.
+        Spec; qpos; notes on the changes. qpos belongs to the keyframe ``home``, otherwise to the
+        first keyframe. It is in MuJoCo's order, and includes the coordinates of a removed free
+        joint. It is empty if the MJCF states no keyframe, or the keyframe no qpos.
     """
     notes = []
     spec = description.mjcf.copy()

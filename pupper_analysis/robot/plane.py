@@ -1,7 +1,7 @@
-"""Planes, slopes and bars that a robot touches, and contacts and welds on these.
+"""Planes, slopes and bars that a robot touches, and contacts and welds of a stand task.
 
-The text of a ``Contact`` (``str``, ``format``) has the syntax of the command line. Error messages
-contain this text.
+``str`` and ``format`` of a ``Contact`` or ``Weld`` return its syntax on the command line, which
+error messages contain.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.units import READ_IN, UNIT_FACTORS, find_untyped_degrees
 
 Position3 = tuple[float, float, float]
-"""Point or vector (x, y, z)."""
+"""Point or vector (x, y, z), three floats."""
 
 MAX_FRICTION = 1e6
-"""Largest accepted friction coefficient [1]. A larger value is refused; it would have no other
+"""Largest accepted friction coefficient [1]. Larger values are refused: they would have no other
 physical effect. Chosen, not tuned."""
 
 
@@ -48,7 +48,10 @@ class Plane:
 
     @property
     def kind(self) -> str:
-        """Kind of this plane: wall, table or ceiling (``PLANE_NORMALS``); "" for another normal."""
+        """Kind of this plane, ``wall``, ``table`` or ``ceiling`` (``PLANE_NORMALS``).
+
+        Empty if the plane has another normal.
+        """
         return next((name for name, out in PLANE_NORMALS.items() if out == self.normal), "")
 
     @property
@@ -60,8 +63,8 @@ class Plane:
     def parameter(self) -> float:
         """Coordinate [m] that positions this plane: x of a wall, z of a table or ceiling.
 
-        For another plane, it is the offset n . p, with the unit normal n and a point p of the
-        plane. It is positive if the normal points away from the world origin.
+        For another plane: the offset n . p, with the unit normal n and a point p of the plane. The
+        offset is positive if the normal points away from the world origin.
         """
         offset = math.fsum(a * b for a, b in zip(self.point, self.normal, strict=True))
         return self._parameter_sign * offset
@@ -82,8 +85,7 @@ class Plane:
     def contact_plane(self, _point: Position3) -> Plane:
         """Return this plane unchanged.
 
-        `Slope.contact_plane` and `Bar.contact_plane` require a point. This method has the same
-        signature.
+        The method exists because `Slope.contact_plane` and `Bar.contact_plane` depend on a point.
 
         Args:
             _point: Ignored.
@@ -91,7 +93,7 @@ class Plane:
         return self
 
     def with_parameter(self, number: float) -> Plane:
-        """Return the parallel plane with ``number`` [m] as ``parameter`` (coordinate or offset)."""
+        """Return the parallel plane with ``parameter`` = ``number`` [m] (coordinate or offset)."""
         offset, displacement = (
             self._parameter_sign * number,
             self._parameter_sign * (number - self.parameter),
@@ -105,10 +107,10 @@ class Plane:
 
 @dataclass(frozen=True)
 class Slope:
-    """Inclined plane under a contact; it contains the contact's position on the ground or step.
+    """Inclined plane through the contact's position on the ground or step.
 
     Attributes:
-        angle: Angle to the horizontal (rad), from 0 (floor) to pi (ceiling). It is the
+        angle: Angle to the horizontal (rad), from 0 (floor) to pi (ceiling). The angle is the
             ``parameter``.
         uphill: Direction of steepest ascent: angle about the world's z axis, from the x axis (rad).
         friction: Friction coefficient. Default: the coefficient of the ground.
@@ -175,15 +177,15 @@ class Bar:
         return self.point[2]
 
     def with_parameter(self, number: float) -> Bar:
-        """Return this bar at another height: ``number`` [m] is the new z of ``point``."""
+        """Return this bar at another height: the z of its ``point`` is ``number`` [m]."""
         return replace(self, point=(*self.point[:2], number))
 
     def point_above(self, x: float, y: float) -> Position3:
         """Return a point (x, y, z) [m] above this bar, near a horizontal position (x, y) [m].
 
-        In the horizontal plane, one point of the bar's axis is nearest to (x, y). The result is
-        displaced from this point upward, perpendicular to the axis. The displacement is 1 m times
-        the cosine of the bar's inclination.
+        Start at the point of the bar's axis that is nearest to (x, y) in the horizontal plane. The
+        result is displaced from this point upward, perpendicular to the axis, by 1 m times the
+        cosine of the bar's inclination.
         """
         along = np.array(self.direction)
         level = along[:2] @ along[:2]
@@ -193,7 +195,10 @@ class Bar:
         return _check_position("place", result)
 
     def contact_plane(self, point: Position3) -> Tangent:
-        """Return the tangent plane at the point of the bar nearest to ``point`` (x, y, z) [m].
+        """Return the tangent plane at the point of the bar's surface nearest to a given point.
+
+        Args:
+            point: Point (x, y, z) [m] in the world frame.
 
         Raises:
             ConfigurationError: If the point is on the axis, up to rounding.
@@ -211,7 +216,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class Tangent(Plane):
-    """Tangent plane of a bar.
+    """Tangent plane of a bar, the plane of a contact with this bar.
 
     Attributes:
         bar: Bar that the plane touches.
@@ -229,8 +234,8 @@ axis is refused, because it has no unique nearest point on the bar. Chosen, not 
 class Contact:
     """Contact of a foot, or of another part of the robot (a hand), with a plane or a bar.
 
-    A foot touches with its collision geometry. A hand touches with a massless sphere at a point of
-    its link. This sphere collides only with the plane of the contact. A sole (foot with several
+    A foot touches with its collision geometry. A hand touches with a massless sphere that is fixed
+    to its link, and that collides only with the plane of the contact. A sole (foot with several
     contact points) can neither touch a bar nor grip.
 
     Attributes:
@@ -238,15 +243,15 @@ class Contact:
         force: Prescribed normal force (N). By default, the force follows from balance. If the robot
             also has a ``Weld``, balance permits any force, and the force follows from minimum motor
             torque.
-        place: Point (x, y, z) in the world (m), which is projected to the plane. By default, the
-            nominal position of the foot, or the position of the hand with the joints at home.
+        place: Target point (x, y, z) in the world (m), which is projected to the plane. By default,
+            the nominal position of the foot, or the position of the hand with the joints at home.
         offset: Centre (x, y, z) of the contact sphere in the frame of the hand's link (m).
         radius: Radius of the contact sphere of a hand (m). By default, the radius of the largest
             sphere inside a shape of the hand. If the centre is outside of all shapes, the default
             is 1 cm.
         grip: Maximum force (N) of a grip in any direction, for example of a hand around a rung. The
-            grip fixes the centre of the sphere; the hand may rotate about it. By default, the
-            contact is unilateral, without grip.
+            grip fixes the centre of the sphere, and permits rotation about the centre. By default,
+            the contact is unilateral, without grip.
     """
 
     plane: Plane | Slope | Bar
@@ -281,34 +286,39 @@ class Contact:
 
     @property
     def has_angle(self) -> bool:
-        """True if ``parameters`` is an angle [rad] (a `Slope`); False for lengths [m]."""
+        """True if ``parameters`` is an angle [rad], for a `Slope`; False for lengths [m]."""
         return isinstance(self.plane, Slope)
 
     @property
     def parameters(self) -> tuple[float, ...]:
-        """Numbers that position the plane or bar of this contact.
+        """Numbers that position the plane or bar.
 
-        For a bar, x, y, z of its point [m]. For a slope, its angle [rad]. For another plane, its
-        ``parameter`` [m]. The search for the nearest reachable stand may change these numbers.
+        The search for the nearest reachable stand may change these numbers.
+
+        - Bar: x, y, z of its point [m].
+        - Slope: its angle [rad].
+        - Other plane: its ``parameter`` [m].
         """
         return self.plane.point if isinstance(self.plane, Bar) else (self.plane.parameter,)
 
     def with_parameters(self, numbers: Sequence[float]) -> Contact:
-        """Return a copy of this contact whose plane or bar has other ``parameters``.
+        """Return a copy of this contact with other ``parameters`` of its plane or bar.
 
         Args:
-            numbers: Angle of a slope [rad], position of another plane [m], or point of a bar [m].
+            numbers: Three coordinates of the point of a bar [m]; or one number: the angle of a
+                slope [rad], or the ``parameter`` of another plane [m].
 
         Raises:
             ConfigurationError: If the plane is a bar, and ``numbers`` are not three valid
-                coordinates; or if the plane is a slope, and the angle is not from 0 to pi.
+                coordinates; or if the plane is a slope, and the angle is not from 0 to pi; or if
+                the position of another plane is not valid.
         """
         if isinstance(self.plane, Bar):
             return replace(self, plane=replace(self.plane, point=_check_position("point", numbers)))
         return self.with_plane_parameter(*numbers)
 
     def with_plane_parameter(self, number: float) -> Contact:
-        """Return a copy of this contact whose plane has ``number`` as ``parameter``.
+        """Return a copy of this contact in which the ``parameter`` of the plane is ``number``.
 
         The parameter is an angle [rad] for a slope, otherwise a length [m].
         """
@@ -349,15 +359,17 @@ class Contact:
 
 @dataclass(frozen=True)
 class Weld:
-    """Part of the robot that is fixed to the world, and can bear any wrench.
+    """Fixation of a part of the robot to the world by the task; it can bear any wrench.
 
-    The weld fixes the base at its pose in the task, and a foot at its position in the stand. Of
-    another part, the weld fixes the point ``offset`` at the position ``place``. The orientation of
-    a part is its orientation in the stand.
+    - Base: fixed at its pose in the task.
+    - Foot: fixed at its position in the stand.
+    - Other part: its point ``offset`` is fixed at the position ``place``.
+
+    The orientation of a part is its orientation in the stand.
 
     Attributes:
-        place: Position (x, y, z) in the world of the fixed point of another part (m). By default,
-            the position with the joints at home.
+        place: World position (x, y, z) of the fixed point of another part (m). By default, the
+            position with the joints at home.
         offset: Fixed point (x, y, z) of another part, in the frame of its link (m).
     """
 
@@ -416,9 +428,9 @@ def _make_formatter(spec: str) -> Callable[..., str]:
 
 
 def _format_exact_angle(angle: float) -> str:
-    """Return a text that is read as exactly this angle [rad].
+    """Return the shortest text in degrees that is read as exactly this angle [rad].
 
-    It is the shortest such text in degrees. If there is none, the text is in radians.
+    If no such text exists, the text is in radians.
     """
     candidates = (f"{math.degrees(angle):.{digits}g}" for digits in range(3, 18))
     radians_per_degree = UNIT_FACTORS["angle"]["deg"]
@@ -442,7 +454,7 @@ def _format_placement(contact: Contact | Weld, write: Callable[..., str]) -> Ite
 def contact_of(data: Any) -> Contact | Weld:
     """Convert plain data, for example from JSON, to a contact or weld.
 
-    A contact or weld is returned unchanged.
+    A contact or weld is returned unchanged. A mapping without the key ``plane`` is a weld.
 
     Raises:
         ConfigurationError: If the data are not valid.
@@ -476,12 +488,12 @@ has no kind."""
 
 
 def describe_surface(kind: str, foot: str) -> Diagnostic:
-    """Describe the surface that a foot or hand touches instead of the floor: "wall of left_palm".
+    """Name the surface that a foot or hand touches instead of the floor: "wall of left_palm".
 
     Args:
         kind: Key of ``PLANE_NORMALS``, ``"bar"`` or ``"step"``; empty for a plane with another
             normal.
-        foot: Foot or hand.
+        foot: Name of the foot or hand.
     """
     return diagnose("surface-of-contact", kind=Term(kind or "plane"), contact=foot)
 
@@ -534,10 +546,14 @@ def _check_friction(name: str, value: float | None) -> float | None:
 
 
 def _check_direction(name: str, value: Any) -> Position3:
-    """Return a vector (x, y, z) divided by its norm.
+    """Return a vector (x, y, z) divided by its norm, after a check.
+
+    Args:
+        name: Name of the argument, for messages.
+        value: Vector.
 
     Raises:
-        ConfigurationError: If the vector is zero or not valid.
+        ConfigurationError: If the vector is zero, or is no vector of three finite numbers.
     """
     x, y, z = check_vector(name, value, 3).tolist()
     size = math.hypot(x, y, z)

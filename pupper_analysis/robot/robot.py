@@ -1,7 +1,7 @@
-"""``Robot``: Pinocchio's model of the URDF, MuJoCo's of the MJCF, and the maps between both.
+"""``Robot``: Pinocchio's model of the URDF, MuJoCo's model of the MJCF, and the maps between both.
 
-The module also resolves the effort limits from both files: the smallest limit of a joint counts. It
-contains a pool of objects that are expensive to create for a robot (`borrow`).
+The module also resolves the effort limit of each joint: the smallest limit in both files counts. A
+pool (`borrow`) keeps objects that are expensive to create for a robot, such as MuJoCo data.
 """
 
 from __future__ import annotations
@@ -50,8 +50,7 @@ values. Chosen, not tuned."""
 
 
 _NO_STATEMENTS: Mapping[str, EffortStatement] = MappingProxyType({})
-"""Default of the argument ``null`` of `efforts_of`: no joint has an empty force range in the
-MJCF."""
+"""Default of the argument ``null`` of `efforts_of`: the MJCF states no empty force range."""
 
 
 def efforts_of(
@@ -62,17 +61,20 @@ def efforts_of(
     original_limits: Mapping[str, EffortLimit],
     null: Mapping[str, EffortStatement] = _NO_STATEMENTS,
 ) -> tuple[EffortLimit, ...]:
-    """Return the effort limit of each joint, in the order of ``joint_names``.
+    """Return the effort limit of each joint, resolved from the URDF and the MJCF.
+
+    The smallest stated limit of a joint counts (`resolve_effort_limit`).
 
     Args:
         mj_model: MuJoCo's model of the MJCF.
         pin_model: Pinocchio's model of the URDF.
         convention: Coordinate maps of Pinocchio's model.
-        joint_names: Names of the joints.
-        original_limits: {joint: requested limit, or limit of a motor that was replaced by a servo}.
-            If such a limit equals the limit from the models, the result contains the original
-            limit, because it states its source.
-        null: {joint: empty force range that the MJCF states}; MuJoCo ignores such a range.
+        joint_names: Names of the joints; they define the order of the result.
+        original_limits: {joint: limit with its source}. The limit was requested by the user, or
+            belongs to a motor that was replaced by a servo. If both bounds equal the bounds from
+            the models, up to rounding, the result contains this limit, because its source is more
+            exact.
+        null: {joint: empty force range of the MJCF}. MuJoCo ignores such a range.
     """
     urdf, limits = pin_model.effortLimit.take(convention.v_index).tolist(), []
     actuators_by_joint = group_actuators_by_joint(mj_model)
@@ -91,10 +93,13 @@ def efforts_of(
 
 
 def report_efforts(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
-    """Return diagnostics of effort limits.
+    """Return diagnostics of questionable effort limits of joints.
 
-    Reported are joints without a limit in the URDF, limits that differ between the files, and
-    limits that differ between the two directions.
+    At most one diagnostic is returned for each of these findings, with all joints concerned:
+
+    - the URDF states no limit,
+    - the limits of two files differ,
+    - the limits of the two directions differ.
     """
     unstated = [
         limit.joint
@@ -134,12 +139,13 @@ def _are_equal_efforts(first: float, second: float) -> bool:
 
 
 _T = TypeVar("_T")
-"""Type of an object that is made for a robot, such as a result of `Robot.compute_once`."""
+"""Type of an object that is created for a robot, for example a result of `Robot.compute_once`."""
 
 
 _LIMIT_FIELDS = ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit")
-"""Fields of Pinocchio's model that may be infinite. A pickled robot contains these fields
-separately, because Pinocchio writes infinite values, but cannot read them."""
+"""Limits of Pinocchio's model that may be infinite. Pinocchio's serialisation writes infinite
+values, but cannot read them. If a limit is not finite, the pickled robot contains these fields
+separately."""
 
 _CACHED_ATTRIBUTES = (
     "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "fixed_parts",
@@ -150,13 +156,15 @@ _CACHED_ATTRIBUTES = (
 
 @dataclass(frozen=True, eq=False)
 class PublishedFile:
-    """Published MJCF or URDF of a robot, which verdicts also simulate.
+    """Published MJCF or URDF of a robot. A verdict simulates this file as well, without changes.
 
     Attributes:
-        file: MJCF. None if there is only a URDF, or if the robot was loaded without changes.
+        file: Published MJCF. None if there is only a URDF, or if the robot was loaded without
+            changes.
         keyframe: Requested keyframe; None if none was requested.
         imported: URDF for MuJoCo's importer, if there is no MJCF; None otherwise.
-        options: (name, value) of the requested MuJoCo options, which replace those of the file.
+        options: (name, value) of the requested MuJoCo options, which replace the options of the
+            file.
         loaded: Robot as loaded from the file, if the robot was changed after loading; None
             otherwise.
     """
@@ -173,18 +181,20 @@ class PublishedFile:
         return self.file is None and self.imported is None
 
     def for_modified_copy(self, robot: Robot) -> PublishedFile:
-        """Return the published file of a modified copy; it references the unmodified robot.
+        """Return the published file for a modified copy of a robot.
+
+        The result stores the robot before its first modification as ``loaded``. If ``loaded`` is
+        already set, this object is returned unchanged.
 
         Args:
-            robot: Robot before the modification. The first modification stores it as ``loaded``. At
-                later modifications, this object is returned unchanged.
+            robot: Robot before the modification.
         """
         return self if self.loaded is not None else replace(self, loaded=robot)
 
 
 @dataclass(frozen=True)
 class Touching:
-    """Properties of a robot's part that a contact of a task determines.
+    """Contact settings that a stand task assigns to a foot, a hand or another part of a robot.
 
     Attributes:
         friction: Friction coefficient; None for the coefficient of the ground.
@@ -192,7 +202,7 @@ class Touching:
             for a foot.
         radius: Radius [m] of the contact sphere. None: the radius of the largest sphere inside a
             shape of the hand, or 1 cm if the centre is outside of all shapes.
-        force: Prescribed normal force [N]; None if it follows from balance.
+        force: Prescribed normal force [N]; None if the force follows from balance.
         is_fixed: Whether a weld or grip fixes the part to the world. The part then does not collide
             with fixed bodies.
         grip: Maximum force [N] of a grip; None for a contact or weld. A grip fixes a point and
@@ -212,13 +222,16 @@ def with_task_friction(
     feet: Mapping[str, Sequence[str]],
     touching: Mapping[str, Touching],
 ) -> Mapping[str, ContactParameters]:
-    """Return contact parameters with the sliding friction of the planes of a task.
+    """Return contact parameters with the sliding friction that a task requests for its planes.
 
     Args:
-        contacts: {contact point: parameters} on the ground.
-        feet: {foot: contact points}.
-        touching: {foot or hand: contact of the task}. If a contact has no ``friction``, the
-            friction of the ground remains.
+        contacts: {contact point: parameters of its contact with the ground}. Not changed.
+        feet: {foot or hand: its contact points}.
+        touching: {foot or hand: contact settings of the task}. Without ``friction`` in the
+            settings, the friction of the ground remains.
+
+    Returns:
+        {contact point: parameters}; ``contacts`` itself if nothing changes.
     """
     changed = {
         point: replace(contacts[point], friction=(mu, mu, *contacts[point].friction[2:]))
@@ -230,12 +243,12 @@ def with_task_friction(
 
 
 def _make_none() -> None:
-    """Return None, as default of a field."""
+    """Return None. Default factory of dataclass fields."""
 
 
 _DEFERRED_STAGES = "_deferred_stages"
-"""Name of the instance attribute with a function that runs the postponed preparation steps: servo
-tuning, rest pose and visual meshes; see `defer_stages`."""
+"""Name of the instance attribute that contains a function for the postponed preparation steps:
+servo tuning, rest pose and visual meshes (`defer_stages`)."""
 
 _BEFORE_SERVOS = "_before_servos"
 """Name of the instance attribute for `Robot.before_servos`. Until the first use of this property,
@@ -258,21 +271,22 @@ class Robot(EngineModels):
         base: Name of the base link (URDF).
         mj_base: Name of the base body (MJCF).
         joint_names: Joints in actuator order.
-        contact_points: Names of the contact points of feet and hands, used as keys of dictionaries.
-            A spherical foot has a single contact point with the name of the foot.
-        feet: {foot or hand: contact points}, hands last. A flat foot has several contact points on
-            the same body.
+        contact_points: Names of the contact points of feet and hands. A spherical foot has a single
+            contact point, with the name of the foot. A flat foot has several.
+        feet: {foot or hand: its contact points}, hands last.
         contact_frames: {contact point: frame in the URDF}.
         contact_places: {contact point: (body id in ``mj_model``, centre (3,) [m] of the sphere in
             the frame of the body)}.
         foot_geoms: {geom id of ``mj_model``: foot}.
-        contact_radius: {contact point: radius [m] of its sphere}; 0 for the corner of a sole.
+        contact_radius: {contact point: radius [m] of the contact sphere}; 0 for the corner of a
+            sole.
         contacts: {contact point: effective parameters of the contact with the ground}. If
             ``touching`` contains a friction coefficient, it replaces the friction of the ground.
             Empty if the MJCF has no ground plane.
-        home: Configuration (nq,) of the keyframe ``home``, of the first keyframe, or of qpos0.
-        nominal: Joint positions (nu,) [rad, m] at which the feet have the nominal horizontal
-            positions.
+        home: Start configuration, shape (nq,): the keyframe ``home``; else the first keyframe; else
+            MuJoCo's qpos0.
+        nominal: Joint positions, shape (nu,) [rad, m], of the nominal stand: the stand of the
+            default `StandTask`.
         stand_height: Height [m] of the base above the ground in the nominal stand. Without feet, it
             is 0; exception: if a task welds a fixed base, it is half the extent of the robot.
         imu: Frame with gyro and accelerometer; None if there is none.
@@ -354,10 +368,11 @@ class Robot(EngineModels):
     def before_servos(self) -> Robot:
         """Robot for kinematics and statics, without the postponed servo tuning and visual meshes.
 
-        Servos change neither configurations nor torques at rest. The result has the start pose, the
-        collision shapes, the contacts and the effort limits of this robot. Its MuJoCo model lacks
-        the postponed servos and visual meshes. The result is this robot itself if nothing is
-        postponed, or if `defer_stages` was called without ``pose``.
+        Use it to avoid the time of these steps: servos change neither configurations nor torques at
+        rest. The result has the start pose, the collision shapes, the contacts and the effort
+        limits of this robot. Its MuJoCo model lacks the postponed servos and visual meshes. The
+        result is this robot itself if nothing is postponed, or if `defer_stages` was called without
+        ``pose``.
         """
         found: Robot | Callable[[], Robot] | None = vars(self).get(_BEFORE_SERVOS)
         if found is None or isinstance(found, Robot):
@@ -432,10 +447,10 @@ class Robot(EngineModels):
 
     @cached_property
     def fixed_parts(self) -> Mapping[str, str | None]:
-        """Parts that a task fixes in the world, ``{welded or gripping part: first contact point}``.
+        """Parts that a task fixes to the world by a weld or grip, ``{part: first contact point}``.
 
-        A part is a foot, a link or the base. The welded parts precede the gripping parts
-        (``grips``). The value is None for a part without a contact point, such as the base.
+        A part is a foot, a link or the base. Welded parts precede gripping parts (``grips``). The
+        value is None for a part without contact points, such as the base.
         """
         welded = (
             name
@@ -449,16 +464,17 @@ class Robot(EngineModels):
     def grips(self) -> Mapping[str, float]:
         """Grips of a task: ``{gripping part: maximum norm of the grip force [N]}``.
 
-        A grip fixes the contact point of a part to the world, and permits rotation about the point.
+        A grip fixes the contact point of a part to the world, but permits rotation about this
+        point.
         """
         grips_by_name = ((name, properties.grip) for name, properties in self.touching.items())
         return FrozenDict({name: grip for name, grip in grips_by_name if grip is not None})
 
     @property
     def is_welded(self) -> bool:
-        """True if a part is welded to the world, so that balance permits any CoM position.
+        """True if a task welds a part to the world, so that balance permits any CoM position.
 
-        A grip is no weld: it permits rotation, and its force is limited.
+        A grip is no weld: a grip permits rotation, and its force is limited.
         """
         return len(self.fixed_parts) > len(self.grips)  # the gripping parts are fixed parts, too
 
@@ -494,8 +510,9 @@ class Robot(EngineModels):
     def base_height(self) -> float:
         """Default height [m] of the origin of a free base above the world's origin.
 
-        It is the height in the stand of the default `StandTask` (``stand_height``). For a robot
-        without feet, it is the height in ``home``. For a fixed base, it is 0.
+        - With feet: the height in the nominal stand (``stand_height``).
+        - Without feet (or with hands only): the height in ``home``.
+        - With a fixed base: 0.
         """
         if not self.floating:
             return 0.0
@@ -503,17 +520,17 @@ class Robot(EngineModels):
 
     @property
     def nq(self) -> int:
-        """Size of qpos of this robot, with 7 entries for a free base, and 1 per joint."""
+        """Size of qpos in the coordinates of this package: 7 for a free base, and 1 per joint."""
         return len(self.joint_names) + (7 if self.floating else 0)
 
     @property
     def nv(self) -> int:
-        """Size of qvel of this robot, with 6 entries for a free base, and 1 per joint."""
+        """Size of qvel in the coordinates of this package: 6 for a free base, and 1 per joint."""
         return len(self.joint_names) + (6 if self.floating else 0)
 
     @property
     def nu(self) -> int:
-        """Number of joints, the size of all joint vectors; not the number of MuJoCo's controls."""
+        """Number of joints: the size of all joint vectors. Not the number of MuJoCo's controls."""
         return len(self.joint_names)
 
     @property
@@ -533,28 +550,37 @@ class Robot(EngineModels):
 
     @property
     def usual_weight(self) -> float:
-        """Weight [N], or weight on Earth if gravity is zero; the scale of relative errors."""
+        """Weight [N] as the scale of relative errors.
+
+        The weight on Earth if gravity is zero, otherwise the weight in the gravity of the MJCF.
+        """
         return self.weight or self.total_mass * EARTH_GRAVITY
 
     @cached_property
     def structure(self) -> Structure:
         """Pinocchio model in public coordinates, and indices of joints, links and contact points.
 
-        It is computed once. Every `Configuration` of the robot uses this object.
+        Computed once. All `Configuration` objects of the robot share this object.
         """
         return Structure(self.pin_model, self.pin_convention, self.joint_names, self.contact_frames)
 
     @cached_property
     def acts_at_rest(self) -> bool:
-        """Whether the MJCF may have passive forces at rest; see the function `acts_at_rest`."""
+        """Whether the MJCF may exert passive forces at rest, such as spring forces.
+
+        See the function `acts_at_rest` for the possible sources.
+        """
         return acts_at_rest(self.before_servos.mj_model)
 
     @cached_property
     def closure(self) -> Closure | None:
-        """Closed loops and joint couplings of the robot, from the equalities of the MJCF.
+        """Closed loops and joint couplings of the robot, from the equality constraints of the MJCF.
 
-        None if no active equality constrains the robot's joints, if constraints are disabled, or if
-        an equality couples a free base to the world (`find_closure`).
+        None in three cases (`find_closure`):
+
+        - no active equality constrains the robot's joints,
+        - the MJCF disables constraints,
+        - an equality couples a free base to the world.
         """
         robot = self.before_servos
         return find_closure(robot.mj_model, robot.mj_convention, self.joint_names)
@@ -581,14 +607,15 @@ class Robot(EngineModels):
         return {}
 
     def compute_once(self, make: Callable[..., _T], *given: Hashable) -> _T:
-        """Return ``make(robot, *given)``; the result is cached for the lifetime of the robot.
+        """Return ``make(robot, *given)``, computed once and cached for the lifetime of the robot.
 
         The result must not reference the robot, because a reference cycle would delay the release
         of memory.
 
         Args:
             make: Function of the robot and of the arguments ``given``.
-            given: Further arguments of ``make``; hashable.
+            given: Further arguments of ``make``; hashable. With ``make``, they are the key of the
+                cache.
         """
         key = make, *given
         if key not in self._cache:
@@ -614,10 +641,10 @@ class Robot(EngineModels):
 
     @cached_property
     def efforts(self) -> tuple[EffortLimit, ...]:
-        """Effort limit of each joint from both files, with the source, in actuator order.
+        """Effort limit of each joint, with the file and element that states it, in actuator order.
 
-        If one file was converted from the other, the source is in the original file, if that file
-        states the same limit.
+        The smallest limit of both files counts. If one file was generated from the other, only the
+        limit in the user's file is cited, as long as the value is the same.
         """
         robot = self.before_servos
         limits = efforts_of(
@@ -633,9 +660,9 @@ class Robot(EngineModels):
 
     @cached_property
     def effort_ranges(self) -> Array:
-        """Minimum and maximum effort of each joint from both files, (nu, 2) [N m, N].
+        """Minimum and maximum effort of each joint from both files, shape (nu, 2) [N m, N].
 
-        Infinite if no file states a limit.
+        A bound is infinite if no file states a limit.
         """
         ranges: Array = np.array([(limit.lower, limit.upper) for limit in self.efforts])
         ranges.flags.writeable = False
@@ -645,8 +672,8 @@ class Robot(EngineModels):
     def effort_limits(self) -> Array:
         """Effort (nu,) [N m, N] that each joint can exert in both directions; inf without a limit.
 
-        The value is min(-lower, upper) of the joint's effort range (`effort_ranges`). It is 0 if
-        that number is below ``MIN_EFFORT``, for example if the range contains a single sign.
+        The value is min(-lower, upper) of the joint's effort range (`effort_ranges`). Values below
+        ``MIN_EFFORT`` are set to 0, for example if both bounds have the same sign.
         """
         limits = np.array([limit.symmetric_torque for limit in self.efforts], dtype=float)
         limits.flags.writeable = False
@@ -654,19 +681,16 @@ class Robot(EngineModels):
 
     @property
     def velocity_limits(self) -> Array:
-        """Velocity limits (nu,) [rad/s, m/s] of the URDF.
+        """Velocity limits (nu,) [rad/s, m/s] of the URDF; inf without a limit.
 
-        Infinite if the URDF states no limit. 0 if the URDF states 0 or less: the joint may not
-        move.
+        The value is 0 if the URDF states 0 or less: the joint may not move.
         """
         limits = np.array(self.pin_model.velocityLimit[self.pin_convention.v_index])
         found: Array = np.maximum(limits, 0.0)
         return found
 
     def _select_positions(self, values: Array, unbounded: float) -> Array:
-        """Return position limits (nu,) of the joints from a vector in the order of Pinocchio's q.
-
-        Absolute limits of at least ``UNSTATED`` become infinite.
+        """Select the entries of the joints (nu,) from a vector in the order of Pinocchio's q.
 
         Args:
             values: Limits, shape (pin_model.nq,) [rad, m].
@@ -677,10 +701,11 @@ class Robot(EngineModels):
         return known_positions(limits)
 
     def check_not_welded(self, what: str) -> None:
-        """Raise an error if a task welds a part to the world, or a part grips.
+        """Raise an error if a task fixes a part of the robot to the world by a weld or a grip.
 
         Args:
-            what: Name of the requested analysis, which does not support welds, for the message.
+            what: Name of the requested analysis, for the message. The analysis does not support
+                welds.
 
         Raises:
             ConfigurationError: If the robot has welds or grips.
@@ -690,13 +715,13 @@ class Robot(EngineModels):
             raise ConfigurationError("contacts", problem)
 
     def check_tree(self, what: str) -> None:
-        """Raise an error if the robot has closed loops or couplings, or a part fixed by a task.
+        """Raise an error if the robot is no free kinematic tree.
 
-        A task fixes a part to the world by a weld or a grip.
+        The robot may have no closed loops and no joint couplings. A task may not fix a part of the
+        robot to the world by a weld or a grip.
 
         Args:
-            what: Name of the requested analysis, which does not support such robots, for the
-                message.
+            what: Name of the requested analysis, for the message. The analysis requires a tree.
 
         Raises:
             ConfigurationError: If the robot has loops, couplings, welds or grips.
@@ -719,18 +744,21 @@ class Robot(EngineModels):
             raise ConfigurationError("robot", diagnose("base-is-fixed", robot=self.name, why=why))
 
     def check_bodies(self) -> None:
-        """Raise an error if a moving body has a negative mass or moment of inertia.
+        """Raise an error if a moving body has a negative mass or principal moment of inertia.
 
         A negative moment within rounding is accepted. A robot that has passed is not checked again.
 
         Raises:
-            ModelError: If a mass or moment is negative. The message contains the name of the joint
-                that moves the body, except for a free base.
+            ModelError: If a mass or moment is negative. The message contains the joint that moves
+                the body, except for a free base.
         """
         self.compute_once(_check_bodies)
 
     def check_foot(self, foot: str) -> str:
-        """Check that a contact point exists, and return its name ``foot`` unchanged.
+        """Check that a contact point exists, and return its name unchanged.
+
+        Args:
+            foot: Name of the contact point.
 
         Raises:
             UnknownNameError: If there is no such contact point; the message lists the existing
@@ -751,7 +779,7 @@ class Robot(EngineModels):
         return self.feet[foot]
 
     def foot_of(self, point: str) -> str:
-        """Return the foot of a contact point.
+        """Return the name of the foot or hand to which a contact point belongs.
 
         Raises:
             UnknownNameError: If there is no such contact point.
@@ -762,9 +790,10 @@ class Robot(EngineModels):
         raise UnknownNameError(self.name, "foot", point, self.contact_points)
 
     def feet_with(self, points: Iterable[str]) -> tuple[str, ...]:
-        """Return the feet of the contact points ``points``.
+        """Return the feet and hands that have at least one of the given contact points.
 
-        Names in ``points`` that are no contact points of feet, such as names of welds, are ignored.
+        Args:
+            points: Names of contact points. Other names, such as names of welds, are ignored.
 
         Raises:
             ConfigurationError: If ``points`` is a text or no iterable.
@@ -777,13 +806,13 @@ class Robot(EngineModels):
         )
 
     def per_foot(self, forces: Mapping[str, Array]) -> dict[str, Array]:
-        """Sum the forces on the contact points of each foot.
+        """Sum the contact forces of each foot over its contact points.
 
         Args:
             forces: {contact point: force, shape (3,) [N]}, all in the same frame.
 
         Returns:
-            {foot: force, shape (3,) [N]} for the feet with a contact point in ``forces``.
+            {foot: total force, shape (3,) [N]} for the feet with a contact point in ``forces``.
         """
         return {
             foot: np.sum([forces[point] for point in self.feet[foot] if point in forces], axis=0)
@@ -791,7 +820,7 @@ class Robot(EngineModels):
         }
 
     def make_qpos(self, joints: Array) -> Array:
-        """Return a qpos (nq,) with given joint positions.
+        """Return a configuration, shape (nq,), with given joint positions.
 
         A free base is at the world origin, without rotation.
 
@@ -806,7 +835,9 @@ class Robot(EngineModels):
         return qpos
 
     def compute_kinematics(self, qpos: ArrayLike | None = None) -> mujoco.MjData:
-        """Return new MuJoCo data with positions of bodies and CoMs at a configuration.
+        """Compute body and CoM positions of a configuration with MuJoCo, in new ``MjData``.
+
+        Runs ``mj_kinematics`` and ``mj_comPos``.
 
         Args:
             qpos: Configuration, shape (nq,); by default ``neutral``.
@@ -822,7 +853,7 @@ class Robot(EngineModels):
         return data
 
     def neutral(self) -> Array:
-        """Return the qpos (nq,) with all joints at zero, and a free base at the origin."""
+        """Return the qpos (nq,) with all joints at zero, and a free base at the world origin."""
         qpos = np.zeros(self.nq)
         if self.floating:
             qpos[3] = 1.0
@@ -847,17 +878,17 @@ def defer_stages(
 ) -> Robot:
     """Return a robot whose remaining preparation steps run at the first use of their results.
 
-    The steps are servo tuning, rest pose and visual meshes. Fields in `_EARLY_FIELDS` are copied
-    from ``robot``. All other fields are copied from the completed robot. The first access to such a
-    field runs ``complete``, and so do pickling and copying. ``complete`` runs once, unless several
-    threads need such a field at the same time.
+    The steps are servo tuning, rest pose and visual meshes. The result takes the fields that these
+    steps do not change (`_EARLY_FIELDS`) from ``robot``. It takes all other fields from the
+    completed robot: the first access to such a field runs ``complete``. Pickling and copying run
+    ``complete`` as well. ``complete`` runs once, unless several threads need such a field at the
+    same time.
 
     Args:
         robot: Robot before the remaining steps.
         complete: Function that runs the remaining steps, and returns the completed robot.
-        pose: Function that returns the robot in its start pose, without the postponed steps. It is
-            used for stands and statics (`Robot.before_servos`). If None, stands run all steps
-            first.
+        pose: Function that returns the robot in its start pose, without the postponed steps, for
+            stands and statics (`Robot.before_servos`). If None, stands run all steps first.
     """
     deferred = object.__new__(Robot)
     vars(deferred).update({name: vars(robot)[name] for name in _EARLY_FIELDS})
@@ -870,7 +901,7 @@ def defer_stages(
 
 
 def acts_at_rest(model: mujoco.MjModel) -> bool:
-    """Return True if the model may have passive forces at zero velocity.
+    """Return True if the MuJoCo model may have passive forces at zero velocity.
 
     Possible sources are springs of joints and tendons, gravity compensation, wind in a fluid,
     flexible bodies, and plugins of bodies.
@@ -926,13 +957,15 @@ _pool_lock = Lock()
 def borrow(robot: Robot, make: Callable[[Robot], _T]) -> Iterator[_T]:
     """Context manager: borrow an object of a robot from a pool, for exclusive use. Thread-safe.
 
-    If the pool contains no object for this robot and this function, ``make`` creates it. At the end
-    of the context, the object returns to the pool. The pool keeps the `_MAX_POOL_SIZE` last used
-    objects.
+    Use it for objects that are expensive to create, such as MuJoCo data. If the pool contains no
+    object for this robot and this function, ``make`` creates the object. At the end of the context,
+    the object returns to the pool. The pool keeps the last `_MAX_POOL_SIZE` used objects of all
+    robots.
 
     Args:
         robot: The robot.
-        make: Function that creates an object for the robot, for example a class.
+        make: Function that creates an object for the robot, for example a class. Together with the
+            robot, it is the key of the pool.
     """
     borrowed = None
     with _pool_lock:

@@ -1,6 +1,6 @@
 """Position servos of a robot's MuJoCo model: gains, commands, and models with other gains.
 
-A servo exerts tau = clip(kp (ctrl / gear - q) - kd qvel, +- limit) at the joint.
+A servo exerts tau = clip(kp (ctrl / gear - q) - kd qvel, +- limit) at its joint.
 `model_with_servos` returns a copy of the model with requested gains. `resolve_servo_gains` returns
 only the gains. `with_options` returns a robot with other MuJoCo options.
 """
@@ -34,30 +34,31 @@ INTEGRATOR_TYPES = {
     "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
 }
-"""{name in MJCF: MuJoCo's integrator}."""
+"""{name of an integrator in an MJCF: MuJoCo's constant}."""
 
 CONE_TYPES = {
     "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
     "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
 }
-"""{name in MJCF: form of MuJoCo's friction cones}."""
+"""{name of a friction cone type in an MJCF: MuJoCo's constant}."""
 
 _CONVERGING_DYNAMICS = (
     mujoco.mjtDyn.mjDYN_NONE.value,
     mujoco.mjtDyn.mjDYN_FILTER.value,
     mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
 )
-"""Types of actuator dynamics (``dyntype``) without dynamics, or with a filter. If the command is
-constant, the input of the force law equals the command or converges to it. Only an actuator with
-these types can be a position servo."""
+"""Actuator dynamics (``dyntype``) of a position servo: none, or a filter. With a constant command,
+the input of the force law equals the command, or converges to the command."""
 
 
 @dataclass(frozen=True, eq=False)
 class Servos:
-    """Position servos of a MuJoCo model: tau = clip(kp (ctrl / gear - q) - kd qvel, +- limit).
+    """MuJoCo model with position servos: tau = clip(kp (ctrl / gear - q) - kd qvel, +- limit).
+
+    Dependent joints of closed loops have no servo.
 
     Attributes:
-        model: MuJoCo model, a copy of the robot's.
+        model: MuJoCo model with the servos, a copy of the robot's model.
         kp: Stiffness at the joints, shape (nu,) [N m/rad, N/m]; 0 for dependent joints of loops.
         kd: Damping at the joints, shape (nu,) [N m s/rad, N s/m]; 0 for dependent joints of loops.
         gear: Actuator length per joint position, shape (nu,); 1 for dependent joints of loops.
@@ -72,15 +73,18 @@ class Servos:
 
     @property
     def is_implicit(self) -> bool:
-        """True for an implicit integrator: damping depends on the velocity after the time step."""
+        """True for the integrators ``implicit`` and ``implicitfast``.
+
+        With these, the damping of a servo depends on the velocity after the time step.
+        """
         return self.integrator.startswith("implicit")
 
     def command(self, robot: Robot, positions: Array, torques: Array | None = None) -> Array:
-        """Compute MuJoCo's ctrl for joint positions with feed-forward torques.
+        """Compute MuJoCo's ctrl that commands joint positions with feed-forward torques.
 
-        The command of a joint servo is gear * (position + torque / kp). Some models have further
-        position servos, for example on tendons, or a second actuator of a joint. They are commanded
-        to exert no force (`make_neutral_commands`). All other actuators are commanded 0.
+        The command of a joint servo is gear * (position + torque / kp). Further position servos,
+        for example on tendons, are commanded to exert no force (`make_neutral_commands`). All other
+        actuators are commanded 0.
 
         Args:
             robot: Robot with n joints (``robot.nu``).
@@ -106,7 +110,7 @@ class Servos:
 
 
 def make_position_commands(robot: Robot, positions: Array) -> Array:
-    """Compute the ctrl (model.nu,) with which the servos of the robot's model hold joint positions.
+    """Compute the ctrl with which the servos of the robot's own model hold joint positions.
 
     Motors that are no position servos are commanded 0. Further position servos, for example on
     tendons, are commanded to exert no force. Joints without motor are permitted, unlike in
@@ -115,6 +119,9 @@ def make_position_commands(robot: Robot, positions: Array) -> Array:
     Args:
         robot: Robot.
         positions: Joint positions in actuator order, shape (nu,) [rad, m].
+
+    Returns:
+        Commands of all actuators, shape (model.nu,).
     """
     model, actuators = robot.mj_model, robot.mj_convention.actuator_index
     driven = np.flatnonzero(actuators >= 0)
@@ -128,15 +135,18 @@ def make_position_commands(robot: Robot, positions: Array) -> Array:
 
 
 def make_neutral_commands(model: mujoco.MjModel, qpos: Array, known: NDArray[np.int64]) -> Array:
-    """Compute the ctrl (model.nu,) with which further position servos exert no force at rest.
+    """Compute the ctrl with which position servos that the caller does not command exert no force.
 
-    These are all position servos that are not in ``known``, for example on tendons and sites. The
-    ctrl of all other actuators is 0.
+    These servos are, for example, on tendons and sites. The velocity is zero. The ctrl of all other
+    actuators is 0.
 
     Args:
         model: MuJoCo model.
         qpos: Configuration, shape (model.nq,).
         known: Ids of the actuators that the caller commands.
+
+    Returns:
+        Commands of all actuators, shape (model.nu,).
     """
     others, ctrl = _find_other_servos(model, known), np.zeros(model.nu)
     if others.size:
@@ -160,14 +170,16 @@ def _find_other_servos(model: mujoco.MjModel, known: NDArray[np.int64]) -> NDArr
 
 
 def compute_command_lead(torques: Array, kp: Array) -> Array:
-    """Compute the command offset of feed-forward torques, torque / kp; 0 for joints with kp = 0.
+    """Compute the offset of servo commands that produces feed-forward torques: torque / kp.
+
+    The offset is 0 for joints with kp = 0.
 
     Args:
         torques: Feed-forward torques, shape (..., nu) [N m, N].
         kp: Stiffness, shape (nu,) [N m/rad, N/m].
 
     Returns:
-        Shape (..., nu) [rad, m].
+        Offset of the commanded joint positions, shape (..., nu) [rad, m].
     """
     ahead: Array = np.divide(torques, kp, out=np.zeros_like(torques), where=kp > 0)
     return ahead
@@ -179,10 +191,10 @@ def model_with_servos(
     kd: ArrayLike | None = None,
     integrator: str | None = None,
 ) -> Servos:
-    """Create position servos for the robot, in a copy of its MuJoCo model.
+    """Create a copy of the robot's MuJoCo model in which position servos drive the joints.
 
     The force ranges of the servos are narrowed to the robot's effort limits. If kp or kd is given,
-    motors are converted to position servos.
+    all joint motors become position servos with the resulting gains.
 
     Args:
         robot: Robot.
@@ -193,8 +205,8 @@ def model_with_servos(
     Raises:
         ConfigurationError: If a gain is not a number, has another shape or is out of range, or the
             integrator is unknown.
-        ModelError: If a joint has no motor, or the motor is no position servo and kp and kd are not
-            both given; except dependent joints of loops and couplings.
+        ModelError: If a joint has no motor; or if a motor is no position servo, and kp or kd is
+            None. Dependent joints of loops and couplings need no motor.
     """
     model = copy.copy(robot.mj_model)
     wanted = resolve_servo_gains(robot, kp, kd)
@@ -216,11 +228,11 @@ def model_with_servos(
 def write_position_servos(
     model: mujoco.MjModel, actuators: NDArray[np.int64], kp: ArrayLike, kd: ArrayLike
 ) -> None:
-    """Convert actuators to position servos without filter, in place; gears and ranges are kept.
+    """Convert actuators of a model to position servos without filter, in place.
 
-    The activation states of removed filters remain in the model (``na``), but are no longer
-    assigned to an actuator. Otherwise the forces would depend on these states instead of the
-    controls.
+    Gears and ranges are kept. The activation states of removed filters remain in the model
+    (``na``), but are no longer assigned to an actuator. Otherwise the forces would depend on these
+    states instead of the controls.
 
     Args:
         model: MuJoCo model.
@@ -241,7 +253,7 @@ def write_position_servos(
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """Checked gains of the motors of a robot.
+    """Checked servo gains of the joints of a robot.
 
     Dependent joints of loops and couplings have gains of 0, and need no motor.
 
@@ -264,9 +276,9 @@ def _narrow_force_ranges(
 ) -> None:
     """Narrow the force ranges of actuators to the effort limits of their joints, in place.
 
-    MuJoCo itself does not bound a servo by the effort of a URDF, or by the former ctrlrange of a
-    motor. The new bounds of an actuator are the effort limits divided by the gear. A new bound
-    replaces a bound of the force range only if it is narrower. A range is not written if a bound is
+    Reason: MuJoCo does not bound a servo by the effort of a URDF, or by the former ctrlrange of a
+    motor. The new bounds are the effort limits divided by the gear. A new bound replaces an old
+    bound only if the new bound is narrower. A range is not written if a resulting bound is
     infinite, or the gear is 0.
 
     Args:
@@ -302,23 +314,21 @@ quotient torque / kp, which would overflow for much smaller values. Chosen, not 
 def resolve_servo_gains(
     robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
 ) -> Gains:
-    """Return the servo gains of the joints, without building a model with servos.
+    """Return the servo gains of the joints: requested gains, or the gains of the MJCF's servos.
 
     Args:
         robot: Robot.
-        kp: Stiffness at the joints [N m/rad, N/m], scalar or shape (nu,). Default: the stiffness of
-            the MJCF's servos.
-        kd: Damping at the joints [N m s/rad, N s/m], scalar or shape (nu,). Default: the damping of
-            the MJCF's servos.
+        kp: Stiffness at the joints [N m/rad, N/m], scalar or shape (nu,). Default: from the MJCF.
+        kd: Damping at the joints [N m s/rad, N s/m], scalar or shape (nu,). Default: from the MJCF.
 
     Returns:
         Gains of each joint; 0 for the dependent joints of loops and couplings.
 
     Raises:
-        ConfigurationError: If a gain is not a number, has another shape or is out of range, or the
-            stiffness is below `MIN_STIFFNESS`.
-        ModelError: If a joint has no actuator, or its actuator is no position servo and kp or kd is
-            None; except dependent joints.
+        ConfigurationError: If a gain is not a number, has another shape or is out of range, or a
+            requested stiffness is below `MIN_STIFFNESS`.
+        ModelError: If a joint has no actuator; or if an actuator is no position servo, and kp or kd
+            is None. Dependent joints need no actuator.
     """
     actuators = robot.mj_convention.actuator_index
     following = np.zeros(robot.nu, dtype=bool)
@@ -350,11 +360,13 @@ def resolve_servo_gains(
 
 
 def command_ranges(robot: Robot) -> Array:
-    """Return the range of the servo command of each joint, shape (nu, 2) [rad, m].
+    """Return the range to which MuJoCo clips each servo command, shape (nu, 2) [rad, m].
 
-    MuJoCo clips the command of a servo to the ``ctrlrange``, unless the MJCF disables the flag
-    ``clampctrl``. The range is infinite if MuJoCo does not clip the command, or if the joint has no
-    motor. It is also infinite if the motor is no position servo in the MJCF.
+    The range is the ``ctrlrange`` divided by the gear. The range is infinite if:
+
+    - the actuator has no limited ``ctrlrange``,
+    - the MJCF disables the flag ``clampctrl``,
+    - the joint has no motor, or its motor is no position servo in the MJCF.
     """
     model, actuators = robot.mj_model, robot.mj_convention.actuator_index
     ranges = np.tile((-math.inf, math.inf), (robot.nu, 1))
@@ -370,11 +382,11 @@ def command_ranges(robot: Robot) -> Array:
 
 
 def list_position_servos(robot: Robot) -> dict[str, tuple[float, float]]:
-    """Return the gains of the position servos in the robot's MuJoCo model.
+    """Return the gains of the joints that a position servo of the robot's MuJoCo model drives.
 
     Returns:
-        {joint: (kp [N m/rad, N/m], kd [N m s/rad, N s/m])} of the joints whose motor is a position
-        servo.
+        {joint: (kp [N m/rad, N/m], kd [N m s/rad, N s/m])}. Joints without position servo are
+        omitted.
     """
     actuators = robot.mj_convention.actuator_index
     driven = np.flatnonzero(actuators >= 0)
@@ -389,7 +401,7 @@ def list_position_servos(robot: Robot) -> dict[str, tuple[float, float]]:
 def find_servos_used(
     robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None
 ) -> ServosUsed:
-    """Return source, smallest gains and largest gains of the servos that a result depends on.
+    """Summarise the servos that a result depends on: source, smallest and largest gains.
 
     Args:
         robot: Robot.
@@ -398,8 +410,8 @@ def find_servos_used(
 
     Raises:
         ConfigurationError: If a gain is not a number, has another shape or is out of range.
-        ModelError: If a joint has no motor, or the motor is no position servo and kp and kd are not
-            both given; except dependent joints of loops and couplings.
+        ModelError: If a joint has no motor; or if a motor is no position servo, and kp or kd is
+            None. Dependent joints of loops and couplings need no motor.
     """
     found, made = resolve_servo_gains(robot, kp, kd), robot.description.made_servos
     joints = {servo.joint for servo in made}
@@ -425,13 +437,16 @@ def find_servos_used(
 def _read_actuator_gains(
     model: mujoco.MjModel, actuators: NDArray[np.int64]
 ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Return gain, damping and gear of actuators, shape (n,) each, and a mask of position servos.
+    """Read gain, damping and gear of actuators, shape (n,) each, and a mask of position servos.
 
     Gain and damping are at the joint [N m/rad, N m s/rad; N/m, N s/m].
 
-    The ctrl of a position servo is a joint position. An actuator with a constant force, or with an
-    integrated or delayed command, is therefore no position servo. An actuator is no position servo
-    either if its gain is not positive, or differs from the stiffness in its bias.
+    An actuator is a position servo if, with a constant ctrl, ctrl / gear is the joint position
+    without force. All conditions:
+
+    - fixed gain and affine bias without constant term,
+    - no dynamics, or a filter; no delay,
+    - a positive gain that equals the stiffness of the bias.
     """
     gear = read_gears(model, actuators)
     gain = model.actuator_gainprm[actuators, 0] * gear**2
@@ -477,9 +492,9 @@ def _find_option_value(option: str, name: str, known: Mapping[str, Any]) -> int:
 
 
 MIN_TIMESTEP = 5e-5
-"""Smallest time step that `with_options` accepts [s]; smaller values are refused. Measured: a
-stand of Pupper v3 takes 6 s of processor time with 1e-4 s, and 45 s with 1e-5 s. Public files
-specify 5e-4 s or more."""
+"""Smallest time step that `with_options` accepts [s]; smaller values are refused. Measured: a stand
+of Pupper v3 takes 6 s of processor time with 1e-4 s, and 45 s with 1e-5 s. Public files specify
+5e-4 s or more."""
 
 MAX_IMPRATIO = 1e5
 """Largest ``impratio`` [1] that a user may request; larger values are refused. Measured: contacts
@@ -496,15 +511,16 @@ def with_options(
 ) -> Robot:
     """Return a robot with other MuJoCo options; ``robot`` itself if all arguments are None.
 
-    Notes report a requested time step, cone or ``impratio``. Simulations of the published file use
-    the requested options as well.
+    The notes of the result report a requested time step, cone or ``impratio``. Simulations of the
+    published file use the requested options as well.
 
     Args:
         robot: Robot.
         integrator: ``Euler``, ``implicitfast``, ``implicit`` or ``RK4``.
         cone: Form of the friction cones: ``elliptic`` or ``pyramidal``.
-        impratio: MuJoCo's ratio between frictional and normal impedance of contacts. With a larger
-            ratio, contacts slip more slowly under tangential force. At most `MAX_IMPRATIO`.
+        impratio: MuJoCo's ratio between frictional and normal impedance of contacts, positive and
+            at most `MAX_IMPRATIO`. With a larger ratio, contacts slip more slowly under tangential
+            force.
         timestep: Time step [s], between `MIN_TIMESTEP` and 0.1.
 
     Raises:

@@ -23,7 +23,7 @@ from pupper_analysis.robot.structure import Structure
 
 @dataclass(frozen=True, eq=False)
 class CarriedShape:
-    """Collision geom of the robot, and the URDF link with which it moves.
+    """Collision geom of the robot, expressed in the frame of the URDF link with which it moves.
 
     Attributes:
         geom: Id of the geom in ``mj_model``.
@@ -51,20 +51,21 @@ def shapes_of(
     neutral: Array,
     source: Path,
 ) -> tuple[CarriedShape, ...]:
-    """Return the collision shapes of the robot's bodies, including feet, in order of the geom ids.
+    """Return the collision shapes of the robot's bodies, in the frames of the URDF's links.
 
-    The shapes of a fixed base are included. If the base of the MJCF is the world body, its shapes
-    are all shapes that are fixed in the world, except planes and height fields.
+    The order is the order of the geom ids. Feet and the shapes of a fixed base are included. If the
+    base of the MJCF is the world body, its shapes are all shapes that are fixed in the world,
+    except planes and height fields.
 
-    The pose of a shape in the frame of its link is computed with all joint positions zero. In this
-    configuration, the link poses of both models agree.
+    The pose of a shape in its link is computed with all joint positions zero, because both models
+    then have the same link poses.
 
     Args:
         model: MuJoCo's model of the MJCF.
         convention: Coordinate maps of the model.
         structure: Structure of the URDF's model.
         bases: Name of the base link (URDF), and name of the base body (MJCF).
-        neutral: Configuration (nq,) with all joints at zero.
+        neutral: Configuration, shape (nq,), with all joints at zero.
         source: File of the MJCF, for messages.
 
     Raises:
@@ -160,13 +161,13 @@ class _LinkFinder:
     def link(self, body: str, moving: int) -> tuple[str, pin.SE3]:
         """Return the link of the URDF that corresponds to a body of the MJCF, and its world pose.
 
-        The pose is evaluated with all joint positions zero. If a link with the name of the body
-        moves with the same joint, it is this link. Otherwise it is the first link that this joint
-        moves.
+        The link moves with the same joint as the body. A link with the name of the body has
+        priority, otherwise the first link that this joint moves. The pose is evaluated with all
+        joint positions zero.
 
         Args:
             body: Name of the body.
-            moving: Id of the moving body (or base) to which the body is fixed. It may be the body
+            moving: Id of the moving body (or base) to which the body is fixed; may be the body
                 itself.
         """
         first_link = self._first_link_by_joint[self.joints[moving]]
@@ -177,10 +178,11 @@ class _LinkFinder:
 
 
 def may_touch(model: mujoco.MjModel, geom: int, ground: int | None) -> bool:
-    """Return True if MuJoCo checks two geoms for contact: by a ``<pair>``, or by contact bits.
+    """Return True if MuJoCo checks two geoms for contact.
 
-    A ``<pair>`` has priority. Otherwise the bits (``contype``, ``conaffinity``) must match, and the
-    MJCF must not exclude the two bodies. MuJoCo's filter of parent and child bodies is ignored.
+    This is the case if a ``<pair>`` contains both. Otherwise the contact bits (``contype``,
+    ``conaffinity``) must match, and the MJCF must not exclude the two bodies. MuJoCo's filter of
+    parent and child bodies is ignored.
 
     Args:
         model: MuJoCo model.
@@ -200,7 +202,7 @@ def may_touch(model: mujoco.MjModel, geom: int, ground: int | None) -> bool:
 
 
 def excluded_pairs(model: mujoco.MjModel) -> set[frozenset[int]]:
-    """Return the pairs of body ids whose contacts the MJCF excludes."""
+    """Return the pairs of body ids between which the MJCF excludes contacts (``<exclude>``)."""
     return {
         frozenset((int(signature) >> 16, int(signature) & 0xFFFF))
         for signature in model.exclude_signature

@@ -1,9 +1,10 @@
-"""Spectrum of a MuJoCo step at a state, with contacts, servos and integrator.
+"""Stability of a simulated state, from the eigenvalues of a linearised MuJoCo step.
 
-`step_stability` returns the modes that grow. A growing mode is only a hypothesis. If a foot carries
-almost no load, the linearisation is valid only for motions of micrometres. If a joint has dry
-friction, the linearisation depends on the finite-difference step. ``simulation.growth`` tests the
-hypothesis in a nudged simulation.
+The step includes contacts, servos and the integrator. `step_stability` returns the modes that grow.
+A growing mode is only a hypothesis, for two reasons. If a foot carries almost no load, the
+linearisation is valid only for motions of micrometres. If a joint has dry friction, the
+linearisation depends on the finite-difference step. ``simulation.growth`` tests the hypothesis in a
+nudged simulation.
 """
 
 from __future__ import annotations
@@ -24,18 +25,19 @@ from pupper_analysis.models.mjcf import JointKind, silence_mujoco
 
 DIFFERENCE_STEP = 1e-7
 """Finite-difference step with which a MuJoCo time step is linearised, for positions [m, rad] and
-velocities [m/s, rad/s]. It must be small, because contact forces are nonlinear over 1e-5 m.
-Measured: the error of the eigenvalues is 1e-9 with this step, and with 1e-6."""
+velocities [m/s, rad/s]. The step must be small, because contact forces are nonlinear over 1e-5 m.
+Measured: the error of the eigenvalues is 1e-9 with 1e-7, and also with 1e-6."""
 
 SECOND_STEP = 3e-8
-"""Second finite-difference step, for positions [m, rad] and velocities [m/s, rad/s]. The spectrum
-is repeated with it to check the growing modes. Two public MJCFs with dry friction have a spectral
-radius of 1.041 with ``DIFFERENCE_STEP``, and of 1.000 with this step."""
+"""Second finite-difference step, for positions [m, rad] and velocities [m/s, rad/s]. Growing modes
+count as repeatable if the spectrum with this step contains them as well. Reason: two public MJCFs
+with dry friction have a spectral radius of 1.041 with ``DIFFERENCE_STEP``, and of 1.000 with this
+step."""
 
 _RATE_TOLERANCE = 0.3
-"""Tolerance [1] with which two modes count as the same mode, if they come from the two
-finite-difference steps. It applies to the relative difference of their growths per time step,
-|eigenvalue| - 1. Chosen, not tuned."""
+"""Largest relative difference of two growths per time step, |eigenvalue| - 1, with which two modes
+count as the same mode [1]. The modes come from the spectra with the two finite-difference steps.
+Chosen, not tuned."""
 
 DIFFERENCE_SOLVER_TOLERANCE = 1e-14
 """Upper bound of MuJoCo's solver tolerance [1] while a time step is linearised by finite
@@ -45,12 +47,12 @@ is changed temporarily, because copying a humanoid with meshes would be slow."""
 
 
 SLEEP_FLAG = mujoco.mjtEnableBit.mjENBL_SLEEP.value
-"""MuJoCo's enable flag for sleeping, ``<flag sleep="enable"/>``. A sleeping body is not
-simulated."""
+"""Bit of MuJoCo's enable flags that lets resting bodies sleep, ``<flag sleep="enable"/>``. MuJoCo
+does not simulate a sleeping body."""
 
 
 def copy_data(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
-    """Return a copy of a state with separate memory, evaluated by ``mj_forward``.
+    """Return a copy of a MuJoCo state with separate memory, evaluated by ``mj_forward``.
 
     Args:
         model: MuJoCo model.
@@ -67,17 +69,20 @@ def copy_data(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
 def step_derivative(
     model: mujoco.MjModel, data: mujoco.MjData, difference: float = DIFFERENCE_STEP
 ) -> Array:
-    """Linearise a MuJoCo time step: derivative of the next state by the state.
+    """Linearise a MuJoCo time step: derivative of the next state with respect to the state.
 
-    The shape is (2 nv + na, 2 nv + na). Rows and columns are in the tangent space of (qpos, qvel,
-    act), in MuJoCo's order.
+    Computed by central differences (``mjd_transitionFD``; complete steps for the integrator RK4).
 
     Args:
         model: MuJoCo model. During the call, the tolerance of the solver is tightened, and sleeping
             is disabled.
         data: State; not changed, but derived quantities (for example accelerations) may be
             recomputed.
-        difference: Step of the central finite differences [m, rad; m/s, rad/s].
+        difference: Finite-difference step [m, rad; m/s, rad/s].
+
+    Returns:
+        Matrix, shape (2 nv + na, 2 nv + na). Rows and columns are in the tangent space of (qpos,
+        qvel, act), in MuJoCo's order.
     """
     size = 2 * model.nv + model.na
     matrix, tolerance = np.zeros((size, size)), float(model.opt.tolerance)
@@ -126,34 +131,34 @@ def _difference_steps(
 
 
 HOLD_DURATION = 12.0
-"""Duration for which a stand must hold [s]. A mode that needs longer to double is accepted, because
+"""Duration for which a stand must hold [s]. A mode with a longer doubling time is accepted, because
 MuJoCo's regularised friction always slips a little. At the payload limit of Pupper v3, for example,
 a deviation doubles in 30 s."""
 
 SETTLING_TIME = 0.5
-"""Default time for which a state is simulated before it is evaluated [s]. It is long enough for
-contacts, which settle within 0.05 s. It is short enough for modes: a mode that doubles in a second
-grows only by a factor of 1.4."""
+"""Default simulated time before a state is evaluated [s]. The time is long enough for contacts,
+which settle within 0.05 s. It is short enough for modes: a mode that doubles in a second grows by a
+factor of 1.4."""
 
 _MAX_SETTLING_TIME = 600.0
 """Largest accepted settling time of `step_stability` [s]. Chosen, not tuned."""
 
 _LIMIT_DISTANCE = 10 * DIFFERENCE_STEP
 """Distance of a joint position from a joint limit [rad, m]. If a joint is nearer to its limit, the
-spectrum is computed twice, with the limit moved to this distance on either side of the joint
-(`_evaluate_at_limits`). Centred differences across a limit would mix two regimes: ANYmal at a knee
-limit seemed to oscillate at 9 Hz, but came to rest in simulations."""
+spectrum is computed twice: with the limit moved to this distance on either side of the joint
+(`_evaluate_at_limits`). Reason: centred differences across a limit mix two regimes. ANYmal at a
+knee limit seemed to oscillate at 9 Hz, but came to rest in simulations."""
 
 _NEUTRAL_RATE = 1e-4
 """Value of |eigenvalue - 1| / (time step) up to which a mode counts as neither growing nor decaying
-[1/s]. Such a mode needs 1.9 hours or more to double. If the error of the eigenvalue is larger than
-this bound, the error is the bound. Chosen, not tuned."""
+[1/s]. Such a mode needs 1.9 hours or more to double. The bound is at least the numerical error of
+the eigenvalue. Chosen, not tuned."""
 
 _EIGENVALUE_ERROR = 1e-9
-"""Numerical error of a well-conditioned eigenvalue of the linearised MuJoCo step [1], measured for
-``DIFFERENCE_STEP``. A mode does not count as an oscillation if the absolute value of its eigenvalue
-is at most this error. The same applies to the angle of the eigenvalue in the complex plane
-[rad]."""
+"""Numerical error of a well-conditioned eigenvalue of the linearised MuJoCo step [1], measured with
+``DIFFERENCE_STEP``. Two further bounds: a decaying mode counts as an oscillation only if the
+absolute value of its eigenvalue and the angle of its eigenvalue in the complex plane [rad] are
+larger."""
 
 _MAX_EIGENVALUE_ERROR = 1e-5
 """Upper bound of the assumed error of an ill-conditioned eigenvalue [1]. For example, a wheel that
@@ -166,10 +171,10 @@ with up to 0.02 after the settling time. If the settled state is faster, a growi
 moved the robot out of its initial state. The initial state is then evaluated as well."""
 
 _MIN_THROWING_DOUBLINGS = 6
-"""Number of doublings of a mode within the settling time. With more doublings, the mode explains
-why the robot has left its initial state: 6 doublings turn 1 mm into 64 mm. Without such a mode, the
-initial state was no equilibrium, and its modes are meaningless. For example, Pupper v3 that sinks
-on soft servos has doubling times from 1.5 to 25 s for the same rest position."""
+"""Number of doublings of a mode within the settling time, above which the mode explains a motion
+out of the initial state: 6 doublings turn 1 mm into 64 mm. Without such a mode, the initial state
+was no equilibrium, and its modes are meaningless. For example, Pupper v3 that sinks on soft servos
+has doubling times from 1.5 to 25 s for the same rest position."""
 
 _MIN_NAMED_SHARE = 0.5
 """Amplitude of a joint in a mode, relative to the largest amplitude [1]. A message about the mode
@@ -188,7 +193,7 @@ class Mode(Result):
         frequency: Frequency (Hz); 0 without oscillation.
         damping_ratio: 1 for decay without oscillation, 0 for an undamped oscillation, negative for
             growth.
-        time_constant: Time in which the mode grows or decays by a factor of e (s).
+        time_constant: Time in which the mode grows or decays by a factor of e (s); inf if neither.
         doubling_time: Time in which the mode doubles (s); None if the mode decays, or is sustained
             (``is_sustained``).
         joints: Joints with the largest motion in the mode, largest first.
@@ -196,10 +201,10 @@ class Mode(Result):
             joints and tendons.
         repeated_at_second_step: Whether the spectrum with ``SECOND_STEP`` contains the mode as
             well. Also True if that spectrum was not computed.
-        nudge: Initial deviation in the simulation that measured the growth (rad or m): the largest
-            deviation of a joint or base position, 0 if only velocities deviated. None if the mode
-            is known only from the spectrum. If not None, ``doubling_time`` is measured in the
-            simulation.
+        nudge: Initial deviation in the simulation that measured the growth (rad or m). The value is
+            the largest deviation of a joint or base position, or 0 if only velocities deviated.
+            None if the mode is known only from the spectrum. With a nudge, ``doubling_time`` is
+            measured in the simulation.
     """
 
     growth: float = field(metadata={"unit": "1"})
@@ -226,15 +231,15 @@ class Mode(Result):
     def direction(self) -> Array:
         """Direction of the mode in the tangent space of (qpos, qvel, act), shape (2 nv + na,).
 
-        The vector is scaled: the largest deviation of a position is 1 rad or 1 m, if any position
-        deviates.
+        The real part of the eigenvector, scaled so that the largest deviation of a position is 1
+        rad or 1 m. Not scaled if no position deviates.
         """
         assert self._direction is not None
         return self._direction
 
     @property
     def is_sustained(self) -> bool:
-        """Whether a simulation shows an oscillation that neither grows nor decays."""
+        """Whether a simulation shows a sustained oscillation: it neither grows nor decays."""
         return self.nudge is not None and self.doubling_time is None
 
     @property
@@ -248,10 +253,13 @@ class Mode(Result):
         return swings and self.frequency * HOLD_DURATION > 1
 
     def grows_within(self, duration: float) -> bool:
-        """Return True if this mode grows fast enough to matter within ``duration`` [s].
+        """Return True if this mode prevents a robot from staying at rest for ``duration`` [s].
 
-        True for a sustained oscillation and for a growing oscillation of any rate, since the robot
-        does not come to rest. Another mode must have a doubling time below the duration.
+        Three cases are True:
+
+        - a sustained oscillation (``is_sustained``),
+        - a growing oscillation of any rate (``shakes``),
+        - another mode with a doubling time below the duration.
         """
         if self.doubling_time is None:
             return self.is_sustained
@@ -301,7 +309,7 @@ class Stability(Result):
 
     @property
     def doubling_time(self) -> float | None:
-        """Doubling time of the first mode in ``unstable``, which grows fastest [s].
+        """Doubling time [s] of the fastest growing mode, the first in ``unstable``.
 
         None if no mode grows, or if that mode is a sustained oscillation.
         """
@@ -319,7 +327,7 @@ class Stability(Result):
         return min((mode.damping_ratio for mode in swinging), default=1.0)
 
     def modes_growing_within(self, duration: float = HOLD_DURATION) -> tuple[Mode, ...]:
-        """Return the unstable modes for which `Mode.grows_within` is true for a duration [s].
+        """Return the unstable modes that grow within a duration [s], by `Mode.grows_within`.
 
         If MuJoCo's no-slip solver is active (``uses_noslip_solver``), only oscillations are
         returned, because friction prevents slow buckling.
@@ -328,7 +336,7 @@ class Stability(Result):
         return tuple(mode for mode in growing if mode.shakes or not self.uses_noslip_solver)
 
     def is_stable_for(self, duration: float = HOLD_DURATION) -> bool:
-        """Return True if no mode grows enough within a duration [s]; see `modes_growing_within`."""
+        """Return True if no mode grows within a duration [s]; see `modes_growing_within`."""
         return not self.modes_growing_within(duration)
 
 
@@ -339,26 +347,27 @@ def step_stability(
     """Evaluate the stability of a state by the eigenvalues of a MuJoCo step.
 
     A time step maps a deviation x of (qpos, qvel, act) to A x. A includes contacts, friction, the
-    integrator, and the servos with their commands (``data.ctrl``). A mode with an eigenvalue
-    outside of the unit circle grows. If the eigenvalue is complex, the robot oscillates (shakes);
-    otherwise it buckles monotonically. With time step h, the rate is ln|eigenvalue| / h.
+    integrator, and the servos with their commands (``data.ctrl``). A mode grows if its eigenvalue
+    is outside of the unit circle. With a complex eigenvalue, the robot oscillates (shakes); with a
+    real eigenvalue, it buckles monotonically. With the time step h, the growth rate is
+    ln|eigenvalue| / h [1/s].
 
-    While nothing slides, MuJoCo's dry friction of joints and tendons acts as viscous friction. It
-    hides a mode until a push overcomes the friction. Therefore the spectrum without this friction
-    is computed as well. Its modes that grow within ``HOLD_DURATION`` (`Mode.grows_within`) are
-    returned too, with ``Mode.without_dry_friction``. The friction of contacts is not changed.
+    While nothing slides, MuJoCo's dry friction of joints and tendons acts as viscous friction. This
+    friction hides a mode until a push overcomes the friction. Therefore the spectrum without dry
+    friction is computed as well. The result includes its modes that grow within ``HOLD_DURATION``
+    (`Mode.grows_within`), marked by ``Mode.without_dry_friction``. The friction of contacts is not
+    changed.
 
     The spectrum is valid for states at rest (``Stability.speed``) and small deviations. For larger
     deviations, use a simulation.
 
-    Source: MuJoCo documentation, ``mjd_transitionFD``; in the tangent space of qpos.
+    Source: MuJoCo documentation, ``mjd_transitionFD``.
 
     Args:
-        model: MuJoCo model. It is changed during the call, and restored: a smaller solver
-            tolerance, no sleeping, joint limits displaced by up to 2e-6 rad or m, no dry friction
-            of joints and tendons.
+        model: MuJoCo model. The call changes and restores the solver tolerance, the sleep flag,
+            joint limits (by up to 2e-6 rad or m), and the dry friction of joints and tendons.
         data: State with ``ctrl``; not changed.
-        settle: Time for which the state is simulated before the evaluation [s], from 0 to 600 s.
+        settle: Simulated time before the evaluation [s], from 0 to 600 s.
 
     Returns:
         The growing modes with and without dry friction, and the decaying oscillation with the
@@ -377,15 +386,23 @@ def step_stability(
 def judge_settled(
     model: mujoco.MjModel, data: mujoco.MjData, settle: float
 ) -> tuple[Stability, mujoco.MjData]:
-    """Simulate a state for a settling time, and compute the stability in the settled state.
+    """Simulate a state for a settling time, and compute its stability as in `step_stability`.
 
-    Returns the stability as in `step_stability`, and the state to which it applies. This is
-    normally the state after settling. It is the initial state in three cases:
+    The evaluated state is normally the state after settling. It is the initial state in three
+    cases:
 
-    - ``settle`` is below half a time step,
-    - the simulation diverges,
-    - only the initial state is at rest, and a growing mode explains the motion: it doubles more
-      than ``_MIN_THROWING_DOUBLINGS`` times during settling.
+    - ``settle`` is below half a time step.
+    - The simulation diverges.
+    - The robot still moves after settling, the initial state is at rest, and a growing mode
+      explains the motion: it doubles more than ``_MIN_THROWING_DOUBLINGS`` times during settling.
+
+    Args:
+        model: MuJoCo model; changed during the call, and restored.
+        data: Initial state; not changed.
+        settle: Settling time [s].
+
+    Returns:
+        The stability, and the evaluated state.
     """
     start, data = data, copy_data(model, data)
     steps = round(settle / model.opt.timestep)
@@ -587,10 +604,10 @@ class _Modes:
 
 
 def select_most_moving(shares: dict[str, float]) -> tuple[str, ...]:
-    """Return the names of the joints that move most, largest motion first.
+    """Select the joints that move most, for a message; the largest motion comes first.
 
-    At most `_MAX_NAMED_JOINTS` joints are returned. A joint is omitted if it does not move, or if
-    its motion is less than `_MIN_NAMED_SHARE` of the largest motion.
+    At most `_MAX_NAMED_JOINTS` names are returned. A joint is omitted if its motion is zero, or
+    less than `_MIN_NAMED_SHARE` of the largest motion.
 
     Args:
         shares: {joint: magnitude of its motion}, for example amplitudes [rad, m]. Only the ratios

@@ -1,8 +1,8 @@
 """``Structure``: model and indices of a robot. ``Kinematics``: positions of CoM, feet and links.
 
 `Structure` contains a Pinocchio model in public coordinates (``robot.coordinates``), and the
-indices of frames and joints. It is computed once per robot. A `Configuration` then needs no search
-for names and no rotation of axes, and can reuse Pinocchio data.
+indices of frames and joints. It is computed once per robot. With these indices, a `Configuration`
+needs no search for names and no rotation of axes, and can reuse Pinocchio data.
 """
 
 from __future__ import annotations
@@ -67,10 +67,10 @@ class Structure:
         feet: {contact point: frame index in ``model``}.
         parents: {contact point: index of the joint that moves the point}.
         rest: Zero velocity (nv,), read-only.
-        carried: Mask (nv, nv). For coordinates i (row) and j (column) on one chain, it is True if j
-            moves the axis of i. In general, it is True if i is not before j in ``model``, or if
-            both are rotations of the base.
-        total_mass: Mass [kg] of all links, including those fixed to a fixed base.
+        carried: Mask (nv, nv): True if coordinate i (row) is not before coordinate j (column) in
+            ``model``, or if both are rotations of the base. For coordinates on the same chain, this
+            means that j moves the axis of i.
+        total_mass: Mass [kg] of all links, including a fixed base and the links fixed to it.
         fixed: Mass of a fixed base and of the links fixed to it, relative to the total mass [1]. 0
             for a free base.
         lever: CoM (3,) [m] of this fixed mass, in the world frame.
@@ -137,7 +137,7 @@ class Structure:
     def update_armature(self) -> pin.Model:
         """Copy the armature from the robot's Pinocchio model to ``model``, and return ``model``.
 
-        This is needed because the armature of the robot's model may have changed.
+        Reason: the armature of the robot's model may have changed since construction.
         """
         self.model.armature = self._original_model.armature.take(self._original_order)
         return self.model
@@ -155,7 +155,7 @@ class Structure:
         return result
 
     def total_com(self, moving: Array) -> Array:
-        """Return the CoM (3,) [m] of the whole robot, including the links fixed to a fixed base.
+        """Return the CoM (3,) [m] of the robot, including a fixed base, in the world frame.
 
         Args:
             moving: CoM of the moving links, shape (3,) [m], in the world frame.
@@ -270,7 +270,9 @@ PoseArrays = tuple[Array, Array]
 
 
 class Kinematics:
-    """Positions of CoM, feet and links; cheaper than a ``Configuration``. Not thread-safe.
+    """Fast forward kinematics: positions of CoM, feet and links. Not thread-safe.
+
+    Cheaper than a ``Configuration``, which also computes Jacobians.
 
     Args:
         structure: Structure of the robot.
@@ -339,7 +341,9 @@ class Kinematics:
 def is_pinocchio_memory(array: Array) -> bool:
     """Return True if an array is a view of Pinocchio's memory, which later computations overwrite.
 
-    The array must come from Pinocchio, because the result is True for any view. By default,
-    Pinocchio returns views. After ``pin.sharedMemory(False)``, it returns copies.
+    Pinocchio returns views by default, and copies after ``pin.sharedMemory(False)``.
+
+    Args:
+        array: Array that Pinocchio returned. For other arrays, the result is True for any view.
     """
     return not array.flags.owndata

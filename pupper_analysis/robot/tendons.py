@@ -1,7 +1,7 @@
 """Reports of MuJoCo constraints that the stance solver ignores.
 
-Equality constraints of flexes and ranges of tendons act in MuJoCo's simulation only; stances are
-computed without such constraints. A URDF cannot express either.
+Equality constraints of flexible bodies (``flex``) and ranges of tendons act in MuJoCo's simulation
+only. Computed stances ignore such constraints. A URDF cannot express them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SUPPORTED_EQUALITIES = frozenset(
     }
 )
 """Types of equality constraints that computed stances satisfy. Exception: if a constraint couples a
-free base to the world, stances ignore the equality constraints (`find_closure` in ``closure``)."""
+free base to the world, stances ignore all equality constraints (`find_closure`)."""
 
 _LIMIT_DISABLING_BITS = (
     mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value | mujoco.mjtDisableBit.mjDSBL_LIMIT.value
@@ -46,8 +46,8 @@ def report_ignored_equalities(model: mujoco.MjModel) -> list[Diagnostic]:
 def report_ignored_tendon_ranges(model: mujoco.MjModel) -> list[Diagnostic]:
     """Report the tendons with a limited length, because the stance solver ignores the limits.
 
-    The result is empty if the MJCF disables limits or constraints, because MuJoCo then ignores the
-    limits as well.
+    The result is empty if the MJCF disables limits or constraints: MuJoCo then ignores the limits,
+    too.
     """
     messages = []
     for tendon in model.tendon_limited.nonzero()[0].tolist():

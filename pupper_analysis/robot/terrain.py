@@ -1,9 +1,9 @@
 """MuJoCo model of a robot on slopes and steps, and with welds to the world.
 
-Input: a robot with a level floor, the ground of a task (`Ground`), and contact positions. Output
-(`build_on_ground`): a robot with a tilted floor, and with equality constraints for welds and grips.
-A box, plane or cylinder is under each foot on a step, plane or bar. Contact bits decide which foot
-touches which geom. `close_welds` activates the welds at a configuration in equilibrium.
+Input: a robot with a level floor, the ground of a task (`Ground`), and contact positions.
+`build_on_ground` returns a robot with a tilted floor, with a box, plane or cylinder under each foot
+on a step, plane or bar, and with equality constraints for welds and grips. Contact bits decide
+which foot touches which geom. `close_welds` activates the welds at a configuration in equilibrium.
 """
 
 from __future__ import annotations
@@ -31,15 +31,17 @@ from pupper_analysis.robot.robot import Robot, Touching
 
 
 def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robot:
-    """Return a robot whose MuJoCo model has the ground and the welds of a task.
+    """Return a robot whose MuJoCo model contains the ground and the welds of a task.
 
     The floor is tilted. A box is added for each step, and a cylinder for each bar. These geoms have
     the contact parameters of the floor. Exception: if a plane has a friction coefficient of its
-    own, the parameters come from `Robot.contacts`. The floor replaces other level planes of
-    the world (`merge_planes`). The following collisions are disabled:
+    own, the parameters come from `Robot.contacts`. Other planes of the world no longer collide
+    (`merge_planes`).
 
-    - between a foot on a step and the floor: in a pit, the foot is below the floor, and through a
-      low step, it may reach the floor;
+    These collisions are disabled:
+
+    - between a foot on a step and the floor: in a pit, the foot is below the floor; on a low step,
+      the foot may penetrate to the floor;
     - between a sole and its box, because MuJoCo would place the contacts at other points; the sole
       collides with a plane on top of the box, which no other foot touches;
     - between the shapes of a hand and its plane; only the contact sphere of the hand collides;
@@ -70,7 +72,7 @@ def build_on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -
 def _add_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
     """Add an inactive weld to the world for each welded part, and a ``connect`` for each grip.
 
-    Contacts of the part with the world and with bodies fixed to it are excluded.
+    Contacts of the part with the world, and with bodies fixed to the world, are excluded.
     """
     model, tree = robot.mj_model, SpecTree(spec)
     for name, point in robot.fixed_parts.items():
@@ -88,7 +90,7 @@ def _add_welds(robot: Robot, spec: mujoco.MjSpec) -> None:
 
 
 def weld_name(name: str) -> str:
-    """Return the name, in the MuJoCo model, of the equality that welds a part to the world."""
+    """Return the name of the equality constraint that fixes a part to the world in MuJoCo."""
     return f"weld_{name}"
 
 
@@ -97,13 +99,13 @@ def close_welds(
 ) -> None:
     """Activate the welds and grips of a model at a configuration, in place.
 
-    MuJoCo's constraints are soft: they deflect under load by nanometres. The target pose of each
+    MuJoCo's constraints are soft, and deflect under load by nanometres. The target pose of each
     weld or grip is offset by this deflection, so that the configuration is an equilibrium.
 
     Args:
         robot: Result of ``build_on_ground``.
         model: Model of the robot, or a copy with servos.
-        qpos: Configuration (nq,).
+        qpos: Configuration, shape (nq,).
         pushes: {welded or gripping part: generalised force (nv,) [N, N m] that the weld must exert
             on the robot, in the order of qvel}.
     """
@@ -154,7 +156,7 @@ def weld_forces(robot: Robot, model: mujoco.MjModel, data: mujoco.MjData) -> dic
 def find_touched_surface(
     model: mujoco.MjModel, data: mujoco.MjData, body: str
 ) -> Diagnostic | None:
-    """Describe the step, plane or bar of a task that a body touches, for messages.
+    """Name the step, plane or bar of a task that a body touches, for messages.
 
     Args:
         model: Model with the ground of a task (`build_on_ground`).
@@ -163,7 +165,7 @@ def find_touched_surface(
 
     Returns:
         Kind of the surface, with its foot or hand, such as "wall of left_palm". None if the body
-        touches the floor, or touches no such surface.
+        touches the floor, or touches no step, plane or bar.
     """
     body_id, surface = model.body(body).id, None
     all_bodies = list_contact_bodies(model, data).tolist()
@@ -310,8 +312,11 @@ def _add_ground(
 def _set_contact(geom: mujoco.MjsGeom, parameters: ContactParameters, priority: int) -> None:
     """Set the contact parameters of a geom, in place.
 
-    In a contact with a geom of lower ``priority``, MuJoCo uses only these parameters, and does not
-    combine the parameters of both geoms. Margins are added nevertheless.
+    Args:
+        geom: Geom to modify.
+        parameters: New parameters; the margin is not set.
+        priority: Priority of the geom. In a contact with a geom of lower priority, MuJoCo uses only
+            these parameters. Margins are added nevertheless.
     """
     geom.priority, geom.condim = priority, parameters.condim
     geom.friction = np.take(parameters.friction, (0, 2, 3))

@@ -1,9 +1,9 @@
-"""``Tool``: a point of a robot that carries a load or is pushed; payloads welded to a robot.
+"""``Tool``: a point of a robot at which a load is attached or a force acts; payloads of a robot.
 
-Input: the name of a frame of either file, or a position in such a frame. Output of `find_tool` and
-`find_place`: a `Tool` with link, offset and the joints that move the point. Output of
-`with_payload`: a robot with a point mass at the point in both models. By default, the tool is the
-link at the end of the longest chain of joints.
+Input: the name of a frame of either file, or a position in such a frame. `find_tool` and
+`find_place` return a `Tool` with link, offset and the joints that move the point. `with_payload`
+returns a robot with a point mass at the point in both models. By default, the tool is the link at
+the end of the longest chain of joints.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Tool(Result):
     Attributes:
         name: Name of the frame from which the point was found: a link of the URDF, or a site, body
             or geom of the MJCF.
-        link: Link of the URDF that carries the point.
+        link: Link of the URDF to which the point is fixed.
         offset: Vector from the frame of the link to the point, in the axes of the link, shape (3,)
             (m).
         chain: Joints that move the point, from the base outwards.
@@ -67,7 +67,10 @@ class Tool(Result):
     chain: tuple[str, ...]
 
     def translated(self, way: ArrayLike) -> Tool:
-        """Return a copy of this point, displaced by ``way``, shape (3,) [m], in link axes.
+        """Return a copy of this point, displaced in the axes of its link.
+
+        Args:
+            way: Displacement, shape (3,) [m].
 
         Raises:
             ConfigurationError: If ``way`` is no finite vector (3,), or too large.
@@ -81,11 +84,11 @@ class Tool(Result):
         return position
 
     def locate_in_mjcf(self, robot: Robot) -> tuple[str, Array]:
-        """Return the MJCF body with which this point moves, and the point in the body frame.
+        """Return the MJCF body to which this point is fixed, and the point in the body frame.
 
         Returns:
-            Name of the body that the last joint of ``chain`` moves, or of the base; position of the
-            point in the frame of this body, shape (3,) [m].
+            Name of the body that the last joint of ``chain`` moves, or of the base if no joint
+            moves the point; position of the point in the frame of this body, shape (3,) [m].
         """
         model, data = robot.mj_model, robot.compute_kinematics()
         body = model.body(robot.mj_base).id
@@ -96,7 +99,10 @@ class Tool(Result):
         return str(model.body(body).name), position
 
     def jacobian(self, config: Configuration) -> Array:
-        """Return the Jacobian J (3, nv); J qvel is this point's velocity [m/s] in world axes."""
+        """Return the Jacobian J (3, nv) of this point.
+
+        J qvel is the velocity of the point [m/s], in world axes.
+        """
         return self.twist_jacobian(config)[:3]
 
     def twist_jacobian(self, config: Configuration) -> Array:
@@ -109,26 +115,27 @@ class Tool(Result):
     def load_per_mass(self, config: Configuration) -> Array:
         """Return the generalised force that supports a mass at this point, per unit mass.
 
-        It is -J^T g, shape (nv,) [N/kg, N m/kg], with the Jacobian J of the point and the gravity
-        vector g [m/s^2].
+        The force is -J^T g, shape (nv,) [N/kg, N m/kg], with the Jacobian J of the point and the
+        gravity vector g [m/s^2].
         """
         load: Array = -config.robot.gravity @ self.jacobian(config)
         return load
 
 
 FramePoint = Sequence[float] | Sequence[str | float] | Tool
-"""Point of a robot: (x, y, z) [m] in the base frame, (frame, x, y, z) [m], or a `Tool`."""
+"""Point of a robot: (x, y, z) [m] in the base frame; (frame, x, y, z) [m] from the origin of the
+frame, in the axes of its URDF link; or a `Tool`."""
 
 
 @check_arguments
 def find_tool(robot: Robot, name: str | None = None) -> Tool:
-    """Return the tool at a named frame, or the default tool at the end of a limb.
+    """Return the tool at a named frame; by default, the tool at the end of the longest limb.
 
     Args:
         robot: The robot.
         name: Name of a link of the URDF, or of a site, body or geom of the MJCF. By default, the
             link at the end of the longest chain of joints. If this chain ends in fingers, the
-            default is the link that carries the fingers.
+            default is the link to which the fingers are attached.
 
     Raises:
         UnknownNameError: If there is no such frame; the message lists links and sites.
@@ -154,15 +161,16 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
 
 
 def find_place(robot: Robot, point: FramePoint) -> Tool:
-    """Convert a position in the frame of a link, site, body or geom to a `Tool`.
+    """Convert a position on a robot to a `Tool`, which names the link of the position.
 
-    A `Tool` contains the link of the URDF with the point, the offset (3,) [m] in the link frame,
-    and the joints that move the point. A point in the base frame is moved by no joint.
+    The `Tool` contains the URDF link of the point, the offset (3,) [m] in the link frame, and the
+    joints that move the point. No joint moves a point in the base frame.
 
     Args:
         robot: The robot.
-        point: Point (3,) [m] in the base frame; or ``(frame, x, y, z)`` in the frame of a link,
-            site, body or geom; or a `Tool`, which is returned unchanged.
+        point: Point (3,) [m] in the base frame; or ``(frame, x, y, z)`` [m] from the origin of a
+            link, site, body or geom, in the axes of its URDF link; or a `Tool`, which is returned
+            unchanged.
 
     Raises:
         ConfigurationError: If the coordinates are not three finite numbers, or too large.
@@ -180,7 +188,7 @@ def find_place(robot: Robot, point: FramePoint) -> Tool:
 
 
 def split_place(point: Any) -> tuple[str, Any]:
-    """Split a position into the name of the frame ("" for the base) and the coordinates.
+    """Split a position of a robot into the name of its frame and its coordinates.
 
     The coordinates are not checked (`check_point`).
 
@@ -260,7 +268,7 @@ def _find_chain(robot: Robot, link: str) -> tuple[str, ...]:
 
 
 def _find_end_link(robot: Robot) -> str:
-    """Return the last link of the longest chain of joints, or the link that carries its fingers.
+    """Return the last link of the longest chain of joints, or the link with its fingers.
 
     Two or more branches of at most `_MAX_FINGER_JOINTS` joints on the same link of the chain count
     as fingers. At least `_MIN_ARM_JOINTS` joints must move this link.
@@ -290,24 +298,23 @@ def with_payload(
     mass: float,
     point: FramePoint = (0.0, 0.0, 0.0),
 ) -> Robot:
-    """Return a robot with a point mass welded to both models.
+    """Return a robot with a point mass welded to both models, as a payload.
 
     Joints, limits, gains, feet, and the default base height are unchanged. Contacts become stiffer
     or softer, because MuJoCo derives their softness from the masses (``body_invweight0``).
-    Predictions and simulations of the result use the contacts of the loaded robot.
 
     Args:
         robot: The robot.
         mass: Mass of the payload [kg], finite and >= 0.
-        point: Position of the payload: (x, y, z) [m] in the base frame; (frame, x, y, z) [m] in the
-            frame of a link, site, body or geom, for example ``("right_hand", 0.0, 0.0, 0.05)``; or
-            a ``Tool``.
+        point: Position of the payload: (x, y, z) [m] in the base frame; (frame, x, y, z) [m] from
+            the origin of a link, site, body or geom, in the axes of its URDF link, for example
+            ``("right_hand", 0.0, 0.0, 0.05)``; or a ``Tool``.
 
     Returns:
         The loaded robot; the robot itself if the mass is zero.
 
     Raises:
-        ConfigurationError: If the mass or the point is not valid. If the base is fixed, and no
+        ConfigurationError: If the mass or the point is not valid; or if the base is fixed, and no
             joint moves the point.
         UnknownNameError: If the robot has no such frame.
         ModelError: If the loaded model cannot be built.
@@ -403,10 +410,12 @@ def _build_loaded_robot(
 def _change_payload_mass(loaded: Robot, name: str, mass: float) -> mujoco.MjModel | None:
     """Return a copy of a robot's MuJoCo model with another mass [kg] of the payload's body.
 
-    Constants that depend on the mass are computed again. This includes ``meaninertia`` and
-    ``meanmass``, which ``mj_setConst`` does not change. The result is None if there is no such
-    body, or if a number of the model would be refused. It is also None if the file sets a lower
-    bound of all masses (``boundmass``).
+    Constants that depend on the mass are computed again. These include ``meaninertia`` and
+    ``meanmass``, which ``mj_setConst`` does not change.
+
+    Returns:
+        The model. None in three cases: there is no such body; a number of the model is not valid
+        (`find_invalid_number`); the file sets a lower bound of all masses (``boundmass``).
     """
     statistic = loaded.description.mjcf.stat
     body = mujoco.mj_name2id(loaded.mj_model, mujoco.mjtObj.mjOBJ_BODY, name)

@@ -1,8 +1,8 @@
 """Robot with the contacts of a task: hands, welds, and the friction of planes.
 
 Input: a robot and the contacts {foot or frame: contact}. Output: a robot with contact points for
-hands (massless spheres), and with the friction of the planes. If the task welds a fixed base, the
-base of the output is free.
+hands (massless spheres), and with the friction of the planes. A hand is a part that touches a
+surface and is not a foot. If the task welds a fixed base, the base of the output is free.
 """
 
 from __future__ import annotations
@@ -42,21 +42,21 @@ is dropped. Chosen, not tuned."""
 
 
 _BASE_ARMATURE_FACTOR = 1e4
-"""Ratio of the armature [kg, kg m^2] of a base to the robot's mass [kg]. It is used if a task welds
-a base that the file fixes to the world: the base then gets a free joint, and this joint the
-armature. The large armature represents the environment. MuJoCo's welds are soft, and a light base
-would oscillate. Chosen, not tuned."""
+"""Armature [kg, kg m^2] of a base that the file fixes and the task welds, divided by the robot's
+mass [kg]. Such a base gets a free joint with this armature. The large armature represents the
+environment: MuJoCo's welds are soft, and a light base would oscillate. Chosen, not tuned."""
 
 
 def with_contacts(robot: Robot, contacts: Mapping[str, Contact | Weld]) -> Robot:
-    """Return a robot that can make the contacts of a task.
+    """Return a robot with the contact points, friction and welds for the contacts of a task.
+
+    - A hand (a part that is no foot) gets a contact point: a massless sphere that collides only
+      with its plane. The spheres of welded or gripping hands do not collide.
+    - The friction of each contact is the friction of its plane.
+    - If a task welds a base that is fixed to the world, the base becomes free, and the weld holds
+      it.
 
     The result is ``robot`` itself if no change is required, for example without contacts.
-
-    A part that is no foot (hand) gets a contact point: a massless sphere that collides only with
-    its plane. The spheres of welded or gripping hands do not collide. The friction of each contact
-    is the friction of its plane. If a task welds a base that is fixed to the world, the base
-    becomes free, and the weld holds it.
 
     Args:
         robot: Robot, which may already be the result of this function.
