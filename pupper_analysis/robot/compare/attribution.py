@@ -2,8 +2,8 @@
 
 Input: a robot with two models. Output: an ``Explanation``. Method: the multibody trees are compared
 value by value, and elements that only an MJCF can contain are listed. The effect of each difference
-is evaluated alone. Finally, all values of the MJCF are written into the URDF's tree. The tree must
-then behave as the MJCF without the listed elements. The remaining deviation is the residual.
+is evaluated alone. Finally, all values of the MJCF are written into the URDF's tree. This tree must
+behave as the MJCF without the listed elements. The remaining deviation is the residual.
 """
 
 from __future__ import annotations
@@ -67,13 +67,14 @@ def explain_differences(
     conventions: Conventions | None = None,
     unstated: Mapping[str, Collection[str]] | None = None,
 ) -> Explanation:
-    """Return all differences between the URDF and the MJCF of a robot, with effects.
+    """Find all differences between URDF and MJCF of a robot, and their effects on the dynamics.
 
-    Values of both trees are compared body by body, and elements that only the MJCF can contain are
-    listed. The effect of a value is evaluated by applying this difference alone to the URDF's
-    model. The effect of an element is evaluated by enabling it in a MuJoCo model without the other
-    listed elements. Finally, all differences of values are applied to the URDF's model. It must
-    then behave as the MJCF without the listed elements.
+    1. Values of both trees are compared body by body. The effect of a different value is evaluated
+       by applying this difference alone to the URDF's model.
+    2. Elements that only the MJCF can contain are listed. The effect of an element is evaluated by
+       enabling it in a MuJoCo model without the other listed elements.
+    3. All differences of values are applied to the URDF's model. It must behave as the MJCF without
+       the listed elements. The deviation is the residual.
 
     Args:
         robot: The robot.
@@ -148,15 +149,18 @@ def _compute_residual(
 ) -> dict[str, float]:
     """Return {quantity: relative deviation that the found differences do not explain}.
 
-    ``patched`` contains the quantities of the URDF with all found values of the MJCF. ``reduced``
-    contains the quantities of the MJCF without the elements that a URDF cannot specify. Deviations
-    are relative to the scale of the quantity (`RelativeError.scale`).
+    Deviations are relative to the scale of the quantity (`RelativeError.scale`).
 
     The rounding error of accelerations grows with the condition number of the mass matrix (1e8 for
     a link of 1e-6 kg at the end of an arm). Therefore the forces M (a1 - a2) are also compared
     (backward error of the linear solver). If their deviation is at most ``MAX_RESIDUAL`` of the
-    largest force, it may replace the deviation of the accelerations. A missing force exceeds this
-    bound.
+    largest force, this deviation replaces a larger deviation of the accelerations. A missing force
+    exceeds this bound.
+
+    Args:
+        relative_error: Scales of the quantities.
+        patched: Quantities of the URDF with all found values of the MJCF.
+        reduced: Quantities of the MJCF without the elements that a URDF cannot specify.
     """
     residual = {
         name: relative_error.relative_deviation(name, patched[name], reduced[name])
@@ -210,9 +214,11 @@ def armature_differences(
 ) -> Iterator[Difference]:
     """Yield suspicious armatures of an MJCF, as differences with their effects.
 
-    A URDF cannot specify armature, so two cases are suspicious. First, an armature of the free
-    joint usually comes from a default class, and adds inertia without weight to the base. Second, a
-    joint and its mirror image on the other side of the robot should have equal armatures.
+    A URDF cannot specify armature, so only two cases are suspicious:
+
+    - An armature of the free joint. It usually comes from a default class, and adds inertia without
+      weight to the base.
+    - Different armatures of a joint and its mirror image on the other side of the robot.
 
     Args:
         values: Multibody tree with the armatures of the MJCF.
@@ -264,9 +270,9 @@ def _report_copied_values(
 ) -> Iterator[Diagnostic]:
     """Yield diagnostics of parameters that were copied from the MJCF to the URDF.
 
-    Reported are armature, damping and dry friction, if a copied value is not zero. A diagnostic
-    contains minimum, maximum and number of joints. Hinges and slides have separate diagnostics,
-    with their units. ``copied`` is {parameter: joints}.
+    The parameters are armature, damping and dry friction, if a copied value is not zero. A
+    diagnostic contains minimum, maximum and number of joints. Hinges and slides have separate
+    diagnostics, because their units differ. ``copied`` is {parameter: joints}.
     """
     for kind, slides in product(_COPIED_CODES, (False, True)):
         joints = [values.joints[name] for name in copied.get(kind, ())]

@@ -1,4 +1,4 @@
-"""Quantities for the comparison of models, evaluated at many random states in MuJoCo.
+"""Evaluation of models at many random states in MuJoCo, for a comparison of their dynamics.
 
 Input: a multibody tree (`Behaviour`) or a MuJoCo model (`MujocoBehaviour`), and random states
 within the limits of the robot (`random_states`). Output: {quantity: values at all states}, in the
@@ -27,7 +27,8 @@ from pupper_analysis.robot.robot import Robot
 class MujocoBehaviour:
     """Evaluation of the compared quantities for MuJoCo models that differ only in parameters.
 
-    Call the object with a model to evaluate the quantities (module docstring) at all states.
+    Call the object with a model to evaluate mass matrix, gravity, bias forces, CoM, forward
+    dynamics, and positions of joints and feet at all states.
     """
 
     def __init__(
@@ -60,7 +61,11 @@ class MujocoBehaviour:
         self._local_offsets = np.array([moved.get(name, np.zeros(3)) for name in robot.joint_names])
 
     def __call__(self, model: mujoco.MjModel) -> dict[str, Array]:
-        """Return {quantity: values at all states} of a model with the elements of the reference."""
+        """Return {quantity: values at all states} of a model.
+
+        Args:
+            model: Model with the same elements as the reference.
+        """
         data, joints = mujoco.MjData(model), self._joints
         places = [foot_site(self._reference.names, frame, self._name) for frame in self._frames]
         carriers = [body for body, _ in places]
@@ -107,16 +112,16 @@ def offsets_in_world(
     """Rotate one vector per joint from the axes of the joint's body to world axes.
 
     `MujocoBehaviour` adds these vectors to MuJoCo's joint anchors. The vector of a hinge is
-    projected onto the joint axis. The unit is kept.
+    projected onto the joint axis.
 
     Args:
         model: MuJoCo model.
         data: Data with kinematics.
         joints: Ids of n joints.
-        local: Vectors, shape (n, 3), in the axes of the bodies that the joints move.
+        local: Vectors, shape (n, 3), in the axes of the bodies that the joints move, in any unit.
 
     Returns:
-        Vectors, shape (n, 3), in world axes.
+        Vectors, shape (n, 3), in world axes, in the same unit.
     """
     bodies = data.xmat[model.jnt_bodyid[joints]].reshape(-1, 3, 3)
     # The vector of a hinge is parallel to its axis, which later joints of the body do not rotate.
@@ -143,9 +148,9 @@ def _mask_robot_bodies(robot: Robot, reference: Reference) -> list[bool]:
 class Behaviour:
     """Evaluation of the compared quantities for multibody trees of a robot, in MuJoCo.
 
-    Call the object with a tree to evaluate the quantities at all states. If a tree has the same
-    structure as the previous tree, the MuJoCo model is reused. ``tools/crosscheck`` compares the
-    quantities with Pinocchio.
+    Call the object with a tree to evaluate mass matrix, gravity, bias forces, CoM, forward
+    dynamics, and positions of joints and feet at all states. If a tree has the same structure as
+    the previous tree, the MuJoCo model is reused.
 
     Attributes:
         states: States of the evaluation.
@@ -158,7 +163,7 @@ class Behaviour:
         self._evaluate_tree: MujocoBehaviour | None = None
 
     def __call__(self, values: MultibodyTree) -> dict[str, Array]:
-        """Return {quantity: values at all states} of a tree."""
+        """Return {quantity: values at all states} of a multibody tree."""
         if (
             self._tree is None
             or self._evaluate_tree is None
@@ -178,12 +183,12 @@ class Behaviour:
 
 @dataclass(frozen=True, eq=False)
 class States:
-    """States and joint torques.
+    """States and joint torques at which two models are compared.
 
     Attributes:
-        qpos: Configurations (n, nq).
-        qvel: Velocities (n, nv).
-        torques: Torques (n, nu) [N m, N].
+        qpos: Configurations, shape (n, nq).
+        qvel: Velocities, shape (n, nv).
+        torques: Joint torques and forces, shape (n, nu) [N m, N].
     """
 
     qpos: Array
@@ -203,11 +208,12 @@ limits. Chosen, not tuned."""
 def random_states(robot: Robot, count: int, seed: int) -> States:
     """Return pseudo-random states and torques within the limits of a robot.
 
-    Joint positions are uniform within the URDF's limits; +-pi [rad, m] replaces a missing limit.
-    Torques are uniform within the effort limits; +-1 [N m, N] replaces a missing limit. Both are
-    also bounded by ``_MAX_JOINT_POSITION`` and ``_MAX_EFFORT``. Velocities are normally distributed
-    with a standard deviation of 1 [m/s, rad/s]. A free base has any orientation, and a position
-    within +-1 m.
+    - Joint positions: uniform within the limits of the URDF, and within ``_MAX_JOINT_POSITION``;
+      +-pi [rad, m] replaces a missing limit.
+    - Torques: uniform within the effort limits, and within ``_MAX_EFFORT``; +-1 [N m, N] replaces a
+      missing limit.
+    - Velocities: normally distributed with a standard deviation of 1 [m/s, rad/s].
+    - Free base: any orientation, position within +-1 m in each coordinate.
 
     Args:
         robot: The robot.
@@ -238,16 +244,16 @@ def random_states(robot: Robot, count: int, seed: int) -> States:
 
 
 MAX_PINOCCHIO_NV: Final = 200
-"""Maximum degrees of freedom (nv) of a robot that is also compared in Pinocchio; bounds the memory.
+"""Largest number of degrees of freedom (nv) of a robot that is also compared in Pinocchio; bounds
+the memory.
 
 Pinocchio's data contain four tensors of second derivatives (nv, nv, nv) that are not needed here.
-They take 32 nv^3 bytes: 0.26 GB for nv = 200, and 256 GB for nv = 2000.
-"""
+The tensors take 32 nv^3 bytes: 0.26 GB for nv = 200, and 256 GB for nv = 2000."""
 
 _MAX_STATE_BYTES: Final = 80e6
-"""Maximum memory of the mass matrices of all states in an evaluation of a large robot [bytes]. It
-limits the number of states: 106 states for 306 degrees of freedom, 10 states for 1000. Chosen, not
-tuned."""
+"""Maximum memory of the mass matrices of all states in an evaluation of a large robot [bytes]. The
+bound limits the number of states: 106 states for 306 degrees of freedom, 10 states for 1000.
+Chosen, not tuned."""
 
 _MIN_STATES: Final = 2
 """Smallest number of random states at which a large robot is compared. A single state might be
@@ -255,7 +261,7 @@ singular. Chosen, not tuned."""
 
 
 def is_large(robot: Robot) -> bool:
-    """Return True if a robot has more degrees of freedom than `MAX_PINOCCHIO_NV`."""
+    """Return True if a robot has too many degrees of freedom for Pinocchio (`MAX_PINOCCHIO_NV`)."""
     return robot.nv > MAX_PINOCCHIO_NV
 
 
@@ -263,7 +269,11 @@ def affordable_states(robot: Robot, count: int) -> int:
     """Return the number of random states for a comparison: ``count``, or fewer for a large robot.
 
     For a large robot (`is_large`), the mass matrices of all states may take `_MAX_STATE_BYTES`. The
-    number is at least `_MIN_STATES`, unless ``count`` is smaller.
+    result is at least `_MIN_STATES`, unless ``count`` is smaller.
+
+    Args:
+        robot: The robot.
+        count: Requested number of states.
     """
     if not is_large(robot):
         return count

@@ -1,12 +1,13 @@
 """Comparison of a robot's URDF and MJCF: agreement, differences, and causes of differences.
 
 The world pose of a fixed base is no difference: before the comparison, the URDF is moved to the
-base of the MJCF. A tilt of the base is reported, because it changes the torques for users of the
-unmodified URDF.
+base of the MJCF. A tilt of the base is reported, because a tilt changes the torques for users of
+the unmodified URDF.
 
 Collision shapes of feet are compared by height: another radius changes the height of the robot, and
-a missing shape lets it fall. The form of a foot (such as a sphere instead of a mesh) and other
-collision shapes are not compared. They differ in most pairs of files, and do not change a stand.
+a missing shape lets the robot fall. The form of a foot (such as a sphere instead of a mesh) and
+other collision shapes are not compared: they differ in most pairs of files, and do not change a
+stand.
 """
 
 from __future__ import annotations
@@ -71,14 +72,14 @@ from pupper_analysis.robot.servos import list_position_servos
 from pupper_analysis.robot.shapes import may_touch
 
 CONTACT_HEIGHT_ATOL = 2e-4
-"""Tolerance of the height of a foot's contact surface [m]. A larger difference between URDF and
-MJCF is reported. Meshes are accurate to a tenth of a millimetre, and files contain radii such as
-0.02 for 19.95 mm. Chosen, not tuned."""
+"""Largest accepted difference between the heights of a foot's contact surface in URDF and MJCF [m].
+Meshes are accurate to a tenth of a millimetre, and files contain radii such as 0.02 for 19.95 mm.
+Chosen, not tuned."""
 
 _FOOT_HEIGHT_RTOL = 0.15
-"""Relative height up to which a limb counts as a leg with a foot [1]. The height is that of the
-limb's lowest point above the lowest point of all limbs, at the initial pose. It is relative to the
-height of the CoM above that point. Hands are higher. Chosen, not tuned."""
+"""Height of a limb's lowest point, up to which the limb counts as a leg with a foot [1]. The height
+is measured above the lowest point of all limbs, in the initial pose, relative to the height of the
+CoM above that point. Hands are higher. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,10 +120,9 @@ def compare_collisions(
             these joints are not compared.
 
     Returns:
-        Differences of feet, and notes. If the files have different base frames or joint zeros, no
-        feet are compared, and a note reports this. Differences and notes are empty if the URDF has
-        no collision shape. They are also empty if the MJCF has no compiled model, or no geom
-        outside of the world body.
+        Differences of feet; notes. If the files have different base frames or joint zeros, no feet
+        are compared, and a note reports this. Both are empty if the URDF has no collision shape, if
+        the MJCF has no compiled model, or if the MJCF has no geom outside of the world body.
     """
     conventions = matched.conventions
     urdf_model = read_urdf_model(urdf)
@@ -163,9 +163,7 @@ def _collect_limb_shapes(
     of_mjcf: tuple[RobotModel, MjcfFile],
     data: mujoco.MjData,
 ) -> MovingShapes | None:
-    """Return the collision shapes that move with a joint; None if they cannot be compared.
-
-    This is the case if a link or the extent of a shape is unknown, or if an extent is 0.
+    """Return the collision shapes that move with a joint, for a comparison of both files.
 
     Args:
         name: Joint.
@@ -175,7 +173,8 @@ def _collect_limb_shapes(
         data: MuJoCo data with kinematics. The shapes are placed in its world frame.
 
     Returns:
-        Shapes of the URDF, and shapes of the MJCF, each with its place in the file.
+        Shapes of the URDF, and shapes of the MJCF, each with its place in the file. None if the
+        shapes cannot be compared: a link or the extent of a shape is unknown, or an extent is 0.
     """
     (urdf_model, urdf_file), (mjcf_model, mjcf_file) = of_urdf, of_mjcf
     body, link, base = matched.mjcf_body[name], matched.urdf_link[name], matched.robot.base
@@ -363,13 +362,16 @@ def report_base_tilt(
 ) -> Diagnostic | None:
     """Return a diagnostic of the tilt of a fixed base in the MJCF relative to the URDF.
 
-    The tilt is the angle between the directions of gravity in both base frames. The result is None
-    if the angle is within the tolerance for rotations, if the base is free, or if gravity is zero.
+    The tilt is the angle between the directions of gravity in both base frames.
 
     Args:
         matched: Matched files.
         urdf: Root element of the unmodified URDF.
         tolerances: Tolerances of the comparison.
+
+    Returns:
+        Diagnostic. None if the angle is within the tolerance for rotations, if the base is free, or
+        if gravity is zero.
     """
     robot = matched.robot
     if robot.floating:
@@ -453,7 +455,7 @@ class FilesCompared(Tabular):
 
     @property
     def unexplained_differences(self) -> list[list[Difference]]:
-        """Differences without a cause, grouped by kind and values."""
+        """Differences that no mistake in ``causes`` explains, grouped by kind and values."""
         explained = {index for cause in self.causes for index in cause.differences}
         groups: dict[tuple[str, str, str], list[Difference]] = {}
         for index, difference in enumerate(self.differences):
@@ -465,7 +467,7 @@ class FilesCompared(Tabular):
 
     @property
     def main_problem(self) -> Diagnostic:
-        """Diagnostic of the problem to repair first, or of the agreement if there is no problem."""
+        """Diagnostic of the problem to repair first, or of the agreement."""
         causes, groups = self.causes, self.unexplained_differences
         if causes and causes[0].is_reported_first:
             return causes[0].diagnostic
@@ -489,7 +491,7 @@ class FilesCompared(Tabular):
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Compared files.
+    """Result of the comparison of two files, with intermediate results for further analyses.
 
     Attributes:
         result: Differences.
@@ -646,8 +648,11 @@ def _compare_ground_contact(
 ) -> tuple[list[Difference], list[Diagnostic]]:
     """Compare the collision shapes of feet, unless a file was converted from another format.
 
-    ``mjcf_model`` is the model of the MJCF. ``found`` contains the other differences. Feet that
-    these differences displace are not compared.
+    Args:
+        matched: Matched files.
+        urdf: The URDF.
+        mjcf: The MJCF.
+        found: Other differences. Feet that these differences displace are not compared.
 
     Returns:
         Differences, and messages; both empty if a file was converted.
@@ -752,8 +757,9 @@ def _compare_servo_gains(
 def _find_objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Diagnostic]:
     """Yield reasons, other than differences, for which URDF and MJCF do not agree.
 
-    The reason is an unexplained residual. Without a residual and without mechanical differences,
-    the reason is a deviation of a quantity above the largest tolerance: small differences add up.
+    - An unexplained residual.
+    - Otherwise, if there is no mechanical difference: each quantity whose deviation exceeds the
+      largest tolerance, because small differences add up.
     """
     residual = {name: value for name, value in explanation.residual.items() if value > MAX_RESIDUAL}
     if residual:
@@ -781,7 +787,6 @@ def _find_objections(explanation: Explanation, tolerances: Tolerances) -> Iterat
 
 
 _DYNAMIC_KINDS = ("mass", "com", "inertia", "position", "rotation", "axis", "damping", "dynamics")
-"""Fields of `Tolerances` for values that affect the dynamics. The largest of these tolerances is
-also a bound of the relative deviation of each dynamic quantity. If all differences between two
-files are within the tolerances, but a deviation exceeds this bound, the files do not agree
-(`_find_objections`)."""
+"""Fields of `Tolerances` for values that affect the dynamics. The largest of these tolerances also
+bounds the relative deviation of each dynamic quantity. If all differences are within the
+tolerances, but a deviation exceeds this bound, the files do not agree (`_find_objections`)."""

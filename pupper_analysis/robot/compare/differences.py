@@ -1,8 +1,8 @@
 """Differences between two multibody trees: detection, ranking, effects and messages.
 
 ``changes_between`` yields the differences of two trees. Each difference can be applied to the first
-tree. ``RelativeError`` evaluates the effects. Messages include probable causes, such as degrees
-instead of radians.
+tree. ``RelativeError`` evaluates its effect on the dynamics. Messages include probable causes, such
+as degrees instead of radians.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ SERVO_GAIN_KINDS = ("servo stiffness", "servo damping")
 
 PropertyKey = tuple[str, str]
 """(kind, element) of a property of a robot, as in `Stated`. The element is for example the name of
-a joint, or of the base. ("mass", joint) is the total mass of the body that the joint moves and of
-the bodies fixed to it."""
+a joint, or of the base. ("mass", joint) is the total mass of the body that the joint moves, with
+all bodies fixed to this body."""
 
 KIND_ORDER = (
     "compiler",
@@ -104,20 +104,20 @@ _STRUCTURE_KINDS = ("compiler", "joint", "name", "type", "parent", *CONVENTION_K
 """Kinds of differences that are always listed first (`Difference.tier` 0)."""
 
 _MIN_RELATIVE_EFFECT = 1e-3
-"""Relative effect of a difference on a dynamic quantity [1]. A difference with this or a larger
-effect is listed before the differences of limits and efforts. Chosen, not tuned."""
+"""Relative effect of a difference on a dynamic quantity [1], from which the difference is listed
+before the differences of limits and efforts. Chosen, not tuned."""
 
 _MIN_RELATIVE_MASS = 0.01
-"""Relative difference of a body's mass [1]. This or a larger difference is listed before the
+"""Relative difference of a body's mass [1], from which the difference is listed before the
 differences of limits and efforts. Chosen, not tuned."""
 
 _MAIN_QUANTITIES = ("mass matrix", "gravity", "foot positions", "joint positions")
-"""Main quantities. The first number in `Difference.relative_effects` is the largest relative effect
-on them."""
+"""Dynamic quantities whose largest relative effect is the first number in
+`Difference.relative_effects`."""
 
 _RANKED_QUANTITIES = (*_MAIN_QUANTITIES, "bias forces", "forward dynamics")
-"""Quantities for the order of differences with the same `Difference.tier`: the difference with the
-largest relative effect on one of them is the first."""
+"""Quantities that order differences with the same `Difference.tier`: the largest relative effect on
+one of these quantities comes first."""
 
 
 @dataclass(frozen=True)
@@ -146,9 +146,9 @@ class Stated:
             limit`` or ``effort``. ``base frame`` and ``zero`` are differences of conventions.
             ``collision`` concerns the shapes of a foot. ``joint`` is a joint that one of two
             versions lacks.
-        element: Name of the joint or frame. A body has the name of the joint that moves it, or of
-            the base. An element that only the MJCF can contain has its name in the MJCF, or its
-            number such as ``#3``.
+        element: Name of the joint or frame. A body has the name of the joint that moves the body,
+            or of the base. An element that only the MJCF can contain has its name in the MJCF, or
+            its number such as ``#3``.
         urdf: Value in the URDF, in the frames of the URDF; None if the URDF has none.
         mjcf: Value in the MJCF, in the frames of the URDF; None if the MJCF has none.
         unit: Unit of both values.
@@ -168,7 +168,11 @@ class Stated:
         return str(self.diagnostic)
 
     def to_difference(self, effects: dict[str, Effect]) -> Difference:
-        """Return the `Difference` of the two stated values, with ``effects`` {quantity: effect}."""
+        """Return the `Difference` of the two stated values.
+
+        Args:
+            effects: {quantity: effect of the difference}.
+        """
         return Difference(
             self.kind, self.element, self.urdf, self.mjcf, self.unit, self.diagnostic, effects
         )
@@ -195,8 +199,8 @@ class Difference(Stated, Result):
     def rank(self) -> tuple[float, ...]:
         """Key by which differences are sorted, the most urgent repair first.
 
-        The differences are sorted by ``tier``, then by relative effects, by kind, and by the
-        relative difference of a limit.
+        The key consists of ``tier``, relative effects, kind, and the relative difference of a
+        limit.
         """
         kind = KIND_ORDER.index("lower limit" if self.kind == "upper limit" else self.kind)
         return (
@@ -237,9 +241,10 @@ class Difference(Stated, Result):
     def _relative_limit_difference(self) -> float:
         """Difference between a joint's limits in URDF and MJCF, from 0 to 1; a sorting key.
 
-        The unit is a full turn for the position limit of a hinge, and 1 m for a slide. The
-        difference of an effort limit is relative to the larger value. The result is 1 if a file has
-        no limit, and 0 for a difference of another kind.
+        - Position limits: relative to a full turn for a hinge, and to 1 m for a slide.
+        - Effort limits: relative to the larger value.
+        - 1 if a file has no limit.
+        - 0 for a difference of another kind.
         """
         if self.kind not in LIMIT_KINDS:
             return 0.0
@@ -258,9 +263,11 @@ class Difference(Stated, Result):
     def tier(self) -> int:
         """Urgency of the repair of this difference, from 0 (most urgent) to 3.
 
-        0: structure, convention or gravity (``_STRUCTURE_KINDS``). 1: relative effect of at least
-        ``_MIN_RELATIVE_EFFECT``, or relative mass difference of at least ``_MIN_RELATIVE_MASS``. 2:
-        other differences of limits and efforts. 3: all others.
+        - 0: structure, convention or gravity (``_STRUCTURE_KINDS``).
+        - 1: relative effect of at least ``_MIN_RELATIVE_EFFECT``, or relative mass difference of at
+          least ``_MIN_RELATIVE_MASS``.
+        - 2: other differences of limits and efforts.
+        - 3: all others.
         """
         if self.kind in _STRUCTURE_KINDS:
             return 0
@@ -295,9 +302,8 @@ class PatternCause(Result):
     def is_reported_first(self) -> bool:
         """True if this cause is reported before all other causes.
 
-        True for missing mimic constraints (``mimics``), and for effort limits that belong to the
-        motor instead of the joint (``gears``). The latter make motor utilisations wrong by the gear
-        ratio.
+        True for missing mimic constraints (``mimics``), and for effort limits of the motor instead
+        of the joint (``gears``), which make motor utilisations wrong by the gear ratio.
         """
         return self.kind in ("gears", "mimics")
 
@@ -326,7 +332,7 @@ class Explanation(Result):
 
 @dataclass(frozen=True, eq=False)
 class RelativeError:
-    """Computation of relative deviations between two models, for each compared quantity.
+    """Relative deviations between two models, for each compared quantity.
 
     Attributes:
         one: {quantity: values at all states} of the first model (URDF).
@@ -340,9 +346,11 @@ class RelativeError:
         """Return the number by which deviations of a quantity are divided, in its unit.
 
         The scale is the largest absolute value of the first model. If a value of the first model is
-        not finite, the second model is used. The scale is at least 1e-300. For gravity and bias
-        forces, which may be nearly zero, it is at least 1e-3 g times the scale of the mass matrix
-        (g = 9.81 m/s^2).
+        not finite, the second model is used. Lower bounds:
+
+        - gravity and bias forces, which may be nearly zero: 1e-3 g times the scale of the mass
+          matrix (g = 9.81 m/s^2);
+        - other quantities: 1e-300.
 
         Args:
             name: Name of the quantity, for example ``mass matrix``.
@@ -355,7 +363,7 @@ class RelativeError:
         return max(float(np.abs(values).max()), lower_bound)
 
     def relative_deviation(self, name: str, first: Array, second: Array) -> float:
-        """Return the largest deviation between two arrays of a quantity, relative to its ``scale``.
+        """Return the largest deviation between two arrays of a quantity, divided by its ``scale``.
 
         Args:
             name: Quantity.
@@ -371,13 +379,15 @@ class RelativeError:
         return deviation / self.scale(name) if math.isfinite(deviation) else math.inf
 
     def effects(self, before: Mapping[str, Array], after: Mapping[str, Array]) -> dict[str, Effect]:
-        """Return {quantity: effect} of a change of the model, from two evaluations.
-
-        Quantities that change by at most 1e-12 of their scale (rounding) are omitted.
+        """Return the effect of a change of the model on each quantity, from two evaluations.
 
         Args:
             before: {quantity: values before the change}.
             after: {quantity: values after the change}, same shapes.
+
+        Returns:
+            {quantity: effect}. Quantities that change by at most 1e-12 of their scale (rounding)
+            are omitted.
         """
         effects = {}
         for name, values in after.items():
@@ -393,7 +403,7 @@ class RelativeError:
 def describe_kind(kind: str) -> str:
     """Return a short English description of a kind of check result, for example ``joint``.
 
-    A kind that is not in ``_ABOUT_KEYS``, for example ``mass``, is described as a difference of
+    A kind without a description of its own, for example ``mass``, is described as a difference of
     this kind.
     """
     key = _ABOUT_KEYS.get(kind, "about-difference")
@@ -410,17 +420,18 @@ _ABOUT_KEYS = {
     "stale": "about-stale",
 }
 """{kind of a check result: key of its description in the catalogue}. Other kinds are differences,
-with the description ``about-difference``."""
+with the key ``about-difference``."""
 
 
 @dataclass(frozen=True)
 class ModelNames:
-    """Names of two compared models.
+    """Names of two compared models in messages.
 
     Attributes:
         first: Name of the first model.
         second: Name of the second model.
-        alike: Whether both models have the same format, and thus can specify the same properties.
+        alike: Whether both models have the same format, and therefore can specify the same
+            properties.
     """
 
     first: Term
@@ -441,7 +452,12 @@ VERSION_NAMES = ModelNames(Term("the old file"), Term("the new file"), alike=Tru
 
 
 def with_names_of_models(message: Diagnostic, names: Mapping[str, Term]) -> Diagnostic:
-    """Return a message in which the names of the models are replaced: {name: new name}."""
+    """Return a message in which names of the compared models are replaced, also in nested messages.
+
+    Args:
+        message: Message.
+        names: {name: new name}.
+    """
 
     def replace_names(value: Any) -> Any:
         """Return a value of a message in which terms in ``names`` are replaced, also nested."""
@@ -456,16 +472,16 @@ def with_names_of_models(message: Diagnostic, names: Mapping[str, Term]) -> Diag
 
 
 def number_pair(first: float, second: float, unit: str) -> dict[str, Any]:
-    """Return two numbers with their unit as values of a message: {"one": first, "two": second}.
+    """Return two numbers with unit as values of a message, under the keys ``one`` and ``two``.
 
-    A number that is not finite is replaced by the term "unlimited".
+    The term "unlimited" replaces a number that is not finite.
     """
     return {"one": describe_bound(first, unit), "two": describe_bound(second, unit)}
 
 
 MIN_FACTOR = 10.0
-"""Ratio of the MJCF's number to the URDF's number above which a message states a factor ("20
-times") instead of a percentage. The same bound applies to relative effects. Chosen, not tuned."""
+"""Ratio of two numbers (MJCF / URDF) [1], above which a message states a factor ("20 times")
+instead of a percentage. The same bound applies to relative effects. Chosen, not tuned."""
 
 
 def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
@@ -500,12 +516,14 @@ def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
 def guess_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
     """Return a diagnostic if one of two values seems to be in degrees, the other in radians.
 
-    The ratio of the values is then 57.3 or 1/57.3, within 1 %. The result is None for another
-    ratio, if the first value is zero, or if a value is not finite.
+    Criterion: the ratio of the values is 57.3 or 1/57.3, within 1 %.
 
     Args:
         urdf: Number of the URDF.
         mjcf: Number of the MJCF.
+
+    Returns:
+        Diagnostic. None for another ratio, if the first value is zero, or if a value is not finite.
     """
     if urdf == 0 or not math.isfinite(urdf) or not math.isfinite(mjcf):
         return None
@@ -518,13 +536,14 @@ def guess_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
 def guess_quaternion_order(urdf: Array, mjcf: Array) -> Diagnostic | None:
     """Return a diagnostic if the MJCF's quaternion was probably written as (x, y, z, w).
 
+    Criterion: both rotations agree if the quaternion is read as (x, y, z, w).
+
     Args:
         urdf: Rotation matrix of the URDF, shape (3, 3).
         mjcf: Rotation matrix of the MJCF, shape (3, 3), for its quaternion read as (w, x, y, z).
 
     Returns:
-        Diagnostic if both rotations agree after the quaternion is read as (x, y, z, w); otherwise
-        None.
+        Diagnostic, or None.
     """
     x, y, z, w = pin.Quaternion(mjcf).coeffs()
     # The numbers in the file were read as (w, x, y, z); here they are read as (x, y, z, w).
@@ -539,7 +558,7 @@ def guess_quaternion_order(urdf: Array, mjcf: Array) -> Diagnostic | None:
 
 @dataclass(frozen=True, eq=False)
 class Change(Stated):
-    """Difference between two multibody trees; `apply` applies it to the first tree.
+    """Difference between two multibody trees, which can be applied to the first tree.
 
     Attributes:
         felt: Whether the difference affects the dynamics.
@@ -548,7 +567,7 @@ class Change(Stated):
     felt: bool = True
 
     def apply(self, first: MultibodyTree, second: MultibodyTree) -> MultibodyTree:
-        """Return a copy of the first tree, with the differing value taken from the second tree."""
+        """Return a copy of the first tree with the differing value of the second tree."""
         return copy_value(first, second, self.kind, self.element)
 
 
@@ -570,7 +589,7 @@ def change_of(
     shown: tuple[Any, Any] | None = None,
     felt: bool = True,
 ) -> Change:
-    """Create a difference whose message contains both values.
+    """Create a difference between two models, with a message that contains both values.
 
     Args:
         code: Code of the message in the catalogue.
@@ -581,7 +600,8 @@ def change_of(
         unit: Unit of the values.
         sides: Names of the two models in the message.
         details: Further values of the message.
-        element: Name of the element in the result, if it differs from the name in ``subject``.
+        element: Name of the element in the result, if this name differs from the name in
+            ``subject``.
         shown: Values in the message, if they differ from ``values``.
         felt: Whether the difference affects the dynamics.
     """
@@ -649,7 +669,7 @@ def changes_between(
 def apply_changes(
     first: MultibodyTree, second: MultibodyTree, sides: ModelNames = FORMAT_NAMES
 ) -> MultibodyTree:
-    """Return the first tree, with each differing value replaced by the value of the second tree.
+    """Return the first tree with all differing values of the second tree.
 
     Differences of any size are included. Properties that `changes_between` does not compare are
     unchanged, for example the armature if the trees are from a URDF and an MJCF.
@@ -672,10 +692,10 @@ def body_changes(
     tolerances: Tolerances,
     sides: ModelNames = FORMAT_NAMES,
 ) -> Iterable[Change]:
-    """Yield the differences of mass, CoM and inertia of two bodies beyond the tolerances.
+    """Yield the differences of mass, CoM and inertia of two bodies that exceed the tolerances.
 
     Args:
-        name: Name of the compared body: the joint that moves it, or the base.
+        name: Name of the compared body: the joint that moves the body, or the base.
         one: Body of the first model (URDF).
         two: Body of the second model (MJCF), in the same frame.
         tolerances: Tolerances of the comparison.
@@ -725,8 +745,8 @@ def _clear_rounding(value: float, scale: float) -> float:
 
 
 _ROUNDING_RTOL = 1e-9
-"""Relative rounding error of an inertia tensor [1]. If an entry is at most this fraction of the
-largest entry, a message states 0. Chosen, not tuned."""
+"""Relative rounding error of an inertia tensor [1]. A message states 0 for an entry of at most this
+fraction of the largest entry. Chosen, not tuned."""
 
 
 def _compare_joints(
@@ -807,9 +827,7 @@ def _compare_joint_parameters(
 def convention_changes(
     found: Conventions, first: MultibodyTree, sides: ModelNames = FORMAT_NAMES
 ) -> Iterator[tuple[Difference, MultibodyTree]]:
-    """Yield each difference of base frame or joint zero between two trees, with a modified tree.
-
-    The modified tree contains the difference, so that the effect of the difference can be computed.
+    """Yield each difference of base frame or joint zero between two trees, to evaluate its effect.
 
     Args:
         found: Original base frame and joint zeros of the first tree, relative to the second tree. A
@@ -819,7 +837,7 @@ def convention_changes(
         sides: Names of the models.
 
     Yields:
-        Difference, and ``first`` with the original base frame or the original zero of the joint.
+        Difference; ``first`` with the original base frame or the original zero of the joint.
     """
     if found.base is not None and (first.floating or not found.shown):
         message = diagnose(

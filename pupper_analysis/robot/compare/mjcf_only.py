@@ -3,12 +3,12 @@
 A URDF contains a tree of bodies, and damping and friction of joints. MuJoCo's smooth dynamics have
 further terms: passive forces (``qfrc_spring``, ``qfrc_damper``, ``qfrc_gravcomp``, ``qfrc_fluid``),
 inertia of tendons and actuators, and equality constraints. Each such element of a compiled model is
-listed with the array entries that must be zero to disable it. The list may be incomplete (for
-example without flexes and plugins), because the callers check it: they disable the listed elements,
-and compare the remaining model with a model without such elements.
+listed with the array entries that must be zero to disable the element. The list may be incomplete
+(for example without flexes and plugins). The callers check its completeness: they disable the
+listed elements, and compare the remaining model with a model without such elements.
 
-Source: MuJoCo documentation, "Computation: Passive forces" and "Constraint model: Equality"; the
-arrays are those of ``mjModel``.
+Source: MuJoCo documentation, "Computation: Passive forces" and "Constraint model: Equality". Array
+names are names in ``mjModel``.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class MjcfOnlyEffect(Stated):
     def switch(self, model: mujoco.MjModel, like: mujoco.MjModel | None) -> None:
         """Disable this element of the MJCF in a compiled model, or restore its values, in place.
 
-        Nothing changes if the effect has no ``slots``.
+        Nothing changes if ``slots`` is empty.
 
         Args:
             model: Model from `make_passive_model`; modified.
@@ -64,13 +64,15 @@ class MjcfOnlyEffect(Stated):
 
 
 def make_passive_model(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return a copy of a model without contacts, limits, dry friction and commands.
+    """Return a copy of a model without contacts, limits, dry friction and actuator commands.
 
-    Contacts, joint and tendon limits, dry friction and actuator forces are disabled. This includes
-    the stiffness and damping of servos (``kp``, ``kv``). The attributes ``armature`` and
-    ``damping`` of actuators remain, and so does gravity compensation through actuators. Enabled DC
-    motors without a controller remain too, since their back-EMF brakes without a command. The
-    integrator is Euler, because with MuJoCo's integrator ``discrete`` the accelerations depend on
+    - Disabled: contacts, joint and tendon limits, dry friction, and actuator forces, including the
+      stiffness and damping of servos (``kp``, ``kv``).
+    - Kept: the attributes ``armature`` and ``damping`` of actuators, gravity compensation through
+      actuators, and enabled DC motors without a controller, whose back-EMF brakes without a
+      command.
+
+    The integrator is Euler, because the accelerations of MuJoCo's integrator ``discrete`` depend on
     the time step.
     """
     result = copy.copy(model)
@@ -87,10 +89,14 @@ def make_passive_model(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
-    """Return True if an actuator of the passive model exerts a force without a command.
+    """Return True if an actuator exerts a force without a command, also in the passive model.
 
     True for an enabled DC motor without a controller, because its back-EMF brakes. False for
-    servos, because `make_passive_model` disables them.
+    servos, because `make_passive_model` disables servos.
+
+    Args:
+        model: MuJoCo model.
+        motor: Id of the actuator.
     """
     is_dc_motor = model.actuator_gaintype[motor] == mujoco.mjtGain.mjGAIN_DCMOTOR.value
     # Bits of the inputs: 1 and 2 are setpoints of a controller; 4, 8 and 16 are not.
@@ -101,9 +107,13 @@ def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
 
 
 def without_effects(model: mujoco.MjModel, effects: Iterable[MjcfOnlyEffect]) -> mujoco.MjModel:
-    """Return a passive copy of a model in which the given MJCF-only effects are disabled.
+    """Return a passive copy of a model in which given MJCF-only effects are disabled.
 
-    `make_passive_model` disables contacts, limits, dry friction and commands of the copy.
+    The copy has no contacts, limits, dry friction and commands (`make_passive_model`).
+
+    Args:
+        model: MuJoCo model; not changed.
+        effects: Effects to disable.
     """
     result = make_passive_model(model)
     for effect in effects:
@@ -115,7 +125,8 @@ DISABLE = mujoco.mjtDisableBit
 """MuJoCo's enumeration of disable flags."""
 
 Numbers = dict[str, float | list[float]]
-"""{attribute of an MJCF element, or array of ``mjModel``: value or values, in MuJoCo's units}."""
+"""{attribute of an MJCF element, or array of ``mjModel``: one or several values, in MuJoCo's
+units}."""
 
 _DISABLING_FLAGS = {
     "stiffness": (DISABLE.mjDSBL_SPRING,),
@@ -124,12 +135,11 @@ _DISABLING_FLAGS = {
     "dampingpoly": (DISABLE.mjDSBL_DAMPER,),
     "frictionloss": (DISABLE.mjDSBL_FRICTIONLOSS,),
 }
-"""{attribute of an MJCF element: flags of MuJoCo}. If one of the flags is set, the attribute has no
-effect."""
+"""{attribute of an MJCF element: flags of MuJoCo, each of which disables the attribute}."""
 
 
 class NamedModel:
-    """Access to the names, values and flags of the elements of a compiled MJCF.
+    """Names, values and flags of the elements of a compiled MJCF.
 
     Args:
         reference: Compiled MJCF, and element names.
@@ -155,7 +165,7 @@ class NamedModel:
         return bool(self.model.opt.disableflags & bit.value)
 
     def is_part_of_robot(self, object_type: mujoco.mjtObj, index: int) -> bool:
-        """Return True if an element is part of the robot's kinematic tree.
+        """Return True if an element belongs to a kinematic tree of the robot.
 
         Args:
             object_type: Type of the element, for example a body or joint.
@@ -185,7 +195,7 @@ class NamedModel:
         return self.name("joint", joint)
 
     def read_nonzero_values(self, prefix: str, index: int | slice, words: Sequence[str]) -> Numbers:
-        """Return {attribute: value or values} of an element, without attributes that are zero.
+        """Return the attributes of an element that are not zero.
 
         An attribute that a flag of the MJCF disables (`_DISABLING_FLAGS`) counts as zero.
 
@@ -193,6 +203,9 @@ class NamedModel:
             prefix: Prefix of the arrays of ``mjModel``, for example ``jnt`` for ``jnt_stiffness``.
             index: Row or rows of the element in the arrays.
             words: Attributes: names of the arrays without prefix.
+
+        Returns:
+            {attribute: value or values}.
         """
         nonzero: Numbers = {}
         for word in words:
@@ -239,9 +252,9 @@ def _make_effect(
 
 
 def of_joints(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the MJCF-only effects of joints: terms that a URDF cannot specify.
+    """Yield springs and nonlinear damping of joints, and dry friction of the free joint.
 
-    These are springs, nonlinear damping, and the dry friction of a free joint.
+    A URDF cannot specify these terms.
 
     Args:
         scene: Compiled MJCF, with the names of its elements.
@@ -267,7 +280,7 @@ def of_joints(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def of_bodies(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the gravity compensation (``gravcomp``) of moving bodies with mass; a URDF has none.
+    """Yield the gravity compensation (``gravcomp``) of moving bodies with mass, unknown in a URDF.
 
     Args:
         scene: Compiled MJCF, with the names of its elements.
@@ -281,7 +294,7 @@ def of_bodies(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def of_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the tendons with stiffness, damping, armature, friction or a limit.
+    """Yield the tendons with stiffness, damping, armature, friction or a limit, unknown in a URDF.
 
     Args:
         scene: Compiled MJCF, with the names of its elements.
@@ -337,7 +350,7 @@ EQUALITY = mujoco.mjtEq
 def split_mimics(
     found: Sequence[MjcfOnlyEffect], reference: Reference, mimics: Mimics, tolerance: float
 ) -> tuple[list[MjcfOnlyEffect], list[str]]:
-    """Find the joint equalities of an MJCF that are equivalent to a ``<mimic>`` of the URDF.
+    """Separate the joint equalities of an MJCF that are equivalent to a ``<mimic>`` of the URDF.
 
     A mimic is q = m q_leader + c. MuJoCo's polynomial uses coordinates relative to ``qpos0``: q -
     q0 = a0 + a1 (q_leader - q0_leader). Therefore m = a1 and c = a0 + q0 - a1 q0_leader.
@@ -430,7 +443,7 @@ def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def mjcf_only_effects(reference: Reference) -> list[MjcfOnlyEffect]:
-    """Return the elements of an MJCF that act on the robot, and that a URDF cannot specify.
+    """List the elements of an MJCF that act on the robot, and that a URDF cannot specify.
 
     Examples are springs, tendons, a fluid and closed loops.
 

@@ -1,11 +1,11 @@
 """Transformation of the link frames of one multibody tree to the frames of another tree.
 
 Link frames are a convention. Mechanically, a hinge is a line, a slide is a direction, and a body
-has a mass, a CoM and an inertia. The axes of a link frame do not affect the robot, nor does the
-position of the origin on the axis of a hinge. Before two trees are compared, the link frames of the
-second tree are transformed to those of the first tree, joint by joint from the base outwards. For
-each joint, the candidate frame with the smallest total deviation is selected. The measure is the
-sum of log2(1 + deviation / tolerance).
+has a mass, a CoM and an inertia. The axes of a link frame do not affect the robot. The position of
+the origin on the axis of a hinge has no effect either. Before two trees are compared, the link
+frames of the second tree are transformed to the frames of the first tree, joint by joint from the
+base outwards. For each joint, the candidate frame with the smallest total deviation is selected:
+the sum of log2(1 + deviation / tolerance).
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 from pupper_analysis.robot.matching.tolerances import Tolerances
 
 _MIN_BITS_SAVED_BY_BODY_FRAME = 0.5
-"""Minimum benefit of a candidate frame of a body [bits, see `measure_deviation_bits`]. The
-candidate replaces the best previous frame if it decreases the deviation between the trees by more
-than this value. The bound excludes rounding errors. Chosen, not tuned."""
+"""Minimum decrease of the deviation between two trees [bits, see `measure_deviation_bits`] by a
+candidate frame of a body. A candidate with a smaller decrease does not replace the best previous
+frame. The bound excludes rounding errors. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """Multibody tree, expressed in the link frames of another tree.
+    """Multibody tree of a robot, expressed in the link frames of another tree.
 
     Attributes:
-        values: The same robot, in the aligned frames.
+        values: The tree in the aligned frames.
         moved: {joint: displacement (3,) [m] of the origin of its link frame, in the original axes
             of the body}. Joints with unchanged origin are omitted.
     """
@@ -52,7 +52,7 @@ def align_frames(
 
     A link frame may have any position along a hinge axis, and any orientation, without changing the
     robot. The frames that minimise the deviation are selected joint by joint. The alignment uses a
-    hundredth of the tolerances. With the full tolerances, it could distribute a difference over
+    hundredth of the tolerances: with the full tolerances, it could distribute a difference over
     several values that are each within the tolerance.
 
     Args:
@@ -123,7 +123,7 @@ def _align_by_cost(
 
 
 def tighten_tolerances(tolerances: Tolerances) -> Tolerances:
-    """Return tolerances that are a hundredth of the given tolerances."""
+    """Return a hundredth of the given tolerances, for the alignment of frames."""
     return Tolerances(
         **{kind.name: 0.01 * getattr(tolerances, kind.name) for kind in fields(tolerances)}
     )
@@ -132,7 +132,7 @@ def tighten_tolerances(tolerances: Tolerances) -> Tolerances:
 def measure_deviation_bits(size: float, tolerance: float) -> float:
     """Convert a deviation to bits: log2(1 + size / tolerance), or 0 within the tolerance.
 
-    Thus deviations with different units can be added.
+    Bits are used to add deviations with different units.
 
     Args:
         size: Deviation, not negative.
@@ -144,10 +144,11 @@ def measure_deviation_bits(size: float, tolerance: float) -> float:
 def measure_joint_deviation(
     first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances
 ) -> float:
-    """Return the deviation of a joint between two trees, in bits.
+    """Return the deviation of a joint and its body between two trees, in bits.
 
-    The result is the sum of `measure_deviation_bits` over the compared quantities: the joint, the
-    body that it moves, the frames on this body, and the placements of the child joints.
+    The result is the sum of log2(1 + deviation / tolerance) (`measure_deviation_bits`) over the
+    compared quantities: the joint, the body that it moves, the frames on this body, and the
+    placements of the child joints.
 
     Args:
         first: First tree.
@@ -167,7 +168,7 @@ def measure_tree_deviation(
 ) -> float:
     """Return the summed deviation of all joints, moved bodies and frames of two trees, in bits.
 
-    `measure_deviation_bits` defines the unit.
+    A deviation counts log2(1 + deviation / tolerance) bits (`measure_deviation_bits`).
 
     Args:
         first: First tree.
@@ -198,9 +199,10 @@ def _joint_bits(
 
 
 def measure_body_deviation(first: TreeBody, second: TreeBody, tolerances: Tolerances) -> float:
-    """Return the deviation of CoM and inertia between two bodies, in bits; 0 if a body has no mass.
+    """Return the deviation of CoM and inertia between two bodies, in bits.
 
-    `measure_deviation_bits` defines the unit.
+    A deviation counts log2(1 + deviation / tolerance) bits (`measure_deviation_bits`). The result
+    is 0 if a body has no mass.
 
     Args:
         first: Body of the first tree.
@@ -235,9 +237,10 @@ def angle_between(first: Array, second: Array) -> float:
 def _candidate_rotations(first: MultibodyTree, second: MultibodyTree, name: str) -> Iterator[Array]:
     """Yield rotations (3, 3) of a body frame of the second tree that may match the first tree.
 
-    The first rotation is the identity, the second rotates the frame to its orientation in the first
-    tree. If the limits of a hinge indicate another zero angle, a third rotation adds this angle to
-    the second.
+    1. The identity.
+    2. The rotation of the frame to its orientation in the first tree.
+    3. If the limits of a hinge indicate another zero angle: the second rotation, followed by this
+       angle.
     """
     first_joint, second_joint = first.joints[name], second.joints[name]
     yield np.eye(3)
@@ -268,7 +271,7 @@ def _matching_points(
 
 
 def find_limit_offset(first: TreeJoint, second: TreeJoint) -> float:
-    """Return the common offset of both joint limits, first joint minus second joint [rad, m].
+    """Return the offset by which both limits of a joint differ: first minus second [rad, m].
 
     The result is 0 if the offsets of lower and upper limit differ, or if a limit is infinite.
     """
@@ -284,12 +287,13 @@ def _candidate_steps(
     """Yield candidate displacements (3,) [m] of a joint's origin in the tree ``second``.
 
     Displacements are expressed in the axes of the body that the joint moves. The first displacement
-    is zero. The others are computed from two vectors. d is the vector from the joint's origin in
-    ``second`` to its origin in ``first``. m is the median difference between the positions of the
-    points on the body in both trees (`_matching_points`).
+    is zero. Further displacements are computed from two vectors. d is the vector from the joint's
+    origin in ``second`` to its origin in ``first``. m is the median difference between the
+    positions of the points on the body in both trees (`_matching_points`).
 
     - Hinge: the components of d and m along the axis.
-    - Slide: d, m, and the part of d perpendicular to the axis. If ``still``, none of these.
+    - Slide: d, m, and the part of d perpendicular to the axis. With ``still``, no further
+      displacement.
     """
     yield np.zeros(3)
     first_joint, second_joint = first.joints[name], second.joints[name]
@@ -311,9 +315,14 @@ def _candidate_steps(
 
 
 def in_axes(values: MultibodyTree, name: str, rotation: Array) -> MultibodyTree:
-    """Rotate the frame of the body that the joint ``name`` moves; the robot itself does not move.
+    """Rotate the frame of a body in a tree; the robot itself does not move.
 
-    The new coordinates of a point are x' = R x, with the matrix ``rotation`` R, shape (3, 3).
+    The new coordinates of a point x are x' = rotation x.
+
+    Args:
+        values: Tree of the robot.
+        name: Joint that moves the body.
+        rotation: Rotation matrix, shape (3, 3).
     """
     joint, joints = values.joints[name], dict(values.joints)
     joints[name] = replace(joint, rotation=joint.rotation @ rotation.T, axis=rotation @ joint.axis)
@@ -369,8 +378,10 @@ def in_body_frame(values: MultibodyTree, name: str, rotation: Array, shift: Arra
 
 
 def with_base(values: MultibodyTree, pose: pin.SE3) -> MultibodyTree:
-    """Return a tree with a new frame of the base.
+    """Return a tree of the same robot with another frame of the base.
 
-    ``pose`` is the pose of the old base frame in the new frame.
+    Args:
+        values: Tree of the robot.
+        pose: Pose of the old base frame in the new base frame.
     """
     return in_body_frame(values, values.base, np.array(pose.rotation), np.array(pose.translation))

@@ -1,8 +1,8 @@
-"""Detection of different conventions in two files: frame of the base, and zero angles of joints.
+"""Different conventions of two files of a robot: frame of the base, and zero positions of joints.
 
 These conventions do not affect the robot, but change qpos. The module detects a displaced frame of
-the base, and a joint with a displaced zero (and displaced limits). Each of them is removed from the
-comparison, and reported as a single difference.
+the base, and joints with a displaced zero (and displaced limits). Each such difference is removed
+from the comparison, and reported as a single difference.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from pupper_analysis.robot.matching.alignment import (
 from pupper_analysis.robot.matching.tolerances import Tolerances
 
 _MIN_BITS_SAVED_BY_BASE_FRAME = 3.0
-"""Minimum benefit of a displaced base frame [bits, see `measure_deviation_bits`]. If the robots
-agree in this frame, the frame is accepted if the total deviation decreases by more than this value.
-A decrease to less than 60 % is always sufficient. Chosen, not tuned."""
+"""Minimum decrease of the total deviation [bits, see `measure_deviation_bits`] by a displaced base
+frame. A frame in which the robots agree is accepted if the decrease is larger. A decrease to less
+than 60 % is always sufficient. Chosen, not tuned."""
 
 _MAX_JOINTS_TRIED = 6
 """Maximum number of joints on the base whose placements give a candidate for the pose between the
-two base frames. Further joints are not tried. Chosen, to bound the computing time."""
+two base frames. Further joints are not tried, to bound the computing time. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class Conventions:
     zeros: Mapping[str, float] = field(default_factory=dict)
 
     def convert_to_mjcf(self, values: MultibodyTree) -> MultibodyTree:
-        """Convert a tree from the URDF's conventions (base frame, joint zeros) to the MJCF's."""
+        """Convert a tree from the URDF's base frame and joint zeros to those of the MJCF."""
         if self.base is not None:
             values = with_base(values, self.base)
         for name, offset in self.zeros.items():
@@ -82,9 +82,8 @@ def find_conventions(
         first: Tree of the URDF, expressed in its base frame.
         second: Tree of the MJCF, expressed in its base frame.
         tolerances: Tolerances of the comparison.
-        fixed: Whether the base is fixed. The world pose of a fixed base is no property of the
-            robot. A rotation of its frame by quarter turns is therefore accepted even if it saves
-            few bits.
+        fixed: Whether the base is fixed. The frame of a fixed base is no property of the robot: a
+            rotation by quarter turns is then accepted even if it explains little of the deviation.
     """
     base = _find_base_pose(first, second, tolerances, fixed=fixed)
     placed = first if base is None else with_base(first, base)
@@ -109,9 +108,12 @@ def _is_base_frame_confirmed(
 ) -> bool:
     """Return True if a displaced base frame cannot be confused with a displaced joint zero.
 
-    If a single joint is on the base, both have the same effect on the joint. The base frame is
-    confirmed in three cases: several joints are on the base; both files state the mass of the base;
-    or the limits of the single joint are equal in both files, and less than a full turn apart.
+    If a single joint is on the base, both have the same effect. The base frame is confirmed in
+    three cases:
+
+    - Several joints are on the base.
+    - Both files state the mass of the base.
+    - The limits of the single joint are equal in both files, and less than a full turn apart.
     """
     names = first.children(first.base)
     bodies = first.bodies[first.base], second.bodies[second.base]
@@ -132,9 +134,11 @@ def _find_zero_offset(
 ) -> float:
     """Return the offset of a joint's zero: q in ``first`` minus q in ``second`` [rad, m].
 
-    The result is 0 in three cases: the offset is within the tolerance; type, axis or frame of the
-    joint differ in another way; or a limit is finite, and the limits of both files do not differ by
-    the offset.
+    The result is 0 in three cases:
+
+    - The offset is within the tolerance.
+    - Type, axis or frame of the joint differ in another way.
+    - A limit is finite, and the limits of both files do not differ by the offset.
     """
     first_joint, second_joint = first.joints[name], second.joints[name]
     axis_angle = angle_between(first_joint.axis, second_joint.axis)
@@ -166,7 +170,13 @@ def _find_zero_offset(
 
 
 def with_zero(values: MultibodyTree, name: str, offset: float) -> MultibodyTree:
-    """Return a tree in which the joint ``name`` has another zero: q' = q - ``offset`` [rad, m]."""
+    """Return a tree in which a joint has another zero: q' = q - ``offset``.
+
+    Args:
+        values: Tree of the robot.
+        name: Joint.
+        offset: Old position of the new zero [rad, m].
+    """
     joint = values.joints[name]
     position, rotation = joint.position, joint.rotation
     if joint.slides:
@@ -197,8 +207,8 @@ def _find_base_pose(
         - No joint is on the base, or the joints on the base do not correspond.
         - A joint has the same placement in both trees: the base frames are equal.
         - Exchanged names of limbs explain the deviation: the joints on the base coincide under
-          other names, and the base bodies are equal only without the pose. (A half turn about x has
-          a similar effect: it exchanges left and right.)
+          other names, and the base bodies are equal only without the pose. (A half turn about x
+          exchanges left and right, too.)
         - No pose decreases the deviation enough.
     """
     names = first.children(first.base)
@@ -247,14 +257,17 @@ def _find_pose_of_joints(
 ) -> pin.SE3 | None:
     """Return the pose of the base frame with which all joints on the base agree in both trees.
 
-    Only positions and axes of the joints are compared. Masses and inertias of the bodies are not,
-    because they may differ with any base frame. The pose is fitted by least squares to the joint
-    positions and to points on the axes (Kabsch, Acta Cryst. A32 (1976) 922).
+    Only positions and axes of the joints are compared, because masses and inertias of the bodies
+    may differ with any base frame. The pose is fitted by least squares to the joint positions and
+    to points on the axes (Kabsch, Acta Cryst. A32 (1976) 922).
 
     Returns:
-        Pose. None if the base frames are equal; if fewer than two joints with different positions
-        are on the base; if all joint positions and axes are on one line; or if a joint deviates by
-        more than the tolerances.
+        Pose. None in each of these cases:
+
+        - The base frames are equal.
+        - Fewer than two joints are on the base, or all have the same position.
+        - All joint positions and axes are on one line.
+        - A joint deviates by more than the tolerances.
     """
     names = first.children(first.base)
     anchors, axes = _list_anchors_and_axes(first, names)
@@ -296,17 +309,14 @@ def _do_joints_coincide(
 
 
 _MIN_JOINTS_OF_POSE, _MIN_SPREAD = 2, 1e-3
-"""Requirements of `_find_pose_of_joints`. The first value is the minimum number of joints on the
-base: two joints with axes determine ten numbers, a pose has six. The second value is a lower bound
-of two lengths [m]. The first length is the largest range of the joint positions along an axis of
-the base. The second length is the standard deviation of all fitted points along their second
-principal axis; it is zero if all points are on one line. If a requirement is not met, no pose is
-determined. Chosen, not tuned: at 1 mm, positions with 6 digits determine the rotation about the
-line to about 1e-3 rad."""
+"""Requirements of `_find_pose_of_joints`. `_MIN_JOINTS_OF_POSE` is the minimum number of joints on
+the base: two joints with axes determine ten numbers, a pose has six. `_MIN_SPREAD` is a lower bound
+of the spread of the joint positions [m], the largest range of their coordinates along an axis of
+the base. Otherwise no pose is determined. Chosen, not tuned."""
 
 
 def _list_anchors_and_axes(tree: MultibodyTree, names: list[str]) -> tuple[Array, Array]:
-    """Return positions [m] and unit axes of joints in the frame of the base, each shape (n, 3)."""
+    """Return positions [m] and unit axes of joints in the frame of the base, shape (n, 3) each."""
     joints = [tree.joints[name] for name in names]
     axes = np.array([joint.rotation @ joint.axis for joint in joints])
     return np.array([joint.position for joint in joints]), axes
@@ -334,10 +344,9 @@ def _candidate_base_poses(first: MultibodyTree, second: MultibodyTree) -> Iterat
     """Yield candidate poses of the first tree's base frame in the second tree's base frame.
 
     The first candidates give a joint on the base the same placement in both trees, for up to
-    `_MAX_JOINTS_TRIED` joints. The others are the 24 rotations by quarter turns, each with two
-
-    translations: zero, and the translation with which the mean joint positions are equal. The mean
-    includes the CoM of the base if both files state its mass.
+    `_MAX_JOINTS_TRIED` joints. Further candidates are the 24 rotations by quarter turns, each with
+    two translations: zero, and the translation with which the mean joint positions are equal. The
+    mean includes the CoM of the base if both files state its mass.
     """
     names = first.children(first.base)
     for name in names[:_MAX_JOINTS_TRIED]:
@@ -399,7 +408,7 @@ def apply_conventions(
 
 
 def describe_pose(pose: pin.SE3) -> Diagnostic:
-    """Return a diagnostic of a pose: translation, and angle and axis of the rotation."""
+    """Describe a pose, for a message: translation [m], and angle and axis of the rotation."""
     rotation_vector = pin.log3(pose.rotation)
     angle = float(np.linalg.norm(rotation_vector))
     is_translated = float(np.linalg.norm(pose.translation)) > 1e-9

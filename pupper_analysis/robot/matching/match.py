@@ -1,9 +1,12 @@
 """Matching of a URDF and an MJCF of the same robot: same base, same joints, same names.
 
-Input: two files. Output: a ``Match`` with a ``Robot`` built from both. Method: objects of a scene
-are removed from the MJCF. Joints are paired. Joints in only one file are fixed at zero. The URDF is
-converted to the base frame and joint zeros of the MJCF. If the masses indicate that one file lacks
-a part (gripper, tail, head), the part is removed and reported.
+Input: two files. Output: a ``Match`` with a ``Robot`` built from both. Method:
+
+1. Objects of a scene are removed from the MJCF.
+2. Joints are paired. Joints that only one file contains are fixed at zero.
+3. If the masses indicate that one file lacks a part (gripper, tail, head), the part is removed and
+   reported.
+4. The URDF is converted to the base frame and joint zeros of the MJCF.
 """
 
 from __future__ import annotations
@@ -72,7 +75,7 @@ from pupper_analysis.robot.robot import Robot
 
 @dataclass(frozen=True)
 class RemovablePart:
-    """Part of a robot (subtree), all joints of which the other file lacks.
+    """Part of a robot (subtree) whose joints the other file lacks, so that the part may be removed.
 
     Attributes:
         root: Link or body at the root of the subtree.
@@ -88,7 +91,7 @@ class RemovablePart:
 
 
 def report_part(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
-    """Return the diagnostic of a part that only one file contains.
+    """Return the diagnostic of a part that one file contains and the other file lacks.
 
     Args:
         part: The part.
@@ -112,18 +115,19 @@ alternatives are sorted from small to large parts."""
 
 
 def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
-    """List the parts (subtrees) that could be removed because the other file lacks their joints.
+    """List the parts (subtrees) of a file that could be removed: the other file lacks their joints.
 
-    The root of a part is the link that a missing joint moves, or a link above it on a fixed joint.
-    Each possible root is an alternative. `remove_parts` selects one of the alternatives.
+    The root of a part is the link that a missing joint moves, or a link above this link on a fixed
+    joint. Each possible root is an alternative. `remove_parts` selects one of the alternatives.
 
     Args:
         tree: Tree of the file with the parts.
         extra: Joints that the other file lacks.
 
     Returns:
-        Pairs (parent joint, alternatives): the joint above the parts, "" for the base; and the
-        alternatives for its parts, smallest parts first.
+        Pairs (parent joint, alternatives). The parent joint is the nearest moving joint above the
+        parts, "" for the base. An alternative is a list of parts that are removed together; small
+        parts first.
     """
     chains: dict[str, list[list[RemovablePart]]] = {}
     for name in tree.names:
@@ -160,8 +164,8 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
 def _make_part(tree: ModelTree, link: str, extra: Collection[str]) -> RemovablePart | None:
     """Return the subtree of a link as a part that can be removed from a file.
 
-    The result is None if the other file has one of its joints. ``extra`` contains the joints that
-    the other file lacks.
+    None if the other file has a joint of the subtree. ``extra`` contains the joints that the other
+    file lacks.
     """
     inside = list(tree.subtree(link))
     joints = tuple(joint for name in inside for joint in tree.movers(name))
@@ -180,17 +184,20 @@ def remove_parts(
     removals: tuple[Removals, Removals],
     pairs: Mapping[str, str],
 ) -> list[Diagnostic]:
-    """Remove parts that the other file lacks, in place; return a diagnostic of each removed part.
+    """Remove the parts of each file that the other file lacks, in place, and report these parts.
 
-    The parts to remove are selected by mass. For each body with such parts, all alternatives and no
-    removal are compared. The selected alternative is the one with which the masses of the body,
-    with the remaining parts, differ least between the files.
+    The masses decide. For each body with such parts, all alternatives and no removal are compared.
+    The alternative is selected with which the masses of the body, with the remaining parts, differ
+    least between the files.
 
     Args:
-        trees: Trees of URDF and MJCF.
+        trees: Trees of URDF and MJCF; modified.
         files: URDF and MJCF.
         removals: Alternatives for both files, from ``list_removals``.
         pairs: {joint in the URDF: joint in the MJCF}.
+
+    Returns:
+        A diagnostic of each removed part.
     """
     if not any(removals):
         return []
@@ -222,18 +229,18 @@ def remove_parts(
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """Matched URDF and MJCF.
+    """Matched URDF and MJCF of a robot: robot of both files, names, and removed differences.
 
     Attributes:
         robot: Robot of both files, with the joint names of the MJCF.
         urdf_joint: {joint: name in the URDF}.
         urdf_link: {base or joint: link of the URDF that moves with it}.
         mjcf_body: {base or joint: body of the MJCF that moves with it}.
-        guessed: {joint in the URDF: joint in the MJCF} of pairs with different names. They were
-            matched by structure, or by names without prefixes and suffixes.
-        only_urdf: Joints that the MJCF lacks, including floating and planar joints. They are fixed
-            at zero for the comparison.
-        only_mjcf: Joints that the URDF lacks, including ball joints. They are fixed at zero for the
+        guessed: {joint in the URDF: joint in the MJCF} of pairs with different names, matched by
+            structure, or by names without prefixes and suffixes.
+        only_urdf: Joints that the MJCF lacks, including floating and planar joints; fixed at zero
+            for the comparison.
+        only_mjcf: Joints that the URDF lacks, including ball joints; fixed at zero for the
             comparison.
         notes: Diagnostics of assumptions and omissions.
         reference: Compiled model of the MJCF with the whole scene. If the URDF lacks joints, it is
@@ -241,7 +248,7 @@ class Match:
         mimics: Mimic joints of the URDF.
         conventions: Original base frame and joint zeros of the URDF, relative to the MJCF. The URDF
             was converted to the base frame and joint zeros of the MJCF.
-        parts: Diagnostics of parts that only one file has. They were removed for the comparison.
+        parts: Diagnostics of parts that only one file has; removed for the comparison.
         unstated: {"damping" or "friction": joints whose URDF has no value, so that the value of the
             MJCF was copied}.
     """
@@ -262,18 +269,15 @@ class Match:
 
     @cached_property
     def urdf_tree(self) -> UrdfTree:
-        """Links and joints of the matched URDF (`Description.urdf` of ``robot``)."""
+        """Links and joints of the matched URDF (``description.urdf`` of the robot)."""
         return UrdfTree.of(self.robot.description.urdf)
 
     def sources(self, urdf: UrdfFile, mjcf: MjcfFile) -> tuple[Sources, Sources]:
-        """Return objects that locate values (file and line) in the matched URDF and MJCF.
+        """Return two objects that find the file and line of values: for the URDF, and for the MJCF.
 
         Args:
             urdf: File of the URDF.
             mjcf: File of the MJCF.
-
-        Returns:
-            Locations in the URDF; locations in the MJCF.
         """
         base = tuple(dict.fromkeys((self.robot.base, self.reference.base)))
         frames = self.robot.description.frames
@@ -306,11 +310,12 @@ def match_models(
     tolerances: Tolerances | None = None,
     strict: bool = False,
 ) -> Match:
-    """Match joints and frames of a URDF and an MJCF by ``names``, by name, and by structure.
+    """Match a URDF and an MJCF of the same robot, and build a robot with equal names from both.
 
-    Massless root links, and a floating joint at the base, are removed from the URDF. Joints that
-    only one file contains are fixed at zero. If the base of the MJCF is fixed, the base of the URDF
-    is fixed as well.
+    Joints and frames are matched by ``names``, by equal names, and by structure. Massless root
+    links, and a floating joint at the base, are removed from the URDF. Joints that only one file
+    contains are fixed at zero. If the base of the MJCF is fixed, the base of the URDF is fixed as
+    well.
 
     Args:
         urdf: The URDF.
@@ -324,9 +329,9 @@ def match_models(
             of the MJCF is used.
 
     Raises:
-        ModelError: If too few joints match, if two names are mapped to one, or if a file cannot be
-            analysed. With ``complete``, also if the URDF lacks joints of the MJCF, and the MJCF has
-            closed loops, or couplings with these joints.
+        ModelError: If too few joints match, if two names are mapped to the same name, or if a file
+            cannot be analysed. With ``complete``, also if the URDF lacks joints of the MJCF, and
+            the MJCF has closed loops, or couplings with these joints.
         UnknownNameError: If ``names`` or ``feet`` contain unknown names.
     """
     root = copy.deepcopy(urdf.root) if complete else without_shapes(urdf.root)
@@ -472,7 +477,7 @@ def _check_mapping(
     urdf: tuple[Sequence[str], etree._Element, Path],
     mjcf: tuple[Sequence[str], mujoco.MjSpec, Path],
 ) -> None:
-    """Raise an error if a requested mapping contains unknown names, or maps two names to one.
+    """Raise an error if a requested mapping has unknown names, or maps two names to the same name.
 
     Args:
         wanted: {name in the URDF: name in the MJCF}.
@@ -480,9 +485,10 @@ def _check_mapping(
         mjcf: Joints, spec and file of the MJCF.
 
     Raises:
-        UnknownNameError: If the URDF has no joint or link with a name. If the MJCF has no joint,
-            site, body or geom with a name. If a joint is mapped to an element other than a joint.
-        ModelError: If two names are mapped to one.
+        UnknownNameError: If the URDF has no joint or link with a name; if the MJCF has no joint,
+            site, body or geom with a name; or if a joint is mapped to an element other than a
+            joint.
+        ModelError: If two names are mapped to the same name.
     """
     (urdf_joints, root, source), (mjcf_joints, spec, target) = urdf, mjcf
     links = UrdfTree(root).links
@@ -544,13 +550,14 @@ def copy_unstated_values(
     unknown: Mapping[str, tuple[str, ...]],
     pairs: Mapping[str, str],
 ) -> dict[str, tuple[str, ...]]:
-    """Copy damping and friction of the MJCF to joints of a URDF without these values, in place.
+    """Copy damping and friction of the MJCF to joints of a URDF that state no value, in place.
+
+    Efforts that the URDF states as unknown are copied as well, but the result does not list them.
 
     Args:
-        root: Root element of the URDF, with the MJCF's joint names.
+        root: Root element of the URDF, with the MJCF's joint names; modified.
         theirs: {name: joint of the MJCF}.
-        unknown: {kind: joints} of values that the URDF states as unknown, see `UrdfFile.unknown`.
-            Unknown efforts are copied as well, but the result does not list them.
+        unknown: {kind: joints} of values that the URDF states as unknown (`UrdfFile.unknown`).
         pairs: {joint in the URDF file: joint in the MJCF}.
 
     Returns:
@@ -586,14 +593,14 @@ def copy_unknown_values(
     unknown: Mapping[str, tuple[str, ...]],
     source: Path,
 ) -> list[Diagnostic]:
-    """Copy values from a URDF to joints of an MJCF whose values are unknown, in place.
+    """Copy values of the URDF to joints of an MJCF that states these values as unknown, in place.
 
     Args:
         root: Root element of the URDF, with the MJCF's joint names.
-        spec: The MJCF.
+        spec: The MJCF; modified.
         models: Compiled models of the MJCF; modified as well.
-        unknown: {kind: joints} of unknown values, see `MjcfFile.unknown`.
-        source: File of the MJCF.
+        unknown: {kind: joints} of unknown values (`MjcfFile.unknown`).
+        source: File of the MJCF, for messages.
 
     Returns:
         Diagnostics of the copied values.
@@ -629,16 +636,17 @@ def copy_unknown_values(
 def delete_ball_joints(
     spec: mujoco.MjSpec, source: Path
 ) -> tuple[list[str], list[str], list[Diagnostic]]:
-    """Delete the ball joints of an MJCF, in place; return the names of all joints by type.
+    """Delete the ball joints of an MJCF, in place, because a URDF cannot contain them.
 
-    A URDF cannot contain ball joints. The bodies on deleted joints are compared in the zero pose.
+    The bodies on deleted joints are compared in the zero pose. If joints are deleted, the keyframes
+    are deleted as well.
 
     Args:
         spec: MJCF; modified.
         source: File of the MJCF, for messages.
 
     Returns:
-        Names of hinges and slides, names of ball joints, and diagnostics of the ball joints.
+        Names of hinges and slides; names of ball joints; diagnostics of the ball joints.
 
     Raises:
         ModelError: If there are ball joints, but neither hinges nor slides.
@@ -673,16 +681,16 @@ def drop_other_objects(
     * if the base is free: static bodies without a plane in the body or a descendant.
 
     Limbs that are children of the world belong to the robot, because MuJoCo merges a fixed base
-    with the world. They are identified by the joint names of the URDF. Mocap bodies without joints
-    are kept, but their mass is set to zero. Cameras and lights with a deleted body as target are
+    with the world. Limbs are identified by the joint names of the URDF. Mocap bodies without joints
+    are kept, but their masses are set to zero. Cameras and lights with a deleted body as target are
     deleted too.
 
     Args:
         spec: Spec to modify.
         source: File, for messages.
         urdf: Root element of the URDF; None if two versions of an MJCF are compared. Without a
-            URDF, no limbs and link names are known. Only the robot is then kept, and with a free
-            base also static bodies with a plane.
+            URDF, no limbs and link names are known: only the robot is kept, and with a free base
+            also static bodies with a plane.
 
     Returns:
         Diagnostics of the deleted bodies.
@@ -744,9 +752,9 @@ def _has_plane(body: mujoco.MjsBody) -> bool:
 def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco.MjsBody]:
     """Return the child bodies of the world that are limbs of the robot.
 
-    MuJoCo's import of a URDF merges a fixed base with the world, so that its limbs are children of
-    the world. A limb has a joint with the name of a URDF joint, with or without prefixes and
-    suffixes.
+    MuJoCo's import of a URDF merges a fixed base with the world: the limbs of the robot are then
+    children of the world. A limb has a joint with the name of a URDF joint, with or without
+    prefixes and suffixes.
 
     Args:
         spec: The MJCF.
@@ -766,7 +774,8 @@ def limbs_on_the_world(spec: mujoco.MjSpec, urdf: etree._Element) -> list[mujoco
 def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
     """Return True if the MJCF has no base body.
 
-    This is the case if a joint of ``joints`` moves a child body of the world.
+    A joint of the robot then moves a child body of the world. MuJoCo's import of a URDF, for
+    example, fuses a fixed base with the world.
 
     Args:
         spec: The MJCF.
@@ -777,7 +786,10 @@ def is_fused(spec: mujoco.MjSpec, joints: Collection[str]) -> bool:
 
 
 def bodies_of(robot: Robot) -> dict[str, str]:
-    """Return {joint or base of the robot: name of the MJCF body that moves with it}."""
+    """Return {joint or base of the robot: name of the MJCF body that moves with it}.
+
+    The key of the base is the name of the base link.
+    """
     model = robot.mj_model
     bodies = {robot.base: robot.mj_base}
     for name in robot.joint_names:
@@ -788,12 +800,12 @@ def bodies_of(robot: Robot) -> dict[str, str]:
 def mjcf_tree(
     spec: mujoco.MjSpec, source: Path, base: str = "", frames: Iterable[str] = ()
 ) -> multibody.MultibodyTree:
-    """Return the multibody tree of an MJCF, in the base frame.
+    """Return the multibody tree of an MJCF, expressed in the base frame.
 
     Args:
         spec: The MJCF. All joints, except a free joint, must be hinges or slides with names.
         source: File, for messages.
-        base: Name of the base.
+        base: Name that the base gets in the tree.
         frames: Bodies and sites that become frames of the tree.
 
     Raises:
@@ -820,9 +832,9 @@ _LOOP_TYPES = (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD)
 def _refuse_loops(spec: mujoco.MjSpec, fixed_joints: Collection[str], source: Path) -> None:
     """Raise an error if fixed joints would block other joints of the MJCF.
 
-    The fixed joints are those that the URDF lacks. For example, a fixed rod would block the ankle
-    that it drives. Refused are all closed loops, and couplings between a fixed joint and another
-    joint.
+    The fixed joints are the joints that the URDF lacks. For example, a fixed rod would block the
+    ankle that the rod drives. All closed loops are refused, and couplings between a fixed joint and
+    another joint.
 
     Raises:
         ModelError: If the MJCF has such an active constraint, and joints are fixed.

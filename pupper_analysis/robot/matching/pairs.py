@@ -2,7 +2,7 @@
 
 Input: joints of a URDF and of an MJCF. Output: ``Pairs``. Requested pairs have priority, then equal
 names, then names that are equal without common prefixes and suffixes. Finally, joints below matched
-parents are matched if their axes are parallel, and each joint is the nearest to the other.
+parents are matched if their axes are parallel, and their distance is small.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pupper_analysis.robot.matching.trees import list_joint_axes_at_zero, urdf_t
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Matched joints.
+    """Matched joints of a URDF and an MJCF.
 
     Attributes:
         pairs: {joint in the URDF: joint in the MJCF}.
@@ -46,7 +46,7 @@ def match_joints(
     joints: tuple[Sequence[str], Sequence[str]],
     wanted: Mapping[str, str],
 ) -> Pairs:
-    """Match the joints of a URDF to those of an MJCF: by request, name, affixes and structure.
+    """Match the joints of a URDF to the joints of an MJCF: by request, name, affixes and structure.
 
     Args:
         root: Root element of the URDF.
@@ -57,8 +57,8 @@ def match_joints(
             names, for example of frames, are ignored.
 
     Raises:
-        ModelError: If no joint is matched. If fewer than half of the joints of the smaller file are
-            matched, unless the user requested all these pairs.
+        ModelError: If no joint is matched. Also if fewer than half of the joints of the smaller
+            file are matched, unless the user requested all these pairs.
     """
     urdf_joints, mjcf_joints = joints
     pairs = {old: new for old, new in wanted.items() if old in urdf_joints and new in mjcf_joints}
@@ -119,8 +119,8 @@ def _list_map_options(urdf_joint: str, candidates: Sequence[str]) -> Diagnostic:
 
 
 _GENERIC_WORDS = {"joint", "jnt", "link"}
-"""Words that are ignored when the joint names of two files are compared. If a name has no other
-words, they are not ignored."""
+"""Words that are ignored when the joint names of two files are compared, unless a name has no other
+words."""
 
 
 def match_without_affixes(
@@ -135,10 +135,10 @@ def match_without_affixes(
     Args:
         mine: Names in the URDF.
         theirs: Names in the MJCF.
-        pairs: {name in the URDF: name in the MJCF} of matched joints.
+        pairs: {name in the URDF: name in the MJCF} of names that are matched already.
 
     Returns:
-        {name in the URDF: name in the MJCF}.
+        {name in the URDF: name in the MJCF} of the new matches.
     """
     urdf_cores = _find_cores([name for name in mine if name not in pairs], mine)
     taken = set(pairs.values())
@@ -147,10 +147,14 @@ def match_without_affixes(
 
 
 def _find_cores(names: Collection[str], every: Sequence[str]) -> dict[tuple[str, ...], str]:
-    """Return {words without common prefix and suffix: name} of the unmatched names of a file.
+    """Return the unmatched names of a file, by their words without common prefix and suffix.
 
-    Names whose remaining words are not unique are omitted. ``names`` contains the unmatched names.
-    ``every`` contains all names of the file; they determine prefix and suffix.
+    Args:
+        names: Unmatched names.
+        every: All names of the file, which determine prefix and suffix.
+
+    Returns:
+        {remaining words: name}. Names whose remaining words are not unique are omitted.
     """
     words = {name: _split_words(name) for name in every}
     affixes = [
@@ -202,23 +206,26 @@ _MIN_AXIS_COSINE = 0.99
 Only joints with parallel axes are matched by position. Chosen, not tuned."""
 
 _MAX_RELATIVE_DISTANCE = 0.25
-"""Maximum distance between two joints that may be matched by position [1]. It is relative to the
-largest distance of a joint from the base. Chosen, not tuned."""
+"""Maximum distance between two joints that may be matched by position, relative to the largest
+distance of a joint from the base [1]. Chosen, not tuned."""
 
 
 def common_frames(
     root: etree._Element, spec: mujoco.MjSpec, names: Mapping[str, str]
 ) -> dict[str, tuple[str, str]]:
-    """Return {name in the MJCF: (link of the URDF, name in the MJCF)} of the frames in both files.
+    """Find the frames that both files contain.
 
-    A frame is a link on a fixed joint in the URDF. In the MJCF, it is a site, or a body without
-    joints. The bodies of a fixed base are excluded, because each file may choose the frame of the
+    A frame is a link on a fixed joint in the URDF, and a site, or a body without joints, in the
+    MJCF. The bodies of a fixed base are excluded, because each file may choose the frame of the
     base freely. With ``fusestatic``, all bodies are excluded, because MuJoCo merges fixed bodies.
 
     Args:
         root: Root element of the URDF.
         spec: The MJCF.
         names: {link in the URDF: name in the MJCF} of frames whose names differ.
+
+    Returns:
+        {name in the MJCF: (link of the URDF, name in the MJCF)}.
     """
     places = {site.name for site in spec.sites if site.name}
     base = _find_base_bodies(spec)
@@ -252,7 +259,7 @@ def _find_base_bodies(spec: mujoco.MjSpec) -> set[str]:
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """Joints matched by structure.
+    """Joints of a URDF and an MJCF that were matched by structure.
 
     Attributes:
         pairs: {joint in the URDF: joint in the MJCF}.
@@ -266,15 +273,14 @@ class Guess:
 def match_by_structure(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
     """Match the unmatched joints of two trees by position and axis below matched parents.
 
-    Without given ``pairs``, the matches are uncertain: if the base frames of the files are rotated
-    relative to each other, each leg may be matched with a wrong leg. If in this case some joints of
-    the smaller file remain unmatched, all matches are returned as candidates (`Guess.choices`)
-    instead of pairs.
+    If ``pairs`` is empty, the matches are uncertain: if the base frames of the files are rotated
+    relative to each other, each leg may be matched with a wrong leg. In this case, all matches are
+    returned as candidates (`Guess.choices`) if a joint of the smaller file remains unmatched.
 
     Args:
         urdf: Tree of the URDF.
         mjcf: Tree of the MJCF.
-        pairs: {joint in the URDF: joint in the MJCF} of matched joints.
+        pairs: {joint in the URDF: joint in the MJCF} of joints that are matched already.
     """
     num_unmatched, num_candidates = (
         len(set(urdf.joints) - set(pairs)),
@@ -293,9 +299,12 @@ def match_by_structure(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[
 def _match_by_position(urdf: MultibodyTree, mjcf: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
     """Match unmatched joints of two trees at zero angles, from the base outwards.
 
-    Two joints match if their parents match, their axes are parallel (`_MIN_AXIS_COSINE`), and their
-    distance is small (`_MAX_RELATIVE_DISTANCE`). The distance must also be less than half of the
-    distance of each of them to any other candidate.
+    Two joints match under four conditions:
+
+    - Their parents match.
+    - Their axes are parallel (`_MIN_AXIS_COSINE`).
+    - Their distance is small (`_MAX_RELATIVE_DISTANCE`).
+    - Their distance is less than half of the distance between one of both and any other candidate.
     """
     unmatched, candidates = set(urdf.joints) - set(pairs), set(mjcf.joints) - set(pairs.values())
     urdf_places, mjcf_places = list_joint_axes_at_zero(urdf), list_joint_axes_at_zero(mjcf)

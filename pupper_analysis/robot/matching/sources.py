@@ -1,8 +1,8 @@
-"""Locations (file and line) of the values of a multibody tree in a URDF or MJCF.
+"""Locations (file and line) of compared values in a URDF or MJCF.
 
-Input: kind of a value and name of the element in a comparison. Output: file and line (`UrdfSources`
-for a URDF, `MjcfSources` for an MJCF). A body of the tree may consist of several links or bodies
-that are fixed to each other. The location is then that of the heaviest.
+Input: kind of a value and name of the element in a comparison. Output: file and line, from
+`UrdfSources` or `MjcfSources`. A body in a comparison may consist of several links or bodies that
+are fixed to each other. The location is then the location of the heaviest.
 """
 
 from __future__ import annotations
@@ -56,17 +56,15 @@ kind "flag", the name of the compared element is the attribute of ``<flag>``."""
 
 @dataclass(frozen=True, eq=False)
 class UrdfSources:
-    """Locations of values in a URDF.
+    """Locations (file and line) of compared values in a URDF.
 
     Attributes:
         file: The file.
         tree: Links and joints of the compared URDF.
         links: {base or joint: link that moves with it}.
-        joints: {joint in the comparison: name in the file}. A joint that is not in this mapping has
-            the same name.
-        frames: {frame in the comparison: link}. A frame that is not in this mapping has the name of
-            its link.
-        base: Names that the base has in the comparison.
+        joints: {joint in the comparison: name in the file}. Other joints have equal names.
+        frames: {frame in the comparison: link}. Other frames have the name of their link.
+        base: Names of the base in the comparison.
     """
 
     file: UrdfFile
@@ -77,12 +75,15 @@ class UrdfSources:
     base: tuple[str, ...]
 
     def place(self, kind: str, element: str) -> Place:
-        """Return the file and line in the URDF of a compared value; without line if unknown.
+        """Return the file and line in the URDF at which a compared value is stated.
 
         Args:
-            kind: Kind of the value, as in a `Difference`.
-            element: Name in the comparison: joint, body (joint that moves the body, or base), frame
-                or other element.
+            kind: Kind of the value, as in a `Difference`, for example ``mass``.
+            element: Name in the comparison: a joint, a frame, or another element. A body has the
+                name of the joint that moves the body, or of the base.
+
+        Returns:
+            The location; without line if unknown.
         """
         child, file = _URDF_CHILD_PATHS.get(kind), self.file
         if kind in _MJCF_SECTIONS or kind in _GLOBAL_OPTIONS or kind == "gravity compensation":
@@ -100,13 +101,13 @@ class UrdfSources:
         return file.place("joint", self.joints.get(element, element), child)
 
     def list_masses(self, mover: str) -> list[tuple[str, float]]:
-        """Return (link, mass [kg]) of the links that move with a joint or with the base.
+        """Return (link, mass [kg]) of the links that move together with a joint or with the base.
 
-        The link that the joint moves is the first. Links that are fixed to it follow, if their mass
-        is not zero.
+        The first entry is the link that the joint moves. Links fixed to this link follow, if their
+        mass is not zero.
 
         Args:
-            mover: Joint that moves the bodies, or the base.
+            mover: Joint that moves the links, or the base.
         """
         first_link = self.links[mover]
         masses = [
@@ -115,7 +116,7 @@ class UrdfSources:
         return [masses[0], *((name, mass) for name, mass in masses[1:] if mass)]
 
     def locate_inertial(self, kind: str, name: str) -> Place:
-        """Return the file and line of the mass, CoM or inertia of a link in the URDF.
+        """Return the file and line in the URDF at which mass, CoM or inertia of a link is stated.
 
         Args:
             kind: ``"mass"``, ``"com"`` or ``"inertia"``.
@@ -126,15 +127,15 @@ class UrdfSources:
 
 @dataclass(frozen=True, eq=False)
 class MjcfSources:
-    """Locations of values in an MJCF.
+    """Locations (file and line) of compared values in an MJCF.
 
     Attributes:
         file: The file.
         model: Compiled model.
         bodies: {base or joint: body that moves with it}.
-        frames: {frame in the comparison: site, body or geom}. A frame that is not in this mapping
-            has the name of its element.
-        base: Names that the base has in the comparison.
+        frames: {frame in the comparison: site, body or geom}. Other frames have the name of their
+            element.
+        base: Names of the base in the comparison.
         renumbered: Whether joints were removed for the comparison. The numbers of elements without
             name then differ from the file.
     """
@@ -147,12 +148,15 @@ class MjcfSources:
     renumbered: bool = False
 
     def place(self, kind: str, element: str) -> Place:
-        """Return the file and line in the MJCF of a compared value; without line if unknown.
+        """Return the file and line in the MJCF at which a compared value is stated.
 
         Args:
-            kind: Kind of the value, as in a `Difference`.
-            element: Name in the comparison: joint, body (joint that moves the body, or base), frame
-                or other element.
+            kind: Kind of the value, as in a `Difference`, for example ``mass``.
+            element: Name in the comparison: a joint, a frame, or another element. A body has the
+                name of the joint that moves the body, or of the base.
+
+        Returns:
+            The location; without line if unknown.
         """
         file, body = self.file, self.bodies.get(element, "")
         if kind in _MJCF_SECTIONS:
@@ -185,9 +189,9 @@ class MjcfSources:
         return _locate_value(file, kind, candidates)
 
     def list_masses(self, mover: str) -> list[tuple[str, float]]:
-        """Return (body, mass [kg]) of the MJCF bodies that move with a joint or with the base.
+        """Return (body, mass [kg]) of the bodies that move together with a joint or with the base.
 
-        The body that the joint moves is the first. Bodies that are fixed to it follow, if their
+        The first entry is the body that the joint moves. Bodies fixed to this body follow, if their
         mass is positive.
 
         Args:
@@ -204,8 +208,8 @@ class MjcfSources:
         """Return the file and line of a body's ``<inertial>`` in the MJCF.
 
         Args:
-            kind: ``"mass"``, ``"com"`` or ``"inertia"``; ignored, since one element states all of
-                them.
+            kind: ``"mass"``, ``"com"`` or ``"inertia"``. Ignored, because ``<inertial>`` states all
+                three.
             name: Name of the body.
         """
         del kind
@@ -226,9 +230,9 @@ def _locate_value(
 ) -> Place:
     """Return the location of the attribute that sets a kind of value in an MJCF.
 
-    Candidates without ``child`` are searched for the attribute. If no candidate has the attribute,
-    the result is the location of the first candidate that exists in the file. If none exists, the
-    result has no line.
+    Elements are searched in order. Candidates without ``child`` are searched for the attribute. If
+    no candidate has the attribute, the result is the first candidate that exists in the file. If no
+    candidate exists, the result has no line.
 
     Args:
         file: The MJCF.

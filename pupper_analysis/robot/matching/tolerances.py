@@ -1,7 +1,7 @@
 """Tolerances for the comparison of two files: one number per kind of value.
 
-`Tolerances` has defaults for files with 5 to 6 digits. ``strict`` and ``fine`` accept only rounding
-errors. ``with_values`` replaces single tolerances.
+The defaults of `Tolerances` are for files with 5 to 6 digits. ``strict`` and ``fine`` accept only
+rounding errors. ``with_values`` replaces single tolerances.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pupper_analysis.base.errors import ConfigurationError
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Tolerances for the comparison of two files, one per kind of value.
+    """Largest accepted differences between two files of a robot, one number per kind of value.
 
     The defaults accept files written with 5 to 6 digits.
 
@@ -66,9 +66,9 @@ class Tolerances:
 
     @staticmethod
     def fine() -> Tolerances:
-        """Return tolerances of 1e-9, except for gravity, which has the default tolerance.
+        """Return tolerances for rounding errors (1e-9), but the default tolerance for gravity.
 
-        Gravity is excepted because a URDF does not specify it.
+        Reason: a URDF does not specify gravity.
         """
         return replace(Tolerances.strict(), gravity=Tolerances().gravity)
 

@@ -1,9 +1,9 @@
-"""Multibody trees of the models of a robot, and normalisation of a URDF for matching.
+"""Multibody trees of a robot's URDF and MJCF, and normalisation of a URDF for matching.
 
-Input: a robot, or the XML of a URDF. Output: `MultibodyTree` objects with equal names for URDF and
-MJCF (`kinematic_trees`), and a URDF that can be matched with an MJCF. Such a URDF has no shapes, no
-massless root links, and no floating or planar joints. If the MJCF has no base body, the URDF has no
-mass of the base.
+Input: a robot, or the XML of a URDF. `kinematic_trees` returns `MultibodyTree` objects with equal
+names for URDF and MJCF. Other functions prepare a URDF for matching with an MJCF: no shapes, no
+massless root links, and no floating or planar joints. If the MJCF has no base body, the mass of the
+base is removed from the URDF.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ from pupper_analysis.robot.robot import Robot
 
 
 def kinematic_trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:
-    """Return the multibody trees of a robot's URDF and MJCF, with equal names.
+    """Return the multibody trees of a robot's URDF and MJCF, with equal names of bodies and joints.
 
-    If the base is free, the trees are expressed in the base frame. If it is fixed, they are
-    expressed in the world frame.
+    The trees are expressed in the base frame if the base is free, and in the world frame if the
+    base is fixed.
 
     Returns:
         Tree of the URDF; tree of the MJCF.
@@ -62,17 +62,21 @@ def kinematic_trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:
 
 
 def with_null_efforts(tree: MultibodyTree, joints: Collection[str]) -> MultibodyTree:
-    """Return a tree with an effort limit of zero at the given joints.
+    """Return a multibody tree in which the effort limit of given joints is zero.
 
-    The force range of these joints in the MJCF is empty, for example "0 0". A compiled model has no
-    limit there: see ``models.efforts.null_efforts``.
+    The MJCF states an empty force range for these joints, for example "0 0", which a compiled model
+    does not contain as a limit (``models.efforts.null_efforts``).
+
+    Args:
+        tree: Tree of the MJCF.
+        joints: Names of the joints; names that the tree lacks are ignored.
     """
     null = {name: replace(tree.joints[name], effort=0.0) for name in joints if name in tree.joints}
     return replace(tree, joints={**tree.joints, **null})
 
 
 def base_pose(robot: Robot) -> pin.SE3:
-    """Return the world pose of a fixed base in the MJCF."""
+    """Return the world pose of the base body in the MJCF, for a robot with a fixed base."""
     data = mujoco.MjData(robot.mj_model)
     mujoco.mj_kinematics(robot.mj_model, data)
     body = robot.mj_model.body(robot.mj_base).id
@@ -89,7 +93,11 @@ def compute_poses_at_zero(tree: multibody.MultibodyTree) -> dict[str, pin.SE3]:
 
 
 def list_joint_axes_at_zero(tree: multibody.MultibodyTree) -> dict[str, tuple[Array, Array]]:
-    """Return {joint: (position (3,) [m], axis (3,))} at zero joint positions, in the base frame."""
+    """Return the joint positions and axes of a tree at zero joint positions, in the base frame.
+
+    Returns:
+        {joint: (position (3,) [m], unit axis (3,))}.
+    """
     poses = compute_poses_at_zero(tree)
     return {
         name: (np.array(poses[name].translation), poses[name].rotation @ joint.axis)
@@ -99,7 +107,7 @@ def list_joint_axes_at_zero(tree: multibody.MultibodyTree) -> dict[str, tuple[Ar
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Compiled MJCF, and element names.
+    """Compiled MJCF of a matched robot, with a name for each body and joint.
 
     Attributes:
         model: Compiled model of the file, which may contain objects other than the robot.
@@ -114,14 +122,17 @@ class Reference:
     base: str
 
     def joints(self) -> list[int]:
-        """Return the MuJoCo ids of the base's free joint, if any, then of the robot's joints."""
+        """Return the MuJoCo ids of the robot's joints.
+
+        The free joint of the base, if any, comes first.
+        """
         base = self.names.body(self.base).id
         free_ids = list_free_joints(self.model)
         base_joints = [joint for joint in free_ids if self.model.jnt_bodyid[joint] == base]
         return [*base_joints, *(self.names.joint(name).id for name in self.joint_names)]
 
     def convention(self) -> MujocoConvention:
-        """Return the indices of the robot's coordinates in ``qpos`` and ``qvel`` of this model.
+        """Return the indices of the robot's coordinates in ``qpos`` and ``qvel`` of ``model``.
 
         The model may contain other bodies with joints, such as objects of a scene. Actuators are
         not indexed: ``actuator_index`` is -1 for each joint.
@@ -143,7 +154,7 @@ class Reference:
     def bodies(self) -> set[int]:
         """Return the ids of all bodies of the robot in the compiled MJCF.
 
-        These are all bodies of each kinematic tree that contains the base or a joint of the robot.
+        The result contains each kinematic tree with the base or a joint of the robot.
         """
         model = self.model
         robot_bodies = {self.names.body(self.base).id}
@@ -165,7 +176,7 @@ def without_shapes(urdf: etree._Element) -> etree._Element:
 def strip_roots(
     root: etree._Element, source: Path, other: multibody.MultibodyTree
 ) -> tuple[etree._Element, list[Diagnostic]]:
-    """Remove massless root links with a single fixed or floating joint.
+    """Return a URDF without massless root links that have a single fixed or floating joint.
 
     If the MJCF has a fixed base, all such links are removed. If it has a free base, a link with a
     floating joint is always removed. The number of other removed links minimises the sum of the
@@ -177,8 +188,7 @@ def strip_roots(
         other: Tree of the MJCF.
 
     Returns:
-        Modified copy, or ``root`` itself if no link is removed, and diagnostics of the removed
-        links.
+        Modified copy, or ``root`` itself if no link is removed; diagnostics of the removed links.
     """
     candidates: list[tuple[etree._Element, list[Diagnostic]]] = [(root, [])]
     while True:
@@ -217,14 +227,17 @@ def strip_roots(
 
 
 def remove_base_mass(root: etree._Element, source: Path) -> list[Diagnostic]:
-    """Remove the inertias of the base and of links fixed to it, in place; report the removed mass.
+    """Remove the inertias of a URDF's base and of links fixed to the base, in place.
 
-    This function is used if the MJCF has no base body, so that its base has no mass. The mass of a
+    Use this function if the MJCF has no base body, and therefore no mass of the base. The mass of a
     fixed base has no effect.
 
     Args:
         root: Root element of the URDF; modified.
         source: File of the URDF, for messages.
+
+    Returns:
+        Diagnostic of the removed mass; empty if the mass is zero.
     """
     tree, masses = UrdfTree(root), {}
     for name in tree.fixed_group(tree.base.name):
@@ -244,6 +257,9 @@ def fix_other_joints(root: etree._Element) -> tuple[list[str], list[str], list[D
 
     Hinges and slides stay movable.
 
+    Args:
+        root: Root element of the URDF; modified.
+
     Returns:
         Names of the hinges and slides; names of the fixed joints; diagnostics of the fixed joints.
     """
@@ -260,10 +276,11 @@ def fix_other_joints(root: etree._Element) -> tuple[list[str], list[str], list[D
 
 
 def links_of(root: etree._Element, robot: Robot) -> dict[str, str]:
-    """Return the base link of a URDF, and the link that each joint of a robot moves.
+    """Return {base or joint of the robot: link that moves with it in the URDF}.
 
-    Returns:
-        {base or joint of the robot: link in the URDF}.
+    Args:
+        root: Root element of the URDF.
+        robot: The robot. Its name of the base is the key of the root link.
     """
     tree = UrdfTree(root)
     links = {name: link for name, link in tree.moved_links.items() if name in robot.joint_names}
@@ -278,7 +295,7 @@ def urdf_tree(
     Args:
         root: Root element; all joints are fixed, hinges or slides.
         source: File, for messages.
-        base: Name of the base.
+        base: Name that the base gets in the tree.
         frames: Links that become frames of the tree.
 
     Raises:
@@ -290,13 +307,18 @@ def urdf_tree(
 
 
 Mimics = Mapping[str, tuple[str, float, float]]
-"""{joint: (leader, multiplier, offset [rad, m])}: q = multiplier q_leader + offset."""
+"""Mimic couplings, {joint: (leader, multiplier, offset [rad, m])}: q = multiplier q_leader +
+offset."""
 
 
 def urdf_mimics(root: Any) -> dict[str, tuple[str, float, float]]:
-    """Return the mimic couplings of a parsed URDF, without those of fixed joints.
+    """Return the mimic couplings of a parsed URDF, without mimic tags of fixed joints.
 
-    The result is {joint: (leader, multiplier, offset [rad, m])}: q = multiplier q_leader + offset.
+    Args:
+        root: Root element of the URDF.
+
+    Returns:
+        {joint: (leader, multiplier, offset [rad, m])}: q = multiplier q_leader + offset.
     """
     mimics = {}
     for name, joint in UrdfTree(root).joints.items():
