@@ -1,8 +1,8 @@
 """Additions to a robot for simulation: floor, options, contacts, spheres, servos, start pose.
 
-Each addition has a reason, and the name and arguments of a method. The method is called on the
-editable MuJoCo spec (`SpecTree`), and on the new MJCF file. The simulated model and the written
-file therefore agree.
+Each addition has a reason, and the name and arguments of a method. This method of the editable
+MuJoCo spec (`SpecTree`) and the same method of the new MJCF file are called. The simulated model
+and the written file therefore agree.
 """
 
 from __future__ import annotations
@@ -18,16 +18,15 @@ STIFF_FRICTION_OPTIONS: Final[Mapping[str, AttributeValue]] = {
     "cone": "elliptic",
     "impratio": 100.0,
 }
-"""Options for contacts without creep: elliptic cone, friction 100 times as stiff as the normal
-direction, as in MuJoCo Menagerie. Feet creep with MuJoCo's defaults (pyramidal cone, impratio 1):
-measured on Go2 on a slope of 17 degrees, 58 mm/s by default and 0.35 mm/s with these options. With
-a pyramidal cone and impratio 10, Go2 oscillates.
-"""
+"""MuJoCo options for contacts without creep: elliptic cone, friction 100 times as stiff as the
+normal direction, as in MuJoCo Menagerie. Feet creep with MuJoCo's defaults (pyramidal cone,
+impratio 1): measured on Go2 on a slope of 17 degrees, 58 mm/s by default and 0.35 mm/s with these
+options. With a pyramidal cone and impratio 10, Go2 oscillates."""
 
 
 @dataclass(frozen=True)
 class Addition:
-    """Addition to a model, applied by a method of `SpecTree` or of a new MJCF file.
+    """Addition to a model for simulation, applied by a method of `SpecTree` or of a new MJCF file.
 
     Attributes:
         verb: Name of the method. The arguments are the fields of the addition except the reason.
@@ -39,10 +38,9 @@ class Addition:
     reason: Diagnostic
 
     def apply_to(self, model: object) -> None:
-        """Call the method of a model that adds this element, such as ``add_floor``.
+        """Apply this addition: call the method ``verb`` of a model, such as ``add_floor``.
 
-        The name of the method is the class attribute ``verb``; the arguments are the fields of the
-        addition except ``reason``.
+        The arguments are the fields of the addition except ``reason``.
 
         Args:
             model: `SpecTree`, or a new MJCF file; modified.
@@ -62,7 +60,7 @@ class Floor(Addition):
 
 @dataclass(frozen=True)
 class Options(Addition):
-    """MuJoCo options.
+    """MuJoCo options that are set in a model.
 
     Attributes:
         values: {attribute of ``<option>``: value}.
@@ -75,7 +73,7 @@ class Options(Addition):
 
 @dataclass(frozen=True)
 class Ball(Addition):
-    """Collision sphere of a contact point: in place of a mesh of a foot, or of a hand.
+    """Collision sphere of a contact point, for a foot with a mesh or for a hand.
 
     Attributes:
         name: Name of the geom.
@@ -109,7 +107,7 @@ class DisabledContacts(Addition):
 
 @dataclass(frozen=True)
 class ContactExclusion(Addition):
-    """Contact exclusion of two bodies.
+    """Exclusion of contacts between two bodies.
 
     Attributes:
         one: First body.
@@ -124,7 +122,7 @@ class ContactExclusion(Addition):
 
 @dataclass(frozen=True)
 class Servo(Addition):
-    """Position servo.
+    """Position servo that is added to a joint, or that replaces its actuator.
 
     Attributes:
         joint: Joint that the servo drives.
@@ -144,7 +142,7 @@ class Servo(Addition):
 
 @dataclass(frozen=True)
 class StartKeyframe(Addition):
-    """Keyframe of the initial pose at rest.
+    """Keyframe of the initial pose, at rest.
 
     Attributes:
         qpos: Configuration (nq,) of MuJoCo's model [m, rad].

@@ -1,7 +1,7 @@
 """Table of the joint and contact parameters: names in URDF, MJCF, Pinocchio and MuJoCo.
 
 Reading, audit, comparison, `sync` and conversion use this table. `docs/explanation/architecture.md`
-shows how to add a row.
+describes how to add a row.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class JointAttribute:
-    """Scalar parameter of a hinge or slide.
+    """Scalar parameter of a hinge or slide, such as damping, with its names in all formats.
 
     Attributes:
-        kind: Name of a difference in this parameter; a term of the catalogue.
+        kind: Name of the parameter, and of a difference in it; a term of the catalogue.
         field: Field of `multibody.TreeJoint`; "" if there is none.
         units: Unit for a hinge, and for a slide.
         tolerance: Field of `Tolerances`.
         relative: Whether the tolerance is relative.
-        felt: Whether the compared forward dynamics depend on the parameter. These dynamics contain
-            neither friction loss nor limits.
+        felt: Whether the forward dynamics that a comparison evaluates depend on the parameter.
+            These dynamics contain neither friction loss nor limits.
         unstated: Default if a file does not specify the parameter.
         urdf: Child element of ``<joint>`` and attribute of this element; None if URDF lacks the
             parameter.
@@ -65,10 +65,10 @@ class JointAttribute:
         return self.units[slides]
 
     def read_compiled_value(self, model: MjModel, joint: int) -> float:
-        """Return the value of this parameter for a joint of a compiled MuJoCo model.
+        """Read the value of this parameter for a joint of a compiled MuJoCo model.
 
-        The parameter must be one of ``COMPILED_ATTRIBUTES``, for example damping. Of a polynomial,
-        the value is the linear coefficient.
+        The parameter must be in ``COMPILED_ATTRIBUTES``, for example damping. If MuJoCo stores a
+        polynomial, the value is the linear coefficient.
 
         Args:
             model: Compiled model.
@@ -88,14 +88,19 @@ class JointAttribute:
 
 
 UNSTATED = 1e9
-"""Threshold of effort [N m, N], velocity [rad/s, m/s] and absolute position limit [rad, m] in a
-file. A value of at least this number counts as unspecified. The ``<limit>`` of a URDF must state
-all as finite numbers. Chosen, not tuned: the strongest motors have 1e4 N m.
-"""
+"""Effort [N m, N] and velocity [rad/s, m/s] in a URDF from which a limit counts as unspecified.
+Reason: the ``<limit>`` of a URDF must state both as finite numbers. Chosen, not tuned: the
+strongest motors have 1e4 N m."""
 
 
 def known_limit(stated: float) -> float:
-    """Return a URDF's effort [N m, N] or velocity limit [rad/s, m/s]; inf from ``UNSTATED`` up."""
+    """Return an effort or velocity limit of a URDF; inf if the value means "unspecified".
+
+    This is the case for a value of ``UNSTATED`` or more.
+
+    Args:
+        stated: Effort [N m, N] or velocity limit [rad/s, m/s] in the URDF.
+    """
     return math.inf if stated >= UNSTATED else stated
 
 
@@ -227,7 +232,7 @@ armature and spring stiffness."""
 
 @dataclass(frozen=True)
 class ElementAttribute:
-    """Parameter of an MJCF that has no counterpart in a URDF or in a tree of joints.
+    """Parameter of an MJCF element, such as a geom, without counterpart in a URDF.
 
     Attributes:
         element: Tag or section: ``geom``, ``pair``, ``option``, ``key``, ``joint``, ``actuator``,
@@ -255,10 +260,10 @@ _GEOM_WORDS: Final = (
     "friction", "condim", *_CONTACT_WORDS, "contype", "conaffinity", "priority", "solmix",
     "adhesion", "surfacevel",
 )  # fmt: skip
-"""Attributes of a geom that are compared."""
+"""Attributes of a geom that a comparison of two models evaluates."""
 
 _PAIR_WORDS: Final = ("friction", "solreffriction", *_CONTACT_WORDS, "adhesion")
-"""Attributes of a contact pair that are compared."""
+"""Attributes of a contact pair that a comparison of two models evaluates."""
 
 _OPTION_WORDS: Final = (
     "timestep", "integrator", "cone", "solver", "jacobian", "impratio", "iterations", "tolerance",
@@ -266,10 +271,10 @@ _OPTION_WORDS: Final = (
     "ccd_tolerance", "sdf_initpoints", "sdf_iterations", "sleep_tolerance", "magnetic", "o_margin",
     "o_solref", "o_solimp", "o_friction", "disableactuator",
 )  # fmt: skip
-"""Attributes of MuJoCo's options that are compared."""
+"""Attributes of MuJoCo's options that a comparison of two models evaluates."""
 
 _KEY_WORDS: Final = ("qpos", "qvel", "act", "ctrl", "mpos", "mquat", "plastic", "time")
-"""Attributes of a keyframe that are compared."""
+"""Attributes of a keyframe that a comparison of two models evaluates."""
 
 _LIMIT_WORDS: Final = ("solreflimit", "solimplimit", "solreffriction", "solimpfriction", "margin")
 """Attributes of a joint or tendon, for limit and friction constraints, that ``diff`` compares."""

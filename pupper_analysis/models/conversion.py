@@ -1,9 +1,9 @@
 """Conversion of models between the engines: MJCF to Pinocchio, URDF to MuJoCo.
 
-Pinocchio's MJCF parser (3.8) ignores masses in default classes, friction loss and force ranges, so
-``pinocchio_from_mujoco`` rebuilds the compiled MuJoCo model joint by joint. By default, MuJoCo's
-URDF importer welds the base to the world and drops the mass of the base. Therefore static bodies
-are kept, and a free joint is added. ``MujocoTree`` is a MuJoCo model whose parameters can be
+Pinocchio's MJCF parser (3.8) ignores masses in default classes, friction loss and force ranges.
+Therefore ``pinocchio_from_mujoco`` rebuilds the compiled MuJoCo model joint by joint. By default,
+MuJoCo's URDF importer welds the base to the world and drops the mass of the base. Therefore static
+bodies are kept, and a free joint is added. ``MujocoTree`` is a MuJoCo model whose parameters can be
 changed in place.
 """
 
@@ -45,16 +45,16 @@ _FREE_JOINT_NAME = "__free__"
 
 
 class MujocoTree:
-    """MuJoCo model of a multibody tree.
+    """MuJoCo model of a multibody tree, whose parameters can be changed without compiling.
 
-    The model is compiled for a structure (names, parents and kinds of joints); all other parameters
+    The model is compiled for a structure (names, parents and types of joints). All other parameters
     are written into the model. Joints and base have the names of the tree; each frame is a site.
-    Gravity, damping and applied forces act; joint limits, friction and contacts do not.
+    Gravity, damping and applied forces act; joint limits, friction and contacts do not act.
 
     Attributes:
         model: MuJoCo model.
-        base: Name of the base body. Another name than the tree's base if the latter is
-            ``world``, a reserved name.
+        base: Name of the base body: the name in the tree, or another name if that is the reserved
+            name ``world``.
     """
 
     def __init__(self, parameters: MultibodyTree) -> None:
@@ -70,20 +70,21 @@ class MujocoTree:
         self.copy_parameters(parameters)
 
     def has_structure_of(self, parameters: MultibodyTree) -> bool:
-        """Return True if a tree has base, bodies, parents, joint types and frames of this model.
+        """Return True if a tree has the structure of this model, as `copy_parameters` requires.
 
-        The base must be free in both, or fixed in both.
-
-        The parameters can then be set without compiling a new model.
+        Compared are the base, bodies, joint parents and types, frames, and whether the base is
+        free.
         """
         return self._structure == _structure_key(parameters)
 
     def copy_parameters(self, parameters: MultibodyTree) -> None:
-        """Copy all parameters of a tree into the model, in place: for example masses and axes.
+        """Copy all parameters of a tree, such as masses and axes, into the model, in place.
 
-        The tree must have the same structure (``has_structure_of``). A body or joint is not copied
-        again if it is the same object as in the last call. Therefore bodies and joints must not be
-        modified between calls.
+        A body or joint is not copied again if it is the same object as in the last call. Therefore
+        bodies and joints must not be modified between calls.
+
+        Args:
+            parameters: Tree with the same structure (``has_structure_of``).
         """
         model, previous = self.model, self._last_parameters
         bodies = _select_changed(parameters.bodies, previous.bodies)
@@ -189,6 +190,11 @@ def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model
     and velocities of at least ``UNSTATED`` become infinite. If a link has a negative mass, the
     inertias are recomputed.
 
+    Args:
+        text: URDF.
+        source: File, for messages.
+        floating: Whether the base is free (a free flyer).
+
     Raises:
         ModelError: If Pinocchio cannot read the URDF.
     """
@@ -239,10 +245,11 @@ For bodies that are fixed to each other, these parameters are added.
 def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
     """Build the Pinocchio model of a compiled MuJoCo model.
 
-    Bodies and sites with a name become frames of type BODY. If several have the same name, only the
-    first becomes a frame. Copied are gravity, joint limits, force limits of the actuators, friction
-    loss, armature and damping (see `acting_gravity`, `joint_armature`, `joint_damping`). Other
-    forces (springs, tendons ...) are not copied.
+    - Bodies and sites with a name become frames of type BODY. If several have the same name, only
+      the first becomes a frame.
+    - Copied are gravity, joint limits, force limits of the actuators, friction loss, armature and
+      damping (see `acting_gravity`, `joint_armature`, `joint_damping`).
+    - Other forces (springs, tendons ...) are not copied.
 
     Args:
         model: Model with free, hinge and slide joints.
@@ -287,7 +294,7 @@ def inertia_of_body(model: mujoco.MjModel, body: int) -> pin.Inertia:
 
 
 def acting_gravity(model: mujoco.MjModel) -> Array:
-    """Return the gravity (3,) [m/s^2] of a model; zero if gravity is disabled."""
+    """Return the gravity (3,) [m/s^2] that acts in a MuJoCo model; zero if it is disabled."""
     is_disabled = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY.value
     return np.zeros(3) if is_disabled else np.array(model.opt.gravity)
 
@@ -295,7 +302,7 @@ def acting_gravity(model: mujoco.MjModel) -> Array:
 def joint_armature(model: mujoco.MjModel) -> Array:
     """Return the armature of each degree of freedom, shape (nv,) [kg m^2, kg].
 
-    The sum of the joint armature and gear^2 times the armature of actuators at this joint.
+    The value is the joint armature, plus gear^2 times the armature of each actuator at this joint.
     """
     return np.array(model.dof_armature) + _sum_actuator_values(model, model.actuator_armature)
 
@@ -303,8 +310,8 @@ def joint_armature(model: mujoco.MjModel) -> Array:
 def joint_damping(model: mujoco.MjModel) -> Array:
     """Return the linear damping of each degree of freedom, shape (nv,) [N m s/rad, N s/m].
 
-    The sum of the joint damping and gear^2 times the damping of actuators at this joint; zero if
-    damping is disabled.
+    The value is the joint damping, plus gear^2 times the damping of each actuator at this joint.
+    Zero if a flag disables damping.
     """
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_DAMPER.value:
         return np.zeros(model.nv)
@@ -370,11 +377,15 @@ def _add_pinocchio_joint(
 
 
 def split_joint_placement(model: mujoco.MjModel, joint: int) -> tuple[pin.SE3, pin.SE3]:
-    """Return the fixed placements before and after the motion of a hinge or slide.
+    """Return the fixed placements before and after the motion of a hinge or slide in MuJoCo.
 
     B is the frame of the moved body. J is the joint frame, fixed to the body, with its origin at
     ``jnt_pos``. B0 is the frame B at the joint position ``qpos0``, as specified by ``body_pos`` and
     ``body_quat``.
+
+    Args:
+        model: MuJoCo model.
+        joint: Id of the joint.
 
     Returns:
         Placement of J in B0 at a joint position of zero; placement of B in J at any joint position.
@@ -396,7 +407,7 @@ def _add_frame(result: pin.Model, name: str, joint: int, placement: pin.SE3) -> 
 
 @dataclass(frozen=True)
 class UrdfImport:
-    """URDF for MuJoCo's own importer; each link keeps the mass in the file.
+    """URDF for MuJoCo's own importer, with settings that keep each link and its mass.
 
     Attributes:
         path: Source file, for messages.
@@ -409,7 +420,7 @@ class UrdfImport:
     assets: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
     def spec(self) -> mujoco.MjSpec:
-        """Import the URDF into a spec.
+        """Import the URDF into a MuJoCo spec.
 
         The compiled model has a body for each link; a root link ``world`` is the world body.
 

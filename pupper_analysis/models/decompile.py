@@ -1,10 +1,11 @@
-"""MuJoCo spec of a compiled model, for users who hold only an ``MjModel``.
+"""MuJoCo spec of a compiled model, for users who have only an ``MjModel``.
 
 `make_spec_of_model` writes bodies, joints, geoms, sites, meshes, actuators, tendons, equalities,
 contact pairs and exclusions, height fields, keyframes and options of the model to a new spec. The
 spec is compiled and compared with the model. An error is raised if an array with an effect on the
-dynamics differs (`_COMPARED_PREFIXES`, `_IGNORED_ARRAYS`). Cameras, lights, materials, textures and
-sensors other than those of an IMU are left out: they have no effect on the dynamics.
+dynamics differs (`_COMPARED_PREFIXES`, `_IGNORED_ARRAYS`). Cameras, lights, materials, textures,
+and sensors other than the sensors of an IMU are left out, because they have no effect on the
+dynamics.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ _UNSUPPORTED_COUNTS: Final = {
     "nplugin": "plugin",
     "nplastic": "springyield",
 }
-"""{field of a MuJoCo model with the number of such elements: name of the element for messages}. A
-model with one of these elements cannot be converted to a spec, and is refused."""
+"""{count of elements in a MuJoCo model: name of the element for messages}. A model with one of
+these elements cannot be converted to a spec, and is refused."""
 
 # Fields of the elements of a spec that are copied from the arrays of a model. A tuple contains the
 # common name of both; a mapping is {field of the spec: array of the model without the prefix}.
@@ -67,9 +68,7 @@ _ACTUATOR_FIELDS: Final = (
     *("forcerange", "actrange", "forcelimited", "actlimited"),
     *("actearly", "cranklength", "group", "armature", "ctrlspec", "delay"),
 )
-"""Fields of an actuator in a spec. Each value is copied from the actuator's row of the model's
-array with the prefix ``actuator_``.
-"""
+"""Fields of an actuator that are copied from the arrays ``actuator_`` with a row per actuator."""
 
 _CONTROL_FIELDS: Final = ("ctrlrange", "ctrllimited")
 """Fields of an actuator that are copied from the arrays ``actuator_`` with a row per control."""
@@ -104,7 +103,7 @@ _IMU_SENSORS: Final = (
     mujoco.mjtSensor.mjSENS_GYRO.value,
     mujoco.mjtSensor.mjSENS_ACCELEROMETER.value,
 )
-"""MuJoCo types of the sensors that are copied from the model to the spec: those of an IMU."""
+"""MuJoCo types of the sensors of an IMU, which are copied from the model to the spec."""
 
 _COMPARED_PREFIXES: Final = (
     *("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_pos", "body_quat"),
@@ -116,10 +115,9 @@ _COMPARED_PREFIXES: Final = (
     *("tendon_", "wrap_", "eq_", "pair_", "exclude_", "key_qpos", "key_ctrl", "key_qvel"),
     *("qpos0", "qpos_spring"),
 )
-"""Prefixes of the names of the compared arrays. The compiled new spec must have the same values as
-the given model. Frames and sizes of geoms are compared by points (`_outline`), because MuJoCo's
-compiler moves the frame of a mesh.
-"""
+"""Prefixes of the names of the arrays in which the compiled new spec must agree with the given
+model. Frames and sizes of geoms are compared by points (`_outline`), because MuJoCo's compiler
+moves the frame of a mesh."""
 
 _IGNORED_ARRAYS: Final = frozenset(
     {
@@ -129,26 +127,26 @@ _IGNORED_ARRAYS: Final = frozenset(
         "tendon_invweight0",
     }
 )
-"""Arrays that are not compared although the name has a prefix of `_COMPARED_PREFIXES`. They are
-groups, materials, colours, widths, user data, plug-in ids, history buffers, and results of MuJoCo's
-compiler such as the inverse weights of tendons.
-"""
+"""Arrays that are not compared, although their names have a prefix of `_COMPARED_PREFIXES`: groups,
+materials, colours, widths, user data, plug-in ids, history buffers, and results of MuJoCo's
+compiler such as the inverse weights of tendons."""
 
 _ARRAY_TOLERANCE: Final = 1e-9
 """Absolute tolerance, in the unit of the array, and relative tolerance of arrays that must be
-reproduced. Chosen: MuJoCo normalises quaternions and axes again, which changes the last digits."""
+reproduced. Reason: MuJoCo normalises quaternions and axes again, which changes the last digits.
+Chosen, not tuned."""
 
 _VERTEX_ATOL: Final = 1e-5
 """Absolute tolerance [m] of the vertices of meshes, which MuJoCo stores with seven digits; numpy's
-relative tolerance, 1e-5, is added. Chosen."""
+relative tolerance, 1e-5, is added. Chosen, not tuned."""
 
 
 def make_spec_of_model(model: mujoco.MjModel, source: str) -> mujoco.MjSpec:
-    """Return a new spec that compiles to a model with the same dynamics as a given model.
+    """Reconstruct a spec that compiles to a model with the same dynamics as a given model.
 
-    Elements without a name get a name such as ``body_3``: bodies, joints, geoms, sites, tendons,
-    actuators, meshes and height fields. Free joints get no name. Geoms get a name only if a contact
-    pair or tendon refers to them. The given model is not modified.
+    These elements without a name get a name such as ``body_3``: bodies, joints, geoms, sites,
+    tendons, actuators, meshes and height fields. Exceptions: free joints, and geoms to which no
+    contact pair and no tendon refers. The given model is not modified.
 
     Args:
         model: Compiled model.
@@ -222,7 +220,7 @@ class _SpecWriter:
         return self.spec
 
     def _set_options(self) -> None:
-        """Copy name and options of the model; switch off automatic changes by the compiler."""
+        """Copy name and options of the model; disable automatic changes by the compiler."""
         spec, model = self.spec, self.model
         names = bytes(model.names)
         spec.modelname = names[: names.index(b"\0")].decode() or "model"
@@ -414,7 +412,7 @@ def _with_polynomial(linear: Array, polynomial: Array, index: int) -> Array:
 def _list_differences(model: mujoco.MjModel, made: mujoco.MjModel) -> Iterator[str]:
     """Yield the compared arrays, geoms and options in which two compiled models differ.
 
-    ``model`` is the original, ``made`` is compiled from the spec that was reconstructed from it.
+    ``model`` is the original. ``made`` is compiled from the reconstructed spec.
     """
     for name in dir(model):
         if not name.startswith(_COMPARED_PREFIXES) or name in _IGNORED_ARRAYS:

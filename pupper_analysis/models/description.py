@@ -21,13 +21,13 @@ from pupper_analysis.models.transmission import MadeServo
 from pupper_analysis.models.urdf_tree import UrdfTree
 
 ModelTree = UrdfTree | SpecTree
-"""Links and joints of a URDF, or bodies and joints of an MJCF. A change of both files is written
-once, and applied to each tree."""
+"""Links and joints of a URDF, or bodies and joints of an MJCF. Both have common methods: a change
+of both files is written once, and applied to each tree."""
 
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """URDF and MJCF of a robot.
+    """URDF and MJCF of a robot, and names in both: the input from which a ``Robot`` is built.
 
     Attributes:
         name: Name of the robot.
@@ -44,17 +44,17 @@ class Description:
             is 0. A contact point without an entry is the centre of a collision sphere.
         nominal: {joint: position [rad, m]} of the nominal stand; missing joints are at zero.
         made_frames: Contact points without a frame in either file.
-        added: Additions to ``mjcf`` for simulation, each with a reason. Files that are written
-            get the same additions.
+        added: Additions to ``mjcf`` for simulation, each with a reason. Files that are written get
+            the same additions.
         made_servos: Servos in ``mjcf`` that the file does not contain, without those of
             ``passive_joints``.
         passive_joints: Joints that no motor drives: the torque limit is zero, and the MJCF has
             actuators at other joints only. Their servos in ``mjcf`` exert no torque.
         efforts: {joint: effort limit} in place of the limits in ``mjcf``: requested limits, and
             limits of motors that were replaced by servos.
-        null_efforts: {joint: empty force range of the MJCF}; a compiled model lacks them.
+        null_efforts: {joint: empty force range of the MJCF}; a compiled model lacks such ranges.
         converted: ``"urdf"`` or ``"mjcf"`` if this model has no file and was generated from the
-            other; "" if both have files.
+            other model; "" if both models have files.
     """
 
     name: str
@@ -76,7 +76,11 @@ class Description:
     converted: str = ""
 
     def with_additions(self, *additions: Addition) -> Description:
-        """Return a copy whose MJCF has further additions, for example a floor or servos."""
+        """Return a copy whose MJCF has further additions, for example a floor or servos.
+
+        Args:
+            additions: Elements to add to the MJCF.
+        """
         spec = self.mjcf.copy()
         apply_additions(additions, SpecTree(spec))
         return replace(self, mjcf=spec, added=(*self.added, *additions))
@@ -92,7 +96,7 @@ class Description:
         return (diagnose("on-balls-for-soles", count=count),) if count else ()
 
     def trees(self) -> tuple[UrdfTree, SpecTree]:
-        """Return the URDF and the MJCF as trees of links: copies that the caller may modify.
+        """Return copies of the URDF and the MJCF as trees of links, which the caller may modify.
 
         Returns:
             URDF; MJCF.

@@ -11,8 +11,7 @@ MuJoCo clamps a torque by all limits of the MJCF in sequence, so the smallest li
 limits of several actuators at a joint are added.
 
 A limit of zero means a motor without torque, and a negative limit is an error (`EffortCode`). If no
-file states a limit for a joint, the limit is unknown. This does not mean that the motor is
-unlimited.
+file states a limit for a joint, the limit is unknown: the motor is not unlimited.
 """
 
 from __future__ import annotations
@@ -45,19 +44,18 @@ _BOUNDED_DYNAMICS = (
     mujoco.mjtDyn.mjDYN_FILTER.value,
     mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
 )
-"""Types of actuator dynamics that do not overshoot. The force does not exceed the force of the
-largest command, if the initial activation is within the range of the commands.
-"""
+"""Actuator dynamics that do not overshoot: the force does not exceed the force of the largest
+command, if the initial activation is within the range of the commands."""
 
 
 MIN_EFFORT = 1e-9
 """Smallest torque limit [N m, N] of a motor. A smaller limit in a file counts as zero; a smaller
-limit as argument is refused. The utilisation torque / limit could overflow. Chosen: the smallest
-geared motors have 1e-4 N m."""
+limit as argument is refused. Reason: the utilisation torque / limit could overflow. Chosen: the
+smallest geared motors have 1e-4 N m."""
 
 
 class EffortCode(StrEnum):
-    """Meaning of the torque limit of a joint."""
+    """Meaning of the torque limit of a joint: stated by a file, zero, negative, or unknown."""
 
     STATED = "stated"
     ZERO = "zero"
@@ -72,14 +70,13 @@ class EffortStatement(Result):
     Attributes:
         file: ``URDF`` or ``MJCF``; ``""`` for a requested limit that replaces the files' limits.
         element: ``joint``, ``actuator`` or ``tendon``.
-        name: Name of the element; of several actuators at a joint all names, separated by commas.
+        name: Name of the element; names of several actuators at a joint are separated by commas.
         attribute: ``effort``, ``actuatorfrcrange``, ``forcerange`` or ``ctrlrange``.
-        stated: Lower and upper end of the range in the file, for an effort with both signs; for
-            several actuators the sum at the joint.
-        factor: Torque at the joint per unit of ``stated``: the gear of an actuator, for a
-            ``ctrlrange`` times the gain; for an actuator at a tendon also times the coefficient of
-            the joint in the tendon; 1 for a joint, for the sum of several actuators, and for an
-            empty range.
+        stated: Lower and upper end of the range in the file; (-effort, effort) for an effort. For
+            several actuators, the sum at the joint.
+        factor: Torque at the joint per unit of ``stated``: the gear of an actuator, times the gain
+            for a ``ctrlrange``, times the coefficient of the joint for an actuator at a tendon. 1
+            for a joint, for the sum of several actuators, and for an empty range.
         lower: Lower end at the joint (N m or N).
         upper: Upper end at the joint (N m or N).
     """
@@ -102,7 +99,7 @@ class EffortStatement(Result):
         stated: Sequence[float],
         factor: float = 1.0,
     ) -> EffortStatement:
-        """Create a statement, and compute the torque range at the joint: ``factor`` x ``stated``.
+        """Create a statement; the torque range at the joint is ``factor`` x ``stated``.
 
         Args:
             file: ``URDF`` or ``MJCF``; ``""`` for a requested limit.
@@ -120,7 +117,9 @@ class EffortStatement(Result):
     def empty(
         file: str, element: str, name: str, attribute: str, stated: Sequence[float]
     ) -> EffortStatement:
-        """Create the statement of an empty range (equal ends, or inverted): no torque at the joint.
+        """Create the statement of an empty range, which permits no torque at the joint.
+
+        A range is empty if its ends are equal, or the lower end is above the upper end.
 
         Args:
             file: ``URDF`` or ``MJCF``.
@@ -133,7 +132,7 @@ class EffortStatement(Result):
         return EffortStatement(file, element, name, attribute, (low, high), 1.0, 0.0, 0.0)
 
     def scaled(self, factor: float) -> EffortStatement:
-        """Return the statement with the torques at the joint multiplied by a gear or lever arm."""
+        """Return a copy whose torques at the joint are multiplied by a gear or lever arm."""
         lower, upper = sorted((factor * self.lower + 0.0, factor * self.upper + 0.0))  # no -0.0
         return replace(self, factor=factor * self.factor, lower=lower, upper=upper)
 
@@ -153,7 +152,7 @@ class EffortStatement(Result):
 
 @dataclass(frozen=True)
 class EffortLimit(Result):
-    """Torque limit of a joint.
+    """Torque limit of a joint, resolved from all statements of the URDF and the MJCF.
 
     Attributes:
         joint: Name of the joint.
@@ -177,7 +176,7 @@ class EffortLimit(Result):
 
     @property
     def code(self) -> EffortCode:
-        """Status of this torque limit (stated, zero, negative or unknown).
+        """Meaning of this torque limit.
 
         - ``UNKNOWN``: no file states a limit.
         - ``STATED``: the limit permits a torque in at least one direction.
@@ -193,17 +192,17 @@ class EffortLimit(Result):
 
     @property
     def without_torque(self) -> bool:
-        """Whether the limit is zero or negative, so that the motor gives no torque."""
+        """Whether the limit is zero or negative, so that the motor exerts no torque."""
         return self.code in (EffortCode.ZERO, EffortCode.NEGATIVE)
 
     def without_file(self, file: str) -> EffortLimit:
-        """Return the limit without the statements of a file, if its range stays the same.
+        """Return the limit without the statements of a generated file, if the range stays the same.
 
-        If the range would change, the limit is returned unchanged. The function is for a file that
-        was generated from the user's file. Reports then cite only the user's file.
+        If the range would change, the limit is returned unchanged. Use this method if a file was
+        generated from the user's file: reports then cite only the user's file.
 
         Args:
-            file: ``URDF`` or ``MJCF``.
+            file: Type of the generated file, ``URDF`` or ``MJCF``.
         """
         others = tuple(statement for statement in self.stated if statement.file != file)
         origin = min(others, key=lambda statement: statement.symmetric_torque, default=None)
@@ -215,7 +214,7 @@ class EffortLimit(Result):
 
     @property
     def positive_statement(self) -> EffortStatement | None:
-        """Statement of the smallest limit that permits torque in both directions; None without."""
+        """Statement of the smallest limit with torque in both directions; None if there is none."""
         positive = [statement for statement in self.stated if statement.symmetric_torque > 0]
         return min(positive, key=lambda statement: statement.symmetric_torque, default=None)
 
@@ -223,7 +222,8 @@ class EffortLimit(Result):
     def symmetric_torque(self) -> float:
         """Largest torque that the limit permits in both directions [N m, N]; infinite if unknown.
 
-        min(-lower, upper), or 0 if the range does not contain both signs, or below `MIN_EFFORT`.
+        The value is min(-lower, upper). It is 0 if the range does not contain both signs, or if the
+        value is below `MIN_EFFORT`.
         """
         torque = min(-self.lower, self.upper)
         return torque if torque >= MIN_EFFORT else 0.0
@@ -242,9 +242,9 @@ def resolve_effort_limit(
 
     Args:
         model: MuJoCo model of the MJCF.
-        joint: Joint id of a hinge or slide.
+        joint: Id of a hinge or slide.
         effort: Effort of the URDF's joint [N m; N for a slide]; None or at least ``UNSTATED`` if
-            the URDF states none.
+            the URDF states no effort.
         name: Name of the joint in the URDF. Default: as in the MJCF.
         drives: Ids of the actuators of the joint. Default: determined from the model.
         empty_range: Empty force range of the joint in the MJCF, found by ``null_efforts``. The
@@ -310,11 +310,11 @@ def _read_tendon_efforts(model: mujoco.MjModel, joint: int) -> list[EffortStatem
 
 
 def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
-    """Return the force limits of an actuator at a tendon: of the actuator, and of the tendon.
+    """Return the force limits of an actuator at a tendon, before the gear [N or N m].
 
-    The ranges are for the force of the actuator [N or N m] before the gear. The tendon's
-    ``actuatorfrcrange`` limits the sum of the forces of all its actuators. Therefore this range is
-    omitted if the tendon has several actuators.
+    The limits are the force range of the actuator, and the ``actuatorfrcrange`` of the tendon. The
+    latter limits the sum of the forces of all actuators at the tendon, and is omitted if the tendon
+    has several actuators.
     """
     found = _read_actuator_forces(model, actuator)
     tendon = int(model.actuator_trnid[actuator, 0])
@@ -327,7 +327,7 @@ def read_tendon_forces(model: mujoco.MjModel, actuator: int) -> list[EffortState
 
 
 def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
-    """Return the joints of an MJCF whose force range is empty: with equal ends, or inverted.
+    """Find the joints of an MJCF whose force range is empty: with equal ends, or inverted.
 
     MuJoCo ignores an empty range without a message, so the compiled model has no limit for the
     joint. The range is the ``actuatorfrcrange`` of the joint, the ``forcerange`` of all its
@@ -398,9 +398,13 @@ def _is_empty(
 
 
 def read_joint_effort(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
-    """Return the torque limit that ``actuatorfrcrange`` of a joint states.
+    """Return the torque limit that ``actuatorfrcrange`` of a joint states, as a list.
 
     The list is empty without limit, or if the upper end is at least ``UNSTATED``.
+
+    Args:
+        model: MuJoCo model.
+        joint: Id of the joint.
     """
     unknown = (
         model.jnt_actfrcrange[joint, 1] >= UNSTATED
@@ -419,16 +423,21 @@ def find_max_effort(model: mujoco.MjModel, joint: int) -> float:
         joint: Id of the joint.
 
     Returns:
-        The larger magnitude of both directions; infinite without a limit.
+        Larger magnitude of the limits in both directions; infinite without a limit.
     """
     limit = resolve_effort_limit(model, joint)
     return max(abs(limit.lower), abs(limit.upper))
 
 
 def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
-    """Return the torque limits that attributes of an actuator state, at its output [N m, N].
+    """Return the torque limits at the joint [N m, N] that attributes of an actuator state.
 
-    The limits follow from ``forcerange``, and for a torque motor also from ``ctrlrange``.
+    The attributes are ``forcerange``, and for a torque motor also ``ctrlrange``; both are
+    multiplied by the gear.
+
+    Args:
+        model: MuJoCo model.
+        actuator: Id of the actuator.
     """
     gear = float(actuator_gear(model, actuator)[0])
     return [limit.scaled(gear) for limit in _read_actuator_forces(model, actuator)]
@@ -460,33 +469,31 @@ def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 
 
 MAX_TORQUE_PER_LINK_MASS = 250.0
-"""Torque limit of a joint, divided by the mass of its two links [N m/kg]. A round effort above this
-value counts as a placeholder. Chosen above the values of robots in use. The best geared motors have
-150 N m per kg of motor. None of 1500 joints with the motor in one of the two links is above 117.
-(The motor of a tendon may be in another link.)
-"""
+"""Torque limit of a joint, divided by the mass of its two links [N m/kg], above which a round
+effort counts as a placeholder. Chosen above the values of robots in use. The best geared motors
+have 150 N m per kg of motor. None of 1500 joints with the motor in one of the two links is above
+117. (The motor of a tendon may be in another link.)"""
 
 MAX_TORQUE_PER_ROBOT_MASS = 90.0
-"""Sum of torques per mass of the robot [N m/kg] above which all these efforts count as
-placeholders: 150 per kg of motor, with motors of at most six tenths of the mass. Robots in use have
-2 to 55."""
+"""Sum of torque limits per mass of the robot [N m/kg] above which all these limits count as
+placeholders. Chosen: 150 N m per kg of motor, with motors of at most six tenths of the mass, give
+90. Robots in use have 2 to 55."""
 
 MAX_ROTOR_ACCELERATION = 1e5
-"""Acceleration of a rotor without load, effort / armature [rad/s^2]. An effort with a larger
-acceleration counts as a placeholder. The value means 100 rad/s within 1 ms. Chosen above the values
-of robots in use, 350 to 25,000.
-"""
+"""Acceleration of a rotor without load, effort / armature [rad/s^2], above which the effort counts
+as a placeholder. The value means 100 rad/s within 1 ms. Chosen above the values of robots in use,
+350 to 25,000."""
 
 
 @dataclass(frozen=True)
 class JointEffort:
-    """Effort of a joint with bounding quantities.
+    """Effort of a hinge, with the mass and armature to which the effort is compared.
 
     Attributes:
         joint: Name of a hinge.
         effort: Stated torque limit [N m].
-        mass: Mass [kg] of the two links that the joint connects, with links fixed to them; one
-            contains the motor.
+        mass: Mass [kg] of the two links that the joint connects, with links fixed to them. One of
+            the two contains the motor.
         armature: Rotor inertia at the joint [kg m^2]; 0 if not stated.
     """
 
@@ -499,15 +506,15 @@ class JointEffort:
 def placeholder_efforts(
     motors: Sequence[JointEffort], total: float
 ) -> Iterator[tuple[tuple[str, ...], Diagnostic]]:
-    """Yield the torque limits (efforts) that no motor can have, and that are thus placeholders.
+    """Yield the torque limits (efforts) that no motor can have: they are placeholders.
 
     An effort is a placeholder in three cases:
 
-    - It is round (1, 2 or 5 times 10^n, at least 100), and above `MAX_TORQUE_PER_LINK_MASS` times
-      the mass of the joint's two links. This mass must be more than 0.001 of the robot's mass.
-    - It is above `MAX_ROTOR_ACCELERATION` times the armature.
-    - The sum of the remaining efforts is above `MAX_TORQUE_PER_ROBOT_MASS` times the robot's mass.
-      All remaining efforts are then placeholders.
+    1. It is round (1, 2 or 5 times 10^n, at least 100), and above `MAX_TORQUE_PER_LINK_MASS` times
+       the mass of the joint's two links. This mass must be more than 0.001 of the robot's mass.
+    2. It is above `MAX_ROTOR_ACCELERATION` times the armature.
+    3. The sum of the remaining efforts is above `MAX_TORQUE_PER_ROBOT_MASS` times the robot's mass.
+       All remaining efforts are then placeholders.
 
     Args:
         motors: All hinges with a torque limit.

@@ -37,7 +37,7 @@ files must be less than 1024 bytes in size"."""
 
 @dataclass(frozen=True)
 class GitEntry:
-    """File in a tree or in the index of git.
+    """File in a commit tree or in the index of git.
 
     Attributes:
         mode: File mode, octal.
@@ -51,9 +51,12 @@ class GitEntry:
 
 
 def pointed_file(blob: bytes) -> str | None:
-    """Return the SHA-256 of the file that a Git LFS pointer represents.
+    """Return the SHA-256 hash of the file that a Git LFS pointer represents.
 
     None for other contents, and for a pointer without SHA-256.
+
+    Args:
+        blob: Bytes of the file.
     """
     if not blob.startswith(LFS_POINTER) or len(blob) >= _MAX_POINTER_BYTES:
         return None
@@ -64,7 +67,7 @@ def pointed_file(blob: bytes) -> str | None:
 
 
 def git_entries(output: bytes | None) -> list[GitEntry] | None:
-    """Parse the output of ``ls-tree -z`` or ``ls-files --stage -z``; None if the output is None."""
+    """Parse the output of ``git ls-tree -z`` or ``git ls-files --stage -z``; None for None."""
     if output is None:
         return None
     entries = []
@@ -94,9 +97,9 @@ def run_git(command: list[str], folder: Path | None = None) -> subprocess.Comple
 
 
 def refuse_uncommitted(path: Path) -> None:
-    """Refuse a file of a git repository with uncommitted changes.
+    """Raise an error if a file of a git repository has uncommitted changes.
 
-    Accepted are untracked files, and files that differ from the commit only in line ends. Every
+    Untracked files are accepted, and files that differ from the commit only in line ends. Every
     file is accepted if git is not installed, or cannot list the files (for example of another
     owner).
 

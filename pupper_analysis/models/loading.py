@@ -28,7 +28,7 @@ from pupper_analysis.models.xml import parse_file_text, parse_xml
 
 @dataclass(frozen=True)
 class CheckFinding:
-    """Finding of a check of a file.
+    """Finding of a check of a file: the element at fault, and the message.
 
     Attributes:
         kind: Tag of the element at fault.
@@ -36,7 +36,7 @@ class CheckFinding:
         message: Description of the problem.
         child: Path below the element, for the line number.
         place: Location, if the element cannot be found by name.
-        severity: Severity, if different from that of the rule; None for that of the rule.
+        severity: Severity, if it differs from the severity of the rule; otherwise None.
     """
 
     kind: str
@@ -48,7 +48,8 @@ class CheckFinding:
 
 
 Check = Callable[[Any], Iterator[CheckFinding]]
-"""Audit check of a ``RobotModel``, or of the subclass of a specific format."""
+"""Check of the audit: a function of a ``RobotModel``, or of the subclass of a specific format, that
+yields findings."""
 
 
 class ModelFile(Protocol):
@@ -69,7 +70,7 @@ class ModelFile(Protocol):
 
 
 class FormatReader(Protocol):
-    """Interface of the module ``reader`` of a format."""
+    """Interface of the module ``reader`` of a further file format (other than URDF and MJCF)."""
 
     CHECKS: Mapping[str, Check]
     """{audit rule, of the format or of this package: additional check}."""
@@ -102,7 +103,9 @@ class FormatReader(Protocol):
 
 
 def reader_of(path: str | Path | ModelObject) -> FormatReader | None:
-    """Return the reader for a file by suffix; None for URDF, MJCF, unknown suffixes and objects.
+    """Return the reader for a file of another format than URDF and MJCF, selected by suffix.
+
+    None for URDF, MJCF, files with an unknown suffix, and robots in memory.
 
     Raises:
         ConfigurationError: If ``path`` is neither a path, a text nor a robot in memory.
@@ -123,7 +126,7 @@ def read_model(
     packages: Mapping[str, Path] | None = None,
     xacro_args: Mapping[str, str] | None = None,
 ) -> UrdfFile | MjcfFile:
-    """Read a URDF or an MJCF; the root element determines the format.
+    """Read a URDF or an MJCF from a file or from memory; the root element determines the format.
 
     A xacro file is expanded if the package xacro is installed; the elements have no line numbers.
     An MJCF that MuJoCo parses but does not compile is also returned, with the error in ``refusal``.
@@ -168,7 +171,7 @@ def read_model(
 def read_as_urdf(
     model: str | Path | ModelObject, packages: Mapping[str, Path] | None = None
 ) -> UrdfFile:
-    """Read a URDF, a file that is converted to a URDF, or a robot in memory that is a URDF.
+    """Read a robot as a URDF: a URDF, a file that is converted to a URDF, or a URDF in memory.
 
     Args:
         model: Path, name of a published robot, or robot in memory. The suffix of the path selects
@@ -197,7 +200,7 @@ def read_as_urdf(
 def read_as_mjcf(
     model: str | Path | ModelObject, packages: Mapping[str, Path] | None = None
 ) -> MjcfFile:
-    """Read an MJCF, a file that is converted to an MJCF, or a robot in memory that is an MJCF.
+    """Read a robot as an MJCF: an MJCF, a file that is converted to an MJCF, or an MJCF in memory.
 
     Args:
         model: Path, name of a published robot, or robot in memory. The suffix of the path selects
@@ -225,11 +228,12 @@ def read_as_mjcf(
 
 
 def kind_of(path: Path) -> str | None:
-    """Return ``"urdf"`` or ``"mjcf"`` for a file that describes a robot; None for other files.
+    """Return the format of a file that describes a robot, ``"urdf"`` or ``"mjcf"``; None otherwise.
 
-    A file with the suffix ``.urdf`` is not opened. Another URDF must have a link, and must not use
-    xacro except for declarations. An MJCF must have a body of its own: a scene, which only includes
-    the robot, does not count.
+    - A file with the suffix ``.urdf`` is a URDF; it is not opened.
+    - Another URDF must have a link, and must not use xacro except for declarations.
+    - An MJCF must have a body in the file itself. A scene, which only includes the robot, does not
+      count.
     """
     if path.suffix.lower() == ".urdf":
         return "urdf"

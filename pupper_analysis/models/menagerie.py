@@ -1,6 +1,6 @@
 """Robots of MuJoCo Menagerie by name: ``unitree_go2/go2.xml``, ``mujoco_menagerie/unitree_go2``.
 
-The files come from a clone (``MENAGERIE_ROOT``, or a folder ``mujoco_menagerie`` in the current
+The files are read from a clone (``MENAGERIE_ROOT``, or a folder ``mujoco_menagerie`` in the current
 folder or above), or from the cache of the package ``mujoco-menagerie``. Nothing is downloaded.
 """
 
@@ -16,23 +16,25 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
 
 MENAGERIE_FOLDER: Final = "mujoco_menagerie"
-"""Name of a clone, and prefix of names, as in ``mujoco_menagerie/unitree_go2``."""
+"""Name of the folder of a clone, and prefix of robot names, as in
+``mujoco_menagerie/unitree_go2``."""
 
 _ROBOT_NAME_PATTERN: Final = re.compile(r"[a-z0-9_]+")
 """Pattern of the name of a robot of MuJoCo Menagerie, such as ``unitree_go2``."""
 
 _MAX_NAME_LENGTH: Final = 200
-"""Largest number of characters of a name of a robot of MuJoCo Menagerie, including folder and file.
-A longer text is not searched as such a name. Chosen, not tuned: file systems permit 255 per name.
-"""
+"""Largest number of characters of a robot name of MuJoCo Menagerie, including folder and file. A
+longer text is no such name. Chosen, not tuned: file systems permit 255 per name."""
 
 
 def is_menagerie_name(word: str) -> bool:
-    """Return True if a text names a robot of MuJoCo Menagerie, and no existing path.
+    """Return True if a text names a robot of MuJoCo Menagerie, and is no existing path.
 
-    With the prefix ``mujoco_menagerie/``, any text of the form ``ROBOT`` or ``ROBOT/FILE.xml`` is a
-    name. Without this prefix, the installed package must list the robot, or a clone must contain
-    it. The robot's name must then contain an underscore. The suffix of the file is not checked.
+    - With the prefix ``mujoco_menagerie/``: any text ``ROBOT`` or ``ROBOT/FILE.xml`` is a name.
+    - Without this prefix: the robot's name must contain an underscore, and the installed package
+      must list the robot, or a clone must contain the robot.
+
+    The suffix of the file is not checked.
     """
     parts = Path(word).parts
     if not 1 <= len(parts) <= 3 or len(word) > _MAX_NAME_LENGTH or _exists(word):
@@ -55,11 +57,12 @@ def _exists(word: str) -> bool:
 def find_menagerie_file(word: str) -> Path:
     """Return the MJCF of a robot of MuJoCo Menagerie, such as ``unitree_go2/go2.xml``.
 
-    `is_menagerie_name` states the valid forms of ``word``.
+    Without a file name in ``word``, the result is the package's default model, without the scene.
+    If no installed package lists the robot, the result is the file with the longest stem with which
+    the robot's name ends.
 
-    If ``word`` contains no file name, the result is the package's default model, without the scene.
-    If no installed package lists the robot, it is the file with the longest stem with which the
-    robot's name ends.
+    Args:
+        word: Name; `is_menagerie_name` states the valid forms.
 
     Raises:
         ModelError: If the package is not installed and there is no clone, if the robot is not
@@ -125,7 +128,10 @@ def _find_clone() -> Path | None:
 
 
 def list_menagerie_robots() -> tuple[str, ...]:
-    """Return the names of the robots that the package lists and that the clone contains, sorted."""
+    """Return the names of the robots of MuJoCo Menagerie in the installed package and in a clone.
+
+    The names are sorted.
+    """
     package, clone = _import_package(), _find_clone()
     names = set(package.names()) if package is not None else set()
     if clone is not None and clone.is_dir():

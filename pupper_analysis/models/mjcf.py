@@ -1,4 +1,4 @@
-"""Reading and writing of MJCFs as ``mujoco.MjSpec``, and checks of compiled models.
+"""Basic functions for MJCFs (``mujoco.MjSpec``) and compiled MuJoCo models.
 
 Contents: joint types, parsing and compiling of specs, checks of the numbers of a model, names of
 equalities and elements, suppression of MuJoCo's warnings, lossless conversion of specs to XML and
@@ -62,13 +62,14 @@ GEOM_CONTACT_WORDS: Final = (
     *("margin", "gap", "adhesion", "group"),
 )
 """Attributes that are copied from one geom to another: contact parameters, and ``group``, which
-controls the visibility. ``surfacevel`` is not copied, because its axes are those of the geom."""
+controls the visibility. ``surfacevel`` is not copied, because it is expressed in the axes of its
+geom."""
 
 
 def add_plane(body: mujoco.MjsBody, name: str, bits: int = 1) -> mujoco.MjsGeom:
-    """Add a plane at z = 0 with MuJoCo's default contact parameters.
+    """Add a plane at z = 0 with MuJoCo's default contact parameters to a body.
 
-    The defaults of the MJCF are not used, because these defaults are intended for the robot.
+    The defaults of the MJCF are not used, because they are intended for the robot.
 
     Args:
         body: World, or a body that is fixed to the world.
@@ -83,7 +84,10 @@ def add_plane(body: mujoco.MjsBody, name: str, bits: int = 1) -> mujoco.MjsGeom:
 
 
 def make_start_data(model: mujoco.MjModel) -> mujoco.MjData:
-    """Return MuJoCo data at the first keyframe, or at qpos0 without keyframes, with kinematics."""
+    """Return MuJoCo data at the start pose, with kinematics and CoM positions.
+
+    The start pose is the first keyframe, or qpos0 without keyframes.
+    """
     data = mujoco.MjData(model)
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -100,7 +104,7 @@ cm in one step, although contacts oscillate within 10 ms.
 
 
 def parse_spec(path: Path) -> mujoco.MjSpec:
-    """Parse an MJCF with any suffix; MuJoCo itself only reads files ``*.xml``.
+    """Parse an MJCF with any suffix; MuJoCo itself reads only files ``*.xml``.
 
     Raises:
         ValueError: If MuJoCo rejects the file.
@@ -128,7 +132,11 @@ _INCLUDE_ELEMENT = re.compile(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)')
 
 
 def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
-    """Compile a spec.
+    """Compile a spec, and check the numbers of the model.
+
+    Args:
+        spec: Spec.
+        source: File, for messages.
 
     Raises:
         ModelError: If MuJoCo rejects the spec (the message is MuJoCo's), or if the model contains
@@ -161,15 +169,15 @@ _NAN_FREE_FIELDS = (
     *(f"actuator_{what}" for what in ("gear", "gainprm", "biasprm", "armature", "damping")),
     *(f"tendon_{what}" for what in ("stiffness", "damping", "armature", "frictionloss")),
 )
-"""Fields of ``mjModel``, such as ranges and gains, in which infinity is valid. A model with NaN in
-one of these is refused."""
+"""Fields of ``mjModel``, such as ranges and gains, in which infinity is valid, but NaN is not. A
+model with NaN in such a field is refused."""
 
 _ELEMENT_NAMES = {"jnt": "joint", "dof": "joint"}
 """{prefix of a model's array: tag of the element}, if both differ."""
 
 
 def find_invalid_number(model: mujoco.MjModel) -> Diagnostic | None:
-    """Return a diagnostic of the first invalid number of a model; None if all are valid.
+    """Return a diagnostic of the first invalid number of a compiled model; None if all are valid.
 
     MuJoCo compiles models with NaN, with too large numbers, and with zero axes or quaternions.
     """
@@ -207,7 +215,14 @@ def find_invalid_number(model: mujoco.MjModel) -> Diagnostic | None:
 
 
 def equality_ends(model: mujoco.MjModel, index: int) -> list[tuple[mujoco.mjtObj, int]]:
-    """Return (type, id) of both objects of an equality constraint; id -1 if there is no second."""
+    """Return the two objects that an equality constraint connects, as (object type, id).
+
+    The second id is -1 if there is no second object.
+
+    Args:
+        model: MuJoCo model.
+        index: Id of the equality constraint.
+    """
     # eq_objtype is only valid for constraints of bodies or sites.
     object_type = _EQUALITY_OBJECTS.get(int(model.eq_type[index])) or mujoco.mjtObj(
         int(model.eq_objtype[index])
@@ -226,7 +241,10 @@ _EQUALITY_OBJECTS = {
 
 
 def equality_name(model: mujoco.MjModel, index: int) -> str:
-    """Return the name of an equality, or the number and objects: ``#3 (rod = heel)``."""
+    """Return the name of an equality constraint, for messages.
+
+    Without a name, the result contains number and objects: ``#3 (rod = heel)``.
+    """
     objects = [
         str(mujoco.mj_id2name(model, object_type.value, object_id) or f"#{object_id}")
         for object_type, object_id in equality_ends(model, index)
@@ -290,9 +308,9 @@ _WARNING_SUPPRESSOR = _WarningSuppressor()
 
 @contextmanager
 def silence_mujoco() -> Iterator[None]:
-    """Suppress MuJoCo's warnings, the file MUJOCO_LOG.TXT, and Python warnings, in the block.
+    """Context manager: suppress MuJoCo's warnings, the file MUJOCO_LOG.TXT, and Python warnings.
 
-    This applies to all threads of the process.
+    The suppression applies to all threads of the process.
     """
     _WARNING_SUPPRESSOR.begin()
     try:
@@ -302,7 +320,7 @@ def silence_mujoco() -> Iterator[None]:
 
 
 def name_elements(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
-    """Name the bodies and joints without a name, except free joints, in place.
+    """Give names to the bodies and joints without a name, except free joints, in place.
 
     Args:
         spec: The spec.
@@ -337,16 +355,17 @@ def to_xml(spec: mujoco.MjSpec) -> str:
 
 
 def spec_to_data(spec: mujoco.MjSpec) -> dict[str, Any]:
-    """Return a spec as picklable data for `spec_from_data`.
+    """Convert a spec to picklable data, from which `spec_from_data` restores the spec.
 
-    The keys are ``xml`` (text), ``folder`` (of the model's files) and ``assets`` ({name: content}).
+    Returns:
+        ``xml`` (text), ``folder`` (of the model's files) and ``assets`` ({name: content}).
     """
     assets = {**_read_assets(spec), **spec.assets}
     return {"xml": to_xml(spec), "folder": spec.modelfiledir, "assets": assets}
 
 
 def spec_from_data(state: dict[str, Any]) -> mujoco.MjSpec:
-    """Return the spec of data from ``spec_to_data``; no files are read."""
+    """Restore a spec from the data of ``spec_to_data``; no files are read."""
     with silence_mujoco():
         spec = mujoco.MjSpec.from_string(state["xml"], assets=state["assets"])
     spec.modelfiledir = state["folder"]
@@ -372,10 +391,10 @@ def _read_assets(spec: mujoco.MjSpec) -> dict[str, bytes]:
 
 
 def embed_meshes(spec: mujoco.MjSpec) -> None:
-    """Read the mesh files of a spec into its assets, in place, if the spec has assets.
+    """Read the mesh files of a spec into its assets, in place; no effect on a spec without assets.
 
-    If a spec with assets is attached to another spec, MuJoCo adds a prefix to the names of all its
-    mesh files. MuJoCo would then not find the files that are not among the assets.
+    Reason: if a spec with assets is attached to another spec, MuJoCo adds a prefix to the names of
+    all its mesh files, and does not find files that are not among the assets.
     """
     if not spec.assets:
         return

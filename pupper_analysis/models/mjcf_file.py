@@ -1,8 +1,8 @@
-"""Reading of MJCF files: compiled model, and location of each element with includes expanded.
+"""Reading of MJCF files: compiled model, and location (file and line) of each element.
 
 Includes are expanded, and attached models are read. Meshes and textures with missing files are
-removed, with the geoms that use these meshes. Flat meshes, which MuJoCo rejects as solids, become
-shells.
+removed, with the geoms that use these meshes. MuJoCo rejects flat meshes as solids; the reader
+turns flat meshes into shells.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from pupper_analysis.models.xml import (
 def leave_out_missing(
     spec: mujoco.MjSpec, tree: IncludeTree, index: Mapping[tuple[str, str], XmlNode]
 ) -> list[Diagnostic]:
-    """Remove meshes and textures whose files are missing from a spec, in place; return diagnostics.
+    """Remove meshes and textures with missing files from a spec, in place; return diagnostics.
 
     Geoms with such a mesh are removed, too.
 
@@ -164,7 +164,10 @@ def _describe_missing_files(
 
 
 def gives_mass(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> bool:
-    """Return True if a geom contributes to the mass and inertia of its body, not the world."""
+    """Return True if MuJoCo computes mass and inertia of the geom's body from the geom.
+
+    False for geoms of the world body.
+    """
     body = geom.parent
     if body.name == spec.worldbody.name:
         return False
@@ -186,13 +189,13 @@ _FLAT_MESH_ERROR: Final = re.compile(
 
 
 def flat_mesh(error: BaseException) -> str | None:
-    """Return the name of the mesh that MuJoCo's error calls too flat; None for other errors."""
+    """Return the mesh without volume that an error of MuJoCo names; None for other errors."""
     match = _FLAT_MESH_ERROR.search(str(error))
     return match[1] if match else None
 
 
 def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjModel, list[str], str]:
-    """Compile a spec; meshes without volume, which MuJoCo refuses, become thin shells.
+    """Compile a spec; meshes without volume, which MuJoCo rejects, become thin shells.
 
     MuJoCo needs the inertia of a mesh for the centre and axes of its geoms. If a flat mesh also
     determines a mass, MuJoCo's error is raised, because a shell would have another mass.
@@ -202,7 +205,7 @@ def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjMod
             spec.
 
     Returns:
-        Model, names of the shells, and MuJoCo's message about the first flat mesh ("" if none).
+        Model; names of the shells; MuJoCo's message about the first flat mesh ("" if none).
 
     Raises:
         ValueError: If a flat mesh determines a mass, or MuJoCo does not compile the spec for
@@ -225,7 +228,7 @@ def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjMod
 
 
 def put_shells(spec: mujoco.MjSpec, names: Collection[str]) -> None:
-    """Let MuJoCo compute the inertia of some meshes as thin shells, in place.
+    """Set in a spec, in place, that MuJoCo computes the inertia of given meshes as thin shells.
 
     Args:
         spec: Spec; modified.
@@ -237,7 +240,7 @@ def put_shells(spec: mujoco.MjSpec, names: Collection[str]) -> None:
 
 
 def taken_as_shells(names: list[str]) -> Diagnostic:
-    """Create the note on meshes whose inertia MuJoCo computes as that of thin shells."""
+    """Create the note about meshes that MuJoCo treats as thin shells to compute their inertia."""
     return diagnose("flat-meshes-as-shells", names=names, version=mujoco.__version__)
 
 
@@ -247,16 +250,16 @@ def _determines_mass(spec: mujoco.MjSpec, name: str) -> bool:
 
 
 MAX_INCLUDES: Final = 1000
-"""Largest number of includes and attached models of an MJCF; a file with more is refused. Chosen,
-to bound the time."""
+"""Largest number of includes and attached models of an MJCF; a file with more is refused. Bounds
+the reading time. Chosen, not tuned."""
 
 MAX_INCLUDE_DEPTH: Final = 30
 """Largest number of files above an included file, and of files in a chain of attached models; an
-MJCF with more is refused. Chosen, to bound the time."""
+MJCF with more is refused. Bounds the reading time. Chosen, not tuned."""
 
 MAX_COPIES: Final = 10_000
 """Largest number of elements that the replicates and attached models of an MJCF create; a file with
-more is refused. Chosen, to bound the time."""
+more is refused. Bounds the compile time. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
@@ -266,9 +269,9 @@ class XmlNode:
     Attributes:
         tag: Tag.
         attributes: Attributes as in the file.
-        place: Location.
+        place: Location: file and line.
         children: Child elements.
-        childclass: Default class from the ``childclass`` of the bodies above.
+        childclass: Default class from the ``childclass`` of the bodies above; None without.
     """
 
     tag: str
@@ -300,12 +303,12 @@ exhaust the memory. The tag "*" represents each tag. Chosen, not tuned."""
 
 _SECTION_TAGS: Final = ("actuator", "sensor", "equality", "tendon", "contact", "deformable")
 """Sections of an MJCF whose elements can also be found by (section, name) instead of (tag, name).
-For example, an actuator can be found if its tag (``motor``, ``position`` ...) is unknown.
-"""
+An actuator, for example, can then be found although its tag (``motor``, ``position`` ...) is
+unknown."""
 
 
 class IncludeTree:
-    """Elements of an MJCF with expanded includes.
+    """Elements of an MJCF with expanded includes, and the files that contain these elements.
 
     Args:
         path: The file.
@@ -319,6 +322,11 @@ class IncludeTree:
         folders: Folders of the file and of the attached models.
         root: Root element.
         copies: Number of elements after expansion of replicates and attached models.
+
+    Raises:
+        ModelError: For example if an included or attached file is missing or not valid, if files
+            include each other in a loop, or if a limit of number, size or depth is exceeded.
+        OutputError: If the run will write one of these files.
     """
 
     def __init__(
@@ -520,13 +528,15 @@ def walk_elements(root: XmlNode) -> Iterator[XmlNode]:
 
 
 def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
-    """Return the index {(tag or section, name): element} of the elements of an MJCF.
+    """Return an index of the elements of an MJCF, {(tag or section, name): element}.
 
-    The section (`_SECTION_TAGS`) is the tag of the parent element. The name of a default is its
-    class. The name of a mesh, texture or height field without name is the file name without suffix.
-    A ``freejoint`` is also listed as ``joint``. If several elements have the same key, the first is
-    listed. Two keys are added if no other element has them: an actuator by the name of its joint,
-    and a joint without name by the name of its body.
+    - The section (`_SECTION_TAGS`) is the tag of the parent element.
+    - The name of a default is its class. The name of a mesh, texture or height field without name
+      is the file name without suffix.
+    - A ``freejoint`` is also listed as ``joint``.
+    - If several elements have the same key, the first is listed.
+    - Two keys are added if no other element has them: an actuator by the name of its joint, and a
+      joint without name by the name of its body.
     """
     index: dict[tuple[str, str], XmlNode] = {}
     fallback: dict[tuple[str, str], XmlNode] = {}
@@ -553,12 +563,13 @@ def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
 
 
 def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -> XmlNode | None:
-    """Return the element that sets an attribute: the element itself, or one in a default class.
+    """Return the element that sets an attribute: the element itself, or a default for it.
 
-    The default class is the class of the element, or the ``childclass`` of a body above it, or else
-    the first top-level class. A class inherits from the enclosing classes. In a class, only
-    elements with the same tag are searched. For an attribute that all actuators have
-    (`_COMMON_ACTUATOR_ATTRIBUTES`), elements with the tag of any actuator are searched.
+    The default class is the class of the element; else the ``childclass`` of a body above the
+    element; else the first top-level class. A class inherits from the enclosing classes. In a
+    class, only elements with the same tag are searched. Exception: for an attribute that all
+    actuators have (`_COMMON_ACTUATOR_ATTRIBUTES`), elements with the tag of any actuator are
+    searched.
 
     Args:
         root: Root element.
@@ -613,7 +624,7 @@ def _find_default_classes(root: XmlNode, name: str | None) -> list[XmlNode]:
 
 @dataclass(frozen=True, eq=False)
 class MjcfFile:
-    """MJCF file that MuJoCo has parsed.
+    """MJCF file that MuJoCo has parsed, with the location of each element.
 
     Attributes:
         path: The file.
@@ -629,7 +640,7 @@ class MjcfFile:
         unknown: {kind of a joint parameter: joints with an unknown value}. Set if the MJCF was
             converted from a format in which a missing parameter is unknown, and not zero.
         stands_for: Word that messages use for the original file of a converted robot; "" for an
-        MJCF.
+            MJCF.
         gains: {joint: (stiffness, damping) of the servo} (N m/rad, N m s/rad; N/m, N s/m), from the
             original file of a converted robot. None for an MJCF, and for a format without servos.
         of_urdf: Whether the MJCF was converted from a URDF, which does not specify ground and
@@ -656,7 +667,9 @@ class MjcfFile:
     deferred_visuals: Callable[[mujoco.MjSpec], list[Diagnostic]] | None = None
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Return the location of an element, in the file that contains it.
+        """Return the location (file and line) of an element.
+
+        The line is missing if there is no such element.
 
         Args:
             kind: Tag: ``"body"``, ``"joint"``, ``"geom"``, ``"site"``, ``"key"`` ..., or section:
@@ -664,9 +677,6 @@ class MjcfFile:
             name: Name of the element. Alternatives: joint of an actuator, class of a default, body
                 of a joint without a name.
             child: Path below the element (``"inertial"``); the innermost existing element counts.
-
-        Returns:
-            The location; the file without line if there is no such element.
         """
         node = self._index.get((kind, name))
         return (
@@ -682,7 +692,8 @@ class MjcfFile:
             attributes: Attributes, of which one is sufficient.
 
         Returns:
-            The location; None if none of the attributes is set, or there is no such element.
+            The location. None if no attribute is set, if there is no such element, or if the file
+            has no XML elements (a generated text).
         """
         node = self._index.get((kind, name))
         if node is None or not self._roots:
@@ -700,12 +711,11 @@ class MjcfFile:
             tag: Tag of the element.
             number: Number of the element among the direct children of the body.
             attributes: If given, the result is the location at which one of these attributes is
-                set, in the element or in a default class. If none is set, it is the location of the
-                element.
+                set, in the element or in a default class.
 
         Returns:
-            The location of the element; the location of the body if the element is not found, for
-            example because it is within a ``<frame>``.
+            The location of the attribute or of the element; the location of the body if the element
+            is not found, for example because it is within a ``<frame>``.
         """
         node = self._index.get(("body", body))
         tops = (top for root in self._roots for top in root.children if top.tag == "worldbody")
@@ -720,7 +730,7 @@ class MjcfFile:
 
     @property
     def missing_collision_meshes(self) -> tuple[str, ...]:
-        """Names of the missing mesh files of geoms that can collide, without those of the world."""
+        """Names of missing mesh files of geoms that can collide, except geoms of the world body."""
         return self._list_missing_values("touching")
 
     @property
@@ -730,7 +740,7 @@ class MjcfFile:
 
     @property
     def bodies_with_missing_meshes(self) -> tuple[str, ...]:
-        """Names of the bodies with removed geoms, because the files of the meshes are missing."""
+        """Names of the bodies whose geoms were removed, because mesh files are missing."""
         return self._list_missing_values("bodies")
 
     def _list_missing_values(self, key: str) -> tuple[str, ...]:
@@ -743,9 +753,9 @@ class MjcfFile:
         return tuple(dict.fromkeys(names))
 
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
-        """Yield attributes (as written in the file) and location of each element with a tag.
+        """Yield the attributes and the location of each element with a tag.
 
-        Included files and attached models are searched, too.
+        Attributes are as written in the file. Included files and attached models are searched, too.
         """
         for root in self._roots:
             for node in walk_elements(root):
@@ -760,9 +770,9 @@ class MjcfFile:
             number: Number in the section, from 0.
 
         Returns:
-            The location. It is the file without line if there is no such element, or if the file
-            has no XML text (a model in memory). The same holds if attached models or replicates add
-            elements, because the numbers then differ.
+            The location. The line is missing in three cases: there is no such element; the file has
+            no XML text (a model in memory); attached models or replicates add elements, so that the
+            numbers differ.
         """
         if len(self._roots) != 1 or any(True for _ in self.elements("replicate")):
             return Place(self.path)
@@ -785,7 +795,7 @@ class MjcfFile:
         return self._model
 
     def check_compiled(self) -> None:
-        """Raise an error if MuJoCo refuses this file, or a number of the model is not valid.
+        """Check that MuJoCo compiles this file, and that the numbers of the model are valid.
 
         Raises:
             ModelError: If MuJoCo does not compile the file (the message is MuJoCo's), or a number
@@ -814,7 +824,7 @@ def read_mjcf(path: str | Path) -> MjcfFile:
 
 
 def mjcf_of_text(path: Path, text: str, assets: Mapping[str, bytes]) -> MjcfFile:
-    """Return the MJCF file of an XML text that was generated in memory.
+    """Return the `MjcfFile` of an XML text that was generated in memory.
 
     Args:
         path: Source file, for error messages and locations.
@@ -841,12 +851,22 @@ _MUJOCO_ERRORS: Final = (ValueError, RuntimeError, TypeError, OSError, MemoryErr
 
 
 def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
-    """Return the MJCF file of a root element; ``refusal`` is set if it cannot be compiled.
+    """Return the `MjcfFile` of a parsed root element, compiled.
+
+    If MuJoCo does not compile the file, ``refusal`` of the result contains the error.
+
+    Args:
+        path: The file.
+        root: Root element.
 
     Raises:
-        ModelError: If the root element is not ``<mujoco>``, an include or an attribute is not
-            valid, a limit of size, number or depth is exceeded, MuJoCo cannot parse the file, or a
-            mass depends on a missing mesh.
+        ModelError: In these cases:
+
+            - The root element is not ``<mujoco>``.
+            - An include or an attribute is not valid.
+            - A limit of size, number or depth is exceeded.
+            - MuJoCo cannot parse the file.
+            - A mass depends on a missing mesh.
         OutputError: If the run will write an included or attached file, a mesh or a texture.
     """
     if root.tag != "mujoco":
@@ -861,7 +881,7 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
 
 
 def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] = ()) -> MjcfFile:
-    """Return the MJCF file of a spec in memory, with its assets; the spec is not modified.
+    """Return the `MjcfFile` of a spec in memory, with its assets; the spec is not modified.
 
     Elements have no line numbers. Attributes are read from the XML that MuJoCo writes.
 
@@ -899,11 +919,11 @@ def mjcf_of_spec(path: Path, spec: mujoco.MjSpec, notes: tuple[Diagnostic, ...] 
 
 
 def _disable_unset_ranges(spec: mujoco.MjSpec, index: Mapping[tuple[str, str], XmlNode]) -> None:
-    """Switch off, in place, the unset force and control ranges that MuJoCo writes as "0 0".
+    """Disable, in place, the unset force and control ranges that MuJoCo writes as "0 0".
 
     In a spec, an unset range has two zero ends and the flag "auto"; MuJoCo then applies no range.
-    But if the default class has a range, MuJoCo writes the unset range as "0 0" to the XML. In a
-    file, "0 0" means a motor without torque.
+    If the default class has a range, MuJoCo writes the unset range as "0 0" to the XML. In a file,
+    "0 0" means a motor without torque.
     """
 
     def is_unset(tag: str, name: str, attribute: str, ends: ArrayLike, switch: int) -> bool:
@@ -1005,9 +1025,10 @@ def _locate_message(
 ) -> tuple[str, Place]:
     """Return MuJoCo's message, and the location of the element that the message concerns.
 
-    MuJoCo's line number alone is not sufficient. It may belong to an unspecified file, and is 0 for
+    MuJoCo's line number alone is not sufficient: it may belong to an unspecified file, and is 0 for
     included elements. Therefore the element is also searched by the name in the message, which may
-    name a missing element. If no element is found, the location is the main file without line.
+    be the name of a missing element. If no element is found, the location is the main file without
+    line.
 
     Args:
         tree: Elements of the file.

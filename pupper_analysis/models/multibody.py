@@ -1,8 +1,8 @@
 """``MultibodyTree``: joints, bodies and frames of a robot, for comparison of two files.
 
-Fixed children are merged into the body to which they are fixed. Link frames are a convention: two
-files can describe the same robot with different link frames. `robot.matching.alignment` transforms
-the frames of one tree to the frames of another tree.
+Bodies that are fixed to each other are merged to one body. Link frames are a convention: two files
+can describe the same robot with different link frames. `robot.matching.alignment` transforms the
+frames of one tree to the frames of another tree.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 
 @dataclass(frozen=True, eq=False)
 class TreeBody:
-    """Moving body, with all bodies fixed to it.
+    """Moving body, merged with all bodies fixed to it.
 
     Attributes:
         mass: Mass [kg].
@@ -39,11 +39,11 @@ class TreeBody:
 
     @staticmethod
     def of(inertia: pin.Inertia, link: str = "") -> TreeBody:
-        """Convert a spatial inertia of Pinocchio to a body, expressed in the frame of the inertia.
+        """Convert a spatial inertia of Pinocchio to a body, expressed in the same frame.
 
         Args:
             inertia: Mass [kg], CoM [m] and rotational inertia [kg m^2].
-            link: Value of the field ``link`` of the body.
+            link: Link of the URDF, or body of the MJCF; "" if unknown.
         """
         tensor = np.array(inertia.inertia)
         return TreeBody(float(inertia.mass), np.array(inertia.lever), tensor, link)
@@ -66,12 +66,13 @@ class TreeBody:
 
 @dataclass(frozen=True, eq=False)
 class TreeJoint:
-    """Joint, and pose of the moved body in the parent.
+    """Hinge or slide: parent, pose of the moved body in the parent body, axis and parameters.
 
     Attributes:
         parent: Joint that moves the parent body, or name of the base.
         position: Position (3,) [m] in the frame of the parent body.
-        rotation: Rotation (3, 3) from the axes of the body to those of the parent, at zero.
+        rotation: Rotation (3, 3) from the axes of the body to the axes of the parent, at a joint
+            position of zero.
         axis: Unit vector (3,) in the frame of the body.
         slides: Whether the joint is prismatic.
         lower: Lower limit [rad, m].
@@ -102,22 +103,22 @@ class TreeJoint:
         return pin.SE3(self.rotation, self.position)
 
     def with_placement(self, placement: pin.SE3) -> TreeJoint:
-        """Return a copy of the joint, with another pose of the body in the frame of the parent."""
+        """Return a copy of the joint with another pose of the moved body in the parent body."""
         position, rotation = np.array(placement.translation), np.array(placement.rotation)
         return replace(self, position=position, rotation=rotation)
 
 
 @dataclass(frozen=True, eq=False)
 class MultibodyTree:
-    """Robot as a tree of joints.
+    """Robot as a tree of joints; each body has the name of the joint that moves it.
 
     Attributes:
         base: Name of the base.
         floating: Whether the base is free.
         bodies: {base or joint: moved body}.
         joints: {name: joint}; parents first in a tree of `from_pinocchio`.
-        frames: {frame: (base or joint that moves the frame, position (3,) [m] in the frame of that
-            body)}.
+        frames: {frame: (base or joint that moves the frame, position (3,) [m] in the frame of the
+            moved body)}.
         gravity: Gravity (3,) [m/s^2].
         base_damping: Damping of the free joint in all six directions [N s/m, N m s/rad]; an MJCF
             may set the damping by a default class.
@@ -134,7 +135,7 @@ class MultibodyTree:
     base_armature: float = 0.0
 
     def children(self, body: str) -> list[str]:
-        """Return the names of the joints whose parent is a body, as a new list.
+        """Return the names of the joints whose parent is a given body, as a new list.
 
         Args:
             body: Base, or joint that moves the body.
@@ -166,7 +167,7 @@ class MultibodyTree:
         return found
 
     def parents_first(self) -> list[str]:
-        """Return all joints in depth-first order, as required by Pinocchio."""
+        """Return the names of all joints in depth-first order, as Pinocchio requires."""
         return self.list_descendants(self.base)
 
     def list_descendants(self, body: str) -> list[str]:
@@ -183,10 +184,10 @@ class MultibodyTree:
         return order
 
     def select_joints(self, names: Collection[str]) -> MultibodyTree:
-        """Return the tree with a subset of the joints, and the bodies and frames that they move.
+        """Return a tree with a subset of the joints, and with the bodies and frames that they move.
 
         Args:
-            names: Joints; the base with its body and frames is not included.
+            names: Joints. The base with its body and frames is not included.
         """
         frames = [frame for name in names for frame in self.list_frames(name)]
         return replace(
@@ -204,13 +205,13 @@ _PINOCCHIO_ATTRIBUTES = tuple(attribute for attribute in JOINT_ATTRIBUTES if att
 def from_pinocchio(
     model: pin.Model, base: str, joint_names: Iterable[str], frames: Mapping[str, str]
 ) -> MultibodyTree:
-    """Return the tree of a Pinocchio model.
+    """Return the multibody tree of a Pinocchio model.
 
     Args:
         model: Model with joints of one degree of freedom; with a free flyer if the base is free.
-        base: Name of the base.
+        base: Name that the base gets in the tree.
         joint_names: Names of the joints with one degree of freedom.
-        frames: {name: BODY frame of the model}.
+        frames: {name in the tree: BODY frame of the model}.
 
     Raises:
         ModelError: If a joint has the name of the base, because bodies are named by joint names.
@@ -267,9 +268,9 @@ def from_pinocchio(
 
 
 def joint_placements(model: pin.Model, q: Array) -> list[pin.SE3]:
-    """Return the world placement of each joint of a model, in the order of the joint indices.
+    """Return the world placement of each joint of a Pinocchio model, without ``pin.Data``.
 
-    The result equals that of ``pin.forwardKinematics``. ``pin.Data`` is not used, because its size
+    The result equals the result of ``pin.forwardKinematics``. Reason: the size of ``pin.Data``
     grows at least with the square of the number of joints.
 
     Args:
@@ -277,7 +278,8 @@ def joint_placements(model: pin.Model, q: Array) -> list[pin.SE3]:
         q: Pinocchio's configuration, shape (model.nq,).
 
     Returns:
-        Placements [m]; element 0 belongs to Pinocchio's joint "universe" and is the identity.
+        Placements [m], in the order of the joint indices. Element 0 belongs to Pinocchio's joint
+        "universe" and is the identity.
     """
     placements = [pin.SE3.Identity()]
     for index in range(1, model.njoints):
@@ -314,8 +316,8 @@ def copy_value(
 ) -> MultibodyTree:
     """Return a copy of a tree with one value of another tree, such as a mass or a joint axis.
 
-    If the value is the parent of a joint, the new parent might create a loop. In this case the
-    parents of all joints are copied.
+    If the value is the parent of a joint, and the new parent creates a loop, the parents of all
+    joints are copied.
 
     Args:
         tree: Tree to modify; the result is a copy.

@@ -1,7 +1,7 @@
-"""Robots in memory: objects of MuJoCo, Pinocchio and yourdfpy, and XML texts, as model files.
+"""Robots in memory (objects of MuJoCo, Pinocchio and yourdfpy, and XML texts) as model files.
 
-The objects are not modified. Names of files and line numbers of other objects than ``UrdfFile`` and
-``MjcfFile`` are unknown; a note states this.
+The objects are not modified. Except for ``UrdfFile`` and ``MjcfFile``, their file names and line
+numbers are unknown; a note states this.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ models that were derived in memory."""
 
 
 def is_object(model: object) -> bool:
-    """Return True if a model is a robot in memory: an object or an XML text, not a path."""
+    """Return True if an argument is a robot in memory (an object or an XML text), not a path."""
     if isinstance(model, str):
         return model.lstrip("\ufeff \t\r\n").startswith("<")
     kinds = (
@@ -80,12 +80,12 @@ def require_path(argument: str, model: object) -> None:
 
 @dataclass(frozen=True, eq=False)
 class ObjectFiles:
-    """Model files of robots in memory.
+    """Model files that were made of robots in memory.
 
     Attributes:
         files: Model files.
-        source: First Pinocchio model among the objects, whose armature and gravity no URDF states;
-            None if there is none.
+        source: First Pinocchio model among the objects; None if there is none. A URDF cannot state
+            its armature and gravity.
         folder: Temporary folder with the meshes of the Pinocchio model.
     """
 
@@ -129,13 +129,14 @@ class ObjectFiles:
 def read_objects(
     models: Sequence[ModelObject | str], packages: Mapping[str, Path] | None = None
 ) -> Iterator[ObjectFiles]:
-    """Yield the model files of robots in memory.
+    """Context manager: make model files of robots in memory.
 
-    Meshes of a geometry model are in a private temporary folder, which is removed at the end.
+    Meshes of a geometry model are in a private temporary folder, which is removed at the end of the
+    context.
 
     Args:
         models: Objects. A ``pin.GeometryModel`` contains the shapes of the only ``pin.Model`` in
-            the list. Of a ``pin.RobotWrapper``, the model and the collision model are read.
+            the list. The model and the collision model of a ``pin.RobotWrapper`` are read.
         packages: Folders of ROS packages, for ``package://`` in a URDF.
 
     Raises:

@@ -1,8 +1,8 @@
-"""URDF of a Pinocchio model, for users who hold only a ``pin.Model``.
+"""URDF of a Pinocchio model, for users who have only a ``pin.Model``.
 
 The URDF has the joints, inertias, limits and frames of the model, and the shapes of its geometry
-model. Meshes are written as STL files. Values that a URDF cannot state (armature, gravity) are read
-from the model by the caller.
+model. Meshes are written as STL files. A URDF cannot state armature and gravity: the caller reads
+these values from the model.
 """
 
 from __future__ import annotations
@@ -24,14 +24,13 @@ from pupper_analysis.models.urdf_tree import set_origin
 from pupper_analysis.models.xml import add_element, join_numbers, make_unique_name, to_text
 
 _MAX_POSITION: Final = 1e6
-"""Absolute joint limit [rad, m] from which a joint counts as unlimited. Chosen: Pinocchio uses the
-largest double."""
+"""Absolute joint limit [rad, m] from which a joint counts as unlimited, because Pinocchio uses the
+largest double for "no limit". Chosen, not tuned."""
 
 _IDENTITY_ATOL: Final = 1e-12
-"""Tolerance for equality of a body frame and the frame of its joint: positions [m] and entries of
-the rotation matrix. If both frames are equal, the link of the joint gets the name of the body
-frame. Otherwise the body frame gets a link of its own. Chosen, not tuned.
-"""
+"""Tolerance with which a body frame equals the frame of its joint: positions [m] and entries of the
+rotation matrix. If both are equal, the link of the joint gets the name of the body frame. Otherwise
+the body frame gets a link of its own. Chosen, not tuned."""
 
 _WORLD: Final = "world"
 """Name of the root link above a free base."""
@@ -40,7 +39,7 @@ _WORLD: Final = "world"
 def write_urdf_of_model(
     model: pin.Model, geometry: pin.GeometryModel | None, folder: Path, source: str
 ) -> str:
-    """Return the URDF text of a Pinocchio model.
+    """Return the URDF text of a Pinocchio model, and write its meshes.
 
     Args:
         model: Model of one robot, with joints of one degree of freedom and at most one free flyer.
@@ -49,9 +48,12 @@ def write_urdf_of_model(
         source: Name of the model, for messages.
 
     Raises:
-        ModelError: If the model has a joint of another type, a sliding joint without both limits,
-            several free flyers, or a shape that a URDF cannot state. Also if the root has a free
-            flyer and another joint, or if a free flyer is not at the root.
+        ModelError: In these cases:
+
+            - A joint has another type, or a slide has no limits.
+            - There are several free flyers, a free flyer is not at the root, or the root has a free
+              flyer and another joint.
+            - A URDF cannot state a shape.
     """
     floating = _check_joints(model, source)
     writer = _UrdfWriter(model, floating, source)
@@ -99,7 +101,7 @@ def _read_motion(model: pin.Model, index: int) -> Array:
 
 
 class _UrdfWriter:
-    """URDF in preparation.
+    """Writer of a Pinocchio model to a new URDF.
 
     Args:
         model: Pinocchio model that is written.
@@ -121,8 +123,8 @@ class _UrdfWriter:
         """Add the links and joints of the Pinocchio model to the URDF.
 
         Each joint and the root have a link. If a body frame is equal to the frame of its joint, the
-        link of the joint gets its name. Each further body frame gets a link of its own. If the base
-        is free, body frames that are fixed to the world are omitted.
+        link of the joint gets the name of the body frame. Each further body frame gets a link of
+        its own. If the base is free, body frames that are fixed to the world are omitted.
         """
         model = self._model
         frames = [frame for frame in model.frames if frame.type == pin.FrameType.BODY]

@@ -39,7 +39,7 @@ class Place:
 
     @property
     def location_in_file(self) -> str:
-        """Location within the file, to be appended to the file name.
+        """Location within the file, as a suffix of the file name.
 
         Examples: ``":7"`` for line 7, ``":</Robot/base>"`` for an element in a file without lines,
         "" for the whole file.
@@ -62,13 +62,13 @@ class Place:
 def innermost_element(element: T, path: str | None, child: Callable[[T, str], T | None]) -> T:
     """Follow a path of tags from an element, as far as child elements exist.
 
-    Returns:
-        Last element found; ``element`` itself if the first tag has no child.
-
     Args:
         element: Start of the path.
         path: Tags, such as ``"inertial/mass"``; None for ``element`` itself.
         child: Function that returns the first child with a tag, or None.
+
+    Returns:
+        Last element found; ``element`` itself if it has no child with the first tag.
     """
     for tag in path.split("/") if path else ():
         found = child(element, tag)
@@ -79,12 +79,12 @@ def innermost_element(element: T, path: str | None, child: Callable[[T, str], T 
 
 
 def quote_short(value: str) -> str:
-    """Quote a text for a message; a text of more than 40 characters ends with ... after 37."""
+    """Quote a text for a message; a text of more than 40 characters is cut to 37 and ``...``."""
     return repr(value if len(value) <= 40 else value[:37] + "...")
 
 
 NO_LINE: Final = 65535
-"""Line number from which `line_of` returns None: the largest number in the 16 bits in which libxml2
+"""Line number from which `line_of` returns None: the largest number of the 16 bits in which libxml2
 stores lines."""
 
 
@@ -109,12 +109,23 @@ def line_of(element: etree._Element) -> int | None:
 
 
 def make_element_error(path: Path, element: etree._Element, problem: Diagnostic) -> ModelError:
-    """Return the error for a problem of an element, with file and line."""
+    """Return the ModelError for a problem of an element, with file and line.
+
+    Args:
+        path: The file.
+        element: Element with the problem.
+        problem: Diagnostic of the problem.
+    """
     return make_file_error(Place(path, line_of(element)), problem)
 
 
 def make_file_error(place: Place, problem: Diagnostic) -> ModelError:
-    """Return the error for a problem of a file, or of a location in the file."""
+    """Return the ModelError for a problem of a file, or of a location in the file.
+
+    Args:
+        place: File, with line or element if known; becomes the source of a problem without sources.
+        problem: Diagnostic of the problem.
+    """
     sources = problem.sources or (place.source,)
     name = source_name(place.file, place.line) + (
         place.location_in_file if place.element is not None else ""
@@ -123,7 +134,12 @@ def make_file_error(place: Place, problem: Diagnostic) -> ModelError:
 
 
 def make_input_error(path: Path, error: InputError) -> ModelError:
-    """Return the error for a model file that cannot be read."""
+    """Return the ModelError for a model file that cannot be read.
+
+    Args:
+        path: The file.
+        error: Error of reading.
+    """
     return make_file_error(Place(path, error.line), error.cause)
 
 

@@ -1,7 +1,7 @@
 """Published models: names of robots, files of ROS packages, xacro files, and Git LFS pointers.
 
-The packages ``robot_descriptions``, ``mujoco-menagerie`` and ``xacro`` are optional. Nothing is
-downloaded.
+The Python packages ``robot_descriptions``, ``mujoco-menagerie`` and ``xacro`` are optional. Nothing
+is downloaded.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def existing_file(path: Path) -> Path | None:
     """Return the path if it is an existing file, and register the file as an input of the run.
 
     Returns:
-        The path. None if there is no regular file, or if the file is a Git LFS pointer without
-        content. Also None if the system rejects the path, for example because of its length.
+        The path. None if there is no regular file, if the file is a Git LFS pointer without
+        content, or if the system rejects the path, for example because of its length.
 
     Raises:
         OutputError: If the run will write this file.
@@ -50,7 +50,7 @@ def existing_file(path: Path) -> Path | None:
 
 
 def is_pointer(path: Path) -> bool:
-    """Return True if a file is a Git LFS pointer without content.
+    """Return True if a file is a Git LFS pointer, which replaces content that was not downloaded.
 
     Only regular files are opened, because reading a pipe may block.
     """
@@ -81,10 +81,10 @@ def _read_package_name(folder: Path) -> str:
 
 
 def find_package_folders(folder: Path, package: str) -> Iterator[Path]:
-    """Yield the folders of a ROS package: ``folder`` itself and its subfolder of that name.
+    """Yield the folders that may be a ROS package: a folder itself, and its subfolder of that name.
 
     ``folder`` is yielded if its name, or the name in its ``package.xml``, is ``package``. The
-    subfolder ``folder / package`` is yielded if it exists, whether or not ``folder`` is yielded.
+    subfolder ``folder / package`` is yielded if it exists, in both cases.
     """
     if package in (folder.name, _read_package_name(folder)):
         yield folder
@@ -93,7 +93,8 @@ def find_package_folders(folder: Path, package: str) -> Iterator[Path]:
 
 
 DESCRIPTION_PREFIX: Final = "robot_descriptions:"
-"""Prefix of the name of a description, as in ``robot_descriptions:go2_mj_description``."""
+"""Prefix that marks a name of the package ``robot_descriptions``, as in
+``robot_descriptions:go2_mj_description``."""
 
 _DESCRIPTION_NAME: Final = re.compile(r"[a-z0-9_]+")
 """Pattern of a robot's name in the package ``robot_descriptions``, without `DESCRIPTION_PREFIX`."""
@@ -111,14 +112,14 @@ _BARE_DESCRIPTION: Final = re.compile(r"[a-z0-9_]+_description")
 ``go2_mj_description``."""
 
 PACKAGE_PREFIX: Final = "package://"
-"""Prefix of a file of a ROS package, as in ``package://go2_description/urdf/go2.urdf``."""
+"""Prefix that marks a file of a ROS package, as in ``package://go2_description/urdf/go2.urdf``."""
 
 
 def is_published_name(word: str) -> bool:
-    """Return True if a word names a published robot.
+    """Return True if a word names a published robot, and is no existing path.
 
-    The robot is a description of ``robot_descriptions`` or a robot of MuJoCo Menagerie. A word
-    without the prefix `DESCRIPTION_PREFIX` must not be an existing path.
+    The robot is a description of ``robot_descriptions``, or a robot of MuJoCo Menagerie. A word
+    with the prefix `DESCRIPTION_PREFIX` counts in any case.
     """
     return _is_description(word) or is_menagerie_name(word)
 
@@ -129,10 +130,10 @@ Chosen, not tuned."""
 
 
 def list_similar_published_names(word: str) -> list[str]:
-    """Return up to three names of published robots that are similar to a word, best first.
+    """Return up to three names of published robots that are similar to a word, the best first.
 
-    The names are those of MuJoCo Menagerie (installed package or clone) and of the package
-    ``robot_descriptions``, if it is installed.
+    The names are robots of MuJoCo Menagerie (installed package or clone), and descriptions of the
+    package ``robot_descriptions``, if installed.
     """
     name = word.removeprefix(DESCRIPTION_PREFIX).removeprefix(f"{MENAGERIE_FOLDER}/").lower()
     known = [*_list_descriptions(), *list_menagerie_robots()]
@@ -167,18 +168,20 @@ def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> 
     """Return the file of a model: a path, a published name, or ``package://NAME/FILE``.
 
     A path is returned unchanged, also if the file does not exist. If a description has several
-    files, the first available one of MJCF, URDF and xacro file is returned.
+    files, the first available file counts: MJCF, URDF, xacro file.
 
     Args:
         model: Path or name.
-        packages: {ROS package: its folder}. Without an entry, the package is searched in the
-            current folder, in the folders above, and in ``ROS_PACKAGE_PATH`` and
-            ``AMENT_PREFIX_PATH``.
+        packages: {ROS package: its folder}. A package without an entry is searched in the current
+            folder, in the folders above, and in ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH``.
 
     Raises:
-        ModelError: If a ROS package or its file is not found. If ``robot_descriptions`` is not
-            installed, has no such description, or has not cached its files. If the description
-            contains no model file. See also `find_menagerie_file`.
+        ModelError: In these cases (see also `find_menagerie_file`):
+
+            - A ROS package or its file is not found.
+            - ``robot_descriptions`` is not installed, has no such description, or has not cached
+              its files.
+            - The description contains no model file.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
     """
     word = str(model)
@@ -211,7 +214,8 @@ def find_packages(package: str, folder: Path, packages: Mapping[str, Path]) -> l
         package: Name of the package.
         folder: This folder and the folders above are searched, then ``ROS_PACKAGE_PATH`` and
             ``AMENT_PREFIX_PATH``.
-        packages: {ROS package: its folder}; nothing else is searched for these packages.
+        packages: {ROS package: its folder}. If the package has an entry, only this folder is
+            returned.
     """
     if package in packages:
         return [packages[package]]
@@ -278,7 +282,7 @@ def expand_xacro(
     packages: Mapping[str, Path] | None = None,
     arguments: Mapping[str, str] | None = None,
 ) -> str:
-    """Return the URDF text of a xacro file. Python expressions in the file are evaluated.
+    """Expand a xacro file, and return the URDF text. Python expressions in the file are evaluated.
 
     ``$(find NAME)`` is resolved as ``package://NAME``, from the folder of the file; a ROS
     installation is not necessary.
@@ -286,7 +290,7 @@ def expand_xacro(
     Args:
         path: The file.
         packages: {ROS package: its folder}.
-        arguments: {argument of the file: value}; others have their default values.
+        arguments: {argument of the file: value}; other arguments have their default values.
 
     Raises:
         ModelError: If xacro is not installed, the file does not exist, a package is not found, or

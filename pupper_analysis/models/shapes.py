@@ -2,7 +2,7 @@
 
 The convex hull of each supported shape is the Minkowski sum of a point, line segments (bars), an
 ellipse or ellipsoid, a ball and a convex hull (`Terms`). Support function, lowest point and outline
-are computed from these terms, independent of the kind of shape.
+are computed from these terms, independently of the kind of shape.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 
 Direction = tuple[float, float, float]
-"""Vector or point (x, y, z)."""
+"""Vector or point (x, y, z), three floats."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,16 +43,19 @@ class Pose:
         return Pose(self.point(other.position), self.rotation @ other.rotation)
 
     def point(self, local: Array) -> Array:
-        """Transform a point (3,) or points (n, 3) [m] from the frame with this pose to its parent.
+        """Transform a point, shape (3,), or points, shape (n, 3) [m], to the parent frame.
 
         x = position + rotation x'.
+
+        Args:
+            local: Points in the frame with this pose.
         """
         transformed: Array = local @ self.rotation.T + self.position
         return transformed
 
     @property
     def placement(self) -> pin.SE3:
-        """This pose (from its frame to the parent frame) as a Pinocchio ``SE3``."""
+        """This pose as a Pinocchio ``SE3``, from the frame with this pose to the parent frame."""
         return pin.SE3(self.rotation, self.position)
 
     def inverse(self) -> Pose:
@@ -66,7 +69,7 @@ class Pose:
 
     @staticmethod
     def of_body(data: mujoco.MjData, body: int) -> Pose:
-        """Return the pose of a body in the world frame, position in m, from MuJoCo's data."""
+        """Return the world pose of a body from MuJoCo's data; position in m."""
         return Pose(data.xpos[body].copy(), data.xmat[body].reshape(3, 3).copy())
 
 
@@ -76,14 +79,14 @@ class Mesh:
 
     Attributes:
         vertices: Vertices (n, 3) [m].
-        faces: Triangles (m, 3), as row numbers of the vertices.
+        faces: Triangles (m, 3), as row indices of ``vertices``.
     """
 
     vertices: Array
     faces: IntArray
 
     def select(self, numbers: Array | IntArray, faces: Array | IntArray) -> Mesh:
-        """Return a part of this mesh: the mesh of some of its vertices and triangles.
+        """Return the submesh with some vertices and triangles of this mesh.
 
         Args:
             numbers: Indices of the vertices, shape (k,).
@@ -94,7 +97,10 @@ class Mesh:
         return Mesh(self.vertices[numbers], new_numbers[faces])
 
     def hull(self) -> Mesh:
-        """Return the convex hull; the mesh itself if there is none, for example of flat meshes."""
+        """Return the convex hull of this mesh.
+
+        The result is the mesh itself if no hull can be computed, for example for a flat mesh.
+        """
         from pupper_analysis.base.qhull import ConvexHull, QhullError  # loads SciPy
 
         try:
@@ -145,7 +151,7 @@ class Terms(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """Visual or collision shape.
+    """Visual or collision shape of a body: kind, pose and sizes.
 
     Attributes:
         name: Name; "" if there is none.
@@ -154,10 +160,10 @@ class Shape:
         size: One to three numbers [m]: (radius,), (radius, half length), or three half sizes. Empty
             for a mesh and for other kinds.
         collides: Whether the shape can collide. Explicit contact pairs of an MJCF are not counted.
-        read: Function that returns the mesh in the frame of the shape. For a shape that collides,
-            it returns the convex hull. None if unknown.
-        read_volume: Function that returns the volume [m^3] of a mesh; None if unknown, or if the
-            surface is not closed.
+        read: Function that returns the mesh in the frame of the shape (for a shape that collides,
+            the convex hull), or None if unknown.
+        read_volume: Function that returns the volume [m^3] of a mesh; the function returns None if
+            the volume is unknown, or the surface is not closed.
         read_solid: Function that returns the spatial inertia of the solid of a mesh with a density
             of 1 kg/m^3, in the frame of the shape; None under the conditions of ``read_volume``.
     """
@@ -173,7 +179,10 @@ class Shape:
 
     @cached_property
     def mesh(self) -> Mesh | None:
-        """Mesh of the shape, read once. As in MuJoCo, only the convex hull matters."""
+        """Mesh of the shape, read once; None if unknown.
+
+        As in MuJoCo, only the convex hull matters.
+        """
         return self.read()
 
     def compute_volume(self) -> float | None:
@@ -199,8 +208,11 @@ class Shape:
         """Compute the spatial inertia of the solid shape with a density of 1 kg/m^3.
 
         The result is expressed in the frame of the body. If the surface of a mesh is not closed, or
-        ``read_solid`` is None, the convex hull is used. The result is None for ellipsoids and for
-        other kinds such as planes. It is also None for meshes that were not read or have no volume.
+        ``read_solid`` is None, the convex hull is used.
+
+        Returns:
+            Spatial inertia. None for ellipsoids, for other kinds such as planes, and for meshes
+            that were not read or have no volume.
         """
         size = self.size
         match self.kind:
@@ -223,7 +235,7 @@ class Shape:
         return None if solid is None else self.pose.placement.act(solid)
 
     def placed_in(self, pose: Pose) -> Shape:
-        """Transform the shape from the frame of its body to an outer frame.
+        """Return the shape, expressed in an outer frame instead of the frame of its body.
 
         Args:
             pose: Pose of the body in the outer frame, for example in the world.
@@ -241,8 +253,8 @@ class Shape:
     def minkowski_terms(self) -> Terms | None:
         """Convex sets whose Minkowski sum is the hull of the shape, in the frame of the body [m].
 
-        For example, a capsule is the sum of a centre, a line segment and a ball. None if the extent
-        is unknown (missing mesh, plane).
+        A capsule, for example, is the sum of a centre, a line segment and a ball. None if the
+        extent is unknown (missing mesh, plane).
         """
         rotation, size, hull = self.pose.rotation, self.size, None
         bars, radii, ball = list[tuple[int, float]](), list[tuple[int, float]](), 0.0
@@ -306,13 +318,13 @@ class Shape:
     def height(self, link: tuple[Array, Array], normal: Direction) -> float:
         """Return the height [m] of the shape's lowest point above a plane through the world origin.
 
-        The lowest point is below the origin of the body by the value of ``support`` at -normal. The
-        extent of the shape must be known. Scalar arithmetic is used because this function is called
-        often.
+        The extent of the shape must be known. The lowest point is below the origin of the body by
+        the value of ``support`` at -normal. Scalar arithmetic is used because this function is
+        called often.
 
         Args:
             link: Rotation (3, 3) and position (3,) [m] of the body in the world.
-            normal: Unit normal of the plane in the world; a vertical normal points upwards.
+            normal: Unit normal of the plane in the world; a vertical normal must point upwards.
         """
         rotation, position = link
         a, b, c = normal
@@ -362,9 +374,9 @@ class Shape:
     def outline(self, circle: Array, globe: Array) -> Array | None:
         """Return the centres of equal balls whose convex hull is the convex hull of the shape.
 
-        The radius of the balls is ``minkowski_terms.ball``: for example the radius of a sphere or
-        capsule, and 0 for boxes, cylinders and meshes. Ellipses (of cylinders) and ellipsoids are
-        approximated by points.
+        The radius of the balls is ``minkowski_terms.ball``: the radius of a sphere or capsule, and
+        0 for boxes, cylinders and meshes. Ellipses (of cylinders) and ellipsoids are approximated
+        by points.
 
         Args:
             circle: Points of the unit circle, shape (n, 2), that represent an ellipse.
@@ -387,10 +399,10 @@ class Shape:
 
     @property
     def points(self) -> Array | None:
-        """Points (n, 3) [m] in the frame of the body, whose hull approximates the shape.
+        """Points (n, 3) [m] in the frame of the body; their hull approximates the shape.
 
-        A ball or an ellipsoid is replaced by 26 points on its surface, and an ellipse by a polygon
-        with 16 corners. Therefore the hull of the points lies inside of the shape. None if the
+        26 points on the surface replace a ball or an ellipsoid, and a polygon with 16 corners
+        replaces an ellipse. Therefore the hull of the points lies inside of the shape. None if the
         extent of the shape is unknown.
         """
         centres = self.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
@@ -400,7 +412,7 @@ class Shape:
 
     @cached_property
     def collision(self) -> coal.CollisionGeometry:
-        """Collision geometry of the shape for the library coal.
+        """Collision geometry of the shape for the collision library coal.
 
         The kind must be in ``NUM_SIZES``, and a mesh must be known.
         """
@@ -423,10 +435,9 @@ class Shape:
 
 
 _SPHERE_POINTS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
-"""Unit vectors (26, 3) from the centre of a cube to its corners, the middles of its edges, and the
-middles of its faces. They are the sampled points of a ball or an ellipsoid. The next statement
-normalises them.
-"""
+"""Unit vectors (26, 3) that sample a ball or an ellipsoid: from the centre of a cube to its
+corners, to the middles of its edges, and to the middles of its faces. The next statement normalises
+them."""
 
 _SPHERE_POINTS /= np.linalg.norm(_SPHERE_POINTS, axis=1, keepdims=True)
 _CIRCLE_POINTS = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 17)[:-1]])
@@ -442,16 +453,18 @@ COMPARISON_DIRECTIONS = _SAMPLE_VECTORS / np.linalg.norm(_SAMPLE_VECTORS, axis=1
 directions, so that rotations of a box or a cylinder are detected."""
 
 NUM_SIZES: Final = {"sphere": 1, "box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2, "mesh": 0}
-"""{kind: number of sizes} of MuJoCo's shapes whose extent `Shape.minkowski_terms` computes."""
+"""{kind of shape: number of entries in `Shape.size`}, for MuJoCo's shapes whose extent
+`Shape.minkowski_terms` computes."""
 
 
 def read_shape(model: mujoco.MjModel, geom: int, data: mujoco.MjData | None = None) -> Shape:
-    """Return the shape of a geom in the frame of the body, or in the world frame.
+    """Return the shape of a geom of a MuJoCo model, in the frame of its body or in the world frame.
 
     Args:
         model: MuJoCo model.
         geom: Id of the geom.
-        data: If given, the shape is expressed in the world frame at this state.
+        data: If given, the shape is expressed in the world frame at this state; otherwise in the
+            frame of the body.
     """
     kind = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
     if data is None:
@@ -480,7 +493,7 @@ def get_mesh(model: mujoco.MjModel, mesh: int) -> Mesh:
 def _read_hull(model: mujoco.MjModel, mesh: int) -> Mesh:
     """Return the convex hull of a mesh, from MuJoCo's compiled model if available.
 
-    The layout of ``mesh_graph`` is that of MuJoCo's compiler: numbers of vertices and faces,
+    The layout of ``mesh_graph`` is defined by MuJoCo's compiler: numbers of vertices and faces,
     address of the edges of each vertex, mesh numbers of the vertices, edges, faces as mesh numbers.
     """
     address, mesh_with_all_vertices = int(model.mesh_graphadr[mesh]), get_mesh(model, mesh)

@@ -1,8 +1,8 @@
-"""Left-right symmetry of joints and links, derived from names.
+"""Left-right symmetry of joints and links, derived from names such as ``FL_knee``.
 
-Input are names of joints or links, such as ``FL_knee``. `find_mirror_pairs` pairs the names that
-differ only in a word for left or right, which one name may lack. `find_unlike_pairs` selects the
-pairs whose motor parameters differ unexpectedly, which indicates an error in a file.
+`find_mirror_pairs` pairs the names that differ only in a word for left or right, which one name may
+lack. `find_unlike_pairs` selects the pairs whose motor parameters differ unexpectedly, which
+indicates an error in a file.
 """
 
 from __future__ import annotations
@@ -29,41 +29,39 @@ _SIDE_PATTERN = re.compile(
     rf"(?<![A-Za-z])({'|'.join(sorted(_OPPOSITE_SIDE, key=len, reverse=True))})(?![A-Za-z])"
     "|^[LR](?=[A-Z][a-z])"
 )
-"""Pattern of the word for a side (such as left) in a name. There must be no letter directly before
-or after the word. L or R at the start may be followed by a capitalised word.
-"""
+"""Pattern of the word for a side (such as left) in a name. No letter may be directly before or
+after the word. Exception: a capitalised word may follow L or R at the start."""
 
 ASYMMETRIC_PART_NAME = re.compile("gripper|finger|camera|imu|sensor", re.IGNORECASE)
-"""Pattern in the names of parts that are often not mounted as mirror images of each other;
-`find_mirror_pairs` excludes such names."""
+"""Pattern in the names of parts that are often not mounted as mirror images of each other, such as
+cameras. `find_mirror_pairs` excludes such names."""
 
 
 LEG_JOINT_NAME = re.compile("hip|thigh|knee|calf|shank|ankle|foot|wheel", re.IGNORECASE)
-"""Pattern of the names of leg joints, to recognise robots whose base should be free. The joints
-of arms and hands, whose base is bolted down, rarely have such names."""
+"""Pattern of the names of leg joints, to recognise robots whose base should be free. Joints of arms
+and hands, whose base is bolted down, rarely have such names."""
 
 _MOTOR_PARAMETER_RTOL = 0.02
 """Relative tolerance for equal motor parameters. Chosen, not tuned: in published models, motors of
 the same type have identical values."""
 
 _MIN_EQUAL_PAIRS_PER_UNEQUAL = 3
-"""Threshold of the ratio (number of pairs with equal left and right motor) / (number of unequal
-pairs). From this ratio on, each unequal pair is reported: the model has a single set of values per
-motor type, so an unequal pair is probably an error. If each motor was identified individually, no
-pair is equal. Chosen, not tuned.
-"""
+"""Ratio (pairs with equal left and right motor) / (unequal pairs), from which each unequal pair is
+reported. At such a ratio, the model has a single set of values per motor type, so an unequal pair
+is probably an error. If each motor was identified individually, no pair is equal. Chosen, not
+tuned."""
 
 _MIN_REPORTED_RATIO = 20.0
-"""Ratio between the values of left and right motor. From this ratio on, a pair is reported even if
-the motors were identified individually. Chosen: in five published robots, individually identified
-armatures differ by a factor of at most 13.
-"""
+"""Ratio between the values of left and right motor, from which a pair is reported even if the
+motors were identified individually. Chosen: in five published robots, individually identified
+armatures differ by a factor of at most 13."""
 
 
 def mirror_name(name: str) -> str:
-    """Return a name with left and right exchanged; abbreviations only if no side is written out.
+    """Return a name with left and right exchanged, for example ``FR_knee`` for ``FL_knee``.
 
-    A name without a side is returned unchanged.
+    Abbreviations are exchanged only if the name contains no written-out side. A name without a side
+    is returned unchanged.
     """
     pattern = _FULL_WORD if _FULL_WORD.search(name) else _SIDE_PATTERN
     return pattern.sub(lambda match: _OPPOSITE_SIDE[match[0]], name)
@@ -73,8 +71,8 @@ def find_mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     """Return the pairs of names that differ only in left and right, in the given order.
 
     A name without a side, such as ``foot`` of a planar walker, is paired with ``foot_left`` or
-    ``foot_right``, unless both exist. These pairs come last.
-    Names that match ``ASYMMETRIC_PART_NAME`` are excluded.
+    ``foot_right``, unless both exist. These pairs come last. Names that match
+    ``ASYMMETRIC_PART_NAME`` are excluded.
     """
     names_in_order = dict.fromkeys(names)
     pairs: dict[str, str] = {}
@@ -101,14 +99,15 @@ def find_unlike_pairs(
 ) -> list[tuple[str, str]]:
     """Return the mirror pairs of joints with unexpectedly different motor, damper or spring.
 
-    The result contains all unequal pairs in two cases. First, if at least three quarters of the
-    pairs are equal, because motors of the same type have a single set of values. Second, if the
-    unequal pairs have at most one distinct value per pair: for example one value for all left
-    joints and another for all right joints. (In five published robots with identified motors, there
-    are 1.67 to 2 values per unequal pair.)
+    Which pairs are returned depends on the values:
 
-    Otherwise, the motors were identified individually. The result then contains the pairs whose
-    absolute values differ by a factor of at least ``_MIN_REPORTED_RATIO``.
+    - If at least three quarters of the pairs are equal: all unequal pairs, because motors of the
+      same type have a single set of values.
+    - If the unequal pairs have at most one distinct value per pair, for example one value for all
+      left joints and another for all right joints: all unequal pairs. (In five published robots
+      with identified motors, there are 1.67 to 2 values per unequal pair.)
+    - Otherwise the motors were identified individually: the pairs whose absolute values differ by a
+      factor of at least ``_MIN_REPORTED_RATIO``.
 
     Args:
         pairs: Pairs of a left and a right joint, in any order.
@@ -143,10 +142,10 @@ names to find the corresponding links or joints of several limbs."""
 
 
 def strip_sides(name: str) -> str:
-    """Return a name in lower case without the words that distinguish limbs.
+    """Return a name without the words that distinguish limbs: ``calf`` for ``FL_calf``.
 
-    Underscores, hyphens, points, spaces and capitals separate words; underscores join the others:
-    ``FL_calf`` becomes ``calf``.
+    The result is in lower case. Underscores, hyphens, points, spaces and capitals separate words.
+    The remaining words are joined by underscores.
     """
     words = re.split(r"[_\-. ]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower())
     return "_".join(word for word in words if word not in _SIDE_TOKENS)

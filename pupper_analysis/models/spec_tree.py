@@ -1,6 +1,6 @@
 """``SpecTree``: bodies and joints of an MJCF, with queries, edits and additions for simulation.
 
-``join_free_base`` replaces several joints that together make a base free by one free joint.
+``join_free_base`` replaces the slides and hinges that together make a base free by one free joint.
 """
 
 from __future__ import annotations
@@ -42,13 +42,12 @@ _OPTION_VALUES: Final[dict[tuple[str, AttributeValue], Any]] = {
 
 MIN_RANGE = 1e-9
 """Smallest effort [N m, N] that is written as force range (-effort, effort). Also the width [rad,
-m] of a joint range that is written for equal limits. MuJoCo rejects an enabled range with equal
-ends. Chosen, not tuned.
-"""
+m] of a joint range that is written for equal limits. Reason: MuJoCo rejects an enabled range with
+equal ends. Chosen, not tuned."""
 
 
 def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
-    """Replace mass, CoM and rotational inertia of a body.
+    """Replace mass, CoM and rotational inertia of a body in a spec.
 
     Args:
         body: Body of a spec; modified.
@@ -66,8 +65,9 @@ def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
 def write_joint_parameter(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float) -> None:
     """Write the value of a joint parameter, for example damping or effort, into an MJCF spec.
 
-    An effort becomes a symmetric force range of the joint, of at least ``MIN_RANGE``. If MuJoCo
-    stores a polynomial, the value is the first coefficient, and all other coefficients are zero.
+    An effort becomes a symmetric force range of the joint, at least ``MIN_RANGE`` wide to each
+    side. For a parameter that MuJoCo stores as a polynomial, the value is the first coefficient,
+    and all other coefficients are zero.
 
     Args:
         joint: Joint; modified.
@@ -88,7 +88,10 @@ def write_joint_parameter(joint: mujoco.MjsJoint, attribute: JointAttribute, val
 
 @dataclass(frozen=True, eq=False)
 class SpecTree:
-    """Bodies and joints of an MJCF, with the methods of `UrdfTree` and methods for additions.
+    """Bodies and joints of an MJCF, with queries, edits, and additions for simulation.
+
+    The queries and edits have the names of the methods of `UrdfTree`, so that a change of both
+    files is written once.
 
     Attributes:
         spec: MuJoCo's editable model.
@@ -107,7 +110,7 @@ class SpecTree:
         return None if parent.name == self.spec.worldbody.name else str(parent.name)
 
     def movers(self, link: str) -> tuple[str, ...]:
-        """Return the names of the joints between a body and its parent, except free joints."""
+        """Return the names of the joints between a body and its parent, without free joints."""
         joints = self.spec.body(link).joints
         return tuple(joint.name for joint in joints if joint.type != JointKind.FREE)
 
@@ -117,7 +120,7 @@ class SpecTree:
         return None if element is None else str(element.parent.name)
 
     def fixed_group(self, link: str) -> list[str]:
-        """Return the names of a body and of all descendants without joints in between."""
+        """Return the names of a body, and of all descendants that are fixed to this body."""
         group = [link]
         for name in group:
             children = self.spec.body(name).bodies
@@ -125,20 +128,20 @@ class SpecTree:
         return group
 
     def subtree(self, link: str) -> Iterator[str]:
-        """Yield the names of a body and of all its descendants."""
+        """Yield the names of a body and of all its descendants, the body first."""
         body = self.spec.body(link)
         yield link
         for child in body.find_all(mujoco.mjtObj.mjOBJ_BODY):
             yield child.name
 
     def link_mass(self, link: str) -> float:
-        """Return the mass of a body [kg] in the compiled model, from geoms if not specified."""
+        """Return the mass of a body [kg], as specified or as computed from geoms by MuJoCo."""
         return float(self._compiled_model.body(link).mass[0])
 
     def read_inertia(self, link: str) -> pin.Inertia:
-        """Return the spatial inertia of a body in its frame [kg, m, kg m^2], from geoms if needed.
+        """Return the spatial inertia of a body [kg, m, kg m^2], expressed in the frame of the body.
 
-        The inertia is that of the compiled model.
+        The inertia is read from the compiled model: as specified, or computed from geoms.
         """
         body = self._compiled_model.body(link)
         rotation = pin.Quaternion(body.iquat[[1, 2, 3, 0]]).toRotationMatrix()
@@ -167,8 +170,8 @@ class SpecTree:
         Args:
             name: Name of the new body.
             parent: Parent body.
-            joint: Unused; a fixed body of an MJCF has no joint.
-            place: Position (3,) [m] in the parent frame.
+            joint: Ignored; a fixed body of an MJCF has no joint.
+            place: Position of the new body in the parent frame, shape (3,) [m].
             inertia: Spatial inertia in the frame of the new body; None if not specified.
         """
         del joint
@@ -178,7 +181,10 @@ class SpecTree:
         self._clear_cache()
 
     def scale_mass(self, link: str, factor: float) -> None:
-        """Multiply a body's mass and inertia, specified or computed from geoms, by a factor."""
+        """Multiply mass and rotational inertia of a body by a factor, in place.
+
+        If the inertia is computed from geoms, density and mass of the geoms are scaled.
+        """
         body = self.spec.body(link)
         self._clear_cache()
         if body.explicitinertial:
@@ -191,7 +197,7 @@ class SpecTree:
                 geom.mass = factor * geom.mass
 
     def scale_inertia(self, link: str, factor: float) -> None:
-        """Multiply the inertia of a body about the CoM by a factor.
+        """Multiply the rotational inertia of a body about its CoM by a factor, in place.
 
         Raises:
             ValueError: If the inertia is not specified, but computed from the geoms.
@@ -204,9 +210,13 @@ class SpecTree:
         body.fullinertia = factor * np.array(body.fullinertia)
 
     def move_com(self, link: str, offset: Array) -> None:
-        """Translate the CoM of a body by an offset (3,) [m], expressed in the frame of the body.
+        """Translate the CoM of a body, in place; the inertia about the CoM is unchanged.
 
-        The inertia about the CoM is unchanged. An inertia from geoms becomes explicit.
+        An inertia that is computed from geoms becomes explicit.
+
+        Args:
+            link: Name of the body.
+            offset: Displacement, shape (3,) [m], expressed in the frame of the body.
         """
         body = self.spec.body(link)
         self._clear_cache()
@@ -215,11 +225,11 @@ class SpecTree:
         body.ipos = np.array(body.ipos) + offset
 
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:
-        """Multiply a joint parameter by a factor.
+        """Multiply a joint parameter by a factor, in place.
 
-        If the parameter is the effort, three ranges are scaled: the force range of the joint, the
-        force ranges of its actuators, and the control ranges of its actuators without bias (torque
-        motors). If the parameter is a position limit, both ends of the range are scaled.
+        - Effort: the force range of the joint, the force ranges of its actuators, and the control
+          ranges of its actuators without bias (torque motors) are scaled.
+        - Position limit: both ends of the range are scaled.
 
         Args:
             joint: Joint.
@@ -254,9 +264,11 @@ class SpecTree:
         element.springdamper = (0.0, 0.0)
 
     def set_options(self, values: Mapping[str, AttributeValue]) -> None:
-        """Set attributes of the MJCF's ``<option>``, for example ``{"cone": "elliptic"}``.
+        """Set attributes of the MJCF's ``<option>``.
 
-        Texts must be in `_OPTION_VALUES`; numbers are set as they are.
+        Args:
+            values: {attribute: value}, for example ``{"cone": "elliptic"}``. A text must be in
+                `_OPTION_VALUES`.
         """
         for name, value in values.items():
             setattr(self.spec.option, name, _OPTION_VALUES.get((name, value), value))
@@ -264,10 +276,10 @@ class SpecTree:
     def add_floor(self, beneath: float | None = None) -> mujoco.MjsGeom:
         """Add a horizontal plane with MuJoCo's default contact parameters as floor.
 
-        ``conaffinity`` of the plane contains the ``contype`` bits of all geoms. Therefore the plane
-        collides with each geom whose ``contype`` is not 0. This includes geoms whose bits only
-        permit contact with each other, such as left and right legs. The floor in the scenes of
-        these robots has the same bits.
+        ``conaffinity`` of the plane contains the ``contype`` bits of all geoms: the plane collides
+        with each geom whose ``contype`` is not 0. These include geoms whose bits only permit
+        contact with each other, such as left and right legs. The floor in the scenes of these
+        robots has the same bits.
 
         Args:
             beneath: Height z [m] of the plane, which is then added to a new body; existing bodies
@@ -282,7 +294,12 @@ class SpecTree:
         )
 
     def add_imu(self, body: str, site: str) -> None:
-        """Add gyro and accelerometer at a site; a missing site is added at the body's origin."""
+        """Add a gyro and an accelerometer at a site.
+
+        Args:
+            body: Body to whose origin a missing site is added.
+            site: Name of the site.
+        """
         if self.spec.site(site) is None:
             self.spec.body(body).add_site(name=site)
         for kind in IMU_SENSORS:
@@ -293,11 +310,11 @@ class SpecTree:
     def add_coupling(
         self, follower: str, leader: str, multiplier: AttributeValue, offset: AttributeValue
     ) -> mujoco.MjsEquality:
-        """Couple a joint to another: q_follower = offset + multiplier q_leader.
+        """Couple a joint to another joint: q_follower = offset + multiplier q_leader.
 
         Args:
             follower: Joint that is coupled.
-            leader: Joint that it follows.
+            leader: Joint whose position the follower follows.
             multiplier: Factor of the leader's position.
             offset: Position of the follower with the leader at zero [rad, m].
 
@@ -319,9 +336,9 @@ class SpecTree:
         return equality
 
     def stiffen_couplings(self) -> None:
-        """Make all joint couplings as stiff as those that ``add_coupling`` creates.
+        """Make all joint couplings as stiff as the couplings of ``add_coupling``, in place.
 
-        MuJoCo's couplings are soft, whereas a mimic joint of a URDF follows exactly.
+        Reason: MuJoCo's couplings are soft, whereas a mimic joint of a URDF follows exactly.
         """
         for equality in self.spec.equalities:
             if equality.type == mujoco.mjtEq.mjEQ_JOINT:
@@ -335,7 +352,7 @@ class SpecTree:
         equality.solref = (max(COUPLING_TIME_CONSTANT, 2 * float(self.spec.option.timestep)), 1.0)
 
     def motor_at(self, joint: str) -> mujoco.MjsActuator | None:
-        """Return the last actuator with transmission ``joint`` at a joint; None without any."""
+        """Return the last actuator with transmission ``joint`` at a joint; None if there is none."""
         transmission = mujoco.mjtTrn.mjTRN_JOINT
         motors = [
             motor
@@ -366,7 +383,7 @@ class SpecTree:
         kd: float,
         limits: tuple[AttributeValue, AttributeValue] | None = None,
     ) -> None:
-        """Change the last actuator of a joint to a position servo, or add a servo.
+        """Convert the last actuator of a joint to a position servo, or add a servo.
 
         Limits of the control and of the activation, and the delay, are removed.
 
@@ -374,8 +391,8 @@ class SpecTree:
             joint: Joint.
             kp: Stiffness at the joint [N m/rad, N/m].
             kd: Damping at the joint [N m s/rad, N s/m].
-            limits: Lower and upper bound of the torque or force at the joint [N m, N]. If None,
-                the existing force range of the actuator stays.
+            limits: Lower and upper bound of the torque or force at the joint [N m, N]. If None, the
+                existing force range of the actuator stays.
         """
         motor = self.motor_at(joint) or self._add_actuator(joint)
         gear = float(motor.gear[0]) or 1.0
@@ -387,10 +404,10 @@ class SpecTree:
             motor.forcerange = sorted(float(limit) / gear for limit in limits)
 
     def limit_effort(self, joint: str, effort: float) -> None:
-        """Replace the force limits of a joint and its actuators by a symmetric limit of the total.
+        """Replace the force limits of a joint and its actuators by a symmetric limit of the sum.
 
         Control ranges of torque motors are disabled; ranges of servos stay. Only actuators with
-        transmission ``joint`` are changed; a joint without such an actuator gets no limit.
+        transmission ``joint`` are changed. A joint without such an actuator gets no limit.
 
         Args:
             joint: Joint.
@@ -428,8 +445,9 @@ class SpecTree:
             name: Name of the sphere.
             body: Body of the sphere.
             radius: Radius [m].
-            place: Centre (3,) [m] in the frame of the body.
-            like: Geom to copy; None for the defaults of the MJCF.
+            place: Centre, shape (3,) [m], in the frame of the body.
+            like: Geom whose contact parameters and colour are copied; None for the defaults of the
+                MJCF.
         """
         model_geom = None if like is None else self.spec.geom(like)
         ball = self.spec.body(body).add_geom(
@@ -444,13 +462,13 @@ class SpecTree:
         return ball
 
     def turn_off_contact(self, geoms: Sequence[str]) -> None:
-        """Set the contact bits of geoms to zero. Explicit pairs (``<pair>``) still collide."""
+        """Disable the contacts of geoms by zero contact bits; pairs (``<pair>``) still collide."""
         for geom in self.spec.geoms:
             if geom.name in geoms:
                 geom.contype = geom.conaffinity = 0
 
     def set_home(self, qpos: ArrayLike, ctrl: Sequence[float] = ()) -> None:
-        """Replace all keyframes by the single keyframe `HOME_KEYFRAME`.
+        """Replace all keyframes by the single keyframe `HOME_KEYFRAME` (``home``).
 
         Args:
             qpos: Configuration in MuJoCo's order.
@@ -465,10 +483,9 @@ class SpecTree:
 
 
 _MIN_SINGULAR_VALUE: Final = 0.1
-"""Threshold of the smallest singular value of the matrix (3, 3) of the unit axes of three slides or
-three hinges. If the value is larger, the joints move a base in all directions. For orthogonal axes
-the value is 1. Chosen, not tuned.
-"""
+"""Smallest singular value of the matrix (3, 3) of the unit axes of three slides or three hinges,
+above which the joints move a base in all directions. For orthogonal axes the value is 1. Chosen,
+not tuned."""
 
 _THREE_SLIDES: Final = [JointKind.SLIDE] * 3
 """Types of three slides, by which MJCFs without a free joint let a base translate in all
@@ -486,11 +503,11 @@ def join_free_base(spec: mujoco.MjSpec, *, stated: Collection[str] = ()) -> Diag
     """Replace the joints of a free base by a single free joint, in place, and delete all keyframes.
 
     Models converted from OpenSim, and some exporters, use three slides and three hinges (or a
-    ball). The other modules support a free joint only.
+    ball). The other modules support only a free joint.
 
     Args:
         spec: The MJCF.
-        stated: Joints that the URDF contains, too. If the base has one of these, the spec is
+        stated: Joints that the URDF contains, too. If the base has one of these joints, the spec is
             unchanged.
 
     Returns:
@@ -514,7 +531,7 @@ def _reference_position(joint: mujoco.MjsJoint) -> float:
 
 
 def delete_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
-    """Delete a joint of a spec, and its actuators, joint equalities and sensors, in place."""
+    """Delete a joint of a spec, in place, with its actuators, joint equalities and sensors."""
     name = joint.name
     for actuator in list(spec.actuators):
         if actuator.target == name:
@@ -539,9 +556,12 @@ def _delete_sensors(spec: mujoco.MjSpec, name: str) -> None:
 def _find_free_base(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBody | None:
     """Return the body of the world with the most joints in its subtree, if it is a free base.
 
-    The joints of a free base are three slides, and either three hinges or a ball. Their axes must
-    span all directions. None of them may have an actuator, a ``stiffness`` or a name in ``stated``.
-    The bodies below must have further joints. None if there is no free base.
+    None unless all conditions hold:
+
+    - The joints of the body are three slides, and either three hinges or a ball.
+    - The axes span all directions.
+    - No joint has an actuator, a ``stiffness`` or a name in ``stated``.
+    - The bodies below have further joints.
     """
     joint_type = mujoco.mjtObj.mjOBJ_JOINT
     bodies = list(spec.worldbody.bodies)

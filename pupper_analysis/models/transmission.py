@@ -2,7 +2,7 @@
 
 Input is a compiled MuJoCo model. The force law of an actuator is F = gain ctrl - stiffness l -
 damping dl/dt, with the length l = gear q. `classify_joint_drive` determines the type of a joint's
-drive from these laws, for example servo, motor, velocity servo or no actuator.
+actuator from these laws, for example servo, motor, velocity servo or no actuator.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ def is_at_one_joint(model: mujoco.MjModel, actuator: int) -> bool:
 
 
 def list_actuator_targets(model: mujoco.MjModel, actuator: int) -> tuple[mujoco.mjtObj, list[int]]:
-    """Return the object type and the ids of the targets of an actuator; -1 for a missing target.
+    """Return the object type and the ids of the targets of an actuator.
 
     Returns:
-        Object type, such as mjOBJ_JOINT; two ids of this type, of which the second is -1 for most
+        Object type, such as mjOBJ_JOINT; two ids of this type. The second id is -1 for most
         transmissions.
     """
     kind = mujoco.mjtTrn(int(model.actuator_trntype[actuator])).name.removeprefix("mjTRN_")
@@ -46,7 +46,11 @@ def list_actuator_targets(model: mujoco.MjModel, actuator: int) -> tuple[mujoco.
 
 
 def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:
-    """Return the gear of the first output of an actuator: (1,) at a single joint, else (6,)."""
+    """Return the gear of the first output of an actuator.
+
+    Returns:
+        Shape (1,) for an actuator at a single joint, otherwise (6,).
+    """
     gear = np.array(model.actuator_gear[int(model.actuator_outadr[actuator])])
     return gear[:1] if is_at_one_joint(model, actuator) else gear
 
@@ -66,18 +70,18 @@ def read_gears(model: mujoco.MjModel, actuators: NDArray[np.integer]) -> Array:
 def list_joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
     """Return the ids of the actuators at a hinge or slide.
 
-    For these joints the transmissions ``joint`` and ``jointinparent`` are equal. Ids of actuators
-    are less than ``model.nactuator``. This number may be smaller than ``model.nu``, because an
-    actuator may have several controls.
+    The transmissions ``joint`` and ``jointinparent``, which are equal for these joints, count. Ids
+    are less than ``model.nactuator``, which may be smaller than ``model.nu``: an actuator may have
+    several controls.
     """
     candidates = np.flatnonzero(model.actuator_trnid[:, 0] == joint).tolist()
     return [actuator for actuator in candidates if is_at_one_joint(model, actuator)]
 
 
 def group_actuators_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
-    """Return {joint id: ids of the joint's actuators} of the hinges and slides with an actuator.
+    """Return {joint id: ids of its actuators} for the hinges and slides with an actuator.
 
-    Actuators with transmission ``joint`` or ``jointinparent`` count; see `is_at_one_joint`.
+    Only actuators that act directly on a single joint count (`is_at_one_joint`).
     """
     actuators_by_joint: dict[int, list[int]] = {}
     for actuator, joint in enumerate(model.actuator_trnid[:, 0].tolist()):
@@ -87,16 +91,19 @@ def group_actuators_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
 
 
 def tendon_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Return the actuators at tendons whose length depends on the position of a joint."""
+    """Return the ids of actuators at tendons whose length depends on the position of a joint."""
     return [actuator for actuator, joints in list_tendon_joints(model).items() if joint in joints]
 
 
 def list_tendon_joints(model: mujoco.MjModel) -> dict[int, set[int]]:
-    """Return {actuator at a tendon: joints on whose positions the length of the tendon depends}.
+    """Find the joints on whose positions the lengths of tendons with actuators depend.
 
-    A fixed tendon depends on the joints with a nonzero coefficient. A spatial tendon depends on the
-    joints that move some, but not all points of a branch of its path. The result has no joints for
-    a gear of zero, and for a spatial tendon that depends on a free joint or a ball joint.
+    - Fixed tendon: the joints with a nonzero coefficient.
+    - Spatial tendon: the joints that move some, but not all points of a branch of its path.
+
+    Returns:
+        {id of an actuator at a tendon: ids of the joints}. The set of joints is empty for a gear of
+        zero, and for a spatial tendon that depends on a free joint or a ball joint.
     """
     found = {actuator: set(levers) for actuator, levers in fixed_tendon_levers(model).items()}
     for actuator in found:
@@ -145,9 +152,9 @@ def _list_ancestors(model: mujoco.MjModel, body: int) -> set[int]:
 def measure_actuator_levers(
     model: mujoco.MjModel, qpos: Array, actuators: Sequence[int]
 ) -> tuple[Array, Array]:
-    """Compute the lengths and levers of actuators, for example at tendons, at a configuration.
+    """Compute the lengths and lever arms of actuators, for example at tendons, at a configuration.
 
-    The torque at a joint is the force of the actuator times the lever, d(length)/d(position).
+    The torque at a joint is the force of the actuator times the lever arm d(length)/d(position).
 
     Args:
         model: MuJoCo model.
@@ -155,7 +162,7 @@ def measure_actuator_levers(
         actuators: Ids of n actuators.
 
     Returns:
-        Lengths, shape (n,), and levers at all degrees of freedom, shape (n, model.nv); both contain
+        Lengths, shape (n,); lever arms at all degrees of freedom, shape (n, model.nv). Both contain
         the gear.
     """
     data = mujoco.MjData(model)
@@ -176,14 +183,14 @@ def measure_actuator_levers(
 
 
 def fixed_tendon_levers(model: mujoco.MjModel) -> dict[int, dict[int, float]]:
-    """Return the levers of the actuators at fixed tendons.
+    """Return the lever arms of the actuators at fixed tendons.
 
     A fixed tendon is a linear combination of joint positions. The torque at a joint is the force of
-    the actuator times the lever, which is the gear times the coefficient of the joint.
+    the actuator times the lever arm, which is the gear times the coefficient of the joint.
 
     Returns:
-        {actuator id: {joint id: lever}} of all actuators at tendons. Levers of zero are omitted.
-        For an actuator at a spatial tendon, the inner dictionary is empty.
+        {actuator id: {joint id: lever arm}} of all actuators at tendons. Lever arms of zero are
+        omitted. For an actuator at a spatial tendon, the inner dictionary is empty.
     """
     levers = {}
     at_tendons = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON.value)
@@ -209,7 +216,7 @@ spatial tendon are sites, geoms and pulleys."""
 
 
 def list_tendon_servos(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Return the position servos at tendons whose length depends on the position of a joint."""
+    """Return the ids of position servos at tendons whose length depends on a joint's position."""
     return [
         actuator
         for actuator in tendon_actuators(model, joint)
@@ -221,12 +228,12 @@ def list_tendon_servos(model: mujoco.MjModel, joint: int) -> list[int]:
 class ActuatorLaw:
     """Force law of an actuator at a hinge or slide: F = gain ctrl - stiffness l - damping dl/dt.
 
-    The length l is the joint position times the gear; the joint torque is F times the gear. A
+    The length l is the joint position times the gear. The joint torque is F times the gear. A
     constant bias is left out.
 
     Attributes:
-        gain: Force per unit of ctrl, before the gear. For a position servo this is kp (N m/rad or
-            N/m), for a motor the torque or force (N m or N) at ctrl = 1.
+        gain: Force per unit of ctrl, before the gear: kp (N m/rad or N/m) of a position servo,
+            torque or force (N m or N) of a motor at ctrl = 1.
         stiffness: Stiffness (N m/rad or N/m); 0 for a motor.
         damping: Damping (N m s/rad or N s/m).
         gear: Gear ratio.
@@ -239,7 +246,7 @@ class ActuatorLaw:
 
     @property
     def joint_gains(self) -> tuple[float, float]:
-        """Stiffness and damping of the actuator at its joint, gear^2 times its own values.
+        """Stiffness and damping of the actuator at its joint: both times gear^2.
 
         Units: N m/rad and N m s/rad for a hinge, N/m and N s/m for a slide.
         """
@@ -247,7 +254,12 @@ class ActuatorLaw:
 
 
 def read_actuator_law(model: mujoco.MjModel, actuator: int) -> ActuatorLaw:
-    """Return the force law of an actuator. Without affine bias, stiffness and damping are 0."""
+    """Read the force law of an actuator; without affine bias, stiffness and damping are 0.
+
+    Args:
+        model: MuJoCo model.
+        actuator: Id of the actuator.
+    """
     gain = float(model.actuator_gainprm[actuator, 0])
     affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE.value
     stiffness, damping = -model.actuator_biasprm[actuator, 1:3] if affine else (0.0, 0.0)
@@ -256,9 +268,8 @@ def read_actuator_law(model: mujoco.MjModel, actuator: int) -> ActuatorLaw:
 
 
 _GAIN_RTOL = 1e-5
-"""Relative tolerance of two equalities. A position servo has equal gain and stiffness, a velocity
-servo equal gain and damping. The default of ``numpy.isclose``.
-"""
+"""Relative tolerance with which a position servo has equal gain and stiffness, and a velocity servo
+equal gain and damping [1]. The default of ``numpy.isclose``."""
 
 
 class Drive(StrEnum):
@@ -281,17 +292,17 @@ class Drive(StrEnum):
 
     @property
     def has_other_law(self) -> bool:
-        """Whether this type is ``FORCE`` or ``OTHER``, neither a servo nor a torque motor.
+        """Whether the actuator is neither a servo nor a torque motor: ``FORCE`` or ``OTHER``.
 
         The force of a ``FORCE`` actuator does not depend on the joint position (for example a DC
-        motor without a position gain); ``OTHER`` is any other control law, such as ``pid``.
+        motor without a position gain). ``OTHER`` is any other control law, such as ``pid``.
         """
         return self in (Drive.FORCE, Drive.OTHER)
 
 
 @dataclass(frozen=True)
 class MadeServo:
-    """A servo that the MJCF does not have.
+    """Servo that this package adds to a joint, because the MJCF has no such servo.
 
     Attributes:
         joint: Joint of the servo.
@@ -309,11 +320,11 @@ class MadeServo:
 def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
     """Return the type of the actuator at a hinge or slide.
 
-    If a joint has several actuators, the type that is first in ``_TYPE_PRIORITY`` is returned.
-    Exception: if an actuator is ``WRONG_SIGN``, the sum of the stiffnesses decides between this
-    type and ``SERVO``. If a joint has no actuator, the type is ``TENDON`` or ``NONE``. It is
-    ``TENDON`` if the length of a tendon with an actuator depends on the joint
-    (`list_tendon_joints`).
+    - One actuator: its type.
+    - Several actuators: the type that is first in ``_TYPE_PRIORITY``. Exception: if an actuator is
+      ``WRONG_SIGN``, the sign of the summed stiffness decides between ``SERVO`` and ``WRONG_SIGN``.
+    - No actuator: ``TENDON`` if the length of a tendon with an actuator depends on the joint
+      (`list_tendon_joints`), otherwise ``NONE``.
 
     Args:
         model: Unmodified model of the MJCF.
@@ -334,9 +345,8 @@ def classify_joint_drive(model: mujoco.MjModel, joint: int) -> Drive:
 _TYPE_PRIORITY = (
     Drive.SERVO, Drive.MOTOR, Drive.VELOCITY, Drive.OTHER, Drive.FORCE, Drive.NO_STIFFNESS
 )  # fmt: skip
-"""Types of actuators by descending priority. If actuators of different types act on a joint, the
-joint has the type that comes first in this tuple.
-"""
+"""Types of actuators by descending priority. A joint with actuators of different types has the type
+that comes first."""
 
 
 def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:

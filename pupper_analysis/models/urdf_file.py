@@ -1,9 +1,9 @@
 """Reading of URDF files: validation with line numbers, mesh paths, joints without limits.
 
-Input is a path or an XML tree; output is a `UrdfFile` whose XML Pinocchio can read. Missing efforts
-and velocities of limits are completed; unused xacro declarations and a second ``<origin>`` of an
-element are removed. Other errors raise a `ModelError` with file and, if known, line; a mimic of an
-unknown joint is only noted.
+Input is a path or an XML tree. Output is a `UrdfFile` whose XML Pinocchio can read. Missing efforts
+and velocities of limits are completed. Unused xacro declarations and a second ``<origin>`` of an
+element are removed. A mimic of an unknown joint is noted. Other errors raise a `ModelError` with
+file and, if known, line.
 """
 
 from __future__ import annotations
@@ -41,21 +41,21 @@ from pupper_analysis.models.xml import MAX_DEPTH, MAX_NUMBER, NUMBER_PATTERN, pa
 
 @dataclass(frozen=True, eq=False)
 class UrdfFile:
-    """Valid URDF file.
+    """Valid URDF file, with the location of each element.
 
     Attributes:
         path: The file.
-        text: XML for the engines. It differs from the file if the reader changed an element or
-            attribute, if a joint without a range was made continuous, or if the file starts with
-            white space. Changed white space in an attribute with several numbers alone does not
-            count.
+        text: XML for the engines. The text differs from the file if the reader changed an element
+            or attribute, if a joint without a range was made continuous, or if the file starts with
+            white space. Changed white space in attributes with several numbers alone does not
+            change the text.
         root: Root element without comments; ``sourceline`` is the line of an element.
         packages: Folders of ROS packages, for ``package://``.
         notes: Diagnostics of assumptions.
         unknown: {kind of a joint parameter: joints with an unknown value}. Set if the URDF was
             converted from a format in which a missing parameter is unknown, and not zero.
         stands_for: Word that messages use for the original file of a converted robot; "" for a
-        URDF.
+            URDF.
         gains: {joint: (stiffness, damping) of the servo} (N m/rad, N m s/rad; N/m, N s/m), from the
             original file of a converted robot. None for a URDF, and for a format without servos.
     """
@@ -75,7 +75,9 @@ class UrdfFile:
         return UrdfTree(self.root)
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Return the location of an element; the file without line if there is no such element.
+        """Return the location (file and line) of an element.
+
+        The line is missing if there is no such element.
 
         Args:
             kind: Tag: ``"link"``, ``"joint"``, ``"material"`` ...
@@ -90,9 +92,9 @@ class UrdfFile:
         return Place(self.path, line_of(found))
 
     def place_of_nth(self, link: str, tag: str, number: int) -> Place:
-        """Return the location of the n-th child of a link with a tag.
+        """Return the location of the n-th child of a link with a tag, such as the second visual.
 
-        If the link has fewer children with the tag, the location is that of the link.
+        If the link has fewer children with the tag, the result is the location of the link.
 
         Args:
             link: Name of the link.
@@ -112,16 +114,20 @@ class UrdfFile:
         return {(e.tag, e.get("name")): e for e in reversed(elements)}
 
     def resolve_mesh(self, filename: str) -> Path | None:
-        """Return the file of a mesh's ``filename``.
-
-        None if there is no such file, if the file is a Git LFS pointer, or if the scheme is none of
-        ``package``, ``model`` and ``file``.
+        """Return the existing file to which a mesh's ``filename`` refers.
 
         ``package://NAME/...`` and ``model://NAME/...`` are searched in ``packages``, in the folders
         of ``ROS_PACKAGE_PATH``, and in the folders above the URDF, with and without resolving
         links. Finally, each folder above the URDF is assumed to be the package, or a folder in the
-        package, because a copy of a package may have another name. A name without scheme is
-        relative to the URDF.
+        package, because a copy of a package may have another name. A relative name without scheme,
+        or with ``file``, starts at the folder of the URDF.
+
+        Args:
+            filename: Text of the attribute.
+
+        Returns:
+            The file. None if there is no such file, if the file is a Git LFS pointer, or if the
+            scheme is none of ``package``, ``model`` and ``file``.
         """
         return next(filter(None, map(existing_file, self.list_mesh_places(filename))), None)
 
@@ -157,7 +163,7 @@ class UrdfFile:
 
 
 def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> UrdfFile:
-    """Read a URDF.
+    """Read and validate a URDF.
 
     Args:
         path: The file.
@@ -165,8 +171,8 @@ def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> U
 
     Raises:
         ConfigurationError: If ``path`` is no path.
-        ModelError: If the file cannot be loaded. The message is a single line with location and
-            reason.
+        ModelError: If the file cannot be loaded, or is not valid. The message is a single line with
+            location and reason.
         OutputError: If the run will write this file.
     """
     check_type("urdf", path, str | Path)
@@ -178,10 +184,16 @@ def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> U
 def urdf_from(
     path: Path, text: str, root: etree._Element, packages: Mapping[str, Path] | None
 ) -> UrdfFile:
-    """Return the URDF file of a root element, after validation.
+    """Validate the root element of a URDF, and return its `UrdfFile`.
 
     The root element is modified: unused xacro declarations and repeated origins are removed,
     missing efforts and velocities are completed, and white space in numbers is normalised.
+
+    Args:
+        path: The file.
+        text: Text of the file.
+        root: Root element; modified.
+        packages: Folders of ROS packages, for ``package://``.
 
     Raises:
         ModelError: If the URDF is not valid. The message is a single line with location and reason.
@@ -236,7 +248,8 @@ _SRDF_TAGS: Final = ("group", "group_state", "end_effector", "disable_collisions
 """Elements of an SRDF, the semantic description of MoveIt, whose root is also ``<robot>``."""
 
 MAX_LINKS: Final = 2000
-"""Largest number of links of a URDF; a file with more is refused. Chosen, to bound the time."""
+"""Largest number of links of a URDF; a file with more is refused. Bounds the computing time.
+Chosen, not tuned."""
 
 _JOINT_TYPES: Final = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 """Valid types of a joint."""
@@ -312,10 +325,10 @@ _KNOWN_TAGS: Final = frozenset(
 
 
 def distinct_children(path: Path, root: etree._Element, tag: str) -> dict[str, etree._Element]:
-    """Return {name: child of the root} with a tag.
+    """Return {name: child of the root} for the children with a tag; the names must be unique.
 
     Raises:
-        ModelError: If a child has no name, or the name of another.
+        ModelError: If a child has no name, or two children have the same name.
     """
     children: dict[str, etree._Element] = {}
     for element in root.findall(tag):
@@ -331,7 +344,11 @@ def distinct_children(path: Path, root: etree._Element, tag: str) -> dict[str, e
 
 
 def check_element(path: Path, element: etree._Element) -> bool:
-    """Check children and numbers of a link, joint or material, and normalise white space in place.
+    """Check children and numbers of a link, joint or material; normalise white space in numbers.
+
+    Args:
+        path: The file, for messages.
+        element: Element; modified in place.
 
     Returns:
         True if white space was removed from an attribute with a single number. The text of the URDF
@@ -424,6 +441,12 @@ def check_joint(
 ) -> None:
     """Validate type, limit, name and links of a joint.
 
+    Args:
+        path: The file, for messages.
+        name: Name of the joint.
+        joint: Element of the joint.
+        links: {name: link} of the URDF.
+
     Raises:
         ModelError: If the joint is not valid.
     """
@@ -452,7 +475,12 @@ def check_joint(
 def check_tree(
     path: Path, links: Mapping[str, etree._Element], joints: Mapping[str, etree._Element]
 ) -> None:
-    """Raise an error unless the joints connect the links to a single tree.
+    """Check that the joints of a URDF connect the links to a single tree.
+
+    Args:
+        path: The file, for messages.
+        links: {name: link}.
+        joints: {name: joint}.
 
     Raises:
         ModelError: If a link has two parent joints, the links form a loop, there are several roots,
@@ -492,14 +520,15 @@ def check_tree(
 # Joints without limits: normalisation for the readers of the engines.
 
 MAX_SLIDE_POSITION = 1e3
-"""Limit of a slide without limits [m]. URDF requires two limits, whose defaults are 0. Chosen: no
+"""Limit of a slide without limits [m]. A URDF requires two limits, whose defaults are 0. Chosen: no
 robot moves as far, and with 12 digits the resolution is a nanometre."""
 
 
 def complete_limits(root: etree._Element) -> Diagnostic | None:
-    """Set missing efforts and velocities of ``<limit>`` to ``UNSTATED_LIMITS``, in place.
+    """Complete missing efforts and velocities of ``<limit>`` in a URDF, in place.
 
-    The format requires both, some exporters omit them, and Pinocchio's reader rejects the joint.
+    The new value (``UNSTATED_LIMITS``) means an unknown limit. Reason: the format requires both
+    attributes, some exporters omit them, and Pinocchio's reader rejects the joint.
 
     Returns:
         Diagnostic with the names of the joints; None if no ``<limit>`` was incomplete.
@@ -516,8 +545,8 @@ def complete_limits(root: etree._Element) -> Diagnostic | None:
 def remove_repeated_origins(root: etree._Element) -> list[Diagnostic]:
     """Remove repeated ``<origin>`` elements in place; the first in each parent element remains.
 
-    urdfdom, the reader of ROS and Pinocchio, evaluates the first ``<origin>``; MuJoCo refuses the
-    file.
+    Reason: urdfdom, the reader of ROS and Pinocchio, evaluates the first ``<origin>``; MuJoCo
+    refuses the file.
 
     Returns:
         Warning for each element with more than one ``<origin>``.
@@ -551,10 +580,10 @@ def _describe_origin(origin: etree._Element) -> str:
 def states_no_limits(joint: UrdfJoint) -> bool:
     """Return True if the ``<limit>`` of a revolute joint contains no information about the range.
 
-    The result is True if ``lower`` and ``upper`` are missing, or if lower, upper and effort are all
+    This is the case if ``lower`` and ``upper`` are missing, or if lower, upper and effort are all
     zero or missing. Exporters omit these attributes, or write zeros, if the limits are unknown. An
     effort of at least ``UNSTATED`` counts as missing. A range from 0 to 0 is valid if the file
-    states an effort.
+    states an effort. False for other types of joints, and without ``<limit>``.
     """
     limit = joint.element.find("limit")
     if joint.kind != "revolute" or limit is None:
@@ -572,14 +601,17 @@ def states_no_limits(joint: UrdfJoint) -> bool:
 def unlimited_joints(root: etree._Element) -> list[UrdfJoint]:
     """Return the revolute joints of a URDF whose ``<limit>`` specifies no range.
 
-    `states_no_limits` defines this: ``lower`` and ``upper`` are missing in the element, or are zero
-    or missing together with the effort. A joint without the element is not included.
+    Criterion (`states_no_limits`): ``lower`` and ``upper`` are missing, or are zero or missing
+    together with the effort. A joint without ``<limit>`` is not included.
     """
     return [joint for joint in UrdfTree(root).joints.values() if states_no_limits(joint)]
 
 
 def to_engine_xml(root: etree._Element) -> str:
-    """Return the XML of a URDF in which the joints of `unlimited_joints` are continuous."""
+    """Return the XML of a URDF for the engines: joints without a range become continuous.
+
+    `unlimited_joints` returns these joints. ``root`` is not modified.
+    """
     if unlimited_joints(root):
         root = deepcopy(root)
         for joint in unlimited_joints(root):

@@ -1,7 +1,4 @@
-"""``UrdfTree``: links and joints of a URDF, with queries and edits of the kinematic tree.
-
-Other modules access the links and joints of a URDF by this class.
-"""
+"""``UrdfTree``: links and joints of a URDF, with queries and edits of the kinematic tree."""
 
 from __future__ import annotations
 
@@ -34,7 +31,7 @@ from pupper_analysis.models.xml import (
 
 
 def origin_of(element: etree._Element | None) -> pin.SE3:
-    """Return the pose in the ``<origin>`` of an element; the identity if there is none."""
+    """Return the pose in the ``<origin>`` of an element; the identity without ``<origin>``."""
     origin = None if element is None else element.find("origin")
     if origin is None:
         return pin.SE3.Identity()
@@ -43,9 +40,9 @@ def origin_of(element: etree._Element | None) -> pin.SE3:
 
 
 def set_origin(element: etree._Element, placement: pin.SE3, digits: int | None = None) -> None:
-    """Replace the ``<origin>`` of an element.
+    """Replace the ``<origin>`` of an element, in place.
 
-    A zero rotation is left out; an identity pose is written as no ``<origin>``.
+    A zero rotation is omitted. For an identity pose, no ``<origin>`` is written.
 
     Args:
         element: Element to modify.
@@ -62,7 +59,7 @@ def set_origin(element: etree._Element, placement: pin.SE3, digits: int | None =
 
 
 UNSTATED_LIMITS = dict.fromkeys(("effort", "velocity"), f"{UNSTATED:g}")
-"""{required attribute of ``<limit>`` in a URDF: text of an unknown limit}; see `UNSTATED`."""
+"""{required attribute of ``<limit>`` in a URDF: text that means an unknown limit (`UNSTATED`)}."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +78,7 @@ class UrdfElement:
         return str(self.element.get("name"))
 
     def remove(self, *tags: str) -> None:
-        """Remove all child elements of this element that have one of the tags."""
+        """Remove all child elements with one of the given tags, in place."""
         for tag in tags:
             for child in self.element.findall(tag):
                 self.element.remove(child)
@@ -97,7 +94,7 @@ class UrdfLink(UrdfElement):
 
     @property
     def inertia(self) -> pin.Inertia | None:
-        """Specified spatial inertia, in the link frame; None without ``<inertial>``."""
+        """Specified spatial inertia, expressed in the link frame; None without ``<inertial>``."""
         inertial = self.inertial
         if inertial is None:
             return None
@@ -114,7 +111,12 @@ class UrdfLink(UrdfElement):
         return np.eye(3) if inertial is None else np.array(origin_of(inertial).rotation)
 
     def set_inertia(self, inertia: pin.Inertia, digits: int | None = None) -> None:
-        """Replace the ``<inertial>`` element by an inertia in the link frame."""
+        """Replace the ``<inertial>`` element.
+
+        Args:
+            inertia: Spatial inertia in the link frame.
+            digits: Number of significant digits; None for all.
+        """
         self.remove("inertial")
         inertial = etree.SubElement(self.element, "inertial")
         add_element(inertial, "origin", xyz=join_numbers(inertia.lever, digits=digits))
@@ -125,7 +127,7 @@ class UrdfLink(UrdfElement):
 
     @property
     def shapes(self) -> Iterator[tuple[str, etree._Element, etree._Element | None]]:
-        """(tag, element, element inside ``<geometry>``) of visual, then of collision shapes."""
+        """Visual shapes, then collision shapes: (tag, element, element inside ``<geometry>``)."""
         for tag in ("visual", "collision"):
             for shape in self.element.iterfind(tag):
                 geometry = shape.find("geometry")
@@ -187,7 +189,10 @@ class UrdfJoint(UrdfElement):
         return origin_of(self.element)
 
     def parameter_text(self, attribute: JointAttribute) -> str | None:
-        """Return the text of a joint parameter in the file; None if missing or unknown to URDF."""
+        """Return the text of a joint parameter in the file.
+
+        None if the parameter is missing, or if URDF does not support it.
+        """
         if attribute.urdf is None:
             return None
         element = self.element.find(attribute.urdf[0])
@@ -210,7 +215,14 @@ class UrdfJoint(UrdfElement):
     def add_mimic(
         self, leader: str, multiplier: float, offset: float, digits: int | None = None
     ) -> None:
-        """Add a ``<mimic>`` element: q = multiplier q_leader + offset [rad, m]."""
+        """Add a ``<mimic>`` element to this joint: q = multiplier q_leader + offset.
+
+        Args:
+            leader: Joint whose position this joint follows.
+            multiplier: Factor.
+            offset: Offset [rad, m].
+            digits: Number of significant digits; None for all.
+        """
         multiplier_text, offset_text = (
             join_numbers(value, digits=digits) for value in (multiplier, offset)
         )
@@ -248,7 +260,7 @@ def _scale_attribute(element: etree._Element | None, attribute: str, factor: flo
 
 @dataclass(frozen=True, eq=False)
 class UrdfTree:
-    """Links and joints of a URDF.
+    """Links and joints of a URDF, with queries and edits.
 
     Links and joints are cached. If elements are added or removed without the methods of this class,
     a new tree must be created.
@@ -303,9 +315,10 @@ class UrdfTree:
         return self.parent_joints[link].parent if link in self.parent_joints else None
 
     def movers(self, link: str) -> tuple[str, ...]:
-        """Return the joint that moves a link, as a tuple with its name.
+        """Return the name of the joint that moves a link, as a tuple.
 
-        Empty for the base, and for a link that is fixed to its parent.
+        Empty for the base, and for a link that is fixed to its parent. (A body of an MJCF may have
+        several joints: `SpecTree.movers`.)
         """
         joint = self.parent_joints.get(link)
         return () if joint is None or joint.is_fixed else (joint.name,)
@@ -334,7 +347,7 @@ class UrdfTree:
         return {name: joint.child for name, joint in self.joints.items()}
 
     def fixed_group(self, link: str) -> list[str]:
-        """Return a link and all descendants that are fixed to this link, breadth first."""
+        """Return a link, and all descendants that are fixed to this link, breadth first."""
         group = [link]
         for name in group:
             group += [joint.child for joint in self.child_joints.get(name, ()) if joint.is_fixed]
@@ -349,7 +362,7 @@ class UrdfTree:
             pending += [joint.child for joint in reversed(self.child_joints.get(name, ()))]
 
     def chain(self, link: str) -> Iterator[UrdfJoint]:
-        """Yield the joints on the path from a link to the base, that of the link first."""
+        """Yield the joints between a link and the base, the parent joint of the link first."""
         while link in self.parent_joints:
             yield self.parent_joints[link]
             link = self.parent_joints[link].parent
@@ -374,7 +387,7 @@ class UrdfTree:
         self._clear_cache()
 
     def remove_base(self) -> None:
-        """Remove the base of this URDF and the joints between base and children."""
+        """Remove the base link, and the joints between the base and its children."""
         base = self.base
         for joint in self.child_joints.get(base.name, ()):
             self.root.remove(joint.element)
@@ -389,8 +402,8 @@ class UrdfTree:
         Args:
             name: Name of the new link.
             parent: Parent link.
-            joint: Name of the fixed joint.
-            place: Position (3,) [m] in the parent frame.
+            joint: Name of the new fixed joint.
+            place: Position of the new link in the parent frame, shape (3,) [m].
             inertia: Spatial inertia in the frame of the new link; None for no ``<inertial>``.
         """
         link = self.new_link(name)
@@ -430,21 +443,23 @@ class UrdfTree:
         return UrdfJoint(element)
 
     def scale_mass(self, link: str, factor: float) -> None:
-        """Multiply mass and inertia of a link by a factor."""
+        """Multiply mass and rotational inertia of a link by a factor, in place."""
         inertial = self.links[link].inertial
         _scale_attribute(None if inertial is None else inertial.find("mass"), "value", factor)
         self.scale_inertia(link, factor)
 
     def scale_inertia(self, link: str, factor: float) -> None:
-        """Multiply the inertia of a link about the CoM by a factor."""
+        """Multiply the rotational inertia of a link about its CoM by a factor, in place."""
         inertial = self.links[link].inertial
         for entry in INERTIA_ENTRIES:
             _scale_attribute(None if inertial is None else inertial.find("inertia"), entry, factor)
 
     def move_com(self, link: str, offset: Array) -> None:
-        """Translate the CoM of a link by an offset (3,) [m] in the link frame.
+        """Translate the CoM of a link, in place. A link without ``<inertial>`` is unchanged.
 
-        A link without ``<inertial>`` is unchanged.
+        Args:
+            link: Name of the link.
+            offset: Displacement, shape (3,) [m], in the link frame.
         """
         inertial = self.links[link].inertial
         if inertial is None:
@@ -456,7 +471,7 @@ class UrdfTree:
         origin.set("xyz", join_numbers(place, digits=None))
 
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:
-        """Multiply a joint parameter by a factor; no effect if the parameter is missing."""
+        """Multiply a joint parameter by a factor, in place; no effect if it is missing."""
         text = self.joints[joint].parameter_text(attribute)
         if text is not None:
             self.joints[joint].set_parameter(attribute, float(text) * float(factor))

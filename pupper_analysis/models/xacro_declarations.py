@@ -1,4 +1,4 @@
-"""Xacro elements that declare something, and that a URDF does not use.
+"""Removal of xacro elements that only declare something, and that a URDF does not use.
 
 Converters and hand-written URDFs keep such elements, and readers of URDF ignore them: 88 of 674
 public URDFs contain xacro elements of this kind only. A file that uses xacro otherwise must be
@@ -28,9 +28,8 @@ _HARMLESS_TAGS: Final = ("material", "transmission", "gazebo", "ros2_control")
 only these and declarations is accepted, and ignored."""
 
 _HARMLESS_NAMES: Final = re.compile(r"materials?|colou?rs?|transmissions?|gazebo|ros2_control")
-"""Pattern in the names of included files that do not exist on this computer. If the name matches,
-the file is assumed to contain no links or joints.
-"""
+"""Pattern of the names of included files without links and joints. A file that does not exist on
+this computer is assumed to be harmless if its name matches."""
 
 _EXPRESSION: Final = re.compile(r"\$[{(]")
 """Start of a xacro expression, ``${...}`` or ``$(...)``."""
@@ -39,8 +38,8 @@ _FIND: Final = re.compile(r"^\$\(find\s+([\w.-]+)\)/")
 """Pattern of ``$(find NAME)/`` at the start of a path."""
 
 _MAX_INCLUDE_DEPTH: Final = 10
-"""Largest depth of a chain of included xacro files; a file with a longer chain is refused. Chosen,
-to bound the time."""
+"""Largest depth of a chain of included xacro files; a file with a longer chain is refused. Bounds
+the reading time. Chosen, not tuned."""
 
 ResolveMesh = Callable[[str], Path | None]
 """Function that returns the file of a name relative to the URDF, or of ``package://NAME/...``; None
@@ -48,12 +47,12 @@ if there is no such file."""
 
 
 def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) -> list[Diagnostic]:
-    """Remove the unused xacro elements of a URDF's tree.
+    """Remove the unused xacro elements from the tree of a URDF, in place.
 
     Args:
         path: The file, for messages.
-        root: Root element, changed in place.
-        resolve: Finds included files.
+        root: Root element; modified.
+        resolve: Function that finds included files.
 
     Returns:
         A list with a note on the removed elements; empty if there are none.
@@ -96,9 +95,9 @@ def _remove(element: etree._Element) -> None:
 def _is_harmless(element: etree._Element, resolve: ResolveMesh, depth: int) -> bool:
     """Return True if a xacro element is known to change neither links nor joints.
 
-    An ``<include>`` is harmless if all elements of the included file are harmless. It is also
-    harmless if the file does not exist and its name matches `_HARMLESS_NAMES`. ``resolve`` finds
-    the file. ``depth`` is the number of nested includes up to this element.
+    An ``<include>`` is harmless in two cases: all elements of the included file are harmless; or
+    the file does not exist, and its name matches `_HARMLESS_NAMES`. ``resolve`` finds the file.
+    ``depth`` is the number of nested includes up to this element.
     """
     tag = etree.QName(element).localname
     if tag in _DECLARATIONS:

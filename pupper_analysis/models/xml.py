@@ -31,13 +31,14 @@ deeper file is refused. Chosen, not tuned."""
 
 MAX_ELEMENTS: Final = 30_000
 """Largest number of XML elements of a file, or of an MJCF with all included files; a larger file is
-refused. Chosen, to bound time and memory."""
+refused. Bounds time and memory. Chosen, not tuned."""
 
 LFS_POINTER: Final = b"version https://git-lfs.github.com/spec/"
 """First bytes of a Git LFS pointer, a file that replaces content that was not downloaded."""
 
 NUMBER_PATTERN: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
-"""Number in a model file: decimal or double of XML Schema, without infinity and NaN."""
+"""Pattern of a number in a model file: decimal or double of XML Schema, without infinity and
+NaN."""
 
 XACRO_PREFIX: Final = "xacro"
 """Namespace prefix of xacro elements, by convention of ROS."""
@@ -46,11 +47,9 @@ _FAULTY_DECLARATION: Final = re.compile(
     rb"(?:\A|(?<=\A\xef\xbb\xbf))"
     rb"(?:\s+<\?xml\s[^>]*\?>|<\?xml\s(?!\s*version\s*=\s*[\"']1\.\d+[\"'])[^>]*\?>)"
 )
-"""Pattern of an XML declaration that parsers reject. The declaration follows white space (for
-example a blank first line), or its version does not begin with ``1.`` (for example ``<?xml
-version="0.0"?>``). Eight of 902 public URDFs have a rejected version, but MuJoCo and Pinocchio read
-these files.
-"""
+"""Pattern of an XML declaration that parsers reject: it follows white space (for example a blank
+first line), or its version does not begin with ``1.`` (for example ``<?xml version="0.0"?>``).
+Eight of 902 public URDFs have a rejected version, but MuJoCo and Pinocchio read these files."""
 
 _DOCTYPE_START: Final = re.compile(r"(?:\s|<!--.*?-->|<\?.*?\?>)*+<!(?!--)", re.DOTALL)
 """Start of a text with a DOCTYPE, which precedes the root element."""
@@ -61,17 +60,17 @@ numbers are refused. Chosen: products of six such numbers do not overflow."""
 
 
 def parse_xml(path: Path) -> tuple[str, etree._Element]:
-    """Return the text of an XML file, and its root element.
-
-    Comments and the default namespace are removed from the tree.
+    """Read and parse an XML file; comments and the default namespace are removed from the tree.
 
     Returns:
         Text as read; root element.
 
     Raises:
-        ModelError: If the file cannot be read, is empty, is a Git LFS pointer, or has another
-            format. If the XML has a DOCTYPE, is not well-formed, or exceeds a limit. If a file that
-            is no URDF uses xacro.
+        ModelError: In these cases:
+
+            - The file cannot be read, is empty, is a Git LFS pointer, or has another format.
+            - The XML has a DOCTYPE, is not well-formed, or exceeds a limit.
+            - A file that is no URDF uses xacro.
         OutputError: If the run will write this file.
     """
     text = _read_model_text(path)
@@ -79,14 +78,20 @@ def parse_xml(path: Path) -> tuple[str, etree._Element]:
 
 
 def parse_file_text(path: Path, text: str) -> etree._Element:
-    """Parse the text of a file; return the root element without comments and default namespace.
+    """Parse the text of an XML file, and return the root element without comments.
+
+    The default namespace is removed from the tags.
 
     White space in front of an XML declaration is accepted. Xacro elements of a ``<robot>`` stay in
     the tree; ``xacro_declarations`` removes or refuses them.
 
+    Args:
+        path: The file, for messages.
+        text: Text of the file.
+
     Raises:
-        ModelError: If the text has a DOCTYPE, is not well-formed, or exceeds a limit. Also if a
-            file that is no URDF uses xacro.
+        ModelError: If the text has a DOCTYPE, is not well-formed, or exceeds a limit; or if a file
+            that is no URDF uses xacro.
     """
     if found := _DOCTYPE_START.match(text):
         line = text.count("\n", 0, found.end()) + 1
@@ -128,16 +133,20 @@ def parse_file_text(path: Path, text: str) -> etree._Element:
 def blank_faulty_declaration(data: bytes) -> bytes:
     """Replace an XML declaration that parsers reject by blanks.
 
-    All other bytes keep their positions and lines. The encoding in the declaration is lost, so the
+    All other bytes keep their positions and lines. The encoding in the declaration is lost: the
     caller passes UTF-8.
     """
     return _FAULTY_DECLARATION.sub(lambda found: re.sub(rb"[^\n]", b" ", found[0]), data, count=1)
 
 
 def parse_numbers(text: str | None, default: str) -> NDArray[np.float64]:
-    """Return the numbers in a valid attribute, or in a default text if the attribute is missing.
+    """Convert an attribute to numbers, shape (n,); a default text replaces a missing attribute.
 
     Hexadecimal numbers are accepted, because MuJoCo uses C's ``strtod``.
+
+    Args:
+        text: Valid attribute; None if missing.
+        default: Text with the default numbers.
     """
     words = (default if text is None else text).split()
     return np.array([float.fromhex(w) if "x" in w.lower() else float(w) for w in words])
@@ -195,12 +204,12 @@ def _make_parser() -> etree.XMLParser:
 # Writing of new model files.
 
 _ROUNDING_RTOL = 1e-13
-"""Absolute value, relative to the largest number, up to which `join_numbers` writes a number as 0:
-the rounding errors of products of rotation matrices. Chosen, not tuned."""
+"""Largest absolute value, relative to the largest number, that `join_numbers` writes as 0. Such
+values are rounding errors of products of rotation matrices. Chosen, not tuned."""
 
 NUM_DIGITS: Final = 12
 """Number of significant digits in new files. The relative rounding error is at most 5e-12, 200
-times below the tolerance of `crosscheck --strict`. Chosen, coarse enough to hide rounding errors of
+times below the tolerance of `crosscheck --strict`. Chosen: coarse enough to hide rounding errors of
 rotations."""
 
 
@@ -210,7 +219,9 @@ rad, and the products of its rotation matrix stay zero within `_ROUNDING_RTOL`."
 
 
 def join_numbers(values: ArrayLike, scale: float = 0.0, digits: int | None = NUM_DIGITS) -> str:
-    """Return numbers as text, separated by spaces; numbers within rounding errors of zero as 0.
+    """Format numbers as text, separated by spaces, for an attribute of a model file.
+
+    Numbers within the rounding errors of zero are written as 0.
 
     Args:
         values: Numbers.
@@ -229,21 +240,33 @@ def is_zero(text: str) -> bool:
 
 
 def write_halves(text: str) -> str:
-    """Return the numbers in a text divided by 2: a URDF has full lengths, an MJCF half lengths."""
+    """Return a text with the numbers of another text divided by 2.
+
+    A URDF contains full lengths of shapes, an MJCF half lengths.
+    """
     return join_numbers([float(word) / 2 for word in text.split()])
 
 
 def add_element(parent: etree._Element, tag: str, **attributes: str | None) -> etree._Element:
-    """Add a child element with attributes; the argument ``class_`` sets the attribute ``class``.
+    """Add a child element with attributes, and return it.
 
-    Attributes with the value None are left out.
+    Args:
+        parent: Element to which the child is added.
+        tag: Tag of the child.
+        attributes: Attributes; attributes with the value None are omitted. ``class_`` sets the
+            attribute ``class``.
     """
     present = {name.rstrip("_"): text for name, text in attributes.items() if text is not None}
     return etree.SubElement(parent, tag, present)
 
 
 def make_unique_name(wanted: str, taken: set[str]) -> str:
-    """Return the wanted name, with a number if already taken, and add the result to ``taken``."""
+    """Return an unused name: the wanted name, with a number appended if it is taken.
+
+    Args:
+        wanted: Wanted name.
+        taken: Used names; the result is added.
+    """
     name, number = wanted, 1
     while name in taken:
         number += 1

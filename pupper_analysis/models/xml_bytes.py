@@ -1,8 +1,8 @@
 """XML file as bytes, in which single attributes are changed and all other bytes are kept.
 
 `read_xml_bytes` returns the elements with the byte offsets of their start tags. Attributes are set
-and children added in memory; ``XmlDocument.render`` replaces only the changed bytes, so that
-comments, white space and the order of attributes of the user's file stay the same.
+and children added in memory. ``XmlDocument.render`` replaces only the changed bytes: comments,
+white space and the order of attributes of the user's file stay the same.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _START_TAG_PATTERN: Final = re.compile(rb"""<[^\s/>]+(?:"[^"]*"|'[^']*'|[^>"'])*
 
 @dataclass(eq=False)
 class XmlElement:
-    """Element with the position of the start tag in the file.
+    """XML element with its attributes, its changes, and the position of its start tag in the file.
 
     ``get``, ``set``, ``find`` and ``findall`` are named as in lxml, so that `UrdfTree` can use
     elements of both classes. Unlike in lxml, a path of several tags finds nothing.
@@ -55,15 +55,21 @@ class XmlElement:
     renamed: dict[str, str] = field(default_factory=dict)
 
     def get(self, name: str) -> str | None:
-        """Return the value of an attribute, including changes; None if not stated."""
+        """Return the value of an attribute, including changes; None if the attribute is missing."""
         return self.changes.get(name, self.attributes.get(name))
 
     def set(self, name: str, value: str) -> None:
-        """Change or add an attribute. The file is unchanged until the document is written."""
+        """Change or add an attribute in memory; `XmlDocument.render` applies the change."""
         self.changes[name] = value
 
     def rename_or_set(self, old: str, name: str, value: str) -> None:
-        """Set the attribute ``name`` of this element; rename the attribute ``old``, if present."""
+        """Set an attribute of this element; rename the attribute with the old name, if present.
+
+        Args:
+            old: Old name.
+            name: Name of the attribute.
+            value: New value.
+        """
         if name != old and old in self.attributes:
             self.renamed[old] = name
         self.set(name, value)
@@ -100,13 +106,13 @@ class XmlElement:
 
 @dataclass(eq=False)
 class XmlDocument:
-    """XML file.
+    """XML file with its bytes and elements, which can be changed and rendered again.
 
     Attributes:
         path: File.
         data: Bytes of the file.
         root: Root element.
-        elements: All elements of the file, in its order, without new elements.
+        elements: All elements of the file, in the order of the file, without new elements.
     """
 
     path: Path
@@ -182,7 +188,7 @@ def _find_value_spans(data: bytes, element: XmlElement) -> dict[str, tuple[int, 
 
 
 def splice_attributes(data: bytes, element: XmlElement) -> Iterator[tuple[int, int, bytes]]:
-    """Yield the splices of changed attributes: first byte, byte after the last, and new bytes.
+    """Yield the splices of changed attributes: first byte, byte after the last, new bytes.
 
     Attributes are renamed and changed in place; new attributes follow the last attribute.
 
@@ -217,10 +223,10 @@ def _splice_children(
 ) -> Iterator[tuple[int, int, bytes]]:
     """Yield the splices that insert new elements as first children of an element.
 
-    The new elements get the indentation of the first child, if it is on a line of its own.
+    The new elements get the indentation of the first child, if this child is on a separate line.
 
     Yields:
-        (start, end, new bytes): ``data[start:end]`` is replaced by the new bytes.
+        (start, end, new bytes): the new bytes replace ``data[start:end]``.
     """
     end = _find_tag_end(data, element)
     if data[end - 2 : end - 1] == b"/":

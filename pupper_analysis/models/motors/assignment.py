@@ -12,7 +12,7 @@ from pupper_analysis.models.motors.motor import Motor
 def describe_weak_motor(
     joint: str, motor: str, torque: float, largest: float, number: str
 ) -> Diagnostic:
-    """Return the message that a motor cannot exert a torque at rest.
+    """Return the message that a motor at rest cannot exert a required torque.
 
     Args:
         joint: Joint.
@@ -52,14 +52,15 @@ def list_motor_efforts(motors: Mapping[str, Motor]) -> dict[str, float]:
 def describe_weak_motors(
     motors: Mapping[str, Motor], torques: Mapping[str, float]
 ) -> tuple[Diagnostic, ...]:
-    """Return a message for each motor that cannot exert its torque at rest, the weakest first.
+    """Return a message for each motor that at rest cannot exert its required torque, weakest first.
 
-    The weakest motor has the largest ratio of torque to largest torque. A motor whose largest
-    torque is unknown has no message.
+    The weakest motor has the largest ratio of required torque to largest torque. A motor whose
+    largest torque is unknown has no message.
 
     Args:
         motors: {joint: motor}.
-        torques: {joint: torque at the output of the motor [N m]}; includes the joints of `motors`.
+        torques: {joint: required torque at the output of the motor [N m]}; includes the joints of
+            `motors`.
     """
     found: list[tuple[float, Diagnostic]] = []
     for joint, motor in motors.items():

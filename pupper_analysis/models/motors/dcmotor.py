@@ -1,7 +1,7 @@
-"""MuJoCo's ``dcmotor``: a motor from an actuator of a model, and the element of a motor.
+"""MuJoCo's ``dcmotor``: reading of a motor from an actuator, and writing of a motor as an element.
 
-A ``dcmotor`` has one thermal node: dT/dt = (R(T) i^2 - (T - T_ambient) / R_th) / C, with R(T) =
-R (1 + alpha (T - T_0)). Its activation is the rise of the temperature above the ambient air.
+A ``dcmotor`` has one thermal node: dT/dt = (R(T) i^2 - (T - T_ambient) / R_th) / C, with R(T) = R
+(1 + alpha (T - T_0)). Its activation is the rise of the temperature above the ambient air.
 """
 
 from __future__ import annotations
@@ -18,12 +18,14 @@ from pupper_analysis.models.transmission import actuator_gear
 
 
 def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> Motor:
-    """Return the motor of a ``dcmotor`` actuator.
+    """Read the motor of a ``dcmotor`` actuator of a MuJoCo model.
 
-    Some numbers are unknown (None): an armature of zero, limits that are not set, and thermal
-    numbers if the actuator has no thermal model. The supply voltage is the upper end of the control
-    range. It is unknown if the control is no voltage (attribute ``input``). The gear of this
-    actuator has no losses.
+    The gear has no losses. The supply voltage is the larger absolute end of the control range.
+    Unknown numbers (None) are:
+
+    - an armature of zero, and limits that are not set,
+    - thermal numbers, if the actuator has no thermal model,
+    - the supply voltage, if the control is not limited, or is no voltage (attribute ``input``).
 
     Args:
         model: MuJoCo model.
@@ -62,13 +64,14 @@ def read_dcmotor(model: mujoco.MjModel, actuator: int, source: str = "MJCF") -> 
 
 
 def list_dcmotors(model: mujoco.MjModel, source: str) -> dict[str, Motor]:
-    """Return {joint: motor} of the ``dcmotor`` actuators of a model with transmission ``joint``.
-
-    Of several motors at a joint, the last in the file is returned.
+    """Read the motors of all ``dcmotor`` actuators with transmission ``joint`` of a MuJoCo model.
 
     Args:
         model: MuJoCo model.
         source: Name of the file, for messages.
+
+    Returns:
+        {joint: motor}; the last motor in the file if a joint has several.
 
     Raises:
         ModelError: If the numbers of a motor contradict each other.
@@ -84,22 +87,25 @@ def list_dcmotors(model: mujoco.MjModel, source: str) -> dict[str, Motor]:
 
 
 def make_dcmotor_element(motor: Motor, joint: str, name: str = "") -> str:
-    """Return the ``dcmotor`` element of a motor at a joint.
+    """Return the text of MuJoCo's ``dcmotor`` element for a motor at a joint.
 
-    The element has one thermal node. If the motor has two (winding and housing), their thermal
-    resistances and their heat capacities are added. The final temperature is then equal, but the
+    The element has one thermal node. If the motor has two nodes (winding and housing), their
+    thermal resistances and their heat capacities are added: the final temperature is equal, but the
     winding heats up more slowly. Unknown numbers are omitted. If the thermal resistance or the
     capacity of the winding is unknown, all thermal numbers are omitted.
 
     Args:
         motor: Motor.
         joint: Name of the joint.
-        name: Name of the actuator; by default that of the joint.
+        name: Name of the actuator; by default the name of the joint.
 
     Raises:
-        ModelError: If torque constant or gear ratio are unknown, or if the resistance is neither
-            stated nor known from supply voltage and stall current. Also if thermal resistance and
-            capacity are known, but a temperature or the rise of the resistance is unknown.
+        ModelError: In these cases:
+
+            - Torque constant or gear ratio are unknown.
+            - The resistance is neither stated nor known from supply voltage and stall current.
+            - Thermal resistance and capacity are known, but a temperature or the rise of the
+              resistance is unknown.
     """
     constant = motor.get("torque_constant")
     words = {

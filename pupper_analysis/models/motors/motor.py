@@ -1,7 +1,7 @@
 """Numbers of a motor with gear, and the quantities that follow from them.
 
-Each number may be unknown (None). A function that needs an unknown number raises a ModelError that
-names it: an unknown number is never replaced by a favourable one.
+Each number may be unknown (None). A function that needs an unknown number raises a ModelError with
+the name of the number: a favourable number never replaces an unknown number.
 """
 
 from __future__ import annotations
@@ -18,21 +18,23 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.motors.units import UNIT_KINDS
 
 MAX_STALL_RATIO = 1.1
-"""Largest ratio between a stated stall torque and Kt V N / R of the same motor; a motor with a
-larger ratio is refused. Also the largest factor between a stated stall current and V / R. Losses in
-a gear only reduce the torque; 10 % permit rounded numbers. Chosen, not tuned."""
+"""Largest accepted ratio between a stated stall torque and Kt V N / R of the same motor, and
+between a stated stall current and V / R. A motor with a larger ratio is refused. (Kt torque
+constant, V supply voltage, N gear ratio, R resistance.) Losses in a gear only reduce the torque; 10
+% permit rounded numbers. Chosen, not tuned."""
 
 MIN_STALL_RATIO = 0.3
-"""Smallest ratio between a stated stall torque and Kt V N / R of the same motor; a motor with a
-smaller ratio is refused. Friction and gear would lose more than 70 % of the torque, which suggests
-other units. The smallest ratio in the data files is 0.57 (feetech-sts3215-7v4). Chosen, not
-tuned."""
+"""Smallest accepted ratio between a stated stall torque and Kt V N / R of the same motor; a motor
+with a smaller ratio is refused. Below this ratio, friction and gear would lose more than 70 % of
+the torque, which suggests other units. The smallest ratio in the data files is 0.57
+(feetech-sts3215-7v4). Chosen, not tuned."""
 
 MAX_CONVENTION_RATIO = 2.0
-"""Largest ratio between two stated numbers that define the same constant of a motor: the output
-torque constant and Kt N, or the speed without load and V / (Kt N). A motor with a larger ratio, or
-a ratio below `MIN_STALL_RATIO`, is refused. Chosen, not tuned: line and phase currents, and rms and
-peak values, differ by up to sqrt(3)."""
+"""Largest accepted ratio between two stated numbers that define the same constant of a motor:
+output torque constant and Kt N, or speed without load and V / (Kt N). (Kt torque constant, V supply
+voltage, N gear ratio.) A motor with a larger ratio, or with a ratio below `MIN_STALL_RATIO`, is
+refused. Chosen, not tuned: line and phase currents, and rms and peak values, differ by up to
+sqrt(3)."""
 
 
 def _number(kind: str) -> float | None:
@@ -45,7 +47,9 @@ def _number(kind: str) -> float | None:
 
 @dataclass(frozen=True)
 class Motor:
-    """Motor with gear. Numbers are at the rotor unless the text names the output of the gear.
+    """Motor with gear: electrical, mechanical and thermal numbers, None if unknown.
+
+    Numbers are at the rotor, unless the text names the output of the gear.
 
     Attributes:
         name: Name.
@@ -163,9 +167,10 @@ class Motor:
     def _check_conventions(self) -> None:
         """Raise a ModelError if two stated numbers for the same constant contradict each other.
 
-        The output torque constant is divided by Kt N (torque constant x gear ratio). The speed
-        without load is divided by V / (Kt N), with the supply voltage V. Each ratio must be in
-        [`MIN_STALL_RATIO`, `MAX_CONVENTION_RATIO`].
+        - Output torque constant / (torque constant x gear ratio).
+        - Speed without load / (supply voltage / (torque constant x gear ratio)).
+
+        Each ratio must be in [`MIN_STALL_RATIO`, `MAX_CONVENTION_RATIO`].
         """
         if self.torque_constant is None or self.gear_ratio is None:
             return
@@ -183,7 +188,7 @@ class Motor:
             raise ModelError(self.name, problem)
 
     def get(self, number: str) -> float:
-        """Return a number of the motor.
+        """Return a number of the motor; raise an error if the number is unknown.
 
         Args:
             number: Name of the field.
@@ -197,18 +202,23 @@ class Motor:
         return value
 
     def list_unknown(self, *numbers: str) -> tuple[str, ...]:
-        """Return the unknown numbers among the named ones."""
+        """Return the names of the given numbers that are unknown (None).
+
+        Args:
+            numbers: Names of fields.
+        """
         return tuple(number for number in numbers if getattr(self, number) is None)
 
     @property
     def output_torque_per_ampere(self) -> float:
         """Torque at the output per current of a motor that drives [N m/A].
 
-        The stated `output_torque_constant`; otherwise stall torque / stall current; otherwise
-        torque constant x gear ratio x gear efficiency.
+        1. The stated `output_torque_constant`.
+        2. Otherwise stall torque / stall current.
+        3. Otherwise torque constant x gear ratio x gear efficiency.
 
         Raises:
-            ModelError: If the numbers are unknown.
+            ModelError: If these numbers are unknown.
         """
         if self.output_torque_constant is not None:
             return self.output_torque_constant
@@ -225,10 +235,10 @@ class Motor:
 
     @property
     def winding_ohms(self) -> float:
-        """Resistance of the winding [ohm]: the stated one, or supply voltage / stall current.
+        """Resistance of the winding [ohm]: the stated number, or supply voltage / stall current.
 
         Raises:
-            ModelError: If the numbers are unknown.
+            ModelError: If these numbers are unknown.
         """
         if self.resistance is not None:
             return self.resistance
@@ -238,9 +248,9 @@ class Motor:
         raise ModelError(self.name, diagnose("motor-numbers-unknown", numbers=unknown))
 
     def compute_current(self, torque: float) -> float:
-        """Return the current of a motor that exerts a torque at the output at rest [A], at least 0.
+        """Return the current [A], at least 0, for a torque at the output of a motor at rest.
 
-        Dry friction is not counted: it may help to hold a load, but it is not reliable.
+        Dry friction is not counted: it may help to hold a load, but is not reliable.
 
         Args:
             torque: Torque at the output [N m].
@@ -281,24 +291,23 @@ class Motor:
         return min(limits, default=None)
 
     def compute_available_torque(self, speed: float) -> float:
-        """Return the largest torque at the output at a speed [N m], at least 0.
+        """Return the largest torque [N m], at least 0, that the motor can exert at a speed.
 
         Args:
             speed: Speed of the output, in the direction of the torque [rad/s].
 
         Raises:
-            ModelError: If a number is unknown.
+            ModelError: If a number is unknown (see `compute_available_torques`).
         """
         return float(self.compute_available_torques(np.array(speed)))
 
     def compute_available_torques(self, speeds: Array) -> Array:
-        """Return the largest torques at the output at speeds [N m], at least 0.
+        """Return the largest torques [N m], at least 0, that the motor can exert at speeds.
 
-        The torque is tau = min(I_max, (V - Ke w) / R) Kt N eta, and at most stall torque and peak
-        torque. The symbols are speed w, current limit I_max, supply voltage V, resistance R of the
-        cold winding, torque constant Kt, gear ratio N and gear efficiency eta. The back-EMF
-        constant Ke is the larger of Kt N and V / speed without load. If one of these is unknown, Ke
-        is the other.
+        The torque at the output is tau = min(I_max, (V - Ke w) / R) Kt N eta, and at most stall
+        torque and peak torque. Symbols: speed w, current limit I_max, supply voltage V, resistance
+        R of the cold winding, torque constant Kt, gear ratio N, gear efficiency eta. The back-EMF
+        constant Ke is the larger of Kt N and V / speed without load, or the known value of both.
 
         Args:
             speeds: Speeds of the output, in the direction of the torques [rad/s].
@@ -307,8 +316,8 @@ class Motor:
             Shape of `speeds`.
 
         Raises:
-            ModelError: If supply voltage, resistance or torque per current are unknown. Also if
-                both values for Ke are unknown.
+            ModelError: If supply voltage, resistance or torque per current are unknown, or if both
+                values for Ke are unknown.
         """
         voltage = self.get("supply_voltage")
         constants = []
@@ -325,4 +334,4 @@ class Motor:
 
 
 NUMBERS = {one.name: one.metadata["kind"] for one in fields(Motor) if "kind" in one.metadata}
-"""{name of a number of a motor: kind of quantity}."""
+"""{name of a number of a motor, a field of `Motor`: kind of quantity, a key of ``UNIT_KINDS``}."""

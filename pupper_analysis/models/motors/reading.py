@@ -1,4 +1,4 @@
-"""Read motors: data files of this package, TOML files, and parameter files of servo models.
+"""Reading of motors: data files of this package, TOML files, and parameter files of servo models.
 
 `find_motor` accepts a name of `list_motors` or a file. `read_bam_parameters` reads the JSON files
 of the servo models m1 to m6 (Duclusaud, Passault, Padois and Ly 2024, "Extended Friction Models for
@@ -29,9 +29,9 @@ BAM_MODELS = {
     "m5": ("load_friction_motor",),
     "m6": ("load_friction_motor",),
 }
-"""{friction model of BAM (Better Actuator Models): parameter of a driving motor's friction that
-is proportional to its load; () without such a parameter}. Other terms of the models, such as
-Stribeck and quadratic terms, are not read."""
+"""{friction model of BAM (Better Actuator Models): parameter of the load-proportional friction of a
+driving motor}; () without such a parameter. Other terms of the models, such as Stribeck and
+quadratic terms, are not read."""
 
 
 def list_motors() -> tuple[str, ...]:
@@ -46,14 +46,14 @@ def list_motors() -> tuple[str, ...]:
 
 
 def find_motor(name: str) -> Motor:
-    """Return a motor by the name of a data file, or from a TOML or JSON file.
+    """Return a motor of this package by name, or read a motor from a TOML or JSON file.
 
     Args:
         name: Name of `list_motors`, or path.
 
     Raises:
-        UnknownNameError: If ``name`` has no suffix, and is neither a known name nor a file. Also if
-            a key of a TOML file is unknown.
+        UnknownNameError: If ``name`` has no suffix, and is neither a known name nor a file; or if a
+            key of a TOML file is unknown.
         ModelError: If the file cannot be read, or is not valid.
     """
     if name in list_motors():
@@ -92,12 +92,12 @@ def read_motor(path: Path) -> Motor:
 
 
 def read_bam_parameters(path: Path) -> Motor:
-    """Read the parameter file of a servo model, m1 to m6.
+    """Read the JSON parameter file of a BAM servo model, m1 to m6.
 
-    Torque constant, friction and armature in these files refer to the output. The gear ratio is
-    therefore 1. The gear efficiency comes from the load-dependent friction of the model: a driving
-    motor loses this fraction of its torque. Models m1 and m2 have no load-dependent friction, so
-    the efficiency is unknown. Other terms of the models are not read.
+    Torque constant, friction and armature in these files are at the output: the gear ratio is
+    therefore 1. The gear efficiency is 1 minus the load-dependent friction of the model, which is
+    the fraction of the torque that a driving motor loses. Models m1 and m2 have no load-dependent
+    friction: their efficiency is unknown. Other terms of the models are not read.
 
     Args:
         path: JSON file.

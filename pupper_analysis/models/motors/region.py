@@ -20,7 +20,9 @@ _MIN_TORQUE = 1e-9
 
 
 def compute_region_utilisation(motor: Motor, torques: ArrayLike, speeds: ArrayLike) -> Array:
-    """Return |torque| / available torque of a motor at its speed; above 1 outside of the region.
+    """Return |torque| / available torque of a motor at its speed; above 1 the motor is too weak.
+
+    The available torque is the largest torque at this speed (`Motor.compute_available_torques`).
 
     Args:
         motor: Motor.
@@ -46,7 +48,7 @@ def compute_region_utilisation(motor: Motor, torques: ArrayLike, speeds: ArrayLi
 def compute_motor_utilisation(
     motors: Mapping[str, Motor], joints: Sequence[str], torques: Array, speeds: Array
 ) -> Array:
-    """Return the utilisation of the motors of joints (`compute_region_utilisation`).
+    """Return the utilisation of the motors of joints: |torque| / available torque at the speed.
 
     Args:
         motors: {joint: motor}.
@@ -55,7 +57,8 @@ def compute_motor_utilisation(
         speeds: Speeds of the joints [rad/s], shape (n, nu).
 
     Returns:
-        Shape (n, nu); not a number for a joint without motor.
+        Shape (n, nu); NaN for a joint without motor. For special cases see
+        `compute_region_utilisation`.
 
     Raises:
         ModelError: If a number of a motor is unknown.

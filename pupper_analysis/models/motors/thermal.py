@@ -1,13 +1,14 @@
 """Temperature of the winding of a motor over time, at a constant current.
 
-Copper heats the winding, which is connected to the housing, and the housing to the ambient air:
+Copper losses heat the winding. Heat flows from the winding to the housing, and from the housing to
+the ambient air:
 
     C_w dT_w/dt = i^2 R (1 + alpha (T_w - T_0)) - (T_w - T_h) / R_wh
     C_h dT_h/dt = (T_w - T_h) / R_wh - (T_h - T_a) / R_ha
 
-The heat is linear in T_w, so that the temperatures are sums of exponentials. Without numbers of a
-housing, the network has one node. R (1 + alpha (T - T_0)) is the resistance of copper; iron losses
-are zero at rest.
+The equations are linear in the temperatures, so that the temperatures are sums of exponentials.
+Without numbers of a housing, the network has one node. R (1 + alpha (T - T_0)) is the resistance of
+copper. Iron losses are zero at rest.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ THERMAL_NUMBERS = (
     "resistance_temperature",
 )
 """Numbers of a motor without which no temperature can be computed. Both numbers of the housing may
-be unknown: the network then has one node."""
+be unknown: the network then has one node, the winding."""
 
 _TIME_TOLERANCE = 1e-12
 """Relative tolerance of the time at which a temperature is reached. Chosen, not tuned."""
@@ -38,11 +39,11 @@ _TIME_TOLERANCE = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class ThermalNetwork:
-    """Thermal network of a motor at a constant current.
+    """Thermal network of a motor at a constant current: winding and, if known, housing.
 
     Attributes:
         resistances: Thermal resistances from each node to the next, the last to the ambient air,
-            shape (n,) [K/W]; the winding is the first of one or two nodes.
+            shape (n,) [K/W]. The winding is the first node.
         capacities: Heat capacities of the nodes, shape (n,) [J/K].
         ambient: Temperature of the ambient air [degC].
         current: Current [A].
@@ -61,16 +62,16 @@ class ThermalNetwork:
 
     @classmethod
     def of_motor(cls, motor: Motor, current: float, ambient: float | None = None) -> ThermalNetwork:
-        """Create the network of a motor.
+        """Create the thermal network of a motor at a constant current.
 
         Args:
             motor: Motor.
             current: Current [A].
-            ambient: Temperature of the ambient air [degC]; that of the motor by default.
+            ambient: Temperature of the ambient air [degC]; by default the temperature in ``motor``.
 
         Raises:
-            ModelError: If a thermal number is unknown (the message lists all), or the electrical
-                resistance.
+            ModelError: If a thermal number (the message lists all) or the electrical resistance is
+                unknown.
         """
         unknown = list_unknown_thermal_numbers(motor, ambient)
         if unknown:
@@ -110,7 +111,8 @@ class ThermalNetwork:
     def steady_temperature(self) -> float:
         """Final temperature of the winding [degC]; infinite in a thermal runaway.
 
-        In a runaway, the loss grows faster with the temperature than the flow to the ambient air.
+        In a runaway, the loss grows faster with the temperature than the heat flow to the ambient
+        air.
         """
         total = float(self.resistances.sum())
         slope = 1 / total - self.current**2 * self.ohms * self.rise
@@ -119,13 +121,13 @@ class ThermalNetwork:
         return self.ambient + self.compute_loss(self.ambient) / slope
 
     def compute_temperatures(self, times: ArrayLike) -> Array:
-        """Return the temperatures of the nodes over time, from the ambient temperature.
+        """Return the temperatures of the n nodes over time, starting at the ambient temperature.
 
         Args:
             times: Times since the current was switched on, shape (m,) [s].
 
         Returns:
-            Shape (m, n) [degC].
+            Shape (m, n) [degC]; the winding is the first node.
         """
         matrix, rate = self._matrices()
         # Symmetric in the scaled coordinates sqrt(C) x, so that the eigenvalues are real.
@@ -140,10 +142,10 @@ class ThermalNetwork:
         return temperatures
 
     def find_time(self, limit: float) -> float:
-        """Return the time until the winding reaches a temperature [degC], in s; infinite if never.
+        """Return the time [s] until the winding reaches a temperature; infinite if it never does.
 
-        The temperature grows monotonically from the ambient temperature. The time is 0 for a
-        temperature up to the ambient temperature.
+        The winding starts at the ambient temperature, and its temperature grows monotonically. The
+        time is 0 for a limit up to the ambient temperature.
 
         Args:
             limit: Temperature [degC].
@@ -167,13 +169,14 @@ class ThermalNetwork:
 
 
 def list_unknown_thermal_numbers(motor: Motor, ambient: float | None = None) -> tuple[str, ...]:
-    """Return the unknown thermal numbers of a motor without which no temperature can be computed.
+    """Return the unknown numbers of a motor without which no temperature can be computed.
 
     The electrical resistance of the winding is not one of these numbers.
 
     Args:
         motor: Motor.
-        ambient: Temperature of the ambient air [degC]; without, that of the motor is needed.
+        ambient: Temperature of the ambient air [degC]. If None, the temperature in ``motor`` is
+            needed.
     """
     unknown = motor.list_unknown(*THERMAL_NUMBERS)
     if ambient is None:
@@ -187,20 +190,23 @@ def compute_continuous_torque(
 ) -> float:
     """Return the largest torque at the output that a motor exerts permanently at rest [N m].
 
-    With this torque the winding finally reaches its limit: i^2 R (1 + alpha (T_limit - T_0)) =
-    (T_limit - T_a) / R_th. If thermal numbers are unknown, the result is the continuous torque of
-    the data sheet. This torque is valid only for the temperatures of the data sheet. The result is
-    never above the largest torque of the motor at rest, if this is known.
+    With this torque, the winding finally reaches its limit temperature: i^2 R (1 + alpha (T_limit -
+    T_0)) = (T_limit - T_a) / R_th. If thermal numbers are unknown, the result is the continuous
+    torque of the data sheet, which is valid only for the temperatures of the data sheet. The result
+    never exceeds the largest torque of the motor at rest, if that is known.
 
     Args:
         motor: Motor.
-        ambient: Temperature of the ambient air [degC]; that of the motor by default.
-        limit: Largest temperature of the winding [degC]; that of the motor by default.
+        ambient: Temperature of the ambient air [degC]; by default the temperature in ``motor``.
+        limit: Largest temperature of the winding [degC]; by default the temperature in ``motor``.
 
     Raises:
-        ModelError: If a thermal number is unknown, and the data sheet states no continuous torque.
-            If a thermal number is unknown, and ``ambient`` or ``limit`` is given. If all thermal
-            numbers are known, but the electrical resistance or the torque per current is unknown.
+        ModelError: In these cases:
+
+            - A thermal number is unknown, and the data sheet states no continuous torque.
+            - A thermal number is unknown, and ``ambient`` or ``limit`` is given.
+            - All thermal numbers are known, but the electrical resistance or the torque per current
+              is unknown.
     """
     unknown = list_unknown_thermal_numbers(motor, ambient)
     if limit is None:

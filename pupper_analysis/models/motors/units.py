@@ -1,6 +1,6 @@
 """Quantities of motors with their units, as written in data files: ``"80 mN m/A"``, ``"25 degC"``.
 
-The unit is part of the text, so that mN m, kgf cm and rpm cannot be mistaken for SI units. A number
+The unit is part of the text, so that nobody mistakes mN m, kgf cm and rpm for SI units. A number
 without unit is accepted only for a quantity without unit, such as a gear ratio.
 """
 
@@ -28,7 +28,7 @@ _RAD_PER_S_PER_RPM = 2 * math.pi / 60
 
 @dataclass(frozen=True)
 class UnitKind:
-    """Kind of quantity.
+    """Kind of quantity, such as torque: accepted units and range of values.
 
     Attributes:
         unit: Unit of the result: SI unit, degC for temperatures, US dollars for prices.
@@ -37,7 +37,7 @@ class UnitKind:
         signed: Whether zero and negative values down to -273.15 are accepted (temperatures in
             degC); otherwise values are positive, or zero if ``zero`` is set.
         zero: Whether zero is accepted.
-        most: Largest accepted value [SI].
+        most: Largest accepted value, in ``unit``.
     """
 
     unit: str
@@ -82,7 +82,7 @@ _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*
 
 
 def parse_motor_quantity(name: str, text: object, kind: UnitKind) -> float:
-    """Convert a number with its unit to SI units; temperatures to degC.
+    """Convert a text with number and unit to a number in SI units; temperatures to degC.
 
     Args:
         name: Name of the quantity, for messages.

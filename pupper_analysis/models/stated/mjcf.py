@@ -1,7 +1,7 @@
 """Reading of the `stated` robot model, and of other parameters, from a compiled MJCF.
 
 `read_mjcf_model` returns the links and joints of an MJCF, expressed in the base frame at zero joint
-positions. Poses come from the compiled model, and specified values from the spec, since the
+positions. Poses come from the compiled model. Specified values come from the spec, because the
 compiler replaces missing values by defaults. The other functions return names of elements,
 parameters of geoms, contact pairs, options and keyframes, and locations in the file.
 """
@@ -52,10 +52,10 @@ JOINT_KIND_NAMES: dict[int, str] = {
 
 
 def read_mjcf_model(file: MjcfFile) -> MjcfModel:
-    """Return the model of an MJCF; a model without links if MuJoCo does not compile the file.
+    """Return the links and joints of an MJCF, as the file specifies them.
 
     The base is the root of the heaviest tree; trees with a free joint and further joints have
-    priority.
+    priority. If MuJoCo does not compile the file, the model has no links.
     """
     if file.refusal is not None:
         return MjcfModel("mjcf", "body", "", {}, file.notes, file, None, file.refusal, ())
@@ -129,7 +129,7 @@ def body_names(model: mujoco.MjModel) -> list[str]:
 
 
 def joint_name(model: mujoco.MjModel, joint: int) -> str:
-    """Return the name of a joint; "(BODY)" for the joint of a body if the joint has no name."""
+    """Return the name of a joint; without a name, the name of its body in parentheses: "(BODY)"."""
     body = int(model.jnt_bodyid[joint])
     return str(model.joint(joint).name) or f"({model.body(body).name or f'#{body}'})"
 
@@ -140,8 +140,10 @@ def find_element_place(file: MjcfFile, element: object, body: str) -> Place:
     Args:
         file: The file.
         element: Element of the spec.
-        body: Named body around the element. The location of this body is returned if no line is
-            recorded.
+        body: Named body around the element.
+
+    Returns:
+        The location of the element; the location of the body if no line is recorded.
     """
     match = re.search(r"line ([1-9]\d*)", getattr(element, "info", ""))
     body_place = file.place("body", body)
@@ -287,17 +289,17 @@ def _make_inertial(
 
 
 ParameterValues = tuple[float, ...]
-"""Values of a parameter, flattened."""
+"""Values of a parameter, as a flat tuple."""
 
 
 def place_of_geom(file: MjcfFile, geom: int, word: str) -> Place:
-    """Return the location of an attribute of a geom, in the geom or in a default class.
+    """Return the location of an attribute of a geom: in the geom itself, or in a default class.
 
     Args:
         file: The file.
         geom: Id of the geom.
-        word: Name of the attribute. ``"shape"`` and ``"touches"`` stand for several attributes, of
-            which any one is located; ``""`` stands for the geom itself.
+        word: Name of the attribute. ``"shape"`` and ``"touches"`` represent several attributes, of
+            which any one is located. ``""`` represents the geom itself.
     """
     model = file.model
     name, body = model.geom(geom).name, model.geom_bodyid[geom]
@@ -313,14 +315,14 @@ _WORD_GROUPS: Final = {
     "touches": ("contype", "conaffinity"),
     "": (),
 }
-"""{name of a group of geom attributes: attributes}. A location in the file is that of any attribute
-of the group which is set; the empty name stands for the geom itself."""
+"""{name of a group of geom attributes: attributes}. The location of a group is the location of any
+attribute of the group that is set. The empty name represents the geom itself."""
 
 
 def find_collidable_geoms(model: mujoco.MjModel) -> set[int]:
     """Return the ids of the geoms that can collide, by contact bits or in a contact pair.
 
-    The result is empty if contacts are disabled. Other geoms are only visual.
+    All other geoms are only visual. The result is empty if the MJCF disables contacts.
     """
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
         return set()
@@ -329,15 +331,15 @@ def find_collidable_geoms(model: mujoco.MjModel) -> set[int]:
 
 
 def element_values(model: mujoco.MjModel, element: str, row: int) -> dict[str, ParameterValues]:
-    """Return the compiled values of the attributes of an element in ``ELEMENT_ATTRIBUTES``.
+    """Return the compiled values of all compared attributes (``ELEMENT_ATTRIBUTES``) of an element.
 
     Args:
         model: Compiled model.
         element: Tag, such as "joint" or "geom"; "option" for the global options.
-        row: Id of the element; not used for "option".
+        row: Id of the element; ignored for "option".
 
     Returns:
-        {MJCF attribute: value or values in MuJoCo's units (SI, rad)}.
+        {MJCF attribute: values in MuJoCo's units (SI, rad)}.
     """
     attributes = [attribute for attribute in ELEMENT_ATTRIBUTES if attribute.element == element]
     if element == "option":
@@ -354,7 +356,7 @@ def element_values(model: mujoco.MjModel, element: str, row: int) -> dict[str, P
 
 
 def select_rows(model: mujoco.MjModel, array: str, row: int) -> int | slice:
-    """Return the index of an element in an array of MjModel.
+    """Return the index of an element in an array of MjModel, for reading or writing its values.
 
     Args:
         model: Compiled model.

@@ -49,7 +49,8 @@ class Inertial:
         inertia: Inertia (3, 3) [kg m^2] about the CoM, in the axes of the body.
         stated: Whether the file specifies the values; otherwise the values are derived from the
             shapes.
-        rounding: Upper bound [kg m^2] of half a unit of the last digit of the specified entries.
+        rounding: Rounding error [kg m^2] of the specified entries: the largest half unit of a last
+            digit.
     """
 
     mass: float
@@ -60,13 +61,13 @@ class Inertial:
 
     @staticmethod
     def of(inertia: pin.Inertia, *, stated: bool, rounding: float = 0.0) -> Inertial:
-        """Create the record of a spatial inertia [kg, m, kg m^2] in the frame of the body.
+        """Create an inertial from a spatial inertia [kg, m, kg m^2], expressed in the same frame.
 
         Args:
             inertia: Spatial inertia.
             stated: Whether the file specifies the values.
-            rounding: Upper bound of the rounding error of the inertia's entries [kg m^2]: half a
-                unit of the last digit.
+            rounding: Rounding error of the inertia's entries [kg m^2]: half a unit of the last
+                digit.
         """
         com, tensor = np.array(inertia.lever), np.array(inertia.inertia)
         return Inertial(float(inertia.mass), com, tensor, stated, rounding)
@@ -78,7 +79,7 @@ class Inertial:
 
     @property
     def moments(self) -> Array:
-        """Principal moments of the inertia (3,) [kg m^2], ascending; NaN if it is not finite."""
+        """Principal moments of inertia (3,) [kg m^2], ascending; NaN if an entry is not finite."""
         if not np.isfinite(self.inertia).all():
             return np.full(3, np.nan)
         return np.asarray(np.linalg.eigvalsh(self.inertia), dtype=np.float64)
@@ -86,22 +87,22 @@ class Inertial:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """Joint of a robot model.
+    """Joint of a robot model, as specified by a file, in the base frame.
 
     Attributes:
         name: Name of the joint.
         kind: ``HINGE_JOINT``, ``SLIDE_JOINT``, ``BALL_JOINT``, ``FREE_JOINT`` or ``FIXED_JOINT``.
         parent: Parent body of the joint.
         child: Body that the joint moves.
-        position: Position (3,) [m] at zero angles, in the base frame.
-        axis: Unit vector (3,) at zero angles, in the base frame; (0, 0, 0) for an axis of zero, and
-            for ball and free joints of an MJCF.
+        position: Position (3,) [m] in the base frame, with all joint positions zero.
+        axis: Unit vector (3,) in the base frame, with all joint positions zero; (0, 0, 0) for an
+            axis of zero, and for ball and free joints of an MJCF.
         raw_axis: Axis (3,) as in the file.
-        stated: {kind of `attributes`: value} of the parameters that the file specifies, in the unit
-            of the joint; an effort acts at the joint. Missing parameters are unknown, not zero.
+        stated: {kind of parameter (`attributes`): value} of the parameters that the file specifies,
+            in SI units; an effort acts at the joint. Missing parameters are unknown, not zero.
         lower: Lower limit [rad, m]; -inf if unlimited.
         upper: Upper limit [rad, m]; inf if unlimited.
-        effort: Effort limit [N m, N]; inf if the file states none.
+        effort: Effort limit [N m, N]; inf if the file states no limit.
     """
 
     name: str
@@ -152,7 +153,7 @@ class Link:
     Attributes:
         name: Name of the link.
         parent: Parent link; None for a root (a child of the world).
-        pose: Pose at zero angles, in the base frame.
+        pose: Pose in the base frame, with all joint positions zero.
         joints: Joints between the parent and the link; an MJCF may have several.
         inertial: Inertia; None if the file specifies neither mass nor shapes with mass.
         shapes: Visual and collision shapes.
@@ -174,13 +175,13 @@ class Link:
 
     @property
     def mass(self) -> float:
-        """Mass [kg]; 0 if the file specifies none."""
+        """Mass [kg] of this link; 0 if the file specifies no mass."""
         return 0.0 if self.inertial is None else self.inertial.mass
 
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """Robot model in any format.
+    """Robot model as specified by a file of any format: links, joints and notes.
 
     Attributes:
         format: ``"urdf"``, ``"mjcf"``, or the name of another format.
@@ -209,10 +210,11 @@ class RobotModel:
 
     @cached_property
     def has_free_base(self) -> bool:
-        """Whether the robot has a free base.
+        """Whether the base of the robot is free.
 
-        True if the file contains a free joint, or if at least two moving links are attached to the
-        base and the links fixed to it: the URDF of a legged robot usually contains no free joint.
+        True if the file contains a free joint. Also true if at least two moving links are attached
+        to the base (or to links fixed to the base), because the URDF of a legged robot usually
+        contains no free joint.
         """
         if any(joint.kind == FREE_JOINT for joint in self.joints.values()):
             return True
@@ -268,7 +270,10 @@ class RobotModel:
             yield from self.descendants(child.name)
 
     def fixed_group(self, name: str) -> list[Link]:
-        """Return a body and all bodies fixed to it, directly or not; empty for the world."""
+        """Return a link and all links that are fixed to it, directly or indirectly.
+
+        Empty for the world.
+        """
         if name not in self.links:
             return []
         group = [self.links[name]]
@@ -278,7 +283,10 @@ class RobotModel:
         return group
 
     def find_moving_body(self, name: str) -> str:
-        """Return a body if it moves; else its nearest moving ancestor, or the root."""
+        """Return the moving link to which a link is fixed: itself, or the nearest moving ancestor.
+
+        The root is returned if no ancestor moves.
+        """
         link = self.links.get(name)
         while link is not None and not link.moving and link.parent is not None:
             name = link.parent
@@ -286,11 +294,11 @@ class RobotModel:
         return name
 
     def is_negligible(self, body: Link) -> bool:
-        """Return True if a body has less than 1e-4 of the total mass, for example a placeholder."""
+        """Return True if a link has less than 1e-4 of the total mass, for example a placeholder."""
         return body.mass < 1e-4 * self.total_mass
 
     def ancestors(self, name: str) -> Iterator[str]:
-        """Yield the names of the ancestors of a body, from the parent to the root."""
+        """Yield the names of the ancestors of a link, from the parent to the root."""
         parent = self.links[name].parent
         while parent is not None:
             yield parent

@@ -1,7 +1,7 @@
 """Reading of the `stated` robot model of a URDF from XML, including meshes.
 
 `read_urdf_model` returns the links and joints of a URDF, expressed in the frame of its root link at
-zero joint positions. Convex hulls and integrals of STL and OBJ meshes are computed on demand; the
+zero joint positions. Convex hulls and integrals of STL and OBJ meshes are computed on demand. The
 results of the last 256 files are cached until the file changes.
 """
 
@@ -48,7 +48,10 @@ _JOINT_KINDS = {
 
 
 def read_urdf_model(file: UrdfFile) -> UrdfModel:
-    """Return the model of a URDF, whose links must form a single tree."""
+    """Return the links and joints of a URDF, as the file specifies them.
+
+    The links must form a single tree.
+    """
     tree = file.tree
     root = tree.base
     bodies = {root.name: _make_link(file, root, None, Pose(), ())}
@@ -138,7 +141,10 @@ def _make_inertial(link: UrdfLink) -> Inertial | None:
 
 
 def half_digit(text: str) -> float:
-    """Return half a unit of the last digit of a number in a text; 0 for zero or invalid texts."""
+    """Return half a unit of the last digit of a number in a text: the rounding error of the number.
+
+    The result is 0 for zero, and for an invalid text.
+    """
     try:
         value = Decimal(text.strip())
     except InvalidOperation:
@@ -208,7 +214,7 @@ def _read_solid(file: UrdfFile, tag: etree._Element) -> pin.Inertia | None:
 
 MESH_SUFFIXES = (".stl", ".obj")
 """Suffixes of the mesh files that are read, in lower case. Other formats, such as COLLADA, contain
-units and poses and are not supported."""
+units and poses, and are not supported."""
 
 
 def mesh_hull(path: Path) -> Mesh | None:
@@ -230,10 +236,10 @@ published meshes have a quarter of this size."""
 
 @lru_cache(maxsize=256)
 def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
-    """Return the convex hull of a mesh file, or a diagnostic if the file is invalid.
+    """Return the convex hull of a mesh file, or a diagnostic if the file is invalid. Cached.
 
     A mesh without a hull, for example a flat mesh, is returned itself. The vertices are in the
-    file's unit of length, which a URDF takes as metres.
+    file's unit of length, which counts as metre in a URDF.
 
     Args:
         path: The file.
@@ -258,8 +264,8 @@ _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("a
 """Record of a triangle in a binary STL file (de facto standard of the format)."""
 
 _STL_HEADER_BYTES = 84
-"""Bytes of a binary STL file before the triangles: a text of 80 bytes, and the number of triangles.
-"""
+"""Number of bytes of a binary STL file before the triangles: a text of 80 bytes, and the number of
+triangles."""
 
 
 def _read_binary_stl(path: Path) -> Mesh | None:
@@ -289,7 +295,7 @@ def _load_mesh(path: Path, *, merge: bool) -> Any:
 def read_mesh_integrals(
     path: Path, _changed: int
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return volume, CoM and second moments of the solid that a mesh file encloses.
+    """Return volume, CoM and second moments of the solid that a mesh file encloses. Cached.
 
     Args:
         path: The file.
