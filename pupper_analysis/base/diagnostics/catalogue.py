@@ -16,8 +16,8 @@ Three files have a line per entry, ``key = { en = "...", zh = "..." }``. ``terms
 names of kinds of things, such as ``joint``. ``texts.toml`` contains headings, labels and remarks of
 documents. ``meanings.toml`` contains descriptions of the fields of results, by class and field. The
 ``words.toml`` of a tool has such lines in its tables ``[terms]``, ``[texts]`` and ``[meanings]``.
-The English text is used if a diagnostic lacks the text of another language. The same holds for a
-text of a tool from another distribution.
+The English text replaces a missing text of another language, for diagnostics and for texts of tools
+from other distributions.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ LANGUAGES = ("en", "zh")
 """Languages of all catalogue texts: English and Chinese."""
 
 SHORT_FORM = "short"
-"""Key, beside ``en`` and ``zh``, of the short English form of a catalogue text. Documents print the
-short form instead of the text in a short answer. Most texts have no short form."""
+"""Key of the short English form of a catalogue text, beside ``en`` and ``zh``. Documents print the
+short form in short answers. Most texts have no short form."""
 
 _TABLE_HEADER = re.compile(r"^\[([a-z0-9-]+)\]$", re.MULTILINE)
 """Pattern of the header line of a TOML table."""
@@ -55,20 +55,19 @@ _CATALOGUE_FOLDER = Path(__file__).parent / "catalogue"
 """Folder of the catalogue files."""
 
 _TABLES_BY_FILE = {_TERMS_FILE: "terms", _TEXTS_FILE: "texts", _MEANINGS_FILE: "meanings"}
-"""{catalogue file: table of ``words.toml`` with the same kind of entries}. Each tool may have a
-file ``words.toml`` with its own texts. A tool is a subpackage of ``pupper_analysis.tools``, or a
-package of another distribution.
-"""
+"""{catalogue file: table of ``words.toml`` with the same kind of entries}. A tool may have a file
+``words.toml`` with its texts. A tool is a subpackage of ``pupper_analysis.tools``, or a package of
+another distribution."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """Catalogue entry of a code.
+    """Catalogue entry of a diagnostic's code: severity, group and texts.
 
     Attributes:
         severity: ``"error"``, ``"warning"`` or ``"note"``.
         group: ``"wrong"``, ``"assumed"`` or ``"found"``.
-        templates: {language: template}.
+        templates: {language: template of the text}.
         short: Template of the short English form; empty if there is none.
     """
 
@@ -79,16 +78,22 @@ class Entry:
 
 
 def codes() -> Iterator[str]:
-    """Return the codes of all diagnostics of this package and its tools, in no particular order."""
+    """Return the codes of all diagnostics of this package and its tools, in no particular order.
+
+    Tools of other distributions are not included.
+    """
     return iter(_load_tables())
 
 
 @cache
 def entry(code: str) -> Entry:
-    """Return the catalogue entry of a code.
+    """Return the catalogue entry of a diagnostic's code.
+
+    Args:
+        code: Code, such as ``"mesh-missing"``.
 
     Raises:
-        KeyError: If neither this package's catalogue nor that of a plug-in contains the code.
+        KeyError: If neither this package's catalogue nor a plug-in's catalogue contains the code.
     """
     tables = _load_tables() if code in _load_tables() else _load_plugin_tables()
     fields = tomllib.loads(tables[code])
@@ -99,7 +104,12 @@ def entry(code: str) -> Entry:
 
 
 def term(name: str, language: str) -> str:
-    """Return a term in a language; the name itself if the catalogue does not contain the term."""
+    """Return the word for a term in a language; the name itself for an unknown term.
+
+    Args:
+        name: Key of the term in the catalogue, such as ``joint``.
+        language: ``"en"`` or ``"zh"``.
+    """
     return (
         _parse_catalogue_entry(_TERMS_FILE, name)[language]
         if name in list_entries(_TERMS_FILE)
@@ -108,7 +118,7 @@ def term(name: str, language: str) -> str:
 
 
 def is_term(name: str) -> bool:
-    """Return True if the catalogue contains a term."""
+    """Return True if the catalogue contains a term with this key."""
     return name in list_entries(_TERMS_FILE)
 
 
@@ -119,7 +129,8 @@ def phrase(key: str, language: str) -> str:
     Args:
         key: Key in ``texts.toml`` or ``terms.toml``, or in one of the tables ``[texts]`` and
             ``[terms]`` of a tool. The table ``[terms]`` is searched only for tools of this package.
-        language: ``"en"`` or ``"zh"``, or `SHORT_FORM`; a missing text is taken from English.
+        language: ``"en"`` or ``"zh"``, or `SHORT_FORM`. The English text replaces a missing Chinese
+            text.
 
     Returns:
         Template, whose placeholders the caller replaces with ``fill_template``. Empty for
@@ -136,12 +147,15 @@ def phrase(key: str, language: str) -> str:
 
 
 def meaning(kind: type, field: str, language: str) -> str:
-    """Return the description of a field of a result, with the unit; "" without a description.
+    """Return the description of a field of a result class, with the unit, from the catalogue.
 
     Args:
         kind: Class of the result.
         field: Field of the class, or of a base class.
         language: ``"en"`` or ``"zh"``.
+
+    Returns:
+        Description; "" if the catalogue has no description.
     """
     for owner in kind.__mro__:
         key = f"{owner.__name__}.{field}"
@@ -158,8 +172,8 @@ def meaning(kind: type, field: str, language: str) -> str:
 def word_files() -> Mapping[str, Path]:
     """Return the TOML files that contain the texts of messages, as {name: path}.
 
-    Files of the folder ``catalogue`` are named without their suffix; the file ``words.toml`` of a
-    tool is named "tools/TOOL".
+    A file of the folder ``catalogue`` has its file name without suffix as name; the file
+    ``words.toml`` of a tool has the name "tools/TOOL".
     """
     catalogues = {path.stem: path for path in sorted(_CATALOGUE_FOLDER.glob("*.toml"))}
     tools = {name: tool.folder / "words.toml" for name, tool in own_packages().items()}
@@ -167,7 +181,7 @@ def word_files() -> Mapping[str, Path]:
 
 
 def _select_language(words: Mapping[str, str], language: str) -> str:
-    """Return the text in a language; the English text if it is missing.
+    """Return the text in a language; the English text if the text is missing.
 
     A missing short form (`SHORT_FORM`) is empty.
     """
@@ -215,7 +229,7 @@ def _load_plugin_entries(file: str) -> Mapping[str, str]:
 def _load_tables() -> Mapping[str, str]:
     """Return {code of a diagnostic: unparsed TOML text of its table} from this package's files.
 
-    The files are only split at the table headers. An entry is parsed when it is used, because a
+    The files are only split at the table headers. An entry is parsed at its first use, because a
     command uses few entries. Parsing all entries would take 50 ms per 1,000 entries, a tenth of the
     start time of a command.
     """
@@ -232,10 +246,11 @@ def _load_tables() -> Mapping[str, str]:
 def list_entries(file: str) -> Mapping[str, str]:
     """Return the single-line TOML entries of a catalogue file, and of this package's tools.
 
+    Entries of the same kind in the ``words.toml`` files of this package's tools and formats are
+    included. Entries of other packages are not included.
+
     Args:
-        file: Name of the catalogue file, an element of ``LINE_ENTRY_FILES``. Entries of the same
-            kind in the ``words.toml`` files of this package's tools and formats are included, but
-            not those of other packages.
+        file: Name of the catalogue file, an element of ``LINE_ENTRY_FILES``.
 
     Returns:
         {key: TOML text ``{ en = "...", zh = "..." }``}.

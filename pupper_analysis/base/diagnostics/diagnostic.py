@@ -1,8 +1,8 @@
-"""``Diagnostic``: a stable code, a subject, values with units, and sources.
+"""``Diagnostic``: a reported fact, with a stable code, a subject, values with units, and sources.
 
-`diagnose` creates a diagnostic from a code and values. Severity, group and texts in both languages
-are in the catalogue, under the code; `fill_template` inserts the values into a text. Programs read
-the code and the values, users the text.
+`diagnose` creates a diagnostic from a code and values. The catalogue contains severity, group and
+texts in both languages, under the code. `fill_template` inserts the values into a text. Programs
+read the code and the values, users read the text.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pupper_analysis.base.frozen import FrozenDict
 
 
 class Severity(StrEnum):
-    """Severity of a diagnostic."""
+    """Severity of a diagnostic: error, warning or note."""
 
     ERROR = "error"
     """Impossible, rejected or failed."""
@@ -42,7 +42,7 @@ class Severity(StrEnum):
 
     @property
     def rank(self) -> int:
-        """Rank of the severity; errors have rank 0."""
+        """Rank of the severity for sorting: 0 for errors, 1 for warnings, 2 for notes."""
         return list(Severity).index(self)
 
 
@@ -59,11 +59,12 @@ class Group(StrEnum):
 
 @dataclass(frozen=True)
 class Subject:
-    """Subject of a diagnostic.
+    """Element that a diagnostic concerns, such as a joint.
 
     Attributes:
-        kind: Term: ``"joint"``, ``"link"``, ``"geom"``, ``"foot"``, ``"file"`` ...
-        name: Name of the subject.
+        kind: Type of the element, a term: ``"joint"``, ``"link"``, ``"geom"``, ``"foot"``,
+            ``"file"`` ...
+        name: Name of the element.
     """
 
     kind: str
@@ -95,14 +96,14 @@ class Source:
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """Reported fact.
+    """Reported fact as data: code, severity, subject, values with units, and sources.
 
     ``str`` returns the English text. Diagnostics are compared by all fields.
 
     Attributes:
         code: Key of the catalogue entry, such as ``"mesh-missing"``. Codes are stable.
-        severity: Severity of the catalogue, unless `diagnose` received another.
-        subject: Subject; None for the whole robot or task.
+        severity: Severity of the catalogue, unless `diagnose` received another severity.
+        subject: Element that the diagnostic concerns; None for the whole robot or task.
         values: {name: value of a type in `Value`}, for example a number with unit, a name, a term,
             a tuple or another diagnostic.
         sources: Locations of the values.
@@ -116,14 +117,14 @@ class Diagnostic:
 
     @property
     def group(self) -> Group:
-        """Group of this diagnostic, which states the required action of the user.
+        """Group of this diagnostic, by the required action of the user.
 
-        It is wrong (repair), assumed (check) or found (no action).
+        Wrong (repair), assumed (check) or found (no action).
         """
         return Group(entry(self.code).group)
 
     def text(self, language: str = "en") -> str:
-        """Return the text in a language.
+        """Return the text of this diagnostic in a language, with the values inserted.
 
         Args:
             language: ``"en"`` or ``"zh"``.
@@ -132,7 +133,10 @@ class Diagnostic:
 
     @property
     def short(self) -> str:
-        """Short English text for a terminal; empty if the catalogue has none."""
+        """Short English text of this diagnostic for a terminal.
+
+        Empty if the catalogue has no short text.
+        """
         template = entry(self.code).short
         if not template:
             return ""
@@ -144,7 +148,7 @@ class Diagnostic:
 
     @property
     def _template_values(self) -> dict[str, Any]:
-        """Values of the template: those of this diagnostic, and the subject with its name."""
+        """Values that a template may contain: all ``values``, and the subject with its name."""
         values: dict[str, Any] = dict(self.values)
         if self.subject is not None:
             values.update(subject=self.subject, name=self.subject.name)
@@ -154,10 +158,11 @@ class Diagnostic:
         return self.text()
 
     def with_names(self, change: Callable[[str], str]) -> Diagnostic:
-        """Return a copy with changed names of subject, values and source files.
+        """Return a copy in which the names of subject, values and source files are changed.
 
         Args:
-            change: Function that returns the new name or text. Terms and phrases are not changed.
+            change: Function that returns the new name or text for an old one. Terms and phrases are
+                not changed.
         """
         subject = self.subject
         return replace(
@@ -206,13 +211,13 @@ def diagnose(
     severity: Severity | None = None,
     **values: object,
 ) -> Diagnostic:
-    """Create a diagnostic with a code of the catalogue.
+    """Create a diagnostic from a code of the catalogue and values.
 
     Args:
         code: Key of the catalogue entry.
-        subject: Subject, or (kind, name).
+        subject: Element that the diagnostic concerns, or its (kind, name).
         sources: Locations of the values. A path represents the whole file.
-        severity: Severity, if different from the severity in the catalogue.
+        severity: Severity, if it differs from the severity in the catalogue.
         **values: Values for the text, and for programs that read the diagnostic. NumPy numbers
             become Python numbers, iterables become tuples.
 
@@ -236,7 +241,7 @@ def diagnose(
 
 
 def merge_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
-    """Return the diagnostics without duplicates, sorted by group, then by severity.
+    """Return diagnostics without duplicates, sorted by group, then by severity.
 
     The order of the groups is: wrong (to repair), assumed (to check), found (information).
     """

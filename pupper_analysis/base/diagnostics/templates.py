@@ -53,16 +53,17 @@ _UNIT_FACTORS = {
     ("m^3", "litres"): 1e3,
     ("1", "%"): 1e2,
 }
-"""{(SI unit, displayed unit): factor}; displayed number = factor x number in the SI unit."""
+"""{(SI unit, displayed unit): factor}. The displayed number is the factor times the number in the
+SI unit."""
 
 
 def format_number(value: float, spec: str) -> str:
     """Format a number by a format specification of Python, such as ``".3g"``.
 
-    Absolute values from 1e-6 to below 1e9 are written without exponent. A width in the
-    specification is then ignored. Exceptions are the formats ``e``, ``E`` and ``G``. With ``%`` the
-    number is shown in percent: 0.039 by ``".1%"`` or ``".2g%"`` is ``"3.9 %"``. Percentages from
-    1e-6 % to below 1e11 % are written without exponent.
+    - Absolute values from 1e-6 to below 1e9 are written without exponent; a width in the
+      specification is then ignored. Exceptions are the formats ``e``, ``E`` and ``G``.
+    - With ``%``, the number is shown in percent: 0.039 by ``".1%"`` or ``".2g%"`` is ``"3.9 %"``.
+      Percentages from 1e-6 % to below 1e11 % are written without exponent.
     """
     if spec.endswith("%"):
         number = spec[:-1] if spec.endswith("g%") else f"{spec[:-1]}f"
@@ -86,14 +87,15 @@ _DEFAULT_DIGITS = 6
 
 _PRECISION = re.compile(r"(?:\.(\d+)|^|(?<=:))([efg]%?)$")
 """Pattern of the end of a number format such as ``.3g``: an optional precision, and the type. A
-unit such as ``kg`` does not match.
-"""
+unit such as ``kg`` does not match."""
 
 
 def format_pair(
     first: float | Quantity | Vector, second: float | Quantity | Vector, spec: str
 ) -> tuple[str, str]:
-    """Format two compared numbers, with more digits if they differ but have the same text.
+    """Format two numbers that a message compares; numbers that differ get different texts.
+
+    More digits are used if both would have the same text.
 
     Args:
         first: Number.
@@ -138,7 +140,7 @@ def _split_precision(value: float | Quantity | Vector, spec: str) -> tuple[str, 
 
 @dataclass(frozen=True)
 class Quantity:
-    """Number with a unit.
+    """Number with a unit, as value of a diagnostic.
 
     Attributes:
         value: Number in SI units.
@@ -154,8 +156,9 @@ class Quantity:
     def __format__(self, spec: str) -> str:
         """Return number and unit in a format such as ``"mm:.1f"`` or ``".3g"``.
 
-        The first form converts to mm. The second uses deg for angles, and the SI unit otherwise.
-        ``":.3g"`` omits the unit of the second form; an angle is still in deg.
+        - ``"mm:.1f"`` converts to mm.
+        - ``".3g"`` uses deg for angles, and the SI unit otherwise.
+        - ``":.3g"`` omits the unit of ``".3g"``; an angle is still in deg.
 
         Raises:
             KeyError: If the unit is not in `_UNIT_FACTORS`.
@@ -180,7 +183,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Vector:
-    """Several numbers with a common unit.
+    """Several numbers with a common unit, as value of a diagnostic.
 
     Attributes:
         values: Numbers in SI units.
@@ -195,7 +198,7 @@ class Vector:
 
     @staticmethod
     def rounded(values: Iterable[float], unit: str = "1") -> Vector:
-        """Create a vector of numbers rounded to 9 decimals, so that no rounding error is displayed.
+        """Create a vector of numbers rounded to 9 decimals, to display no rounding errors.
 
         Args:
             values: Numbers in the SI unit ``unit``.
@@ -235,7 +238,7 @@ class Term(str):
 
 
 class Phrase(str):
-    """Text in both languages that other code has formed, for example the description of a task.
+    """Text in both languages that other code has composed, for example the description of a task.
 
     The string value is the English text.
 
@@ -263,39 +266,48 @@ class Phrase(str):
 
 
 UNLIMITED = Term("unlimited")
-"""Word for an infinite limit."""
+"""Term that messages contain instead of an infinite limit."""
 
 
 NOT_STATED = Term("not stated")
-"""Word for a torque limit that no file states."""
+"""Term that messages contain instead of a torque limit that no file states."""
 
 
 def describe_effort(value: float, unit: str) -> Quantity | Term:
-    """Return a torque limit with the unit, or the term "not stated" if not finite."""
+    """Return a torque limit with its unit for a message; the term "not stated" if not finite.
+
+    Args:
+        value: Limit [N m, N].
+        unit: Unit of the limit.
+    """
     return Quantity(value, unit) if math.isfinite(value) else NOT_STATED
 
 
 def describe_bound(value: float, unit: str) -> Quantity | Term:
-    """Return a limit with the unit, or the term "unlimited" if the limit is not finite."""
+    """Return a limit with its unit for a message; the term "unlimited" if not finite.
+
+    Args:
+        value: Limit, in ``unit``.
+        unit: Unit of the limit.
+    """
     return Quantity(value, unit) if math.isfinite(value) else UNLIMITED
 
 
 def to_unicode(text: str) -> str:
-    """Return a text that can be encoded as UTF-8; undecodable bytes become escape sequences."""
+    """Return a text that can be encoded as UTF-8; escape sequences replace undecodable bytes."""
     return text.encode("utf-8", "backslashreplace").decode()
 
 
 _OPTIONAL_TEXT = re.compile(r"\[(!?)(\w+)\?((?:[^\[\]])*)\]")
 """Pattern of an optional text in a template. ``[name? text]`` is included if the value of ``name``
-is true, ``[!name? text]`` if the value is false.
-"""
+is true, ``[!name? text]`` if the value is false."""
 
 _LIST_FORMAT = re.compile(r"(,or|or|and|,|;|)(\d*)(?:\|(.*))?$")
 """Pattern of the format of a tuple: separator, maximum number of items, and ``|`` with the format
 of each item; each part may be missing."""
 
 _MAX_LISTED_ITEMS = 8
-"""Default of the maximum number of items in a list. Longer lists hide the rest of the message.
+"""Default of the largest number of items in a list. Longer lists hide the rest of the message.
 Chosen, not tuned."""
 
 _SEPARATORS = {
@@ -313,9 +325,10 @@ def fill_template(template: str, values: Mapping[str, Any], language: str) -> st
     """Replace the placeholders of a template by values, and return the text.
 
     Args:
-        template: Text with placeholders such as ``{mass:.3g}`` and optional texts such as
-            ``[limit? beyond {limit}]``; the docstring of this module describes the syntax.
-        values: {name: value}.
+        template: Text with placeholders such as ``{mass:.3g}``, and optional texts such as
+            ``[limit? beyond {limit}]``. The docstring of the module ``templates`` describes the
+            syntax.
+        values: {name of a placeholder: value}.
         language: ``"en"`` or ``"zh"``.
 
     Raises:
@@ -331,17 +344,17 @@ _COMPARED_NAMES = (
     *(("one", "two"), ("old", "new"), ("urdf", "mjcf"), ("own", "its"), ("mass", "its")),
     *(("effort", "its"), ("value", "its"), ("mass", "stated")),
 )
-"""Pairs of placeholders whose values a message compares. Such numbers are printed with more digits
-if they differ but have the same text."""
+"""Pairs of placeholders whose values a message compares. If two such numbers differ but have the
+same text, more digits are printed."""
 
 
 @dataclass(frozen=True)
 class _Compared:
-    """Value of a placeholder, and the value with which the message compares it.
+    """Value of a placeholder, and the second value of a comparison in the message.
 
     Attributes:
         value: Number, quantity or vector.
-        other: Value of the same type and unit, from which the text of ``value`` must differ.
+        other: Value of the same type and unit; the text of ``value`` must differ from its text.
     """
 
     value: Any
@@ -375,8 +388,8 @@ class _TemplateFormatter(Formatter):
     def get_field(self, field_name: str, _args: Any, kwargs: Any) -> tuple[Any, str]:
         """Return the value of a placeholder and its name.
 
-        For ``{name|singular|plural}`` a word takes the place of the value: the first if the number,
-        or the length of a container, is 1; otherwise the second.
+        For ``{name|singular|plural}``, a word replaces the value: the first word if the number, or
+        the length of a container, is 1; otherwise the second word.
         """
         name, *forms = field_name.split("|")
         value = kwargs[name]
@@ -390,8 +403,8 @@ class _TemplateFormatter(Formatter):
     def convert_field(self, value: Any, conversion: str | None) -> Any:
         """Apply the conversion of a template field; the conversion ``!r`` quotes names.
 
-        Of a tuple, each item is quoted. Of a subject (kind and name, such as a link), the name is
-        quoted.
+        Each item of a tuple is quoted. For a subject (kind and name, such as a link), only the name
+        is quoted.
         """
         if conversion == "r" and isinstance(value, tuple):
             return tuple(repr(item) for item in value)
