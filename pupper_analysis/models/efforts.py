@@ -72,11 +72,11 @@ class EffortStatement(Result):
         element: ``joint``, ``actuator`` or ``tendon``.
         name: Name of the element; names of several actuators at a joint are separated by commas.
         attribute: ``effort``, ``actuatorfrcrange``, ``forcerange`` or ``ctrlrange``.
-        stated: Lower and upper end of the range in the file; (-effort, effort) for an effort. For
+        stated: Lower and upper end of the range in the file. For an effort, -effort and effort. For
             several actuators, the sum at the joint.
-        factor: Torque at the joint per unit of ``stated``: the gear of an actuator, times the gain
-            for a ``ctrlrange``, times the coefficient of the joint for an actuator at a tendon. 1
-            for a joint, for the sum of several actuators, and for an empty range.
+        factor: Torque at the joint per unit of ``stated``. For an actuator, the gear; for a
+            ``ctrlrange``, times the gain; at a tendon, times the coefficient of the joint. 1 for a
+            joint, for the sum of several actuators, and for an empty range.
         lower: Lower end at the joint (N m or N).
         upper: Upper end at the joint (N m or N).
     """

@@ -352,7 +352,7 @@ class SpecTree:
         equality.solref = (max(COUPLING_TIME_CONSTANT, 2 * float(self.spec.option.timestep)), 1.0)
 
     def motor_at(self, joint: str) -> mujoco.MjsActuator | None:
-        """Return the last actuator with transmission ``joint`` at a joint; None if there is none."""
+        """Return the last actuator with transmission ``joint`` at a joint, or None."""
         transmission = mujoco.mjtTrn.mjTRN_JOINT
         motors = [
             motor
