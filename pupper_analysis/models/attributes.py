@@ -67,8 +67,9 @@ class JointAttribute:
     def read_compiled_value(self, model: MjModel, joint: int) -> float:
         """Read the value of this parameter for a joint of a compiled MuJoCo model.
 
-        The parameter must be in ``COMPILED_ATTRIBUTES``, for example damping. If MuJoCo stores a
-        polynomial, the value is the linear coefficient.
+        The parameter must be damping, dry friction, armature or spring stiffness
+        (``COMPILED_ATTRIBUTES``). If MuJoCo stores a polynomial, the value is the linear
+        coefficient.
 
         Args:
             model: Compiled model.
@@ -96,7 +97,7 @@ strongest motors have 1e4 N m."""
 def known_limit(stated: float) -> float:
     """Return an effort or velocity limit of a URDF; inf if the value means "unspecified".
 
-    This is the case for a value of ``UNSTATED`` or more.
+    This is the case from 1e9 (``UNSTATED``) up.
 
     Args:
         stated: Effort [N m, N] or velocity limit [rad/s, m/s] in the URDF.

@@ -187,8 +187,8 @@ def pinocchio_from_urdf(text: str, source: Path, *, floating: bool) -> pin.Model
     """Build the Pinocchio model of a URDF, with free or fixed base.
 
     Shapes are removed, because Pinocchio's reader prints warnings about unknown elements. Efforts
-    and velocities of at least ``UNSTATED`` become infinite. If a link has a negative mass, the
-    inertias are recomputed.
+    and velocities of at least 1e9 (``UNSTATED``) become infinite. If a link has a negative mass,
+    the inertias are recomputed.
 
     Args:
         text: URDF.

@@ -132,7 +132,11 @@ class EffortStatement(Result):
         return EffortStatement(file, element, name, attribute, (low, high), 1.0, 0.0, 0.0)
 
     def scaled(self, factor: float) -> EffortStatement:
-        """Return a copy whose torques at the joint are multiplied by a gear or lever arm."""
+        """Return a copy whose torques at the joint are multiplied by a gear or lever arm.
+
+        Args:
+            factor: Torque at the joint per unit of the present torque or force; may be negative.
+        """
         lower, upper = sorted((factor * self.lower + 0.0, factor * self.upper + 0.0))  # no -0.0
         return replace(self, factor=factor * self.factor, lower=lower, upper=upper)
 
@@ -223,7 +227,7 @@ class EffortLimit(Result):
         """Largest torque that the limit permits in both directions [N m, N]; infinite if unknown.
 
         The value is min(-lower, upper). It is 0 if the range does not contain both signs, or if the
-        value is below `MIN_EFFORT`.
+        value is below 1e-9 (`MIN_EFFORT`).
         """
         torque = min(-self.lower, self.upper)
         return torque if torque >= MIN_EFFORT else 0.0
@@ -243,8 +247,8 @@ def resolve_effort_limit(
     Args:
         model: MuJoCo model of the MJCF.
         joint: Id of a hinge or slide.
-        effort: Effort of the URDF's joint [N m; N for a slide]; None or at least ``UNSTATED`` if
-            the URDF states no effort.
+        effort: Effort of the URDF's joint [N m; N for a slide]; None or at least 1e9 (``UNSTATED``)
+            if the URDF states no effort.
         name: Name of the joint in the URDF. Default: as in the MJCF.
         drives: Ids of the actuators of the joint. Default: determined from the model.
         empty_range: Empty force range of the joint in the MJCF, found by ``null_efforts``. The
@@ -400,7 +404,7 @@ def _is_empty(
 def read_joint_effort(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
     """Return the torque limit that ``actuatorfrcrange`` of a joint states, as a list.
 
-    The list is empty without limit, or if the upper end is at least ``UNSTATED``.
+    The list is empty without limit, or if the upper end is at least 1e9 (``UNSTATED``).
 
     Args:
         model: MuJoCo model.
@@ -510,11 +514,12 @@ def placeholder_efforts(
 
     An effort is a placeholder in three cases:
 
-    1. It is round (1, 2 or 5 times 10^n, at least 100), and above `MAX_TORQUE_PER_LINK_MASS` times
-       the mass of the joint's two links. This mass must be more than 0.001 of the robot's mass.
-    2. It is above `MAX_ROTOR_ACCELERATION` times the armature.
-    3. The sum of the remaining efforts is above `MAX_TORQUE_PER_ROBOT_MASS` times the robot's mass.
-       All remaining efforts are then placeholders.
+    1. It is round (1, 2 or 5 times 10^n, at least 100), and above 250 N m/kg
+       (`MAX_TORQUE_PER_LINK_MASS`) times the mass of the joint's two links. This mass must be more
+       than 0.001 of the robot's mass.
+    2. It is above 1e5 rad/s^2 (`MAX_ROTOR_ACCELERATION`) times the armature.
+    3. The sum of the remaining efforts is above 90 N m/kg (`MAX_TORQUE_PER_ROBOT_MASS`) times the
+       robot's mass. All remaining efforts are then placeholders.
 
     Args:
         motors: All hinges with a torque limit.

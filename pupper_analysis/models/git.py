@@ -80,10 +80,12 @@ def git_entries(output: bytes | None) -> list[GitEntry] | None:
 
 
 def run_git(command: list[str], folder: Path | None = None) -> subprocess.CompletedProcess[bytes]:
-    """Run git with ``SAFE_ENVIRONMENT``, without standard input, and capture the output.
+    """Run git safely, without standard input, and capture the output.
+
+    The environment disables network access and prompts (``SAFE_ENVIRONMENT``).
 
     Args:
-        command: Words of the command, with ``SAFE_OPTIONS``.
+        command: Words of the command, with ``SAFE_OPTIONS``, which disable hooks.
         folder: Working folder; by default the current folder.
     """
     return subprocess.run(

@@ -530,7 +530,8 @@ def walk_elements(root: XmlNode) -> Iterator[XmlNode]:
 def index_of(root: XmlNode) -> dict[tuple[str, str], XmlNode]:
     """Return an index of the elements of an MJCF, {(tag or section, name): element}.
 
-    - The section (`_SECTION_TAGS`) is the tag of the parent element.
+    - The section is the tag of the parent element, for example ``actuator`` or ``sensor``
+      (`_SECTION_TAGS`).
     - The name of a default is its class. The name of a mesh, texture or height field without name
       is the file name without suffix.
     - A ``freejoint`` is also listed as ``joint``.
@@ -568,8 +569,8 @@ def stating_element(root: XmlNode, node: XmlNode, attributes: Collection[str]) -
     The default class is the class of the element; else the ``childclass`` of a body above the
     element; else the first top-level class. A class inherits from the enclosing classes. In a
     class, only elements with the same tag are searched. Exception: for an attribute that all
-    actuators have (`_COMMON_ACTUATOR_ATTRIBUTES`), elements with the tag of any actuator are
-    searched.
+    actuators have, such as ``forcerange`` (`_COMMON_ACTUATOR_ATTRIBUTES`), elements with the tag of
+    any actuator are searched.
 
     Args:
         root: Root element.

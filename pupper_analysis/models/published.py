@@ -119,7 +119,7 @@ def is_published_name(word: str) -> bool:
     """Return True if a word names a published robot, and is no existing path.
 
     The robot is a description of ``robot_descriptions``, or a robot of MuJoCo Menagerie. A word
-    with the prefix `DESCRIPTION_PREFIX` counts in any case.
+    with the prefix ``robot_descriptions:`` counts in any case.
     """
     return _is_description(word) or is_menagerie_name(word)
 

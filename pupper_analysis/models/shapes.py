@@ -414,7 +414,7 @@ class Shape:
     def collision(self) -> coal.CollisionGeometry:
         """Collision geometry of the shape for the collision library coal.
 
-        The kind must be in ``NUM_SIZES``, and a mesh must be known.
+        The shape must be a sphere, box, ellipsoid, cylinder, capsule or known mesh.
         """
         match self.kind, self.size:
             case "sphere", (r,):

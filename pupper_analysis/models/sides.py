@@ -71,8 +71,8 @@ def find_mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:
     """Return the pairs of names that differ only in left and right, in the given order.
 
     A name without a side, such as ``foot`` of a planar walker, is paired with ``foot_left`` or
-    ``foot_right``, unless both exist. These pairs come last. Names that match
-    ``ASYMMETRIC_PART_NAME`` are excluded.
+    ``foot_right``, unless both exist. These pairs come last. Names of grippers, fingers, cameras,
+    IMUs and sensors are excluded (``ASYMMETRIC_PART_NAME``).
     """
     names_in_order = dict.fromkeys(names)
     pairs: dict[str, str] = {}
@@ -107,7 +107,7 @@ def find_unlike_pairs(
       left joints and another for all right joints: all unequal pairs. (In five published robots
       with identified motors, there are 1.67 to 2 values per unequal pair.)
     - Otherwise the motors were identified individually: the pairs whose absolute values differ by a
-      factor of at least ``_MIN_REPORTED_RATIO``.
+      factor of at least 20 (``_MIN_REPORTED_RATIO``).
 
     Args:
         pairs: Pairs of a left and a right joint, in any order.

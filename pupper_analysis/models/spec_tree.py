@@ -65,7 +65,7 @@ def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
 def write_joint_parameter(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float) -> None:
     """Write the value of a joint parameter, for example damping or effort, into an MJCF spec.
 
-    An effort becomes a symmetric force range of the joint, at least ``MIN_RANGE`` wide to each
+    An effort becomes a symmetric force range of the joint, at least 1e-9 (``MIN_RANGE``) to each
     side. For a parameter that MuJoCo stores as a polynomial, the value is the first coefficient,
     and all other coefficients are zero.
 
@@ -267,8 +267,8 @@ class SpecTree:
         """Set attributes of the MJCF's ``<option>``.
 
         Args:
-            values: {attribute: value}, for example ``{"cone": "elliptic"}``. A text must be in
-                `_OPTION_VALUES`.
+            values: {attribute: value}, for example ``{"cone": "elliptic"}``. For accepted texts,
+                such as ``elliptic``, see `_OPTION_VALUES`.
         """
         for name, value in values.items():
             setattr(self.spec.option, name, _OPTION_VALUES.get((name, value), value))
@@ -319,8 +319,8 @@ class SpecTree:
             offset: Position of the follower with the leader at zero [rad, m].
 
         Returns:
-            The new equality constraint, with a time constant of `COUPLING_TIME_CONSTANT`, but at
-            least two time steps.
+            The new equality constraint, with a time constant of 5 ms (`COUPLING_TIME_CONSTANT`),
+            but at least two time steps.
         """
         # MuJoCo's polynomial uses coordinates relative to ``ref``.
         follower_ref, leader_ref = (

@@ -68,11 +68,11 @@ def read_gears(model: mujoco.MjModel, actuators: NDArray[np.integer]) -> Array:
 
 
 def list_joint_actuators(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Return the ids of the actuators at a hinge or slide.
+    """Return the ids of the actuators that act directly on a hinge or slide.
 
-    The transmissions ``joint`` and ``jointinparent``, which are equal for these joints, count. Ids
-    are less than ``model.nactuator``, which may be smaller than ``model.nu``: an actuator may have
-    several controls.
+    The transmissions ``joint`` and ``jointinparent`` count, which are equal for such joints. The
+    ids are rows of the arrays ``actuator_`` with ``model.nactuator`` rows. They are no indices of
+    ``ctrl``, because an actuator may have several controls.
     """
     candidates = np.flatnonzero(model.actuator_trnid[:, 0] == joint).tolist()
     return [actuator for actuator in candidates if is_at_one_joint(model, actuator)]

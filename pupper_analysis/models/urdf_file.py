@@ -527,8 +527,8 @@ robot moves as far, and with 12 digits the resolution is a nanometre."""
 def complete_limits(root: etree._Element) -> Diagnostic | None:
     """Complete missing efforts and velocities of ``<limit>`` in a URDF, in place.
 
-    The new value (``UNSTATED_LIMITS``) means an unknown limit. Reason: the format requires both
-    attributes, some exporters omit them, and Pinocchio's reader rejects the joint.
+    The new value, 1e9 (``UNSTATED_LIMITS``), means an unknown limit. Reason: the format requires
+    both attributes, some exporters omit them, and Pinocchio's reader rejects the joint.
 
     Returns:
         Diagnostic with the names of the joints; None if no ``<limit>`` was incomplete.
@@ -582,8 +582,8 @@ def states_no_limits(joint: UrdfJoint) -> bool:
 
     This is the case if ``lower`` and ``upper`` are missing, or if lower, upper and effort are all
     zero or missing. Exporters omit these attributes, or write zeros, if the limits are unknown. An
-    effort of at least ``UNSTATED`` counts as missing. A range from 0 to 0 is valid if the file
-    states an effort. False for other types of joints, and without ``<limit>``.
+    effort of at least 1e9 N m (``UNSTATED``) counts as missing. A range from 0 to 0 is valid if the
+    file states an effort. False for other types of joints, and without ``<limit>``.
     """
     limit = joint.element.find("limit")
     if joint.kind != "revolute" or limit is None:

@@ -118,7 +118,7 @@ class JointOff:
 
         Both conditions must hold; without a command, the result is False:
 
-        - The displacement exceeds ``MIN_UNHELD_DISPLACEMENT``.
+        - The displacement exceeds 0.05 rad or m (``MIN_UNHELD_DISPLACEMENT``).
         - The distance of the command from the initial position exceeds half of the displacement.
         """
         if self.commanded is None or abs(self.off) <= MIN_UNHELD_DISPLACEMENT:
@@ -204,8 +204,8 @@ class OwnRun(BodyMotion):
     def has_left_posture(self) -> bool:
         """True if a joint of a robot with a fixed base has moved far, without command.
 
-        Evaluated for the joint with the largest displacement: the displacement exceeds
-        ``MIN_POSTURE_DEVIATION``, and its command does not explain the displacement
+        Evaluated for the joint with the largest displacement: the displacement exceeds 0.5 rad or m
+        (``MIN_POSTURE_DEVIATION``), and the command does not explain the displacement
         (`JointOff.commanded_away`).
         """
         worst = None if self.standing else self.worst
@@ -227,7 +227,10 @@ class OwnRun(BodyMotion):
 
     @property
     def is_tilted(self) -> bool:
-        """True if the base of a standing robot ends tilted by more than ``MAX_OWN_TILT``."""
+        """True if the base of a standing robot ends tilted by more than 10 deg.
+
+        The limit is ``MAX_OWN_TILT``. False if the simulation diverged.
+        """
         return self.standing and not self.diverged and self.lean > MAX_OWN_TILT
 
     @property
@@ -298,9 +301,9 @@ class PublishedRun:
     def agrees_with_equilibrium(self) -> bool:
         """True if the robot does not collapse in this run, and is near the computed equilibrium.
 
-        Limits: torque error ``MAX_TORQUE_DEVIATION`` (for a URDF
-        ``MAX_IMPORTED_TORQUE_DEVIATION``); with feed-forward, also joint error
-        ``MAX_PUBLISHED_DEVIATION``.
+        Limits of the torque error: 0.05 (``MAX_TORQUE_DEVIATION``); for a URDF 0.1
+        (``MAX_IMPORTED_TORQUE_DEVIATION``). With feed-forward, the joint error must also be at most
+        0.02 rad or m (``MAX_PUBLISHED_DEVIATION``).
         """
         near = not self.feedforward or self.joint_error <= MAX_PUBLISHED_DEVIATION
         most = MAX_IMPORTED_TORQUE_DEVIATION if self.imported else MAX_TORQUE_DEVIATION
@@ -325,8 +328,8 @@ class Published:
     def is_altered_only(self) -> bool:
         """True if only changes that this package makes on loading cause the deviation.
 
-        The published file then deviates from the computed equilibrium without a collapse, and all
-        causes have a code in ``PREPARATION_CODES``.
+        The published file then deviates from the computed equilibrium without a collapse. All
+        causes are changes such as replaced mesh feet or actuators (``PREPARATION_CODES``).
         """
         codes = {cause.code for cause in self.causes}
         run = self.worst

@@ -528,8 +528,8 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
 
     Raises:
         UnknownNameError: If the robot lacks a joint of ``efforts``.
-        ConfigurationError: If an argument has another type, or a limit is below `MIN_EFFORT` or not
-            finite.
+        ConfigurationError: If an argument has another type, or a limit is below 1e-9 N m or N
+            (`MIN_EFFORT`) or not finite.
     """
     old_limits = {limit.joint: limit for limit in robot.efforts}
     for name, effort in efforts.items():

@@ -263,7 +263,7 @@ class Closure:
             Configuration, shape (nq,), with the base pose of ``qpos``. None in three cases: the
             iteration does not converge; it converges to another assembly mode
             (`has_reference_assembly`), for example with crossed rods; without ``give``, a redundant
-            equation is violated by ``MAX_OPENING`` or more.
+            equation is violated by 1e-6 m or rad (``MAX_OPENING``) or more.
         """
         result = self._close_by_newton(qpos, moving, give)
         return result if result is not None and self.has_reference_assembly(result) else None
@@ -342,7 +342,8 @@ class Closure:
         """Raise an error unless the loops are closed, up to their deflection under a static load.
 
         The accepted violation of a constraint is ``MAX_OPENING`` + ``_MAX_COMPLIANCE_FACTOR`` *
-        force * compliance, with the largest compliance that the constraint can have.
+        force * compliance (1e-6 m or rad, and factor 2). The compliance is the largest that the
+        constraint can have.
 
         Args:
             qpos: Configuration, shape (nq,).
@@ -367,8 +368,8 @@ class Closure:
     def step_weights(self, placing: IntArray) -> Array:
         """Return the step weight of each joint for `close_loops`, shape (nu,), in actuator order.
 
-        Joints between base and feet have the low weight ``_FOOT_JOINT_MOBILITY``: closing the loops
-        then moves the feet only a little. Other joints have the weight 1.
+        Joints between base and feet have the low weight 0.01 (``_FOOT_JOINT_MOBILITY``): closing
+        the loops then moves the feet only a little. Other joints have the weight 1.
 
         Args:
             placing: Indices of the joints between base and feet.

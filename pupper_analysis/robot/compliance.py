@@ -147,11 +147,11 @@ class GroundLaw:
         Method for positive forces: Newton steps within a lower and an upper bound of the
         penetration. The geometric mean of the bounds replaces a step in two cases: the step leaves
         the bounds, or the previous step did not halve the residual. While the lower bound is zero,
-        half the upper bound replaces the geometric mean. With ``near``, up to
-        `_NUM_UNBOUNDED_STEPS` Newton steps without bounds are tried first.
+        half the upper bound replaces the geometric mean. With ``near``, up to four Newton steps
+        without bounds are tried first.
 
-        The iteration ends if the relative step is at most `_STEP_RTOL`, if the relative distance of
-        the bounds is at most `_DEPTH_RTOL`, or after `_MAX_ITERATIONS`.
+        The iteration ends if the relative step is at most 1e-9 (`_STEP_RTOL`), if the relative
+        distance of the bounds is at most 4e-16 (`_DEPTH_RTOL`), or after 200 iterations.
 
         Args:
             force: Normal force [N].

@@ -104,8 +104,8 @@ MuJoCo resets the state after such a warning."""
 def nudge_velocity(model: mujoco.MjModel) -> Array:
     """Return a nudge: small pseudo-random velocities of base and joints, shape (nv,) [m/s, rad/s].
 
-    No absolute value exceeds ``NUDGE_SPEED``. The vector is random, so that it excites all modes in
-    spite of symmetry. The seed is constant, so that results are repeatable.
+    No absolute value exceeds 1e-3 m/s or rad/s (``NUDGE_SPEED``). The vector is random, so that it
+    excites all modes in spite of symmetry. The seed is constant, so that results are repeatable.
     """
     nudge = np.random.default_rng(0).uniform(-1.0, 1.0, model.nv)
     return np.asarray(NUDGE_SPEED * nudge / np.abs(nudge).max(initial=0.5))
@@ -114,7 +114,8 @@ def nudge_velocity(model: mujoco.MjModel) -> Array:
 def keyframe_duration(model: mujoco.MjModel) -> float:
     """Return the simulated time [s] of a run from a keyframe, from 2 to 5 s.
 
-    Within these bounds, the time is `_MAX_KEYFRAME_STEPS` time steps of the model.
+    Within these bounds, the result is the duration of 5000 time steps of the model
+    (`_MAX_KEYFRAME_STEPS`).
     """
     affordable = _MAX_KEYFRAME_STEPS * float(model.opt.timestep)
     return min(MAX_KEYFRAME_DURATION, max(_MIN_KEYFRAME_DURATION, affordable))
@@ -157,7 +158,7 @@ class BodyMotion:
     def has_left_place(self) -> bool:
         """True if the robot collapses only because its CoM moved too far horizontally.
 
-        The limit is ``MAX_TRAVEL_RATIO`` times the initial CoM height.
+        The limit is the initial CoM height (times ``MAX_TRAVEL_RATIO``, which is 1).
         """
         return self.collapses and not self.diverged and not self._has_collapsed(0.0)
 
@@ -185,8 +186,8 @@ def simulate_keyframe(
     run in which the robot collapses, otherwise the first run.
 
     The second and third run end halfway if their state equals the state of the first run within
-    `_MAX_RUN_DISTANCE`; they then count as runs without a collapse. Models with actuator
-    activations are always simulated to the end.
+    1e-4 m or rad (`_MAX_RUN_DISTANCE`); they then count as runs without a collapse. Models with
+    actuator activations are always simulated to the end.
 
     Args:
         model: MuJoCo model.
@@ -356,11 +357,11 @@ def initial_height(
     The clearance is the vertical distance by which the robot can move downward to the ground.
 
     Method: a copy of the robot is moved downward in steps, until its distance from the ground is
-    below ``_CONTACT_DISTANCE``. MuJoCo finds the contacts with fixed geoms within
-    ``_SEARCH_MARGIN``. A contact counts as ground if the vertical component ``normal_z`` of its
-    unit normal exceeds ``_MIN_UPWARD_NORMAL``. The step is ``min(distance / normal_z)`` over these
-    contacts, and at most ``_SEARCH_MARGIN``. Convex geoms do not penetrate in such a step. The
-    clearance is 0 if no ground is found within ``MAX_CLEARANCE``.
+    below 1 um (``_CONTACT_DISTANCE``). MuJoCo finds the contacts with fixed geoms within 5 cm
+    (``_SEARCH_MARGIN``). A contact counts as ground if the vertical component ``normal_z`` of its
+    unit normal exceeds 0.1 (``_MIN_UPWARD_NORMAL``). The step is ``min(distance / normal_z)`` over
+    these contacts, and at most 5 cm. Convex geoms do not penetrate in such a step. The clearance is
+    0 if no ground is found within 5 m (``MAX_CLEARANCE``).
 
     Args:
         model: MuJoCo model. The option ``o_margin`` and the flag ``override`` are changed during
@@ -457,11 +458,11 @@ def has_collapsed(leaning: float, lost: float, away: float, size: float) -> bool
     Also True if tilt, height loss or distance is NaN, as after a divergence.
 
     Args:
-        leaning: Tilt of the base relative to the start [rad]. Limit: ``FALLEN_TILT``.
+        leaning: Tilt of the base relative to the start [rad]. Limit: ``FALLEN_TILT`` (0.5 rad).
         lost: Height loss of the CoM [m], negative if the CoM rises. Limit of the absolute value:
-            ``MAX_HEIGHT_LOSS_RATIO`` times ``size``.
-        away: Horizontal distance of the CoM from the start [m]. Limit: ``MAX_TRAVEL_RATIO`` times
-            ``size``.
+            ``MAX_HEIGHT_LOSS_RATIO`` (0.3) times ``size``.
+        away: Horizontal distance of the CoM from the start [m]. Limit: ``MAX_TRAVEL_RATIO`` (1.0)
+            times ``size``.
         size: Initial height of the CoM above the ground [m].
     """
     upright = abs(lost) <= MAX_HEIGHT_LOSS_RATIO * size and leaning <= FALLEN_TILT

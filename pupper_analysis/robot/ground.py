@@ -180,8 +180,8 @@ class Ground:
         - Step with height h < 0 (pit): the top of the box is the bottom of the pit, at height h.
         - Separate plane: the top of the box is in the plane. The box is half as thick as wide.
 
-        A box extends ``STEP_HALF_WIDTH`` beyond the contact points of the foot. The thickness of
-        the box of a step is abs(h) times the cosine of the slope.
+        A box extends 3 cm (``STEP_HALF_WIDTH``) beyond the contact points of the foot. The
+        thickness of the box of a step is abs(h) times the cosine of the slope.
 
         Args:
             places: {contact point: sphere centre (3,) [m] in the world frame}. The contact points

@@ -270,8 +270,8 @@ def default_positions(robot: Robot, keyframe: str | None = None) -> tuple[Array,
     3. Otherwise the middle of each joint range. If a limit is infinite, the position in the range
        nearest to zero.
 
-    Positions that exceed a limit by less than `_KEYFRAME_ROUNDING` are clipped. Loops are not
-    closed.
+    Positions that exceed a limit by less than 1e-3 rad or m (`_KEYFRAME_ROUNDING`) are clipped.
+    Loops are not closed.
 
     Args:
         robot: Robot with a fixed base.
@@ -322,7 +322,8 @@ def check_in_range(
         bonds: Names of loop constraints that restrict the range, for the message.
 
     Raises:
-        ConfigurationError: If the position is beyond a limit by more than ``_LIMIT_ATOL``.
+        ConfigurationError: If the position is beyond a limit by more than 1e-6 rad or m
+            (``_LIMIT_ATOL``).
     """
     low, high = ends
     if not low - _LIMIT_ATOL <= position <= high + _LIMIT_ATOL:

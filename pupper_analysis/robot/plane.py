@@ -48,9 +48,10 @@ class Plane:
 
     @property
     def kind(self) -> str:
-        """Kind of this plane, ``wall``, ``table`` or ``ceiling`` (``PLANE_NORMALS``).
+        """Kind of this plane by its normal: ``wall``, ``table`` or ``ceiling``.
 
-        Empty if the plane has another normal.
+        The normal of a wall is -x, of a table +z, of a ceiling -z (``PLANE_NORMALS``). Empty for
+        another normal.
         """
         return next((name for name, out in PLANE_NORMALS.items() if out == self.normal), "")
 
@@ -392,7 +393,8 @@ class Weld:
         """Return a copy of this weld at another position (x, y, z) [m].
 
         Raises:
-            ConfigurationError: If ``numbers`` are not three finite numbers, or exceed `MAX_LENGTH`.
+            ConfigurationError: If ``numbers`` are not three finite numbers, or exceed `MAX_LENGTH`
+                (1 km).
         """
         return replace(self, place=_check_position("place", numbers))
 
@@ -491,8 +493,8 @@ def describe_surface(kind: str, foot: str) -> Diagnostic:
     """Name the surface that a foot or hand touches instead of the floor: "wall of left_palm".
 
     Args:
-        kind: Key of ``PLANE_NORMALS``, ``"bar"`` or ``"step"``; empty for a plane with another
-            normal.
+        kind: ``"wall"``, ``"table"``, ``"ceiling"``, ``"bar"`` or ``"step"``; empty for another
+            plane.
         foot: Name of the foot or hand.
     """
     return diagnose("surface-of-contact", kind=Term(kind or "plane"), contact=foot)

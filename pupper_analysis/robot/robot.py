@@ -673,7 +673,7 @@ class Robot(EngineModels):
         """Effort (nu,) [N m, N] that each joint can exert in both directions; inf without a limit.
 
         The value is min(-lower, upper) of the joint's effort range (`effort_ranges`). Values below
-        ``MIN_EFFORT`` are set to 0, for example if both bounds have the same sign.
+        1e-9 (``MIN_EFFORT``) are set to 0, for example if both bounds have the same sign.
         """
         limits = np.array([limit.symmetric_torque for limit in self.efforts], dtype=float)
         limits.flags.writeable = False
@@ -959,8 +959,8 @@ def borrow(robot: Robot, make: Callable[[Robot], _T]) -> Iterator[_T]:
 
     Use it for objects that are expensive to create, such as MuJoCo data. If the pool contains no
     object for this robot and this function, ``make`` creates the object. At the end of the context,
-    the object returns to the pool. The pool keeps the last `_MAX_POOL_SIZE` used objects of all
-    robots.
+    the object returns to the pool. The pool keeps the eight last used objects of all robots
+    (`_MAX_POOL_SIZE`).
 
     Args:
         robot: The robot.

@@ -326,7 +326,7 @@ def resolve_servo_gains(
 
     Raises:
         ConfigurationError: If a gain is not a number, has another shape or is out of range, or a
-            requested stiffness is below `MIN_STIFFNESS`.
+            requested stiffness is below 1e-9 (`MIN_STIFFNESS`).
         ModelError: If a joint has no actuator; or if an actuator is no position servo, and kp or kd
             is None. Dependent joints need no actuator.
     """
@@ -519,9 +519,9 @@ def with_options(
         integrator: ``Euler``, ``implicitfast``, ``implicit`` or ``RK4``.
         cone: Form of the friction cones: ``elliptic`` or ``pyramidal``.
         impratio: MuJoCo's ratio between frictional and normal impedance of contacts, positive and
-            at most `MAX_IMPRATIO`. With a larger ratio, contacts slip more slowly under tangential
-            force.
-        timestep: Time step [s], between `MIN_TIMESTEP` and 0.1.
+            at most 1e5 (`MAX_IMPRATIO`). With a larger ratio, contacts slip more slowly under
+            tangential force.
+        timestep: Time step [s], between 5e-5 (`MIN_TIMESTEP`) and 0.1.
 
     Raises:
         ConfigurationError: If a name is unknown, or ``impratio`` or ``timestep`` is out of range.

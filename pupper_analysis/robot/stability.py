@@ -247,7 +247,7 @@ class Mode(Result):
         """True if the mode counts as an oscillation.
 
         Two conditions must hold. The phase advances by more than 1 rad within the time constant.
-        The period is shorter than ``HOLD_DURATION``, because slower modes count as creep.
+        The period is shorter than 12 s (``HOLD_DURATION``), because slower modes count as creep.
         """
         swings = 2 * math.pi * self.frequency * self.time_constant > 1
         return swings and self.frequency * HOLD_DURATION > 1
@@ -255,7 +255,7 @@ class Mode(Result):
     def grows_within(self, duration: float) -> bool:
         """Return True if this mode prevents a robot from staying at rest for ``duration`` [s].
 
-        Three cases are True:
+        True in three cases:
 
         - a sustained oscillation (``is_sustained``),
         - a growing oscillation of any rate (``shakes``),
@@ -354,9 +354,9 @@ def step_stability(
 
     While nothing slides, MuJoCo's dry friction of joints and tendons acts as viscous friction. This
     friction hides a mode until a push overcomes the friction. Therefore the spectrum without dry
-    friction is computed as well. The result includes its modes that grow within ``HOLD_DURATION``
-    (`Mode.grows_within`), marked by ``Mode.without_dry_friction``. The friction of contacts is not
-    changed.
+    friction is computed as well. The result includes its modes that grow within 12 s
+    (``HOLD_DURATION``, `Mode.grows_within`), marked by ``Mode.without_dry_friction``. The friction
+    of contacts is not changed.
 
     The spectrum is valid for states at rest (``Stability.speed``) and small deviations. For larger
     deviations, use a simulation.
@@ -394,7 +394,8 @@ def judge_settled(
     - ``settle`` is below half a time step.
     - The simulation diverges.
     - The robot still moves after settling, the initial state is at rest, and a growing mode
-      explains the motion: it doubles more than ``_MIN_THROWING_DOUBLINGS`` times during settling.
+      explains the motion: it doubles more than six times (``_MIN_THROWING_DOUBLINGS``) during
+      settling.
 
     Args:
         model: MuJoCo model; changed during the call, and restored.
@@ -606,8 +607,8 @@ class _Modes:
 def select_most_moving(shares: dict[str, float]) -> tuple[str, ...]:
     """Select the joints that move most, for a message; the largest motion comes first.
 
-    At most `_MAX_NAMED_JOINTS` names are returned. A joint is omitted if its motion is zero, or
-    less than `_MIN_NAMED_SHARE` of the largest motion.
+    At most four names are returned (`_MAX_NAMED_JOINTS`). A joint is omitted if its motion is zero,
+    or less than half of the largest motion (`_MIN_NAMED_SHARE`).
 
     Args:
         shares: {joint: magnitude of its motion}, for example amplitudes [rad, m]. Only the ratios

@@ -129,8 +129,8 @@ def phrase(key: str, language: str) -> str:
     Args:
         key: Key in ``texts.toml`` or ``terms.toml``, or in one of the tables ``[texts]`` and
             ``[terms]`` of a tool. The table ``[terms]`` is searched only for tools of this package.
-        language: ``"en"`` or ``"zh"``, or `SHORT_FORM`. The English text replaces a missing Chinese
-            text.
+        language: ``"en"`` or ``"zh"``; or `SHORT_FORM` for the short English form. The English text
+            replaces a missing Chinese text.
 
     Returns:
         Template, whose placeholders the caller replaces with ``fill_template``. Empty for
@@ -250,7 +250,7 @@ def list_entries(file: str) -> Mapping[str, str]:
     included. Entries of other packages are not included.
 
     Args:
-        file: Name of the catalogue file, an element of ``LINE_ENTRY_FILES``.
+        file: ``terms.toml``, ``texts.toml`` or ``meanings.toml`` (``LINE_ENTRY_FILES``).
 
     Returns:
         {key: TOML text ``{ en = "...", zh = "..." }``}.

@@ -104,7 +104,7 @@ def format_pair(
 
     Returns:
         Texts of ``first`` and of ``second``, with units. The texts are equal if the numbers are
-        equal, or if `_MAX_DIGITS` digits do not distinguish them.
+        equal, or if 17 digits do not distinguish them.
     """
     texts = _format_value(first, spec), _format_value(second, spec)
     if texts[0] != texts[1] or first == second:

@@ -19,7 +19,8 @@ def describe_weak_motor(
         motor: Name of the motor.
         torque: Required torque at the output [N m].
         largest: Largest torque of the motor at rest [N m].
-        number: Number of the motor that limits this torque (`Motor.largest_torque`).
+        number: Field of `Motor` that limits this torque, such as ``peak_torque``
+            (`Motor.largest_torque`).
     """
     return diagnose(
         "motor-too-weak",

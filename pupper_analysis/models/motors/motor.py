@@ -271,10 +271,11 @@ class Motor:
 
     @property
     def largest_torque(self) -> tuple[float, str] | None:
-        """Largest torque at the output at rest [N m], and the name of the limiting motor number.
+        """Largest torque at the output at rest [N m], and the name of the field that limits it.
 
         The torque is the smallest known value of peak torque, stall torque, current limit x torque
-        per current, and supply voltage / resistance x torque per current. None if all are unknown.
+        per current, and supply voltage / resistance x torque per current. The field is for example
+        ``peak_torque``. None if all are unknown.
         """
         limits: list[tuple[float, str]] = []
         if self.peak_torque is not None:

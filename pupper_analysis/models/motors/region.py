@@ -30,9 +30,9 @@ def compute_region_utilisation(motor: Motor, torques: ArrayLike, speeds: ArrayLi
         speeds: Speeds of the output [rad/s], shape (n,).
 
     Returns:
-        Utilisation, shape (n,). It is 0 for a torque up to `_MIN_TORQUE`, at any speed. For larger
-        torques, it is infinite if the motor has no torque at the speed. It is NaN if torque or
-        speed is NaN.
+        Utilisation, shape (n,). It is 0 for a torque up to 1e-9 N m (`_MIN_TORQUE`), at any speed.
+        For larger torques, it is infinite if the motor has no torque at the speed. It is NaN if
+        torque or speed is NaN.
 
     Raises:
         ModelError: If a number of the motor is unknown.

@@ -141,9 +141,9 @@ def _make_inertial(link: UrdfLink) -> Inertial | None:
 
 
 def half_digit(text: str) -> float:
-    """Return half a unit of the last digit of a number in a text: the rounding error of the number.
+    """Return half a unit of the last digit of a number in a text: 0.05 for ``1.5``.
 
-    The result is 0 for zero, and for an invalid text.
+    This is the rounding error of the number. The result is 0 for zero, and for an invalid text.
     """
     try:
         value = Decimal(text.strip())

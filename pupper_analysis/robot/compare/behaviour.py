@@ -208,9 +208,9 @@ limits. Chosen, not tuned."""
 def random_states(robot: Robot, count: int, seed: int) -> States:
     """Return pseudo-random states and torques within the limits of a robot.
 
-    - Joint positions: uniform within the limits of the URDF, and within ``_MAX_JOINT_POSITION``;
-      +-pi [rad, m] replaces a missing limit.
-    - Torques: uniform within the effort limits, and within ``_MAX_EFFORT``; +-1 [N m, N] replaces a
+    - Joint positions: uniform within the limits of the URDF, and within 1000 rad or m; +-pi [rad,
+      m] replaces a missing limit.
+    - Torques: uniform within the effort limits, and within 1e6 N m or N; +-1 [N m, N] replaces a
       missing limit.
     - Velocities: normally distributed with a standard deviation of 1 [m/s, rad/s].
     - Free base: any orientation, position within +-1 m in each coordinate.
@@ -261,15 +261,18 @@ singular. Chosen, not tuned."""
 
 
 def is_large(robot: Robot) -> bool:
-    """Return True if a robot has too many degrees of freedom for Pinocchio (`MAX_PINOCCHIO_NV`)."""
+    """Return True if a robot has more than 200 degrees of freedom (`MAX_PINOCCHIO_NV`).
+
+    Such a robot is not compared in Pinocchio, whose data would take too much memory.
+    """
     return robot.nv > MAX_PINOCCHIO_NV
 
 
 def affordable_states(robot: Robot, count: int) -> int:
     """Return the number of random states for a comparison: ``count``, or fewer for a large robot.
 
-    For a large robot (`is_large`), the mass matrices of all states may take `_MAX_STATE_BYTES`. The
-    result is at least `_MIN_STATES`, unless ``count`` is smaller.
+    For a large robot (`is_large`), the mass matrices of all states may take 80 MB
+    (`_MAX_STATE_BYTES`). The result is at least 2 (`_MIN_STATES`), unless ``count`` is smaller.
 
     Args:
         robot: The robot.

@@ -108,8 +108,8 @@ def compare_collisions(
 
     The robot is in the initial pose of the MJCF. A limb end that is about as low as the lowest limb
     end counts as a foot. The feet of a robot with a fixed base are not compared. A difference is
-    reported if the lowest points differ by more than ``CONTACT_HEIGHT_ATOL``, or if only one file
-    has a shape.
+    reported if the lowest points differ by more than 0.2 mm (``CONTACT_HEIGHT_ATOL``), or if only
+    one file has a shape.
 
     Args:
         matched: Matched joints, links and bodies of both files.

@@ -264,8 +264,8 @@ class Difference(Stated, Result):
         """Urgency of the repair of this difference, from 0 (most urgent) to 3.
 
         - 0: structure, convention or gravity (``_STRUCTURE_KINDS``).
-        - 1: relative effect of at least ``_MIN_RELATIVE_EFFECT``, or relative mass difference of at
-          least ``_MIN_RELATIVE_MASS``.
+        - 1: relative effect of at least 1e-3 (``_MIN_RELATIVE_EFFECT``), or relative mass
+          difference of at least 0.01 (``_MIN_RELATIVE_MASS``).
         - 2: other differences of limits and efforts.
         - 3: all others.
         """
@@ -593,7 +593,7 @@ def change_of(
 
     Args:
         code: Code of the message in the catalogue.
-        kind: Kind of the difference, an entry of ``KIND_ORDER``.
+        kind: Kind of the difference, an entry of ``KIND_ORDER`` such as ``mass``.
         subject: Element that the message names: (type, name), for example ("joint", "knee"); or
             None.
         values: Values of the first and of the second model.

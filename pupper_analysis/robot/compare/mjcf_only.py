@@ -197,7 +197,8 @@ class NamedModel:
     def read_nonzero_values(self, prefix: str, index: int | slice, words: Sequence[str]) -> Numbers:
         """Return the attributes of an element that are not zero.
 
-        An attribute that a flag of the MJCF disables (`_DISABLING_FLAGS`) counts as zero.
+        An attribute counts as zero if a flag of the MJCF disables it, such as ``damping`` with the
+        flag ``damper`` (`_DISABLING_FLAGS`).
 
         Args:
             prefix: Prefix of the arrays of ``mjModel``, for example ``jnt`` for ``jnt_stiffness``.
