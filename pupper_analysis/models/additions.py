@@ -50,9 +50,9 @@ class Addition:
 
 @dataclass(frozen=True)
 class Floor(Addition):
-    """Plane at z = 0 with MuJoCo's default contact parameters, except ``conaffinity``.
+    """Floor: plane at z = 0 with MuJoCo's default contact parameters, except ``conaffinity``.
 
-    The plane collides with each geom that has a contact type (`SpecTree.add_floor`).
+    The plane collides with each geom whose ``contype`` is not 0 (`SpecTree.add_floor`).
     """
 
     verb = "add_floor"
@@ -94,7 +94,7 @@ class Ball(Addition):
 
 @dataclass(frozen=True)
 class DisabledContacts(Addition):
-    """Geoms whose contacts are disabled.
+    """Disabling of the contacts of geoms.
 
     Attributes:
         geoms: Names of the geoms.

@@ -88,8 +88,8 @@ class Description:
     def report_replaced_soles(self) -> tuple[Diagnostic, ...]:
         """Return a diagnostic with the number of spheres that replace soles in ``mjcf``.
 
-        The preparation may replace the collision mesh of a foot by spheres at the sole (additions
-        with the reason ``balls-for-soles``). Empty if there are none.
+        The preparation may replace the collision mesh of a foot by spheres at its sole. Empty if
+        there are none.
         """
         balls = [addition for addition in self.added if isinstance(addition, Ball)]
         count = sum(ball.reason.code == "balls-for-soles" for ball in balls)

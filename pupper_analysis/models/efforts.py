@@ -147,9 +147,9 @@ class EffortStatement(Result):
 
     @property
     def symmetric_torque(self) -> float:
-        """Largest torque that the range permits in both directions [N m, N].
+        """Largest torque or force that the range permits in both directions [N m, N].
 
-        min(-lower, upper), or 0 if the range does not contain both signs.
+        The value is min(-lower, upper), or 0 if the range does not contain both signs.
         """
         return max(0.0, min(-self.lower, self.upper))
 

@@ -53,7 +53,7 @@ yields findings."""
 
 
 class ModelFile(Protocol):
-    """Model file in memory."""
+    """Interface of a model file in memory, in any format."""
 
     @property
     def path(self) -> Path:
@@ -84,7 +84,8 @@ class FormatReader(Protocol):
     def read_as_urdf(self, path: Path) -> UrdfFile:
         """Read a file of this format, and convert the model to a URDF with the same values.
 
-        ``stands_for`` of the result is the catalogue's word for a file of the original format.
+        Messages name the original format: ``stands_for`` of the result is its word in the
+        catalogue.
 
         Raises:
             ModelError: If the file cannot be read, or URDF cannot state the model.
@@ -94,7 +95,8 @@ class FormatReader(Protocol):
     def read_as_mjcf(self, path: Path) -> MjcfFile:
         """Read a file of this format, and convert the model to an MJCF with the same values.
 
-        ``stands_for`` of the result is the catalogue's word for a file of the original format.
+        Messages name the original format: ``stands_for`` of the result is its word in the
+        catalogue.
 
         Raises:
             ModelError: If the file cannot be read, or MJCF cannot state the model.
@@ -145,7 +147,7 @@ def read_model(
             reason.
         UnknownNameError: If MuJoCo Menagerie has no such robot, or a xacro file declares no such
             argument.
-        OutputError: If the run will write the file.
+        OutputError: If the present command also writes the file.
     """
     if is_object(path):
         with read_objects([cast(ModelObject, path)], packages) as in_memory:
@@ -184,7 +186,7 @@ def read_as_urdf(
         ModelError: If the file or object cannot be read, or is not a URDF.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
         MissingPackageError: If a package that the reader of the format needs is not installed.
-        OutputError: If the run will write the file.
+        OutputError: If the present command also writes the file.
     """
     reader = reader_of(model)
     if reader is not None:
@@ -213,7 +215,7 @@ def read_as_mjcf(
         ModelError: If the file or object cannot be read or compiled, or is not an MJCF.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
         MissingPackageError: If a package that the reader of the format needs is not installed.
-        OutputError: If the run will write the file.
+        OutputError: If the present command also writes the file.
     """
     reader = reader_of(model)
     if reader is not None:

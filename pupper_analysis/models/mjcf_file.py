@@ -326,7 +326,7 @@ class IncludeTree:
     Raises:
         ModelError: For example if an included or attached file is missing or not valid, if files
             include each other in a loop, or if a limit of number, size or depth is exceeded.
-        OutputError: If the run will write one of these files.
+        OutputError: If the present command also writes one of these files.
     """
 
     def __init__(
@@ -440,7 +440,7 @@ class IncludeTree:
         Raises:
             ModelError: If there are more than ``MAX_INCLUDES`` includes, the element has no
                 ``file``, or the file does not exist.
-            OutputError: If the run will write the file.
+            OutputError: If the present command also writes the file.
         """
         if next(self._include_counter) > MAX_INCLUDES:
             raise make_element_error(
@@ -814,7 +814,7 @@ def read_mjcf(path: str | Path) -> MjcfFile:
         ConfigurationError: If ``path`` is no path.
         ModelError: If the file cannot be loaded, or MuJoCo does not compile it. The message is a
             single line with location and reason.
-        OutputError: If the run will write this file.
+        OutputError: If the present command also writes this file.
     """
     check_type("mjcf", path, str | Path)
     path = Path(path)
@@ -868,7 +868,8 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
             - A limit of size, number or depth is exceeded.
             - MuJoCo cannot parse the file.
             - A mass depends on a missing mesh.
-        OutputError: If the run will write an included or attached file, a mesh or a texture.
+        OutputError: If the present command also writes an included or attached file, a mesh or a
+            texture.
     """
     if root.tag != "mujoco":
         is_urdf, is_include = root.tag == "robot", root.tag == "mujocoinclude"

@@ -50,7 +50,7 @@ class Place:
 
     @property
     def path(self) -> str:
-        """Full path with line or element; CI services find the file by this text."""
+        """Full path with line or element, as CI services recognise it."""
         return f"{self.file}{self.location_in_file}"
 
     @property
@@ -144,11 +144,11 @@ def make_input_error(path: Path, error: InputError) -> ModelError:
 
 
 def source_name(path: Path, line: int | None = None) -> str:
-    """Return a path as printable text, followed by a colon and the line number if given."""
+    """Return a path as printable text for messages, followed by ``:LINE`` if a line is given."""
     name = str(path) if str(path).isprintable() else repr(str(path))
     return name if line is None else f"{name}:{line}"
 
 
 def one_line(text: object) -> str:
-    """Return a text in one line: white space between words becomes a single space each."""
+    """Convert a text to a single line: one space replaces each white space between words."""
     return " ".join(str(text).split())

@@ -38,7 +38,7 @@ def existing_file(path: Path) -> Path | None:
         content, or if the system rejects the path, for example because of its length.
 
     Raises:
-        OutputError: If the run will write this file.
+        OutputError: If the present command also writes this file.
     """
     try:
         if not path.is_file() or is_pointer(path):
@@ -296,7 +296,7 @@ def expand_xacro(
         ModelError: If xacro is not installed, the file does not exist, a package is not found, or
             the expansion fails.
         UnknownNameError: If neither the file nor an included file declares an argument.
-        OutputError: If the run will write an included file.
+        OutputError: If the present command also writes an included file.
     """
     try:
         xacro = importlib.import_module("xacro")

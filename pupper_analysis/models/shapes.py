@@ -29,7 +29,7 @@ Direction = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Rigid transformation x = position + rotation x'.
+    """Rigid transformation x = position + rotation x', from the frame with this pose to its parent.
 
     Attributes:
         position: Translation (3,) [m].
@@ -293,9 +293,10 @@ class Shape:
     def support(self, directions: Array) -> Array | None:
         """Return the support function of the convex hull, in the frame of the body.
 
-        h(d) = max over points x of the hull of d^T x. The support function of a Minkowski sum is
-        the sum of the support functions of the terms. Two shapes have the same convex hull if their
-        support functions are equal; MuJoCo and most other engines collide convex hulls.
+        The support function is h(d) = max over points x of the hull of d^T x. The support function
+        of a Minkowski sum is the sum of the support functions of the terms. Two shapes have the
+        same convex hull if their support functions are equal; MuJoCo and most other engines collide
+        convex hulls.
 
         Args:
             directions: Unit vectors (n, 3) in the frame of the body.
@@ -347,9 +348,10 @@ class Shape:
         return float(height)
 
     def find_lowest_point(self, link: tuple[Array, Array], normal: Array) -> Array:
-        """Return the shape's lowest point along a plane's normal, shape (3,) [m], in the world.
+        """Return the lowest point of the shape above a plane, shape (3,) [m], in the world.
 
-        The extent of the shape must be known.
+        This point has the smallest coordinate along the plane's normal. The extent of the shape
+        must be known.
 
         Args:
             link: Rotation (3, 3) and position (3,) [m] of the body in the world.
@@ -481,7 +483,12 @@ def read_shape(model: mujoco.MjModel, geom: int, data: mujoco.MjData | None = No
 
 
 def get_mesh(model: mujoco.MjModel, mesh: int) -> Mesh:
-    """Return a mesh of a MuJoCo model, with vertices [m] in the frame of the mesh."""
+    """Return a mesh of a compiled MuJoCo model, with vertices [m] in the frame of the mesh.
+
+    Args:
+        model: MuJoCo model.
+        mesh: Id of the mesh.
+    """
     first_vertex, num_vertices = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     first_face, num_faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
     return Mesh(

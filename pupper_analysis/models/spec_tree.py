@@ -105,7 +105,7 @@ class SpecTree:
         return tuple(body.name for body in self.spec.bodies[1:])
 
     def parent(self, link: str) -> str | None:
-        """Return the name of the parent body; None for a child of the world."""
+        """Return the name of the parent body of a body; None for a child of the world."""
         parent = self.spec.body(link).parent
         return None if parent.name == self.spec.worldbody.name else str(parent.name)
 

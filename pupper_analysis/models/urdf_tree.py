@@ -85,7 +85,7 @@ class UrdfElement:
 
 
 class UrdfLink(UrdfElement):
-    """Link of a URDF."""
+    """Link of a URDF, with access to its inertia and shapes."""
 
     @property
     def inertial(self) -> etree._Element | None:
@@ -106,7 +106,7 @@ class UrdfLink(UrdfElement):
 
     @property
     def inertial_rotation(self) -> NDArray[np.float64]:
-        """Rotation of ``<inertial><origin>`` in the link frame, shape (3, 3)."""
+        """Rotation (3, 3) from the axes of ``<inertial><origin>`` to the axes of the link."""
         inertial = self.inertial
         return np.eye(3) if inertial is None else np.array(origin_of(inertial).rotation)
 
@@ -146,7 +146,7 @@ class UrdfLink(UrdfElement):
 
 
 class UrdfJoint(UrdfElement):
-    """Joint of a URDF."""
+    """Joint of a URDF, with access to its type, links and parameters."""
 
     @property
     def kind(self) -> str:
@@ -185,7 +185,7 @@ class UrdfJoint(UrdfElement):
 
     @property
     def origin(self) -> pin.SE3:
-        """Pose of the joint frame in the parent link."""
+        """Pose of the joint frame in the parent link, from ``<origin>``."""
         return origin_of(self.element)
 
     def parameter_text(self, attribute: JointAttribute) -> str | None:
@@ -311,7 +311,7 @@ class UrdfTree:
         return tuple(self.links)
 
     def parent(self, link: str) -> str | None:
-        """Return the parent link; None for the base."""
+        """Return the name of the parent link of a link; None for the base."""
         return self.parent_joints[link].parent if link in self.parent_joints else None
 
     def movers(self, link: str) -> tuple[str, ...]:
@@ -324,7 +324,7 @@ class UrdfTree:
         return () if joint is None or joint.is_fixed else (joint.name,)
 
     def moved_by(self, joint: str) -> str | None:
-        """Return the child link of a joint; None if there is no such joint."""
+        """Return the name of the child link of a joint; None if there is no such joint."""
         return self.joints[joint].child if joint in self.joints else None
 
     def link_mass(self, link: str) -> float:
@@ -333,7 +333,7 @@ class UrdfTree:
 
     @property
     def base(self) -> UrdfLink:
-        """Root of this URDF: the first link that is not the child of a joint."""
+        """Root link of this URDF: the first link that is not the child of a joint."""
         return next(link for name, link in self.links.items() if name not in self.parent_joints)
 
     @property
@@ -412,7 +412,7 @@ class UrdfTree:
         self.new_joint(joint, "fixed", parent, name, pin.SE3(np.eye(3), place))
 
     def new_link(self, name: str) -> UrdfLink:
-        """Add a link to this URDF, without inertia, shapes and joint, and return it."""
+        """Add a link without inertia, shapes and joint to this URDF, and return the link."""
         self._clear_cache()
         return UrdfLink(etree.SubElement(self.root, "link", name=name))
 
@@ -425,11 +425,11 @@ class UrdfTree:
         placed: pin.SE3,
         digits: int | None = None,
     ) -> UrdfJoint:
-        """Add a joint between two links.
+        """Add a joint between two links of this URDF, and return the joint.
 
         Args:
             name: Name of the joint.
-            kind: Type of the joint in URDF.
+            kind: Type of the joint in URDF, such as ``revolute``.
             parent: Parent link.
             child: Child link.
             placed: Pose of the child in the parent at a joint position of zero.

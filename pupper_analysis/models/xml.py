@@ -71,7 +71,7 @@ def parse_xml(path: Path) -> tuple[str, etree._Element]:
             - The file cannot be read, is empty, is a Git LFS pointer, or has another format.
             - The XML has a DOCTYPE, is not well-formed, or exceeds a limit.
             - A file that is no URDF uses xacro.
-        OutputError: If the run will write this file.
+        OutputError: If the present command also writes this file.
     """
     text = _read_model_text(path)
     return text, parse_file_text(path, text)
@@ -168,7 +168,7 @@ def _read_model_text(path: Path) -> str:
     Raises:
         ModelError: If the file cannot be read, is empty, is a Git LFS pointer, or has another
             format.
-        OutputError: If the run will write this file.
+        OutputError: If the present command also writes this file.
     """
     try:
         data = read_content(path, MAX_BYTES)
@@ -235,7 +235,7 @@ def join_numbers(values: ArrayLike, scale: float = 0.0, digits: int | None = NUM
 
 
 def is_zero(text: str) -> bool:
-    """Return True if all numbers in a text are zero."""
+    """Return True if all numbers in a text, separated by spaces, are zero."""
     return all(float(word) == 0 for word in text.split())
 
 

@@ -140,11 +140,13 @@ class XmlDocument:
 
 
 def read_xml_bytes(path: Path) -> XmlDocument:
-    """Read an XML file that is known to be well-formed UTF-8.
+    """Read an XML file as bytes, with the byte offsets of its elements, for later edits.
+
+    The file must be well-formed UTF-8.
 
     Raises:
         InputError: If the file cannot be read, or is too large.
-        OutputError: If the run will write this file.
+        OutputError: If the present command also writes this file.
     """
     data = read_input(path, MAX_TEXT_BYTES)
     parser = expat.ParserCreate("utf-8")

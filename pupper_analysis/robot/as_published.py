@@ -31,14 +31,14 @@ class ServoSource(StrEnum):
 
 @dataclass(frozen=True)
 class ServosUsed:
-    """Servos that a result depends on.
+    """Origin and gains of the servos that a result depends on.
 
     Attributes:
         source: Origin of the gains. ``FILE``: the MJCF. ``ADDED``: this package added servos at
             joints for which the MJCF has no servo or an invalid servo. ``GIVEN``: passed by the
             caller.
-        kp: Minimum and maximum stiffness (N m/rad or N/m) of the added servos. If no servo was
-            added, or the caller passed gains: of all servos.
+        kp: Minimum and maximum stiffness (N m/rad or N/m) of the added servos; of all servos if no
+            servo was added, or the caller passed gains.
         kd: Minimum and maximum damping (N m s/rad or N s/m) of the same servos.
         made: Added servos that are in use; empty if the caller passed gains.
         stiffness_unit: Unit of ``kp``; both units if the servos are at hinges and slides.
@@ -96,14 +96,14 @@ class OwnCommands(StrEnum):
 
 @dataclass(frozen=True)
 class JointOff:
-    """Displacement of a joint in a simulation.
+    """Displacement of a joint in a simulation, with its command.
 
     Attributes:
         joint: Name of the joint.
         off: Final minus initial position (rad, m).
         drive: Actuator type in the file.
         commanded: Commanded minus initial position (rad, m); None without a servo.
-        unit: Unit of both: rad for a hinge, m for a slide.
+        unit: Unit of ``off`` and ``commanded``: rad for a hinge, m for a slide.
     """
 
     joint: str
@@ -134,8 +134,8 @@ class Cause:
         code: Code of the cause; ``present.verdict.describe_cause`` has a text for each code.
         elements: Names of the elements.
         line: Line of the first element in the file; None if unknown.
-        remaining: Largest torque deviation with all causes disabled, relative to the largest
-            computed torque. None if the cause cannot be disabled.
+        remaining: Largest torque deviation that remains with all causes disabled, relative to the
+            largest computed torque. None if the cause cannot be disabled.
         difference: First difference between the two files, if that is the cause.
     """
 
@@ -174,18 +174,17 @@ class OwnRun(BodyMotion):
             servos etc., but with its own shapes.
         timestep: Time step (s) of an import, if its shapes require a smaller time step than the
             robot's; otherwise None.
-        keyframe: Name of the keyframe; "" if the run starts at the nominal stand.
+        keyframe: Name of the keyframe; "" if the simulation starts at the nominal stand.
         commands: Commands of the actuators.
         limp: Whether most joints have no servo and no command: a torque motor, or no actuator.
         worst: Joint with the largest displacement; None if the simulation diverged.
-        unheld: Displaced joint without servo, in a robot with servos: the joint with the largest
-            displacement. None if no such displacement exceeds ``MIN_UNHELD_DISPLACEMENT``.
+        unheld: Joint without servo with the largest displacement, in a robot with servos. None if
+            no such displacement exceeds 0.05 rad or m (``MIN_UNHELD_DISPLACEMENT``).
         held: If the keyframe has no ctrl, a second run in which the servos hold the joint
             positions.
-        standing: Whether the robot stands on the ground. If False, the base is fixed, and a joint
-            that ends ``MIN_POSTURE_DEVIATION`` away has left the posture.
+        standing: Whether the robot stands on the ground. If False, the base is fixed.
         causes: Causes of a failure, if found.
-        missing: Files that the published MJCF lacks, so that MuJoCo refuses it.
+        missing: Files that the published MJCF lacks, so that MuJoCo rejects the MJCF.
     """
 
     imported: bool = False
@@ -270,9 +269,9 @@ class PublishedRun:
             the deviation.
         height_error: Final minus computed height of the CoM (m); None if the base is fixed.
         joint_error: Largest joint deviation.
-        collapses: Whether the robot has fallen over, has sunk or risen by ``MAX_HEIGHT_LOSS_RATIO``
-            (in ``robot.fall``) of its height, or has travelled by its height. Also True if the
-            simulation diverged. For a fixed base, whether a joint has left the posture.
+        collapses: Whether the robot has fallen over, has sunk or risen by 30 % of its height
+            (``MAX_HEIGHT_LOSS_RATIO``), or has travelled by its height. Also True if the simulation
+            diverged. For a fixed base, whether a joint has left the posture.
         differs: Whether the robot collapses, or deviates by more than a verified stand may.
         imported: Whether the model is MuJoCo's import of a URDF.
         worst_joint: Joint with the largest displacement if the robot collapses; otherwise the joint
@@ -312,7 +311,7 @@ class PublishedRun:
 
 @dataclass(frozen=True)
 class Published:
-    """Deviations of the published file from the computed equilibrium.
+    """Simulations of the published file from a computed equilibrium, and causes of deviations.
 
     Attributes:
         runs: Simulations.

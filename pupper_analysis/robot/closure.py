@@ -129,7 +129,7 @@ class Closure:
     def residual(self, qpos: Array) -> Array:
         """Return the violations of the equality constraints, shape (m,) [m, rad].
 
-        The values are MuJoCo's ``efc_pos``. They are zero if all loops are closed.
+        The violations are MuJoCo's ``efc_pos``, and are zero if all loops are closed.
 
         Args:
             qpos: Configuration, shape (nq,).

@@ -111,7 +111,11 @@ class GroundLaw:
         )
 
     def impedance(self, depth: float) -> float:
-        """Return MuJoCo's impedance d (0 to 1, from ``solimp``) at a penetration ``depth`` [m]."""
+        """Return MuJoCo's impedance d of the contact, from 0 to 1, as defined by ``solimp``.
+
+        Args:
+            depth: Penetration [m].
+        """
         return float(self._impedance_and_slope(depth)[0])
 
     def _impedance_and_slope(self, depth: float) -> tuple[float, float]:
@@ -128,9 +132,10 @@ class GroundLaw:
         return self.stiffness * d**2 * (depth + self.margin) / ((1 - d) * self.normal)
 
     def normal_stiffness(self, depth: float) -> float:
-        """Return the normal stiffness [N/m] at a penetration ``depth`` [m].
+        """Return the normal stiffness of the contact [N/m], by finite differences of ``force``.
 
-        Computed by finite differences of ``force``.
+        Args:
+            depth: Penetration [m].
         """
         start = -self.margin
         low, high = max(depth - 1e-8, start), max(depth, start) + 1e-8

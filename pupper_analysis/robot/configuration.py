@@ -223,8 +223,8 @@ class Configuration(Pictured):
         """Return Yoshikawa's manipulability of a point on a link: sqrt(det(J J^T)).
 
         J contains only the columns of the joints, as if the base were fixed. The result is the
-        product of the singular values of J. It is 0 at a singular configuration (Yoshikawa 1985,
-        "Manipulability of robotic mechanisms").
+        product of the singular values of J, and is 0 at a singular configuration. Source: Yoshikawa
+        1985, "Manipulability of robotic mechanisms".
 
         Args:
             name: Name of the link.
@@ -236,8 +236,8 @@ class Configuration(Pictured):
 
         Raises:
             UnknownNameError: If the URDF has no such link.
-            ConfigurationError: If ``motion`` is unknown, or ``offset`` is no vector of three
-                finite numbers.
+            ConfigurationError: If ``motion`` is unknown, or ``offset`` is no vector of three finite
+                numbers.
         """
         rows = _MOTION_ROWS.get(motion) if isinstance(motion, str) else None
         if rows is None:
@@ -249,7 +249,9 @@ class Configuration(Pictured):
         return float(np.prod(np.linalg.svd(jacobian, compute_uv=False)))
 
     def point_jacobian(self, name: str, point: Array) -> Array:
-        """Return the Jacobian (3, nv) of a point that moves with a link, in world axes.
+        """Return the Jacobian J (3, nv) of a point that moves with a link.
+
+        J qvel is the velocity of the point [m/s], in world axes.
 
         Args:
             name: Name of the link.
@@ -303,7 +305,7 @@ class Configuration(Pictured):
         return jacobians.reshape(-1, 6, self._structure.nv)
 
     def joint_position(self, name: str) -> Array:
-        """Return the position (3,) [m] of a joint in the world.
+        """Return the position (3,) [m] of the frame of a joint, in the world frame.
 
         Raises:
             UnknownNameError: If the robot has no such joint.
@@ -311,7 +313,7 @@ class Configuration(Pictured):
         return np.array(self._data.oMi[self._joint_index(name)].translation)
 
     def joint_axis(self, name: str) -> Array:
-        """Return the unit axis (3,) of a hinge or slide in the world.
+        """Return the unit axis (3,) of a hinge or slide, in the world frame.
 
         Raises:
             UnknownNameError: If the robot has no such joint.
@@ -442,8 +444,8 @@ class Configuration(Pictured):
         """Return the centroidal momentum matrix A (6, nv).
 
         A qvel = (linear momentum [kg m/s], angular momentum about the CoM [kg m^2/s]), in world
-        axes, as ``pin.computeCentroidalMap``. Armature is not included (Orin and Goswami 2008,
-        "Centroidal momentum matrix of a humanoid robot").
+        axes, as in ``pin.computeCentroidalMap``. Armature is not included. Source: Orin and Goswami
+        2008, "Centroidal momentum matrix of a humanoid robot".
         """
         if self._structure.fixed == 1:
             return self._massless_centroidal_map()
@@ -847,7 +849,7 @@ Chosen, not tuned."""
 
 
 class AtRest:
-    """Passive forces at rest, from MuJoCo's ``qfrc_passive``; see `Configuration.passive_forces`.
+    """Passive forces of the MJCF at zero velocity, such as springs (MuJoCo's ``qfrc_passive``).
 
     Obtain an instance by ``borrow``, which reuses instances: creating MuJoCo's data takes 12 times
     as long as an evaluation (measured on Pupper v3).

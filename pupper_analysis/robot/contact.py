@@ -45,7 +45,7 @@ class ContactParameters:
 
     @property
     def sliding_friction(self) -> float:
-        """Coefficient of the friction cone; 0 for a frictionless contact."""
+        """Sliding coefficient of the friction cone; 0 for a frictionless contact (``condim`` 1)."""
         return self.friction[0] if self.condim > 1 else 0.0
 
 

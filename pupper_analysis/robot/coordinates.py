@@ -52,6 +52,8 @@ def normalise_quaternion(qpos: Array) -> None:
 class PinocchioConvention:
     """Maps between public coordinates and the coordinates of a Pinocchio model.
 
+    Public coordinates are MuJoCo's, with the joints in actuator order.
+
     Attributes:
         floating: Whether the base is free.
         nq: Size of Pinocchio's q.

@@ -38,7 +38,7 @@ from pupper_analysis.robot.shapes import CarriedShape, may_touch
 
 
 class EngineModels:
-    """Models for other programs, and conversions of states, forces and Jacobians."""
+    """Base class of ``Robot``: models for other programs, and conversions between both engines."""
 
     if TYPE_CHECKING:
         description: Description
@@ -83,8 +83,8 @@ class EngineModels:
     def collision_model(self) -> PinocchioGeometryModel:
         """Pinocchio's geometry model with the collision shapes of ``mj_model``; cached.
 
-        The shapes are primitives, and convex hulls of meshes, without the ground. They are attached
-        to the joints of ``pin_model``. The collision pairs are the pairs of geoms that MuJoCo
+        The shapes are primitives, and convex hulls of meshes, without the ground. Each shape is
+        attached to a joint of ``pin_model``. The collision pairs are the pairs of geoms that MuJoCo
         checks. Change only a copy (``.copy()``), because all callers share the cached object.
 
         Raises:

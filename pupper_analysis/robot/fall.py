@@ -136,8 +136,8 @@ class BodyMotion:
             large, or stopped with an error.
         clearance: Vertical distance by which the robot could move downward to the ground at reset
             (m); negative if the robot penetrates the ground; 0 if no ground was found.
-        lies: Whether the robot ends on its base or hips, or no limb end touches the ground although
-            other bodies do. If True, the drop by ``clearance`` counts as lost height.
+        lies: Whether the robot ends on its base or hips. Also True if bodies touch the ground, but
+            no limb end. If True, the drop by ``clearance`` counts as lost height.
     """
 
     duration: float = field(metadata={"unit": "s"})

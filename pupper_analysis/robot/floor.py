@@ -54,7 +54,7 @@ def merge_planes(spec: mujoco.MjSpec, floor: mujoco.MjsGeom) -> None:
 
 
 def disable_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
-    """Disable the contacts of planes and height fields of the world and of fixed bodies, in place.
+    """Disable the contacts of the ground: fixed planes and height fields, in place.
 
     Returns:
         Diagnostic of the change; empty if there is no ground.

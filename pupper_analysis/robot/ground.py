@@ -105,15 +105,15 @@ class Ground:
 
     @property
     def planes(self) -> Mapping[str, Plane]:
-        """``{foot: separate plane under this foot}``, set by ``with_planes``; empty by default."""
+        """Separate planes under individual feet, ``{foot: plane}``, set by ``with_planes``."""
         return self._planes
 
     def with_planes(self, planes: Mapping[str, Plane]) -> Ground:
         """Return a copy of the ground in which some feet touch separate planes.
 
         Args:
-            planes: {foot: plane that the foot touches instead of the ground}; replaces all earlier
-                planes.
+            planes: {foot: plane that the foot touches instead of the ground}. All earlier planes
+                are dropped.
         """
         ground = replace(self)
         object.__setattr__(ground, "_planes", FrozenDict(planes))
@@ -235,7 +235,7 @@ class Ground:
         return self.ground_point(foot, centre), reach
 
     def height(self, place: Sequence[float] | Array, foot: str | None = None) -> float:
-        """Return the height [m] of the sloped ground at a horizontal position.
+        """Return the height z [m] of the sloped ground in the world, at a horizontal position.
 
         Args:
             place: Position (x, y) or (x, y, z) [m], in the world frame.

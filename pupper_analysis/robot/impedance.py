@@ -43,10 +43,10 @@ error of double precision. Chosen, not tuned."""
 
 
 def clip_solimp(solimp: Iterable[float]) -> tuple[float, ...]:
-    """Return the five numbers of a solimp, clipped to MuJoCo's bounds.
+    """Clip the five numbers of a solimp to MuJoCo's bounds.
 
-    Order: dmin, dmax, width [m, rad], midpoint, power. The width is not clipped: a negative width
-    has the effect of MuJoCo's lower bound, zero (`solimp_impedance`).
+    Order: dmin, dmax, width [m, rad], midpoint, power. The width is not clipped, because a negative
+    width has the same effect as MuJoCo's lower bound, zero (`solimp_impedance`).
     """
     dmin, dmax, width, midpoint, power = (float(value) for value in solimp)
     dmin, dmax, midpoint = (

@@ -79,7 +79,11 @@ class Plane:
         return float((place - np.array(self.point)) @ np.array(self.normal))
 
     def project(self, place: Array) -> Array:
-        """Project a point, shape (3,) [m], orthogonally onto the plane, in the world frame."""
+        """Project a point orthogonally onto the plane.
+
+        Args:
+            place: Point, shape (3,) [m], in the world frame.
+        """
         nearest: Array = place - self.signed_distance(place) * np.array(self.normal)
         return nearest
 
@@ -152,7 +156,7 @@ class Bar:
     A contact with the bar is a contact with its tangent plane (`contact_plane`).
 
     Attributes:
-        point: Point (x, y, z) on the axis (m). Its z is the ``parameter``.
+        point: Point (x, y, z) on the axis (m); its z is the ``parameter``.
         direction: Vector (x, y, z) along the axis; the constructor divides it by its norm.
         radius: Radius (m).
         friction: Friction coefficient. Default: the coefficient of the ground.

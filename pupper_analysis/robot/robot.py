@@ -346,13 +346,13 @@ class Robot(EngineModels):
     def complete_stages(self) -> None:
         """Run the preparation steps that are postponed to the first use of the robot.
 
-        The steps are servo tuning, rest pose and visual meshes; see `defer_stages`. The method has
-        no effect if the steps have been run. If several threads need the steps at the same time,
-        each thread runs the steps, and the first result is used. A thread does not wait for another
-        thread, because this could block both.
+        The steps are servo tuning, rest pose and visual meshes; see `defer_stages`. If the steps
+        have been run, the method has no effect. If several threads need the steps at the same time,
+        each thread runs the steps, and the first result is used. (Waiting for another thread could
+        block both.)
 
         Raises:
-            ModelError: If MuJoCo refuses the robot with the additions of these steps.
+            ModelError: If MuJoCo rejects the robot with the additions of these steps.
         """
         complete = vars(self).get(_DEFERRED_STAGES)
         if complete is None:
@@ -485,7 +485,7 @@ class Robot(EngineModels):
 
     @cached_property
     def has_floor(self) -> bool:
-        """Whether the MJCF has a floor that can collide. The MJCF of an arm may have none."""
+        """Whether the MJCF has a floor that can collide; the MJCF of an arm may have no floor."""
         model = self.before_servos.mj_model
         floor = ground_geom(model)
         if floor is None:
@@ -733,7 +733,7 @@ class Robot(EngineModels):
             raise ConfigurationError("robot", problem)
 
     def check_floating(self) -> None:
-        """Raise an error if the base is fixed, so that the robot cannot stand.
+        """Raise an error if the base is fixed: such a robot cannot stand.
 
         Raises:
             ConfigurationError: If the base is fixed.
@@ -769,7 +769,7 @@ class Robot(EngineModels):
         return foot
 
     def points_of(self, foot: str) -> tuple[str, ...]:
-        """Return the contact points of a foot.
+        """Return the names of the contact points of a foot or hand.
 
         Raises:
             UnknownNameError: If there is no such foot; the message lists the feet.

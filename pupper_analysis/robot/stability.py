@@ -274,8 +274,8 @@ class Stability(Result):
         timestep: Time step (s).
         radius: Largest absolute eigenvalue of a step, with dry friction.
         unstable: Modes that grow, fastest first. A mode that grows only without dry friction is
-            included if it grows within ``HOLD_DURATION``. In a result of ``confirm_growth``, a
-            simulation has confirmed the modes that leave the state within ``HOLD_DURATION``.
+            included if it grows within 12 s (``HOLD_DURATION``). In a result of ``confirm_growth``,
+            a simulation has confirmed the modes that leave the state within 12 s.
         least_damped: Decaying oscillation with the smallest damping ratio, with or without dry
             friction; None if no oscillation decays.
         speed: Largest absolute element of qvel at the evaluated state (m/s or rad/s). If the state
@@ -317,10 +317,11 @@ class Stability(Result):
 
     @property
     def damping_ratio(self) -> float:
-        """Smallest damping ratio of all oscillations; negative if an oscillation grows.
+        """Smallest damping ratio of all oscillations; 1 without oscillations.
 
-        The value is 1 without oscillations. A growing mode counts as an oscillation if
-        `Mode.shakes` is true.
+        Negative if an oscillation grows.
+
+        Oscillations are growing modes for which `Mode.shakes` is true, and ``least_damped``.
         """
         swinging = [mode for mode in self.unstable if mode.shakes]
         swinging += [self.least_damped] if self.least_damped is not None else []

@@ -24,10 +24,10 @@ tuned."""
 
 
 class Workspace:
-    """Pinocchio data with a single owner.
+    """Pinocchio data with a single owner, from a pool.
 
     When the workspace is deleted, the data return to the pool for reuse. If the pool already
-    contains `_MAX_SPARE_DATA`, the data are dropped.
+    contains 32 data (`_MAX_SPARE_DATA`), the data are dropped.
 
     Args:
         data: Pinocchio data.
@@ -124,7 +124,7 @@ class Structure:
         self._spare_data: list[pin.Data] = []
 
     def acquire_workspace(self) -> Workspace:
-        """Return new or reused Pinocchio data, for exclusive use by the caller.
+        """Return Pinocchio data, new or from the pool, for exclusive use by the caller.
 
         The data return to the pool when the `Workspace` is deleted, unless the pool is full.
         """

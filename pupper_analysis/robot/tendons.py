@@ -30,7 +30,10 @@ _LIMIT_DISABLING_BITS = (
 def report_ignored_equalities(model: mujoco.MjModel) -> list[Diagnostic]:
     """Report the types of active equality constraints that the stance solver ignores.
 
-    For example, constraints of flexible bodies (``flex``) act in MuJoCo's simulation only.
+    Constraints of flexible bodies (``flex``), for example, act in MuJoCo's simulation only.
+
+    Returns:
+        One diagnostic, or an empty list.
     """
     kinds = [mujoco.mjtEq(int(kind)) for kind in model.eq_type[model.eq_active0.astype(bool)]]
     ignored = sorted(

@@ -208,7 +208,7 @@ def split_place(point: Any) -> tuple[str, Any]:
 
 
 def check_point(point: ArrayLike) -> Array:
-    """Check the coordinates of a point, and return them as an array, shape (3,) [m].
+    """Convert the coordinates of a point to an array, shape (3,) [m], after a check.
 
     Raises:
         ConfigurationError: If the point has another shape, or a coordinate is not a finite number

@@ -232,7 +232,10 @@ def _with_unit(number: str, unit: str) -> str:
 
 
 class Term(str):
-    """Key of a term of the catalogue, such as ``joint``, written in the language of the text."""
+    """Key of a term in the catalogue, such as ``joint``; texts contain its word.
+
+    The word is in the language of the text.
+    """
 
     __slots__ = ()
 
@@ -261,7 +264,11 @@ class Phrase(str):
         return Phrase, (str(self), self.chinese)
 
     def text(self, language: str = "en") -> str:
-        """Return this text in a language, ``"en"`` or ``"zh"``."""
+        """Return this text in a language.
+
+        Args:
+            language: ``"en"`` or ``"zh"``.
+        """
         return self.chinese if language == "zh" else str(self)
 
 

@@ -35,7 +35,7 @@ quadratic terms, are not read."""
 
 
 def list_motors() -> tuple[str, ...]:
-    """Return the names of the motors in the data files of this package."""
+    """Return the names of the motors that this package contains as data files, sorted."""
     return tuple(
         sorted(
             path.name.removesuffix(".toml")

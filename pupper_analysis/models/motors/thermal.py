@@ -88,7 +88,11 @@ class ThermalNetwork:
         )
 
     def compute_loss(self, temperature: float) -> float:
-        """Return the copper loss at a temperature of the winding [degC], in W."""
+        """Return the copper loss i^2 R [W] at a temperature of the winding.
+
+        Args:
+            temperature: Temperature of the winding [degC].
+        """
         ohms = self.ohms * (1 + self.rise * (temperature - self.reference))
         return self.current**2 * ohms
 

@@ -151,7 +151,7 @@ def find_element_place(file: MjcfFile, element: object, body: str) -> Place:
 
 
 def zero_configuration(model: mujoco.MjModel) -> Array:
-    """Return qpos (nq,) with hinges and slides at zero; free and ball joints as in ``qpos0``."""
+    """Return qpos (nq,) with hinges and slides at zero, and other joints as in ``qpos0``."""
     qpos = np.array(model.qpos0)
     for joint in range(model.njnt):
         if JOINT_KIND_NAMES[int(model.jnt_type[joint])] in (HINGE_JOINT, SLIDE_JOINT):

@@ -236,19 +236,22 @@ class RobotModel:
         return False
 
     def inertial_path(self, part: str) -> str:
-        """Return the XML path of an inertial value below the link or body.
+        """Return the XML path of an inertial value below its link or body, to locate the value.
 
         Args:
             part: ``mass``, ``origin`` or ``inertia``.
 
         Returns:
-            For example ``inertial/mass`` in a URDF; ``inertial`` in other formats, in which the
+            For example ``inertial/mass`` in a URDF. In other formats ``inertial``, because the
             values are attributes of this element.
         """
         return f"inertial/{part}" if self.format == "urdf" else "inertial"
 
     def locate_parameter(self, attribute: JointAttribute) -> tuple[str, str | None]:
-        """Return the name of a joint parameter in the file format, and its element.
+        """Return the name of a joint parameter in the file format, and the element that states it.
+
+        Args:
+            attribute: Parameter.
 
         Returns:
             Name for messages, and child element of the joint that contains the parameter: ("limit
@@ -260,11 +263,11 @@ class RobotModel:
         return (attribute.mjcf or (attribute.kind,))[0], None
 
     def children(self, name: str) -> list[Link]:
-        """Return the links whose parent is the link ``name``."""
+        """Return the child links of a link."""
         return self._children_by_name[name]
 
     def descendants(self, name: str) -> Iterator[Link]:
-        """Yield the descendants of a link, depth first, without the link."""
+        """Yield the descendants of a link, depth first; the link itself is not included."""
         for child in self.children(name):
             yield child
             yield from self.descendants(child.name)
@@ -307,7 +310,7 @@ class RobotModel:
 
 @dataclass(frozen=True, eq=False)
 class UrdfModel(RobotModel):
-    """Robot model of a URDF.
+    """Robot model as specified by a URDF.
 
     Attributes:
         file: The file.
@@ -318,7 +321,7 @@ class UrdfModel(RobotModel):
 
 @dataclass(frozen=True, eq=False)
 class MjcfModel(RobotModel):
-    """Robot model of an MJCF.
+    """Robot model as specified by an MJCF.
 
     Attributes:
         file: The file.

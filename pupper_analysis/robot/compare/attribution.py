@@ -176,7 +176,7 @@ def _compute_residual(
 
 
 def align_robot(robot: Robot, tolerances: Tolerances) -> Alignment:
-    """Express the multibody tree of a robot's MJCF in the link frames of the URDF.
+    """Express the multibody tree of a robot's MJCF in the link frames of the URDF, to compare both.
 
     Args:
         robot: Robot.

@@ -407,11 +407,11 @@ class FilesCompared(Tabular):
         mjcf: Path of the MJCF.
         base: Name of the base.
         joints: Joints of both files, with the names of the MJCF.
-        guessed: {joint in the URDF: joint in the MJCF} of pairs with different names. They were
-            matched by structure, or by names without prefixes and suffixes.
-        only_urdf: Joints that only the URDF has. They were fixed at zero for the comparison.
-        only_mjcf: Joints that only the MJCF has. They were fixed at zero for the comparison.
-        parts: Diagnostics of parts that only one file has, with their joints. The parts were
+        guessed: {joint in the URDF: joint in the MJCF} of pairs with different names, matched by
+            structure, or by names without prefixes and suffixes.
+        only_urdf: Joints that only the URDF has; fixed at zero for the comparison.
+        only_mjcf: Joints that only the MJCF has; fixed at zero for the comparison.
+        parts: Diagnostics of parts (such as a gripper) that only one file has, with their joints;
             removed for the comparison.
         notes: Diagnostics of assumptions and omissions.
         differences: Differences, the most urgent first; see `Difference.rank`.
@@ -422,9 +422,10 @@ class FilesCompared(Tabular):
         complete: Whether each residual is at most 1e-9.
         mount: Diagnostic of the tilt of a fixed base in the MJCF relative to the URDF. None if
             `report_base_tilt` reports no tilt.
-        objections: Further reasons for which the models do not agree: an unexplained residual;
-            differences within the tolerances whose total deviation is too large; a missing mass of
-            a base with legs; and, if names must be equal, the tilt of a fixed base.
+        objections: Further reasons for which the models do not agree. Possible reasons are an
+            unexplained residual; differences within the tolerances whose total deviation is too
+            large; a missing mass of a base with legs; and, if names must be equal, the tilt of a
+            fixed base.
         agree: Whether the models agree within the tolerances: no difference, no joint in a single
             file only, and no objection.
         same_robot: Whether the models agree except for the conventions: frame of the base and zeros
@@ -517,7 +518,7 @@ def compare_files(
     tolerances: Tolerances | None = None,
     strict_names: bool = False,
 ) -> Compared:
-    """Compare a URDF with an MJCF of the same robot, and explain the differences.
+    """Compare a URDF with an MJCF of the same robot, and evaluate the effect of each difference.
 
     Args:
         urdf: URDF, or a file that is converted to URDF; a path, or a model in memory.

@@ -122,14 +122,14 @@ one of these quantities comes first."""
 
 @dataclass(frozen=True)
 class Effect(Result):
-    """Effect of a difference on a quantity.
+    """Effect of a difference between two files on a dynamic quantity, such as the mass matrix.
 
     Attributes:
         deviation: Largest absolute deviation of the quantity, if only this difference is present.
         relative: ``deviation``, divided by the scale of the quantity.
-        share: ``deviation``, divided by the deviation of all differences together. It may exceed 1,
-            because differences may cancel. It is infinite if the deviation of all differences is a
-            rounding error or infinite.
+        share: ``deviation``, divided by the deviation of all differences together. The share may
+            exceed 1, because differences may cancel. The share is infinite if the deviation of all
+            differences is a rounding error or infinite.
     """
 
     deviation: float = field(metadata={"unit": "varies"})
@@ -186,8 +186,8 @@ class Difference(Stated, Result):
         effects: {quantity: effect of the difference}; empty without an effect.
         urdf_place: File and line in the URDF; None if unknown.
         mjcf_place: File and line in the MJCF; None if unknown.
-        made_of: Diagnostics of the links or bodies that are combined to the compared body, if there
-            are several.
+        made_of: Diagnostics of the links or bodies that form the compared body, if there are
+            several.
     """
 
     effects: dict[str, Effect]
@@ -310,14 +310,14 @@ class PatternCause(Result):
 
 @dataclass(frozen=True, eq=False)
 class Explanation(Result):
-    """Differences that explain the deviation between two models.
+    """Differences that explain the deviation between two models, and the unexplained residual.
 
     Attributes:
         differences: Differences, the most urgent first: by tier, then by effect.
         deviations: {quantity: relative deviation between the two models}.
-        residual: {quantity: relative deviation that the differences do not explain}. It is the
-            deviation between the URDF with all values of the MJCF and the MJCF without the elements
-            that a URDF cannot specify.
+        residual: {quantity: relative deviation that the differences do not explain}. Compared are
+            the URDF with all values of the MJCF, and the MJCF without the elements that a URDF
+            cannot specify.
         complete: Whether each residual is at most 1e-9.
         notes: Diagnostics of values that were copied from the MJCF to the URDF: armature, and
             damping and dry friction if the URDF does not specify them.
@@ -460,7 +460,7 @@ def with_names_of_models(message: Diagnostic, names: Mapping[str, Term]) -> Diag
     """
 
     def replace_names(value: Any) -> Any:
-        """Return a value of a message in which terms in ``names`` are replaced, also nested."""
+        """Replace the terms in ``names`` in a value of a message, also in nested values."""
         if isinstance(value, tuple):
             return tuple(replace_names(item) for item in value)
         if isinstance(value, Diagnostic):
@@ -625,13 +625,13 @@ def _format_value(value: Any, unit: str) -> Any:
 def changes_between(
     one: MultibodyTree, two: MultibodyTree, tolerances: Tolerances, sides: ModelNames = FORMAT_NAMES
 ) -> Iterable[Change]:
-    """Yield the differences of two multibody trees that exceed the tolerances.
+    """Yield the differences of two multibody trees that exceed the tolerances, value by value.
 
     Args:
         one: First tree (URDF).
         two: Second tree, with the same names of bodies, joints and frames.
         tolerances: Tolerances of the comparison.
-        sides: Names of the models.
+        sides: Names of the two models in messages.
     """
     for name, body in one.bodies.items():
         yield from body_changes(name, body, two.bodies[name], tolerances, sides)

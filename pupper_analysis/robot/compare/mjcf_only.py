@@ -40,8 +40,8 @@ class MjcfOnlyEffect(Stated):
     """Element of an MJCF that a URDF cannot specify; for the inherited attributes see `Stated`.
 
     Attributes:
-        slots: Entries of ``mjModel`` that are set to zero to disable the element. Empty if the
-            element does not affect the unconstrained robot, or cannot be disabled.
+        slots: Entries of ``mjModel`` that must be zero to disable the element. Empty if the element
+            does not affect the unconstrained robot, or cannot be disabled.
     """
 
     slots: tuple[Slot, ...] = ()
@@ -189,7 +189,11 @@ class NamedModel:
         return mujoco.mj_id2name(self.names, object_type, index) or f"#{index}"
 
     def joint_name(self, joint: int) -> str:
-        """Return the name of a joint; for the free joint of the base, the name of the base."""
+        """Return the name of a joint; for the free joint of the base, the name of the base.
+
+        Args:
+            joint: Id of the joint.
+        """
         if self.model.jnt_type[joint] == JointKind.FREE:
             return self.reference.base
         return self.name("joint", joint)
@@ -409,7 +413,7 @@ def find_fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
-    """Yield the initially active equality constraints on the robot.
+    """Yield the initially active equality constraints on the robot, unless a flag disables them.
 
     Args:
         scene: Compiled MJCF, with the names of its elements.

@@ -49,7 +49,7 @@ two base frames. Further joints are not tried, to bound the computing time. Chos
 
 @dataclass(frozen=True, eq=False)
 class Conventions:
-    """Differences between the coordinates of a URDF and an MJCF of the same robot.
+    """Differences between the coordinates of a URDF and an MJCF: base frame and joint zeros.
 
     Attributes:
         base: Pose of the URDF's base frame in the MJCF's base frame. None if both are equal, or if

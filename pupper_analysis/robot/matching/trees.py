@@ -84,7 +84,11 @@ def base_pose(robot: Robot) -> pin.SE3:
 
 
 def compute_poses_at_zero(tree: multibody.MultibodyTree) -> dict[str, pin.SE3]:
-    """Return {base or joint: pose of the moved body} at zero joint positions, in the base frame."""
+    """Return the poses of all bodies of a tree at zero joint positions, in the base frame.
+
+    Returns:
+        {base or joint: pose of the moved body}.
+    """
     poses = {tree.base: pin.SE3.Identity()}
     for name in tree.parents_first():
         joint = tree.joints[name]
