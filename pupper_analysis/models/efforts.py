@@ -450,9 +450,13 @@ def read_actuator_efforts(model: mujoco.MjModel, actuator: int) -> list[EffortSt
 def _read_actuator_forces(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
     """Return the limits of an actuator's force before its gear [N or N m].
 
-    The first possible limit is ``forcerange``. The second is ``ctrlrange`` times the gain; it
-    applies if the gain is constant, there is no bias, and the dynamics are in `_BOUNDED_DYNAMICS`.
-    The list is empty if the file states neither.
+    The result contains up to two limits:
+
+    - ``forcerange``, if the actuator has this limit
+    - ``ctrlrange`` times the gain, if the controls are limited, the gain is constant, there is no
+      bias, and the dynamics are in `_BOUNDED_DYNAMICS`
+
+    If the file states neither, the result is empty.
     """
     found, name = [], str(model.actuator(actuator).name)
     if model.actuator_forcelimited[actuator]:

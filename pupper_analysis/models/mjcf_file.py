@@ -298,8 +298,9 @@ _MAX_PRODUCTS: Final = (
     ("size", ("nuserdata",), 10**7),
     *(("*", (attribute,), 10**6) for attribute in ("nsample", "num", "dim", "actdim")),
 )
-"""(tag, attributes, maximum of the product of their numbers). Larger values let MuJoCo hang, or
-exhaust the memory. The tag "*" represents each tag. Chosen, not tuned."""
+"""(tag, attributes, upper bound of the product of their numbers). A file with a larger product is
+refused, because MuJoCo would hang, or exhaust the memory. The tag "*" stands for every tag. Chosen,
+not tuned."""
 
 _SECTION_TAGS: Final = ("actuator", "sensor", "equality", "tendon", "contact", "deformable")
 """Sections of an MJCF whose elements can also be found by (section, name) instead of (tag, name).
@@ -475,8 +476,8 @@ _HEXADECIMAL_NUMBER: Final = re.compile("0[xX][0-9a-fA-F]+")
 def _check_sizes(path: Path, element: etree._Element) -> None:
     """Raise a ModelError if MuJoCo would create too many objects or values from an element.
 
-    The number is a product of sizes, for example nrow x ncol of a height field; its upper bounds
-    are in `_MAX_PRODUCTS`.
+    The number of objects is a product of sizes, for example nrow x ncol of a height field.
+    `_MAX_PRODUCTS` contains the upper bounds.
     """
     for tag, attributes, limit in _MAX_PRODUCTS:
         if tag in ("*", element.tag):
@@ -611,7 +612,7 @@ _COMMON_ACTUATOR_ATTRIBUTES = frozenset(
 def _find_default_classes(root: XmlNode, name: str | None) -> list[XmlNode]:
     """Return a default class and the enclosing classes, outermost first.
 
-    For an unknown class, or None, the result contains the first top-level class, if any.
+    If the name is unknown or None, the result contains only the first top-level class, if any.
     """
     tops = [child for child in root.children if child.tag == "default"]
     pending = [[top] for top in tops]
@@ -771,9 +772,11 @@ class MjcfFile:
             number: Number in the section, from 0.
 
         Returns:
-            The location. The line is missing in three cases: there is no such element; the file has
-            no XML text (a model in memory); attached models or replicates add elements, so that the
-            numbers differ.
+            The location. The line is missing in three cases:
+
+            - There is no element with this number.
+            - The file has no XML text (a model in memory).
+            - Attached models or replicates add elements, so that the numbers differ.
         """
         if len(self._roots) != 1 or any(True for _ in self.elements("replicate")):
             return Place(self.path)

@@ -342,7 +342,7 @@ def _find_xacro_packages(path: Path, packages: Mapping[str, Path]) -> Iterator[N
     find_by_ros = substitution._eval_find
 
     def find(package: str) -> str:
-        """Return the folder of a ROS package: that of `find_packages`, or else that of ROS."""
+        """Return the folder of a ROS package, from `find_packages`, or otherwise from ROS."""
         folders = find_packages(package, path.absolute().parent, packages)
         if folders:
             return str(folders[0].absolute())

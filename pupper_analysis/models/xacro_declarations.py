@@ -58,9 +58,12 @@ def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) 
         A list with a note on the removed elements; empty if there are none.
 
     Raises:
-        ModelError: If the file uses xacro: it calls a macro, contains a condition, includes a file
-            that may change links or joints, or has a xacro expression outside of the removed
-            elements.
+        ModelError: If the file must be expanded by xacro. This is so in three cases:
+
+            - The file contains a macro call, a condition, or another xacro element that may change
+              links or joints.
+            - An included file may change links or joints, or cannot be read.
+            - A xacro expression is outside of the removed elements.
     """
     declared = [element for element in root.iter() if element.prefix == XACRO_PREFIX]
     if not declared:

@@ -147,11 +147,15 @@ class Cause:
 
 
 PREPARATION_CODES = {"shapes-beside-feet", "balls", "other-drive"}
-"""Codes (`Cause.code`) of changes that this package makes when it loads a robot: contacts of shapes
-other than feet are disabled, mesh feet are replaced by spheres (``balls``), and other actuators are
-replaced by servos (``other-drive``). The published file lacks these changes, so its simulation may
-deviate. If the published robot does not collapse and all causes have these codes, the verdict
-reports the deviation, but is not FAILS.
+"""Codes (`Cause.code`) of changes that this package makes when it loads a robot. The published file
+lacks these changes, so its simulation may deviate from the computed equilibrium:
+
+- contacts of shapes other than feet are disabled
+- mesh feet are replaced by spheres (``balls``)
+- other actuators are replaced by servos (``other-drive``)
+
+If the published robot does not collapse and all causes have these codes, the verdict reports the
+deviation, but is not FAILS.
 """
 
 

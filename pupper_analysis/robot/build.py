@@ -158,7 +158,7 @@ def build_robot(
 def _refuse_flexes(model: mujoco.MjModel, source: Path) -> None:
     """Raise an error if a model contains flexible bodies, because statics does not support them.
 
-    A vertex with joints of its own would count as a limb without motors.
+    A vertex of a flexible body can have joints. It would count as a limb without motors.
 
     Raises:
         ModelError: If the model contains a flexible body (``flex``).
@@ -347,7 +347,7 @@ def _list_joints(model: mujoco.MjModel, source: Path) -> tuple[str, ...]:
     """Return the joints in actuator order, followed by joints without actuators in tree order.
 
     Raises:
-        ModelError: If there are no joints, or a ball joint.
+        ModelError: If the model has a ball joint, or no joint except free joints.
     """
     all_joints: list[str] = []
     for joint in range(model.njnt):
@@ -384,9 +384,11 @@ def _find_base_body(model: mujoco.MjModel, floating: bool, joint_names: Sequence
 def _match_root_link(model: mujoco.MjModel, base: str, urdf: str) -> str:
     """Return the name of the body that corresponds to the URDF's root link.
 
-    Candidates are the body ``base`` and its ancestors. A candidate with the name of the link is
-    returned; otherwise the first candidate whose name is this name with a prefix or suffix
-    (``right_``, ``robot/``); otherwise ``base``.
+    Candidates are the body ``base`` and its ancestors. The first of these that exists is returned:
+
+    - the candidate with the name of the link
+    - the first candidate whose name is this name with a prefix or suffix (``right_``, ``robot/``)
+    - ``base``
     """
     root = UrdfTree.of(urdf).base.name
     body, ancestors = model.body(base).id, list[str]()
@@ -403,7 +405,7 @@ def _match_root_link(model: mujoco.MjModel, base: str, urdf: str) -> str:
 def _find_imu(model: mujoco.MjModel, pin_model: pin.Model) -> str | None:
     """Return the name of the IMU's site; None if there is no such site.
 
-    It is a site with a gyro and an accelerometer whose name is also the name of a link of the URDF.
+    The site has a gyro and an accelerometer. A link of the URDF has the name of the site.
     """
     gyro, accelerometer = mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER
     sites = [

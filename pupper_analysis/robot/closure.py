@@ -260,10 +260,13 @@ class Closure:
                 deflections under a load. Default: 0.
 
         Returns:
-            Configuration, shape (nq,), with the base pose of ``qpos``. None in three cases: the
-            iteration does not converge; it converges to another assembly mode
-            (`has_reference_assembly`), for example with crossed rods; without ``give``, a redundant
-            equation is violated by 1e-6 m or rad (``MAX_OPENING``) or more.
+            Configuration, shape (nq,), with the base pose of ``qpos``. None in three cases:
+
+            - The iteration does not converge.
+            - The result has another assembly mode, for example crossed rods
+              (`has_reference_assembly`).
+            - ``give`` is None, and a redundant equation is violated by 1e-6 m or rad
+              (``MAX_OPENING``) or more.
         """
         result = self._close_by_newton(qpos, moving, give)
         return result if result is not None and self.has_reference_assembly(result) else None
@@ -441,9 +444,12 @@ class Closure:
     def _find_closed_start(self) -> Array:
         """Return a reference configuration (nq,), with closed loops if possible.
 
-        The result is the first of qpos0 and the keyframes that violates no constraint by
-        ``_START_ATOL``. If there is none, it is the result of Newton's method from qpos0. If the
-        method does not converge, it is qpos0.
+        The result is the first of these:
+
+        - the first of qpos0 and the keyframes whose constraint violations are all below 1e-3 m or
+          rad (``_START_ATOL``)
+        - the configuration to which Newton's method from qpos0 converges
+        - qpos0
         """
         model, index = self._model, self._convention.qpos_index
         starts = [np.array(pose)[index] for pose in (model.qpos0, *model.key_qpos)]
@@ -559,9 +565,11 @@ def find_closure(
         joint_names: Joints in actuator order.
 
     Returns:
-        The loops and couplings. None in three cases: no active equality constraint acts on a joint
-        of the robot; constraints are disabled; a constraint couples a free base to the world, which
-        is not supported.
+        The loops and couplings. None in three cases:
+
+        - No active equality constraint acts on a joint of the robot.
+        - A flag of the model disables constraints or equalities.
+        - A constraint couples a free base to the world, which is not supported.
     """
     disabled = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_EQUALITY
     if not model.eq_active0.any() or model.opt.disableflags & int(disabled):

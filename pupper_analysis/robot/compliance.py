@@ -23,9 +23,9 @@ penetration. Usually 5 Newton steps are sufficient. Bisection needs more iterati
 tuned."""
 
 _NUM_UNBOUNDED_STEPS = 4
-"""Maximum number of Newton steps of `GroundLaw.depth` from the caller's initial guess. If they do
-not converge, the iteration with bounds follows. Usually two steps are sufficient. Chosen, not
-tuned."""
+"""Maximum number of Newton steps of `GroundLaw.depth` from the caller's initial guess. If these
+steps do not converge, the iteration with bounds follows. Usually two steps are sufficient. Chosen,
+not tuned."""
 
 _STEP_RTOL = 1e-9
 """Length of a Newton step, relative to the penetration plus the contact margin [1], at or below

@@ -20,9 +20,9 @@ from pupper_analysis.models.mjcf import GEOM_CONTACT_WORDS, silence_mujoco
 from pupper_analysis.models.spec_tree import SpecTree
 
 _LEVEL_ATOL = 1e-9
-"""Tolerance with which a floor counts as level at z = 0, and is not changed. In a spec, it applies
-to the distance from z = 0 [m], and to the x and y components of the quaternion. In a compiled
-model, it applies to the height [m] and to 1 - cos(tilt). Chosen, not tuned."""
+"""Tolerance with which a floor counts as level at z = 0, and is not changed. In a spec, the
+distance from z = 0 [m] and the x and y components of the quaternion are compared with the
+tolerance. In a compiled model, the height [m] and 1 - cos(tilt) are compared. Chosen, not tuned."""
 
 
 def find_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:

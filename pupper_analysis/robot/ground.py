@@ -285,5 +285,5 @@ of a box for the same foot [1]. That half width is the reach of the contact poin
 ``STEP_HALF_WIDTH``. Chosen, not tuned: a foot must not reach the end of the bar."""
 
 STEP_HALF_WIDTH = 0.03
-"""Distance [m] by which the top of a step's box extends beyond the contact points of its foot. The
-foot thus stays on the box if it slips a little. Chosen, not tuned."""
+"""Distance [m] by which the top of a step's box extends beyond the contact points of its foot. A
+foot that slips less than this distance stays on the box. Chosen, not tuned."""

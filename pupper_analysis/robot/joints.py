@@ -106,9 +106,12 @@ def resolve_posture(robot: Robot, posture: Mapping[str, float]) -> Mapping[str, 
 
     Raises:
         UnknownNameError: If a pattern matches no joint; the message lists the joints.
-        ConfigurationError: If a position is not valid; or if a joint moves a foot; or if the
-            posture contains only some of the joints in loops and couplings, or does not close the
-            loops.
+        ConfigurationError: In one of three cases:
+
+            - A position is not valid.
+            - A joint moves a foot.
+            - A joint belongs to a loop or coupling, and the posture lacks another joint of the
+              robot's loops and couplings, or does not close the loops.
     """
     placed = named_positions(robot, posture, "posture") if posture else {}
     free = find_footless_joints(robot) if placed else ()

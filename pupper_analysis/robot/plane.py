@@ -314,9 +314,11 @@ class Contact:
                 slope [rad], or the ``parameter`` of another plane [m].
 
         Raises:
-            ConfigurationError: If the plane is a bar, and ``numbers`` are not three valid
-                coordinates; or if the plane is a slope, and the angle is not from 0 to pi; or if
-                the position of another plane is not valid.
+            ConfigurationError: In one of three cases:
+
+                - The plane is a bar, and ``numbers`` are not three valid coordinates.
+                - The plane is a slope, and the angle is not from 0 to pi.
+                - The position of another plane is not valid.
         """
         if isinstance(self.plane, Bar):
             return replace(self, plane=replace(self.plane, point=_check_position("point", numbers)))

@@ -941,8 +941,8 @@ def _check_bodies(robot: Robot) -> None:
 
 
 _MAX_POOL_SIZE = 8
-"""Maximum number of unused objects (for example MuJoCo data) in the pool of all robots. If there
-are more, the least recently used object is dropped. Chosen, not tuned."""
+"""Maximum number of unused objects (for example MuJoCo data) in the pool of all robots. If the pool
+has more objects, the least recently used object is dropped. Chosen, not tuned."""
 
 _pool: list[tuple[Robot, object, Any]] = []
 """(robot, function that created the object, unused object), for all robots (`borrow`). The pool is

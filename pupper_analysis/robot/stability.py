@@ -105,11 +105,17 @@ def step_derivative(
 def _difference_steps(
     model: mujoco.MjModel, data: mujoco.MjData, matrix: Array, difference: float = DIFFERENCE_STEP
 ) -> Array:
-    """Compute the derivative of the next state by the state, write it to ``matrix``, and return it.
+    """Compute the derivative of the next state by the present state, in ``matrix``, and return it.
 
-    This method is used for the integrator RK4, which ``mjd_transitionFD`` does not support: centred
-    differences of complete MuJoCo steps. Rows and columns of ``matrix`` are in the tangent space of
-    (qpos, qvel, act). ``difference`` is the finite-difference step [m, rad; m/s, rad/s].
+    The derivative is computed from centred differences of complete MuJoCo steps. This function is
+    used for the integrator RK4, which ``mjd_transitionFD`` does not support.
+
+    Args:
+        model: MuJoCo model.
+        data: Present state. It is not changed.
+        matrix: Square matrix that is overwritten. Rows and columns are in the tangent space of
+            (qpos, qvel, act): size 2 nv + na.
+        difference: Finite-difference step of each component [m, rad; m/s, rad/s; unit of act].
     """
     own, nv = copy_data(model, data), model.nv
     ends = [(np.empty(model.nq), np.empty(nv), np.empty(model.na)) for _ in range(2)]
@@ -156,9 +162,8 @@ the eigenvalue. Chosen, not tuned."""
 
 _EIGENVALUE_ERROR = 1e-9
 """Numerical error of a well-conditioned eigenvalue of the linearised MuJoCo step [1], measured with
-``DIFFERENCE_STEP``. Two further bounds: a decaying mode counts as an oscillation only if the
-absolute value of its eigenvalue and the angle of its eigenvalue in the complex plane [rad] are
-larger."""
+``DIFFERENCE_STEP``. The value has a second use: a decaying mode is an oscillation only if absolute
+value and angle [rad] of its eigenvalue are both larger."""
 
 _MAX_EIGENVALUE_ERROR = 1e-5
 """Upper bound of the assumed error of an ill-conditioned eigenvalue [1]. For example, a wheel that
@@ -425,11 +430,16 @@ def judge_settled(
 
 
 def _evaluate_friction(model: mujoco.MjModel, data: mujoco.MjData) -> Stability:
-    """Evaluate a state with and without the dry friction of joints and tendons.
+    """Evaluate the stability of a state with and without the dry friction of joints and tendons.
 
-    The result contains the growing modes with dry friction, and the modes without dry friction that
-    grow within ``HOLD_DURATION``. Its least damped mode has the smaller damping ratio of both
-    evaluations. The other values are those with dry friction.
+    The result contains:
+
+    - the growing modes with dry friction
+    - the modes without dry friction that grow within ``HOLD_DURATION``
+    - the least damped mode: the one with the smaller damping ratio of both evaluations
+    - the other values of the evaluation with dry friction
+
+    The dry friction of ``model`` is set to zero temporarily, and restored.
     """
     found = _mark_repeated(model, data, _evaluate_at_limits(model, data))
     rubbing = model.dof_frictionloss, model.tendon_frictionloss
@@ -489,11 +499,18 @@ def _evaluate_at_limits(
 ) -> Stability:
     """Evaluate the spectrum of a state in which joints may be at their limits.
 
-    Finite differences are invalid across a limit. A limit begins to act at ``range`` and ``margin``
-    of the joint. If a joint is within `_LIMIT_DISTANCE` of this position, the limit is moved to
-    this distance from the joint. The spectrum is evaluated twice: with the joint inside of the
-    limit, and beyond it. The result with the larger spectral radius is returned. ``difference`` is
-    the finite-difference step.
+    Finite differences across a joint limit are invalid. A limit begins to act when the joint is
+    ``margin`` away from the end of ``range``. If a joint is within `_LIMIT_DISTANCE` of this
+    position, its limit is moved temporarily. The spectrum is then evaluated twice: with the joint
+    inside of the limit by `_LIMIT_DISTANCE`, and beyond the limit by this distance.
+
+    Args:
+        model: MuJoCo model. Its joint ranges are changed and restored.
+        data: State.
+        difference: Finite-difference step.
+
+    Returns:
+        The evaluation with the larger spectral radius.
     """
     scalar = np.isin(model.jnt_type, (JointKind.HINGE, JointKind.SLIDE))
     angles = data.qpos[model.jnt_qposadr][:, None]

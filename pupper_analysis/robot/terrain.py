@@ -184,7 +184,7 @@ def _find_surface_kind(model: mujoco.MjModel, geom: int) -> str:
     """Return the kind of a surface of a task: step, bar, wall, table or ceiling.
 
     A surface parallel to the ground is "step". The kind of another plane follows from its normal
-    (``PLANE_NORMALS``). The result is empty if the normal is not in the table.
+    (``PLANE_NORMALS``). The result is "" if no kind has this normal.
 
     Args:
         model: Model with the ground of a task.

@@ -168,9 +168,12 @@ def find_place(robot: Robot, point: FramePoint) -> Tool:
 
     Args:
         robot: The robot.
-        point: Point (3,) [m] in the base frame; or ``(frame, x, y, z)`` [m] from the origin of a
-            link, site, body or geom, in the axes of its URDF link; or a `Tool`, which is returned
-            unchanged.
+        point: One of three forms:
+
+            - (x, y, z) [m] in the base frame.
+            - ``(frame, x, y, z)``: position [m] relative to the origin of a link, site, body or
+              geom, in the axes of its URDF link.
+            - A `Tool`, which is returned unchanged.
 
     Raises:
         ConfigurationError: If the coordinates are not three finite numbers, or too large.
@@ -414,8 +417,11 @@ def _change_payload_mass(loaded: Robot, name: str, mass: float) -> mujoco.MjMode
     ``meanmass``, which ``mj_setConst`` does not change.
 
     Returns:
-        The model. None in three cases: there is no such body; a number of the model is not valid
-        (`find_invalid_number`); the file sets a lower bound of all masses (``boundmass``).
+        The model. None in three cases:
+
+        - There is no body with the name.
+        - A number of the model is not valid (`find_invalid_number`).
+        - The file sets a lower bound of all masses (``boundmass``).
     """
     statistic = loaded.description.mjcf.stat
     body = mujoco.mj_name2id(loaded.mj_model, mujoco.mjtObj.mjOBJ_BODY, name)

@@ -145,9 +145,13 @@ def _build_with_contacts(robot: Robot, properties: FrozenDict[str, Touching]) ->
 
     Raises:
         UnknownNameError: If the robot has no frame of a name.
-        ConfigurationError: If two hands move with the same joint, and one of them is welded or
-            grips; if a part that is fixed to the base has a contact other than a weld, or is welded
-            with an offset; if a hand moves with a foot; or if the base cannot be free.
+        ConfigurationError: In one of these cases:
+
+            - Two hands move with the same joint, and one of them is welded or grips.
+            - A part that is fixed to the base has a contact other than a weld, or a weld with an
+              offset.
+            - A hand moves with a foot.
+            - A part is welded to a fixed base, and this base cannot be made free.
         ModelError: If the model with the contacts cannot be built.
     """
     tools = {

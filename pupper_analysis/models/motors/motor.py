@@ -30,11 +30,11 @@ the torque, which suggests other units. The smallest ratio in the data files is 
 (feetech-sts3215-7v4). Chosen, not tuned."""
 
 MAX_CONVENTION_RATIO = 2.0
-"""Largest accepted ratio between two stated numbers that define the same constant of a motor:
-output torque constant and Kt N, or speed without load and V / (Kt N). (Kt torque constant, V supply
-voltage, N gear ratio.) A motor with a larger ratio, or with a ratio below `MIN_STALL_RATIO`, is
-refused. Chosen, not tuned: line and phase currents, and rms and peak values, differ by up to
-sqrt(3)."""
+"""Largest accepted ratio between two stated numbers that define the same constant of a motor. The
+compared pairs are output torque constant and Kt N, and speed without load and V / (Kt N). (Kt
+torque constant, V supply voltage, N gear ratio.) A motor with a larger ratio, or with a ratio below
+`MIN_STALL_RATIO`, is refused. Chosen, not tuned: line and phase currents, and rms and peak values,
+differ by up to sqrt(3)."""
 
 
 def _number(kind: str) -> float | None:

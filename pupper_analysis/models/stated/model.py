@@ -212,9 +212,11 @@ class RobotModel:
     def has_free_base(self) -> bool:
         """Whether the base of the robot is free.
 
-        True if the file contains a free joint. Also true if at least two moving links are attached
-        to the base (or to links fixed to the base), because the URDF of a legged robot usually
-        contains no free joint.
+        True in two cases:
+
+        - The file contains a free joint.
+        - At least two moving links are attached to the base, or to links fixed to the base. The
+          URDF of a legged robot usually contains no free joint.
         """
         if any(joint.kind == FREE_JOINT for joint in self.joints.values()):
             return True

@@ -271,7 +271,7 @@ triangles."""
 def _read_binary_stl(path: Path) -> Mesh | None:
     """Read a binary STL file, with three vertices per triangle; None for other or empty files.
 
-    The result equals that of trimesh, which is slow to import.
+    The result equals the mesh that trimesh reads. Trimesh is slow to import.
     """
     if path.suffix.lower() != ".stl" or path.stat().st_size <= _STL_HEADER_BYTES:
         return None

@@ -612,9 +612,13 @@ def _find_causes(*of: object) -> tuple[PatternCause, ...]:
     result is empty.
 
     Args:
-        *of: Arguments of the tool's function ``find_causes``: the robot; the tree of the MJCF in
-            the URDF's link frames; all differences; the tolerances; the bodies of the MJCF whose
-            mass is computed from geoms.
+        *of: Arguments of the tool's function ``find_causes``:
+
+            - the robot
+            - the tree of the MJCF in the URDF's link frames
+            - all differences
+            - the tolerances
+            - the bodies of the MJCF whose mass is computed from geoms
     """
     modules = (
         import_module(f"{package}.causes") for package in find_tool_modules("causes").values()

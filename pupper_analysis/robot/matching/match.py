@@ -485,9 +485,11 @@ def _check_mapping(
         mjcf: Joints, spec and file of the MJCF.
 
     Raises:
-        UnknownNameError: If the URDF has no joint or link with a name; if the MJCF has no joint,
-            site, body or geom with a name; or if a joint is mapped to an element other than a
-            joint.
+        UnknownNameError: In one of three cases:
+
+            - The URDF has no joint or link with a name.
+            - The MJCF has no joint, site, body or geom with a name.
+            - A joint is mapped to an element other than a joint.
         ModelError: If two names are mapped to the same name.
     """
     (urdf_joints, root, source), (mjcf_joints, spec, target) = urdf, mjcf
