@@ -156,6 +156,9 @@ class StartKeyframe(Addition):
 
 
 def apply_additions(additions: Iterable[Addition], model: object) -> None:
-    """Apply additions to a model (`SpecTree`, or a new file), in the given order."""
+    """Apply additions, such as a floor or servos, to a model in the given order.
+
+    The model is a `SpecTree` or a new MJCF file.
+    """
     for addition in additions:
         addition.apply_to(model)

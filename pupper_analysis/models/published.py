@@ -167,8 +167,9 @@ def _is_description(word: str) -> bool:
 def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> Path:
     """Return the file of a model: a path, a published name, or ``package://NAME/FILE``.
 
-    A path is returned unchanged, also if the file does not exist. If a description has several
-    files, the first available file counts: MJCF, URDF, xacro file.
+    Published names are robots of MuJoCo Menagerie, and descriptions of the package
+    ``robot_descriptions``. A path is returned unchanged, also if the file does not exist. If a
+    description has several files, the first available file counts: MJCF, URDF, xacro file.
 
     Args:
         model: Path or name.

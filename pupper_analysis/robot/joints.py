@@ -267,11 +267,13 @@ def joint_ranges(robot: Robot) -> Array:
 def default_positions(robot: Robot, keyframe: str | None = None) -> tuple[Array, str | None]:
     """Return the default posture of a robot with a fixed base, and the name of its keyframe.
 
-    1. The keyframe ``keyframe``, if the caller names it.
-    2. Otherwise the keyframe ``home`` (without it, the first keyframe), if its positions are within
-       the joint ranges.
-    3. Otherwise the middle of each joint range. If a limit is infinite, the position in the range
-       nearest to zero.
+    The posture is the first of these:
+
+    1. The keyframe ``keyframe``, if given.
+    2. The keyframe ``home``, or the first keyframe if there is no ``home``, if the positions are
+       within the joint ranges.
+    3. The middle of each joint range. If a limit is infinite, the position in the range nearest to
+       zero.
 
     Positions that exceed a limit by less than 1e-3 rad or m (`_KEYFRAME_ROUNDING`) are clipped.
     Loops are not closed.

@@ -558,7 +558,7 @@ class Robot(EngineModels):
 
     @cached_property
     def structure(self) -> Structure:
-        """Pinocchio model in public coordinates, and indices of joints, links and contact points.
+        """Pinocchio model with the velocity axes of qvel, and indices of joints, links and feet.
 
         Computed once. All `Configuration` objects of the robot share this object.
         """

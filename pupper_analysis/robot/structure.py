@@ -1,8 +1,8 @@
 """``Structure``: model and indices of a robot. ``Kinematics``: positions of CoM, feet and links.
 
-`Structure` contains a Pinocchio model in public coordinates (``robot.coordinates``), and the
-indices of frames and joints. It is computed once per robot. With these indices, a `Configuration`
-needs no search for names and no rotation of axes, and can reuse Pinocchio data.
+`Structure` contains a Pinocchio model with the velocity axes of qvel (``robot.coordinates``), and
+the indices of frames and joints. A robot has a single `Structure`. A `Configuration` then needs no
+search for names and no rotation of axes, and can reuse Pinocchio data.
 """
 
 from __future__ import annotations
@@ -48,7 +48,10 @@ class Workspace:
 
 
 class Structure:
-    """Pinocchio model of a robot in public coordinates, with indices of joints, links and feet.
+    """Pinocchio model of a robot with the velocity axes of qvel; indices of joints, links and feet.
+
+    The public coordinates qpos and qvel are MuJoCo's, with the joints in actuator order. The order
+    of the joints in the Pinocchio model may differ.
 
     Args:
         model: Pinocchio model of the URDF; a free base is a free flyer.
@@ -57,10 +60,10 @@ class Structure:
         contact_frames: {contact point: name of its link}.
 
     Attributes:
-        model: Pinocchio model in public coordinates; see ``in_public_coordinates``.
+        model: Pinocchio model with the velocity axes of qvel; see ``in_public_coordinates``.
         floating: Whether the base is free.
-        nq: Size of the public qpos.
-        nv: Size of the public qvel.
+        nq: Size of qpos.
+        nv: Size of qvel.
         convention: Maps between public coordinates and the coordinates of the attribute ``model``.
         links: {link: frame index in ``model``}.
         joints: {joint: joint index in ``model``}.

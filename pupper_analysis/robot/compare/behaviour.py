@@ -271,8 +271,8 @@ def is_large(robot: Robot) -> bool:
 def affordable_states(robot: Robot, count: int) -> int:
     """Return the number of random states for a comparison: ``count``, or fewer for a large robot.
 
-    For a large robot (`is_large`), the mass matrices of all states may take 80 MB
-    (`_MAX_STATE_BYTES`). The result is at least 2 (`_MIN_STATES`), unless ``count`` is smaller.
+    For a large robot (`is_large`), the number is limited so that the mass matrices of all states
+    take at most 80 MB (`_MAX_STATE_BYTES`). The limit is never below 2 states (`_MIN_STATES`).
 
     Args:
         robot: The robot.

@@ -58,7 +58,7 @@ def match_joints(
 
     Raises:
         ModelError: If no joint is matched. Also if fewer than half of the joints of the smaller
-            file are matched, unless the user requested all these pairs.
+            file are matched, unless ``wanted`` contains all matched pairs.
     """
     urdf_joints, mjcf_joints = joints
     pairs = {old: new for old, new in wanted.items() if old in urdf_joints and new in mjcf_joints}
