@@ -340,7 +340,7 @@ def null_efforts(file: MjcfFile) -> dict[str, EffortStatement]:
     Returns:
         {joint: statement with the empty range}.
     """
-    unknown = file.unknown.get("effort", ())  # of a file of another format
+    unknown = file.unknown.get("effort", ())  # if converted from another format
     found: dict[str, EffortStatement] = {}
     by_joint: dict[str, list[EffortStatement | None]] = {}
     for actuator in file.spec.actuators:

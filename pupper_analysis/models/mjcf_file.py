@@ -823,7 +823,7 @@ def read_mjcf(path: str | Path) -> MjcfFile:
     path = Path(path)
     _, root = parse_xml(path)
     file = mjcf_from(path, root)
-    _ = file.model  # raises
+    _ = file.model  # raises a ModelError if the model is not valid
     return file
 
 

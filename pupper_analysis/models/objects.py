@@ -212,7 +212,7 @@ def _read_object(
         return _read_urdf(path, text, packages, _make_memory_note(name))
     try:
         text = model.write_xml_string()
-    except Exception as error:  # of another package
+    except Exception as error:  # another package may raise any exception
         problem = diagnose("object-not-written", message=one_line(error))
         raise ModelError(type(model).__name__, problem) from error
     name = f"{type(model).__module__.partition('.')[0]}.{type(model).__name__}"

@@ -375,7 +375,7 @@ def _classify_actuator(model: mujoco.MjModel, motor: int) -> Drive:
         return Drive.NO_STIFFNESS
     if law.damping > 0 and abs(law.gain - law.damping) <= _GAIN_RTOL * law.damping:
         return Drive.VELOCITY
-    # An affine bias is a servo's, even if its numbers are all zero.
+    # An actuator with affine bias is no motor, even if all numbers of the bias are zero.
     affine = model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE.value
     return Drive.OTHER if affine or model.actuator_biasprm[motor, :3].any() else Drive.MOTOR
 

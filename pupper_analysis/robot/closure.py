@@ -183,7 +183,7 @@ class Closure:
         """
         matrix = np.zeros((len(self._joint_names), len(self._joint_names)))
         matrix[:, self.dependent_joints] = self.jacobian(qpos).T @ self._force_distribution(qpos)
-        # Exact, because dependent joints have no motor.
+        # The rows of dependent joints are exact unit rows, because these joints have no motor.
         matrix[self.dependent_joints] = np.eye(len(self._joint_names))[self.dependent_joints]
         return matrix
 

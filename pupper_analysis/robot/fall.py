@@ -203,7 +203,7 @@ def simulate_keyframe(
     seconds, before = keyframe_duration(model), _copy_with_kinematics(model, start)
     timestep = float(model.opt.timestep)
     num_steps = round(seconds / timestep)
-    # Callers reset activations at each call, so a simulation with activations is not cut.
+    # ``advance`` resets activations at each call, so such a run is not divided into two calls.
     first_steps = 0 if model.na else num_steps // 2
     initial = initial_height(model, start, base, ground)
     runs: list[tuple[BodyMotion, mujoco.MjData]] = []

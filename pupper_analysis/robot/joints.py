@@ -296,7 +296,7 @@ def default_positions(robot: Robot, keyframe: str | None = None) -> tuple[Array,
     name = keyframe if keyframe is not None else next((k for k in ("home", *keys) if k in keys), "")
     qpos = keys.get(name, np.zeros(0))
     if len(qpos) >= robot.mj_model.nq:
-        # The keyframe may be that of the model with a free base.
+        # The keyframe may belong to the model with a free base, and then has more elements.
         positions = qpos[len(qpos) - robot.mj_model.nq + robot.mj_convention.qpos_index]
         clipped = np.clip(positions, *ranges.T)
         is_rounded = np.abs(positions - clipped) < _KEYFRAME_ROUNDING

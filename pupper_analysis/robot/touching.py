@@ -235,14 +235,14 @@ def _make_base_free(robot: Robot) -> Robot:
         body.add_freejoint().armature = _BASE_ARMATURE_FACTOR * robot.total_mass
         for key in spec.keys:
             key.qpos = np.insert(key.qpos, robot.mj_convention.qpos_index.min(), pose)
-    if find_floor(spec) is None:  # a floor that is not in the file must not touch
+    if find_floor(spec) is None:  # an added floor must not collide
         floor = SpecTree(spec).add_floor()
         floor.contype = floor.conaffinity = 0
     built = copy_metadata(build_robot(replace(description, mjcf=spec)), robot)
     for name in ("lowerPositionLimit", "upperPositionLimit", "effortLimit", "velocityLimit"):
-        values = getattr(robot.pin_model, name)  # what was changed since it was read stays
+        values = getattr(robot.pin_model, name)  # keep changes since the file was read
         getattr(built.pin_model, name)[-len(values) :] = values
-    half_extent = float(np.linalg.norm(data.xpos - data.xpos[base], axis=1).max()) / 2  # a scale
+    half_extent = float(np.linalg.norm(data.xpos - data.xpos[base], axis=1).max()) / 2  # size [m]
     if not robot.contact_points:
         joints, _ = default_positions(robot)
         if robot.closure is not None:

@@ -312,5 +312,5 @@ def read_mesh_integrals(
         tensor = np.array(mesh.moment_inertia, dtype=float)
         second = np.trace(tensor) / 2 * np.eye(3) - tensor
         return abs(float(mesh.volume)), np.array(mesh.center_mass, dtype=float), second
-    except Exception:  # parsers raise various exceptions for broken meshes; a rule names those
+    except Exception:  # various exceptions for broken meshes, which an audit rule reports
         return None

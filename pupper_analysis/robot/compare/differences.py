@@ -796,7 +796,7 @@ def _compare_joint_parameters(
         kind, field, unit = attribute.kind, attribute.field, attribute.unit(one.slides)
         first, second = float(getattr(one, field)), float(getattr(two, field))
         if not (sides.alike or attribute.is_in_both_formats):
-            continue  # not supported by one format, which has the other's value
+            continue  # one format does not support this parameter, and has the value of the other
         tolerance = getattr(tolerances, attribute.tolerance)
         if first == second or (
             math.isfinite(first)
@@ -811,7 +811,7 @@ def _compare_joint_parameters(
             and abs(first) >= MAX_SLIDE_POSITION
         )
         if is_unlimited_slide and math.isinf(second) and not sides.alike:
-            continue  # a URDF requires limits of a slide
+            continue  # a URDF must limit a slide: huge limits mean none
         guess = guess_degrees(first, second)
         if kind == "effort" and first == 0 and not sides.alike:
             guess = diagnose("guess-zero-for-unknown")

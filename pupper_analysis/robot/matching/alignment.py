@@ -67,7 +67,7 @@ def align_frames(
     nearest = _align_by_cost(second, first, tolerances, fixed, names, as_the_first=False)
     if only is not None or not measure_tree_deviation(first, nearest.values, tolerances):
         return nearest
-    # If a file rotates several successive frames, and rotates back after the last, no single
+    # A file may rotate several successive frames, and rotate back after the last. Then no single
     # transformation decreases the deviation, but all together do (thumb of a Shadow Hand).
     rotated = _align_by_cost(second, first, tolerances, fixed, names, as_the_first=True)
     costs = [

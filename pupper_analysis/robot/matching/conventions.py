@@ -236,8 +236,9 @@ def _find_base_pose(
             continue
         body, joints = _base_deviation(with_base(first, pose), second, tolerances)
         cost = body + sum(joints)
-        # Including its own size, the pose must leave less than 60 % of the deviation, or explain
-        # the whole deviation and save bits.
+        # Sum of the size of the pose and of the deviation that remains with the pose. The sum must
+        # be below 60 % of the deviation without the pose. A larger sum is accepted if the pose
+        # explains all of this deviation, and saves `_MIN_BITS_SAVED_BY_BASE_FRAME`.
         total_cost = cost + pose_bits
         is_rotation_only = (
             fixed and distance <= tolerances.position and _is_axis_permutation(pose.rotation)

@@ -141,7 +141,7 @@ def list_removals(tree: ModelTree, extra: Collection[str]) -> Removals:
                 if parent is not None and not tree.movers(parent) and tree.parent(parent)
                 else None
             )
-        if chain and chain[0].parent_joint not in extra:  # else removed with this joint
+        if chain and chain[0].parent_joint not in extra:  # otherwise removed together with it
             chains.setdefault(chain[0].parent_joint, []).append(chain)
     removals = []
     for parent_joint, part_chains in chains.items():
@@ -364,9 +364,9 @@ def match_models(
     sides, paths = (UrdfTree(root), SpecTree(spec)), (urdf.path, mjcf.path)
     removals = list_removals(sides[0], only_urdf), list_removals(sides[1], only_mjcf)
     mimics = _unify_joints(root, spec, pairs, only_urdf, only_mjcf)
-    # For a stand, the weight of the parts matters, so these are kept.
+    # The weight of the parts affects a stand, so a complete robot keeps the parts.
     parts = [] if complete else remove_parts(sides, paths, removals, pairs)
-    own_model = copy.copy(mjcf.model) if mjcf.unknown else mjcf.model  # as long as compiling
+    own_model = copy.copy(mjcf.model) if mjcf.unknown else mjcf.model  # a copy is slow
     models = scene_model, scene_model if joined else own_model
     notes += copy_unknown_values(root, spec, models, {} if strict else mjcf.unknown, mjcf.path)
     unstated = {} if strict else copy_unstated_values(root, tree.joints, urdf.unknown, pairs)
