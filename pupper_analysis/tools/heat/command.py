@@ -73,8 +73,8 @@ def command(
       pupper-analysis heat v3 --motor dephy-actpack \\
         --motor '*_3=mit-mini-cheetah' --limit 80 --payload 1 --figure heat.png
 
-    Exit status: 0 no motor reaches its limit, 1 a motor does, is too weak, or has an
-    unknown number, or a joint has no motor, 2 bad input.
+    Exit status: 0 no motor reaches the limit, 1 a motor reaches the limit, is too weak, or
+    has an unknown number, or a joint has no motor, 2 bad input.
     """  # noqa: D301 - click reads the \b
     if list_motors:
         refuse_unused("--list-motors", {"--list-motors": {"list_motors"}})
@@ -108,7 +108,10 @@ def command(
 
 
 def _read_file_motors(robot: Robot) -> dict[str, Motor]:
-    """Return {joint: motor} of the `dcmotor` actuators in the robot's MJCF; empty without one."""
+    """Return {joint: motor} of the `dcmotor` actuators in the robot's MJCF.
+
+    The result is empty if the MJCF has no such actuator, was made from the URDF, or is no file.
+    """
     from pupper_analysis.models.mjcf_file import read_mjcf
     from pupper_analysis.models.motors.dcmotor import list_dcmotors
 

@@ -29,14 +29,14 @@ _LIMIT_TEMPERATURE = "limit_temperature"
 """Name of the largest permitted temperature of the winding in `MotorHeat.unknown`."""
 
 _EXAMPLE_LIMIT = 100.0
-"""Example of a limit temperature [degC]. It is part of the proposed next command if the data of a
-motor lack the limit; the user replaces the value. Chosen, not tuned.
+"""Example of a limit temperature [degC]. If the data of a motor lack the limit, the report proposes
+``heat --limit`` with this value; the user replaces the value. Chosen, not tuned.
 """
 
 
 @build_document.register(HeatStudy)
 def heat_document(study: HeatStudy, robot: Robot | None = None) -> doc.Document:
-    """Create the report of the heat of a stance; see ``build_document``."""
+    """Create the report of the motor temperatures of a stance, for ``build_document``."""
     first = _describe_first_motor(study.first)
     unknown = tuple(_describe_unknown(study))
     losses = tuple(_describe_losses(study))
@@ -69,11 +69,12 @@ def _select_verdict(study: HeatStudy) -> str:
 
 
 def _select_next_step(study: HeatStudy) -> NextStep:
-    """Return the command to run next.
+    """Return the command that the report proposes to run next.
 
-    If a motor is too weak or overheats, this is `best`. If the study passes, it is `payload`. If
-    only the limit temperature is unknown, it is `heat` with an example of ``--limit``. Otherwise it
-    is `stand`.
+    - ``best``: a motor is too weak or overheats.
+    - ``payload``: the study passes.
+    - ``heat`` with an example of ``--limit``: only the limit temperature is unknown.
+    - ``stand``: all other cases.
     """
     if study.overheats or study.weak:
         return NextStep("best", ("utilisation",))
@@ -90,12 +91,16 @@ def _format_minutes(seconds: float) -> str:
 
 
 def _describe_first_motor(motor: MotorHeat) -> doc.Words:
-    """State the result of the motor that the report names first.
+    """State the result of the motor that the report names first (`HeatStudy.first`).
 
-    If the motor is too weak, the text states the largest torque of the motor. If the final
-    temperature or the limit is unknown, it compares the torque with the continuous torque, if
-    known. Otherwise it states the time to the temperature limit, the final temperature, or that the
-    temperature rises without bound.
+    The text depends on the first condition that is met:
+
+    - The motor is too weak: the largest torque of the motor.
+    - The final temperature or the limit is unknown, and the continuous torque is known: comparison
+      of the torque with the continuous torque.
+    - The winding reaches the limit: the time until then.
+    - The final temperature is finite: the final temperature.
+    - Otherwise: the temperature rises without bound.
     """
     time, final = motor.time_to_limit, motor.steady_temperature
     values = {
@@ -132,9 +137,10 @@ def _format_duration(time: float) -> str:
 
 
 def _describe_unknown(study: HeatStudy) -> Iterable[doc.Words]:
-    """Yield a text per type of loaded motor with unknown numbers, and one on joints without motor.
+    """Yield the texts on unknown motor numbers, and on joints without motor.
 
-    At most four joints without motor are named.
+    Each type of motor with a nonzero torque and unknown numbers has one text. A single text names
+    at most four joints without motor.
     """
     lacking: dict[str, tuple[str, ...]] = {}
     for motor in study.motors:
@@ -215,11 +221,11 @@ def _drop_nonfinite(value: float | None) -> float | None:
 
 
 def heat_plots(study: HeatStudy) -> list[doc.LinePlot]:
-    """Return the plot of the temperatures over time.
+    """Create the plot of the winding temperatures over time.
 
     Raises:
-        ConfigurationError: If no temperature of a loaded motor is known. Also if no temperature
-            takes a positive time to rise to its limit or final value.
+        ConfigurationError: If no temperature of a loaded motor is known, or if all times of the
+            curves are zero.
     """
     plots = list(_list_plots(study))
     if not plots:

@@ -36,8 +36,8 @@ _MAX_DURATION = 86400.0
 """Largest duration of the curves [s]: a day. Chosen, not tuned."""
 
 _SETTLED_FRACTION = 0.95
-"""Fraction [1] of the final temperature rise of a motor. If a motor stays within its limit, its
-curve ends when the temperature has risen by this fraction. Chosen, not tuned.
+"""Fraction [1] of the final temperature rise. The curve of a motor that stays below the temperature
+limit ends when the temperature has risen by this fraction. Chosen, not tuned.
 """
 
 TEMPERATURE_RANGE = (-60.0, 300.0)
@@ -49,29 +49,31 @@ windings withstands at most 250 degC.
 
 @dataclass(frozen=True)
 class MotorHeat(Result):
-    """Heat of a motor that holds a stance.
+    """Temperature, losses and torque limits of a motor that holds a stance at rest.
+
+    A motor is too weak if ``torque`` exceeds ``largest_torque`` (`too_weak`).
 
     Attributes:
         joint: Joint.
         motor: Name of the motor.
         torque: Torque of the stance (N m).
         current: Current of this torque (A).
-        cold_loss: Copper loss in the winding at ambient temperature, or at the temperature of the
-            stated resistance if temperatures are unknown (W); None if the motor cannot exert the
-            torque.
-        steady_loss: Copper loss at the final temperature (W); None if unknown or if the motor
-            cannot exert the torque, infinite if the temperature grows without bound.
-        steady_temperature: Final temperature of the winding (degC); None if unknown or if the motor
-            cannot exert the torque, infinite if the temperature grows without bound.
+        cold_loss: Copper loss in the winding (W) at ambient temperature. If thermal numbers of the
+            motor are unknown, the loss at the temperature of the stated resistance. None if the
+            motor is too weak.
+        steady_loss: Copper loss at the final temperature (W). Infinite if the temperature grows
+            without bound. None if unknown, or if the motor is too weak.
+        steady_temperature: Final temperature of the winding (degC). Infinite if the temperature
+            grows without bound. None if unknown, or if the motor is too weak.
         limit_temperature: Largest permitted temperature of the winding (degC); None if unknown.
-        time_to_limit: Time until the winding reaches ``limit_temperature`` (s); None if unknown or
-            if the motor cannot exert the torque, infinite if never.
-        continuous_torque: Largest permanent torque (N m), at most ``largest_torque``: from the
-            thermal numbers, otherwise from the data sheet; None if unknown.
+        time_to_limit: Time until the winding reaches ``limit_temperature`` (s). Infinite if the
+            winding never reaches the limit. None if unknown, or if the motor is too weak.
+        continuous_torque: Largest permanent torque (N m), at most ``largest_torque``. Computed from
+            the thermal numbers if known, otherwise read from the data sheet. None if unknown.
         largest_torque: Largest torque of the motor at rest (N m); None if unknown.
         limiting_number: Name of the motor data that limits the largest torque; empty if unknown.
-        unknown: Names of the motor data that the answer needs and that are unknown. Empty if the
-            motor cannot exert the torque.
+        unknown: Names of the missing motor data, without which temperatures or limits are unknown.
+            Empty if the motor is too weak.
     """
 
     joint: str
@@ -90,9 +92,10 @@ class MotorHeat(Result):
 
     @property
     def loss(self) -> float | None:
-        """Copper loss [W] at the final temperature; ``cold_loss`` if that is unknown or infinite.
+        """Copper loss [W] at the final temperature; ``cold_loss`` if ``steady_loss`` is not finite.
 
-        None if the motor cannot exert the torque.
+        ``cold_loss`` is also the result if ``steady_loss`` is None. None if the motor cannot exert
+        the torque.
         """
         if self.steady_loss is None or math.isinf(self.steady_loss):
             return self.cold_loss
@@ -107,9 +110,8 @@ class MotorHeat(Result):
     def overheats(self) -> bool:
         """Whether the winding reaches the temperature limit, or grows hotter without bound.
 
-        If the final temperature or the limit is unknown, the result is also True if the torque
-        exceeds the continuous torque of the data sheet. False for a motor that cannot exert the
-        torque.
+        If ``time_to_limit`` is unknown, a torque above the continuous torque also counts as
+        overheating. False for a motor that cannot exert the torque.
         """
         if self.too_weak:
             return False
@@ -124,20 +126,20 @@ class MotorHeat(Result):
 
 @dataclass(frozen=True, eq=False)
 class HeatStudy(Result):
-    """Heat of the motors that hold a stance.
+    """Heat of the motors that hold a stance at rest, and consumption of the battery.
 
     Attributes:
         name: Name of the robot.
         stand: Stand on MuJoCo's soft ground if possible, otherwise on rigid ground.
-        motors: Motors with their heat, in actuator order.
-        omitted: Joints without an assigned motor.
-        loss: Copper loss of all assigned motors (W), at the final temperatures as far as known;
-            None if a motor cannot exert its torque.
+        motors: Heat of each assigned motor, in actuator order.
+        omitted: Joints with an actuator but without an assigned motor.
+        loss: Copper loss of all assigned motors (W), at the final temperatures as far as known.
+            None if a motor cannot exert the torque of the stance.
         supply_voltage: Voltage of the battery (V); None if unknown, or if motors differ.
         battery_current: Current of the battery (A); None if the voltage or the loss is unknown.
         battery_energy: Energy of the battery (J); None if not given.
-        battery_time: Time until the battery is empty (s); None if its energy or the loss is
-            unknown, infinite without loss.
+        battery_time: Time until the battery is empty (s). Infinite without loss. None if the
+            battery energy or the loss is unknown.
         times: (n,) times of the temperatures (s).
         temperatures: (n, motors) temperatures of the windings (degC); NaN if unknown.
     """
@@ -156,12 +158,14 @@ class HeatStudy(Result):
 
     @property
     def first(self) -> MotorHeat:
-        """Motor that reaches its limit first; if none does, the motor closest to its limit.
+        """Motor that limits the stance: the first to overheat, or the closest to its limit.
 
-        A motor that cannot exert its torque precedes all others. A motor may overheat at an unknown
-        time, because its limit is unknown or because only the data sheet shows it. Such a motor
-        precedes motors that do not overheat. Motors with an unknown temperature or limit follow,
-        ordered by copper loss.
+        The first criterion that applies selects the motor:
+
+        - A motor cannot exert the torque: the largest ratio of torque to largest torque.
+        - A motor overheats: the shortest time to the limit. Motors with an unknown time come last.
+        - No motor overheats: the smallest difference between limit and final temperature [degC].
+        - No difference is known: the largest ``cold_loss``.
         """
 
         def rank(motor: MotorHeat) -> tuple[float, float, float, float]:
@@ -190,13 +194,13 @@ class HeatStudy(Result):
 
     @property
     def known(self) -> bool:
-        """Whether each joint has a motor, and the data of all loaded motors suffice."""
+        """Whether each driven joint has a motor, and no number of a loaded motor is missing."""
         judged = all(not motor.unknown or motor.torque == 0.0 for motor in self.motors)
         return judged and not self.omitted
 
     @property
     def passed(self) -> bool:
-        """Whether all motors are known to exert their torque and to stay below their limits."""
+        """Whether each motor is known to exert the torque and to stay below the limit."""
         return self.known and not self.overheats and not self.weak
 
 
@@ -351,13 +355,21 @@ def _compute_motor_heat(
 def _choose_times(
     heats: tuple[MotorHeat, ...], motors: list[Motor], ambient: float | None
 ) -> Array:
-    """Return the times of the curves [s], shape (n,), from 0 to the longest time of a motor.
+    """Return the times of the temperature curves [s], shape (n,), from 0 to the longest end time.
 
-    The time of a motor is the time to the temperature limit, otherwise to `_SETTLED_FRACTION` of
-    the final rise. If the temperature rises without bound, the time is the product of total heat
-    capacity and total thermal resistance. The longest time is limited to `_MAX_DURATION`. All times
-    are 0 if no temperature is known. ``ambient`` is the temperature of the air [degC]. If it is
-    None, the value in each motor's data is used.
+    The end time of a motor is:
+
+    - the time to the temperature limit, if the winding reaches the limit;
+    - otherwise the time to `_SETTLED_FRACTION` of the final temperature rise;
+    - without a finite final temperature: total heat capacity times total thermal resistance.
+
+    The longest end time is limited to `_MAX_DURATION`. All times are 0 if no temperature of a
+    loaded motor is known.
+
+    Args:
+        heats: Heat of each motor.
+        motors: Motors, in the order of ``heats``.
+        ambient: Temperature of the air [degC]. None for the value in each motor's data.
     """
     longest = 0.0
     for heat, motor in zip(heats, motors, strict=True):
@@ -378,8 +390,7 @@ def _choose_times(
 def _compute_curve(heat: MotorHeat, motor: Motor, times: Array, ambient: float | None) -> Array:
     """Return the temperatures of a winding at ``times`` [s], shape (n,) [degC]; NaN if unknown.
 
-    ``ambient`` is the temperature of the air [degC]. If it is None, the value in the motor's data
-    is used.
+    ``ambient`` is the temperature of the air [degC]. None selects the value in the motor's data.
     """
     if heat.steady_temperature is None:
         return np.full(len(times), np.nan)

@@ -51,7 +51,7 @@ def _measure_time_until_hot(design: Any) -> float:
     """Return the time until a winding reaches the limit [s]; infinite if no winding does.
 
     Raises:
-        ModelError: If a motor is too weak for its torque, or the time is unknown.
+        ModelError: If a motor is too weak for the torque, or the time is unknown.
     """
     times = [math.inf]
     for heat in design.compute_once(_compute_design_heat).motors:
