@@ -64,12 +64,12 @@ def command(
     """Solve a stance: joint angles and motor torques, verified by a simulation.
 
     ROBOT is a variant (v3 by default), a URDF, an MJCF, or a URDF and an MJCF; --base, --leg-scale
-    and --torso-mass-scale define other variants. If only one file is given, the other model is made
-    in memory. Feet are detected; a floor, servos and a start pose are added if the files lack
-    these, and notes report the additions.
+    and --torso-mass-scale define other variants. From a single file, the other model is made in
+    memory. Feet are detected. If the files lack a floor, servos or a start pose, defaults are
+    added, and notes report the additions.
 
-    Give lengths and angles with their unit: 20mm, 2cm, 5deg. A number without unit is in m or rad;
-    a length without unit that is probably in mm is refused.
+    Give lengths and angles with a unit: 20mm, 2cm, 5deg. A number without unit is in m or rad; a
+    length without unit that is probably in mm is refused.
 
     A stance that is out of reach is refused, and the message states the possible values. A stance
     that is reached but cannot be held (the robot slides or tips) is reported as such. In

@@ -1,4 +1,4 @@
-"""Documents of a stance, and of the preparation of a robot from its files.
+"""Documents of a stance, and of the preparation of a robot from the files.
 
 Inputs are a `Stance` or a preparation; outputs are documents that are independent of the output
 format, with values in printed units. The verdict and the limiting motor come first.
@@ -178,16 +178,20 @@ _NEXT_STEPS = {
     VerdictCode.DISAGREES: NextStep("crosscheck"),
     VerdictCode.FAILS: NextStep("best", ("margin",)),
 }
-"""{verdict code: command to run next}; for all other codes this is `payload`."""
+"""{verdict code: command to run next}; all other codes lead to `payload`."""
 
 
 def _select_next_step(stance: Stance) -> NextStep:
     """Return the command to run next: on the cause of a failure, otherwise mostly `payload`.
 
-    For most verdicts it is the entry of `_NEXT_STEPS`. If the files differ, or describe two robots,
-    it is `crosscheck`. For a robot of one file, `audit` replaces `crosscheck`. After a loss of
-    height, or if servos are too soft, it is `stand` with other options. The minimum stiffness is
-    not proposed again: `payload` replaces this step.
+    The last case that applies decides:
+
+    - Most verdicts: the entry of `_NEXT_STEPS`, by default `payload`.
+    - The models differ, or the files describe two robots: `crosscheck`. For a robot of one file,
+      `audit` replaces `crosscheck`.
+    - The stance loses height: `stand` with the height that remains.
+    - Servos are too soft: `stand` with stiffer servos.
+    - The minimum stiffness is already known: `payload` replaces its computation.
     """
     verdict = stance.verdict
     step = _NEXT_STEPS.get(verdict.code, NextStep("payload"))
@@ -230,10 +234,11 @@ def _stiffen_servos(run: StandVerification) -> NextStep:
 
 
 def _stiffen_soft_servos(stance: Stance) -> NextStep | None:
-    """Return the next step ``stand`` with servo gains with which a failing stand stays upright.
+    """Return the command ``stand`` with gains with which a failing stand stays upright.
 
-    The gains are those of `SoftServos`, per class of joints with equal gains. Returns None without
-    such gains, or if the name of a class, as a pattern, matches other joints than the class has.
+    `SoftServos` provides the gains, per class of joints with equal gains. None without such gains.
+    None also if the name of a class, read as a pattern, matches other joints than the class
+    contains.
     """
     servos, soft = stance.servos, stance.soft_servos
     if servos is None or soft is None:
@@ -261,7 +266,7 @@ def _warn_of_model_mismatch(run: StandVerification) -> Iterable[doc.Words]:
 
 
 def _describe_peak_torque(stance: Stance) -> Iterable[doc.Words]:
-    """Yield one text: the most loaded motor, its torque or force, and its utilisation [%].
+    """Yield a text with the most loaded motor, the torque or force, and the utilisation [%].
 
     `find_hardest_motor` defines the most loaded motor.
     """
@@ -424,12 +429,14 @@ def _get_stiffness_unit(stance: Stance) -> str:
 
 
 def _list_findings(stance: Stance) -> Iterable[doc.Words]:
-    """Yield the texts of the findings of a stance.
+    """Yield the findings of a stance: minimum kp, sag, and largest force of each hand.
 
-    The findings are the minimum kp, or the reason for its absence, if requested; the equilibrium or
-    the sag [mm] without feed-forward, or the reason for its absence; and the largest force [N] with
-    which each hand can press. The equilibrium and the reason are left out if `_list_details` yields
-    these; then the sag is yielded only for an equilibrium without failures and a base that is free.
+    - Minimum kp, if requested, or the reason for which no kp suffices.
+    - State without feed-forward. If no equilibrium was found: the reason. Otherwise the
+      equilibrium, or only the sag [mm] if `_list_details` yields the equilibrium. The sag is left
+      out if the equilibrium has failures, or if the base is fixed. The reason is left out if
+      `_list_details` yields the reason.
+    - Largest force [N] with which each hand can press.
     """
     if stance.minimum_stiffness is not None:
         yield text(
@@ -452,8 +459,8 @@ def _list_findings(stance: Stance) -> Iterable[doc.Words]:
 def _is_settled_state_detail(stance: Stance, settled: SteadyState) -> bool:
     """Return True if the report lists the equilibrium without feed-forward only as a detail.
 
-    This is so if the equilibrium ``settled`` has no failures, and the feet stay in place when the
-    feed-forward is removed (``release_margin`` of at least `RELEASE_MARGIN`), or if the verdict
+    True in two cases. The equilibrium ``settled`` has no failures, and the feet stay in place when
+    the feed-forward is removed (``release_margin`` of at least `RELEASE_MARGIN`). Or the verdict
     already states that the robot fails without feed-forward.
     """
     lasting = not settled.failures and settled.release_margin >= RELEASE_MARGIN

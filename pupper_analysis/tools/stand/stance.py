@@ -63,10 +63,10 @@ class Stance(Tabular):
             in place of N m.
         limits: (nu,) effort limits, the smallest that both files state (N m, or N for a slide);
             infinite without a stated limit.
-        limit_origins: (nu,) statement in the files of each limit; None without a stated limit.
-        stand: Stand to which all other results refer, on MuJoCo's soft ground. It is on rigid
-            ground, with ``depths`` of 0, if the legs are too short, or if the depths of soft loops
-            do not converge.
+        limit_origins: (nu,) element of the files that states each limit; None without a limit.
+        stand: Stand to which all other results refer, on MuJoCo's soft ground. The ground is rigid,
+            with ``depths`` of 0, if the legs are too short, or if the depths of soft loops do not
+            converge.
         statics: Motor torques and contact forces with minimum tangential forces.
         min_max_torque: Motor torques and contact forces with the smallest peak motor utilisation.
         verification: Simulation with feed-forward.
@@ -74,17 +74,17 @@ class Stance(Tabular):
         verdict: Verdict on the stance, with the assumptions of the verdict.
         settled: Predicted equilibrium without feed-forward; None if there is no equilibrium.
         unsettled: Reason why ``settled`` is None; None if there is an equilibrium.
-        presses: Largest press of each hand. Empty if there are no hands, or if the task fixes a
-            part of the robot to the world. A hand is omitted if its force is unlimited. It is also
-            omitted if no forces balance the stance within the effort limits.
+        presses: Largest force with which each hand can press. Empty if there are no hands, or if
+            the task fixes a part of the robot to the world. A hand is omitted if the force is
+            unlimited, or if no forces balance the stance within the effort limits.
         minimum_stiffness: Smallest uniform kp with which the robot stands without feed-forward
             (N m/rad or N/m); None if not requested, or if no tested kp suffices.
         no_stiffness: Reason for which no tested kp suffices; None if not requested, or if a kp
             suffices.
-        servos: Present gains of the servos, and bounds of these gains; None if the stand has no
+        servos: Present gains of the servos with lower and upper bounds; None if the stand has no
             linear model.
-        soft_servos: Servos whose stiffness alone makes the stand with feed-forward fail; None if
-            there are none, or if they are unknown.
+        soft_servos: Servos whose low stiffness alone makes the stand with feed-forward fail. None
+            without such servos, or if the stand has no linear model.
     """
 
     name: str
@@ -157,7 +157,8 @@ class Stance(Tabular):
 
 _NUM_SIMULATIONS = 3
 """Number of simulations of `study_stance` for the estimate of the remaining time: with
-feed-forward, with position commands alone, and those of the published file."""
+feed-forward, with position commands alone, and of the published file.
+"""
 
 
 def study_stance(
@@ -295,7 +296,7 @@ def simulate_stance(
 
 @dataclass(frozen=True, eq=False)
 class LargestPress(Result):
-    """Largest force with which a hand can press against its plane in a stance.
+    """Largest force with which a hand of a stance can press against a plane.
 
     Attributes:
         hand: Name of the hand.
@@ -308,15 +309,19 @@ class LargestPress(Result):
 
 
 def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
-    """Compute the largest normal force [N] of each hand in a stand, by a cone program.
+    """Compute the largest force of each hand against its plane in a stand, by a cone program.
 
-    All contact forces are variables, within friction cones, balance and effort limits; a hand force
-    that the task states is ignored. A hand is omitted if the program is infeasible or unbounded.
+    The program maximises the normal force [N] of a hand. Variables are all contact forces, within
+    friction cones, balance and effort limits. Hand forces of the task are ignored.
 
     Args:
         robot: The robot.
-        stand: The stand. The result is empty if the task fixes a part of the robot to the world
-            (weld or grip), since this constraint limits the force.
+        stand: The stand.
+
+    Returns:
+        Largest press of each hand. A hand is omitted if the program is infeasible or unbounded.
+        Empty if the task fixes a part of the robot to the world (weld or grip), since this
+        constraint limits the force.
     """
     robot = stand.check(robot)
     carrying = replace(stand_contacts(robot, stand), stated=None)
@@ -342,7 +347,7 @@ def largest_presses(robot: Robot, stand: Stand) -> tuple[LargestPress, ...]:
 
 @dataclass(frozen=True)
 class Preparation(Result):
-    """How a robot was prepared from its files: the passes, and what each pass changed.
+    """Report of the preparation of a robot from the files: passes, and changes of each pass.
 
     Attributes:
         name: Name of the robot.
@@ -350,7 +355,8 @@ class Preparation(Result):
         floating: Whether the base is free.
         joints: Names of the joints, in actuator order.
         feet: Names of the feet.
-        passes: Passes that were run, with the fixing of the base last; empty if none was needed.
+        passes: Preparation passes that were run. The fixing of the base is the last pass. Empty if
+            no pass was needed.
         notes: Findings in the files, and defaults that were added.
     """
 
