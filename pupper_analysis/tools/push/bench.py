@@ -41,8 +41,9 @@ from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.stand import Stand
 
 PULSE_DURATION = 0.02
-"""Duration of a push [s], rounded to whole time steps, at least one. Chosen, not tuned: short
-compared with a fall, which takes about 0.3 s."""
+"""Duration of a push [s], rounded to a positive number of time steps. Chosen, not tuned: short
+compared with a fall, which takes about 0.3 s.
+"""
 
 MAX_RESTING_SPEED = 0.01
 """Largest speed of the base in the last ``_REST_DURATION`` with which a robot has recovered [m/s].
@@ -59,16 +60,16 @@ of a fall are mistaken for rest, and the limits must be searched again.
 """
 
 _SLOW_DURATION = 0.1
-"""Time [s] at the end of an interval. The spectrum is evaluated only if all velocities in this time
-are below `_MAX_SLOW_SPEED`. Chosen, not tuned.
+"""Length [s] of the final part of a simulated interval. The eigenvalues of the linearised motion
+are computed only if all velocities in this part are at most `_MAX_SLOW_SPEED`. Chosen, not tuned.
 """
 
 _MAX_SLOW_SPEED = 0.02
 """Largest velocity [m/s, rad/s] of any degree of freedom within the last ``_SLOW_DURATION``. If all
 velocities are smaller, the simulation of a push may end early, before the requested time. A second
 condition is that no eigenvalue of the linearised motion (spectrum) belongs to a growing mode. A
-robot that almost tips can be slow for a while, but the spectrum contains the mode of its fall.
-Chosen, not tuned.
+robot that almost tips can be slow for a while, but the spectrum contains the growing mode of the
+fall. Chosen, not tuned.
 """
 
 _SAMPLE_TIME = 0.004
@@ -76,14 +77,14 @@ _SAMPLE_TIME = 0.004
 
 _NUM_SAMPLES_NEAR_GROUND = 25
 """Number of successive samples whose contacts are searched after a part was found near the ground.
-After these samples, the distance to the ground is computed again. Samples in which no part can
-reach the ground are skipped. Chosen, not tuned.
+Then the distance to the ground is computed again. Samples in which no part can reach the ground are
+skipped. Chosen, not tuned.
 """
 
 MAX_DURATION_RATIO = 10.0
 """Upper bound of the simulated time of a push, as a multiple of the requested time: 60 s by
-default. A simulation lasts longer than the requested time if its outcome is not decided. A robot
-that still moves at the upper bound has not recovered. Chosen, not tuned.
+default. A simulation lasts longer than the requested time if the outcome is undecided. A robot that
+still moves at the upper bound has not recovered. Chosen, not tuned.
 """
 
 _MAX_REMAINING_RATIO = 0.1
@@ -106,7 +107,7 @@ creep. Chosen, not tuned.
 """
 
 _MAX_BATCH_VALUES = 2**25
-"""Largest number of 8-byte values (states and controls) in one batch of simulated pushes; it bounds
+"""Largest number of 8-byte values (states and controls) in a batch of simulated pushes, to bound
 the memory. A batch with a single push may have more. Chosen, not tuned.
 """
 
@@ -140,17 +141,17 @@ class MotorSamples(NamedTuple):
 
 @dataclass(eq=False)
 class PushBench:
-    """Simulations of a stand with pushes on the base.
+    """Simulator of pushes on the base of a standing robot, with the counts of simulated pushes.
 
     Attributes:
         held: Initial state at rest, with the servo commands.
         axes: Push directions, horizontal unit vectors in the world, shape (n, 2).
         duration: Simulated time of a push [s], unless the outcome is decided earlier or later.
-        feedforward: Whether ctrl = q* + tau / kp (otherwise ctrl = q*).
+        feedforward: True for the servo command ctrl = q* + tau / kp, False for ctrl = q*.
         failures_without_push: Failures without a push, from ``verify_stand``; empty if the robot
-            stays on its feet.
+            stays on the feet.
         rollouts: Number of simulated pushes so far, including a simulation without a push, if any.
-        simulated: Simulated time of these pushes [s].
+        simulated: Total simulated time of the ``rollouts`` [s].
     """
 
     held: StandStart
@@ -181,7 +182,8 @@ class PushBench:
     def creep_speed(self) -> float:
         """Largest speed of the base in the last ``_REST_DURATION`` of a run without a push [m/s].
 
-        The speed is not zero, because feet creep with MuJoCo's regularised friction.
+        The speed of the base is the linear speed plus the angular speed times the CoM height. The
+        speed is not zero, because feet creep with MuJoCo's regularised friction.
         """
         (states,) = self.simulate_pushes(np.zeros(1, dtype=np.int64), np.zeros(1))
         return self._measure_final_speed(states)
@@ -189,34 +191,44 @@ class PushBench:
     def simulate_fully(
         self, directions: NDArray[np.int64], impulses: Array
     ) -> list[Diagnostic | None]:
-        """Simulate pushes for the whole duration, and return the failure of each or None.
+        """Simulate pushes for the full ``duration``, and return the failure of each push.
 
-        None means that the robot recovers. A simulation ends earlier only if the push has failed.
-        It is prolonged if the robot is not at rest after ``duration``: until the robot rests or
-        falls, up to ``MAX_DURATION_RATIO`` times the duration.
+        A simulation ends earlier only if the push has failed. If the robot still moves after
+        ``duration``, the simulation continues until the robot rests or falls, for at most
+        ``MAX_DURATION_RATIO`` times the duration.
 
         Args:
             directions: Index of each push's direction in ``axes`` (horizontal unit vectors in the
                 world frame), shape (n,).
-            impulses: Impulses along these directions, shape (n,) [N s].
+            impulses: Impulses along ``directions``, shape (n,) [N s].
+
+        Returns:
+            Failure of each push; None if the robot recovers.
         """
         return self._simulate_intervals(directions, impulses, may_rest=False)
 
     def simulate_until_decided(
         self, directions: NDArray[np.int64], impulses: Array
     ) -> list[Diagnostic | None]:
-        """Simulate pushes until each outcome is decided, and return the failure of each or None.
+        """Simulate pushes until each outcome is decided, and return the failure of each push.
 
-        None means that the robot recovers. A simulation ends early if it diverges, or if a body
-        other than a foot touches the ground. It also ends early if the robot is at rest and the
-        linearised dynamics have no growing mode. If the robot is not at rest after ``duration``,
-        the simulation continues until the robot rests or falls, up to ``MAX_DURATION_RATIO`` times
-        the duration. A slow fall does not count as rest (``_will_rest``).
+        A simulation ends before ``duration`` in three cases:
+
+        - The simulation diverges.
+        - A body other than a foot touches the ground.
+        - The robot is at rest, and the linearised dynamics have no growing mode.
+
+        If the robot still moves after ``duration``, the simulation continues until the robot rests
+        or falls, for at most ``MAX_DURATION_RATIO`` times the duration. A slow fall does not count
+        as rest (``_will_rest``).
 
         Args:
             directions: Index of each push's direction in ``axes`` (horizontal unit vectors in the
                 world frame), shape (n,).
-            impulses: Impulses along these directions, shape (n,) [N s].
+            impulses: Impulses along ``directions``, shape (n,) [N s].
+
+        Returns:
+            Failure of each push; None if the robot recovers.
         """
         return self._simulate_intervals(directions, impulses, may_rest=True)
 
@@ -266,12 +278,15 @@ class PushBench:
         return failures
 
     def simulate_pushes(self, directions: NDArray[np.int64], impulses: Array) -> Iterator[Array]:
-        """Simulate n pushes for the full duration, and yield the states of each, (steps, size).
+        """Simulate n pushes for the full duration, and yield the states of each push.
 
         Args:
             directions: Index of each push's direction in ``axes`` (horizontal unit vectors in the
                 world frame), shape (n,).
             impulses: Impulses, shape (n,) [N s].
+
+        Yields:
+            Full physics states of MuJoCo, shape (steps, size): time, qpos, qvel, ...
         """
         self.rollouts += len(directions)
         starts = np.tile(self.start, (len(directions), 1))
@@ -309,12 +324,13 @@ class PushBench:
             yield from roll_out(model, workers, first, control, control_spec=FORCED_CONTROL_SPEC)
 
     def find_failure(self, states: Array) -> Diagnostic | None:
-        """Return the failure of a push from the states of its complete simulation.
-
-        None if the robot recovers.
+        """Find the failure of a push in the states of the complete simulation.
 
         Args:
-            states: Full physics states of MuJoCo, shape (n, size).
+            states: Full physics states of MuJoCo, shape (n, size): time, qpos, qvel, ...
+
+        Returns:
+            Failure; a single diagnostic also for several failures. None if the robot recovers.
         """
         early_failure = self._find_early_failure(states)
         if early_failure is not None and monitor.has_diverged(states, self.timestep):
@@ -323,16 +339,17 @@ class PushBench:
         return _combine_failures(failures + self._find_end_failures(states))
 
     def extend_until_rest(self, states: Array) -> Array:
-        """Continue a complete simulation while its only failure is that the base still moves.
+        """Continue a simulation in which the robot still moves at the end, until rest or a fall.
 
-        The continuation ends at the latest when a body other than a foot touches the ground. The
-        simulation is continued up to ``MAX_DURATION_RATIO`` times the duration.
+        The simulation is continued only if motion is the only failure. The continuation ends when
+        the robot rests, a body other than a foot touches the ground, the simulation diverges, or
+        another failure occurs. The total time is at most ``MAX_DURATION_RATIO`` times the duration.
 
         Args:
-            states: States of a simulation of ``duration``, shape (n, size).
+            states: Full physics states of a simulation of ``duration``, shape (n, size).
 
         Returns:
-            These states with the states of the continuation, shape (m, size).
+            ``states`` followed by the states of the continuation, shape (m, size).
         """
         interval = max(self._num_rest_states, 1)
         longest = round(MAX_DURATION_RATIO * self.steps)
@@ -380,7 +397,7 @@ class PushBench:
         """Return the failures at the end of a simulation: a fall, a base in motion, both or none.
 
         Args:
-            states: Last states, at least those of ``_REST_DURATION``, shape (n, size).
+            states: Last states of the simulation, shape (n, size), for at least ``_REST_DURATION``.
         """
         failures = []
         if self.upright.has_fallen(states[-1]):
@@ -412,20 +429,20 @@ class PushBench:
         """Return True if the base of a slow robot will move little, and no mode grows.
 
         Motion: the predicted motion of the base, ``_SPEED_FACTOR`` v min(T, 1 / d), must be at most
-        ``_MAX_REMAINING_RATIO`` of the CoM height. v is the speed of the base. If the motion is too
-        large, it is computed again with v reduced by the creep speed without a push. d is the
-        relative rate at which v decreases (0 if it does not). T is the remaining time of the
-        longest simulation, at least ``HOLD_DURATION``.
+        ``_MAX_REMAINING_RATIO`` of the CoM height. Here v is the speed of the base, and T the
+        remaining time of the longest simulation, at least ``HOLD_DURATION``. The relative rate d at
+        which v decreases is 0 without a decrease. If the predicted motion is too large, v is
+        reduced by the creep speed without a push, and the motion is computed again.
 
         Modes: no mode may grow within the longest simulation (`Mode.grows_within`) with both
         finite-difference steps. Modes that grow only without dry friction are ignored. This test is
-        necessary, since a robot almost stops near a saddle point before it falls (v3-long-leg: 0.1
-        mm/s after 14 s, and on its shanks after 35 s). At the end of the longest simulation, modes
-        are ignored if the speed decreases, or if the motion is at most ``_STILL_RATIO`` of the
-        bound.
+        necessary, since a robot almost stops near a saddle point before the fall. Measured on
+        v3-long-leg: 0.1 mm/s after 14 s, and on the shanks after 35 s. At the end of the longest
+        simulation, modes are ignored if the speed decreases, or if the motion is at most
+        ``_STILL_RATIO`` of the bound.
 
         Args:
-            states: Last states, at least those of ``_REST_DURATION``, shape (n, size).
+            states: Last states of the simulation, shape (n, size), for at least ``_REST_DURATION``.
             spectrum: Modes at the last state; evaluated if necessary by default.
         """
         most = _MAX_REMAINING_RATIO * self.upright.com_height / _SPEED_FACTOR
@@ -450,7 +467,7 @@ class PushBench:
         )
 
     def _is_at_rest(self, states: Array) -> bool:
-        """Return True if a pushed robot is at rest at the end of its simulated states.
+        """Return True if a pushed robot is at rest at the end of the simulated states.
 
         All conditions must be met. The robot is upright, and slower than `_MAX_SLOW_SPEED` during
         the last `_SLOW_DURATION`. No mode of the motion, linearised at the last state, grows within
@@ -471,9 +488,9 @@ class PushBench:
         return spectrum.is_stable_for() and self._will_rest(states, spectrum)
 
     def simulate_motors(self, direction: int, impulse: float) -> MotorSamples:
-        """Simulate a push, and return torques and speeds of the joints at all time steps.
+        """Simulate a push for ``duration``, and return torques and speeds of the joints.
 
-        The simulation lasts ``duration``.
+        The result has a sample per time step.
 
         Args:
             direction: Index of the push direction in ``axes``.
@@ -489,7 +506,7 @@ class PushBench:
         return MotorSamples(np.array(torques), np.array(speeds), self.timestep)
 
     def find_push_point(self) -> Array:
-        """Return the world point at which pushes act: CoM of the base body, shape (3,) [m]."""
+        """Return the push point, the CoM of the base body in the world frame, shape (3,) [m]."""
         data = self.robot.compute_kinematics(self.stand.qpos)
         return np.array(data.xipos[self.robot.mj_model.body(self.robot.mj_base).id])
 
@@ -508,12 +525,12 @@ class PushBench:
 
 
 def _is_only_motion(failures: list[Diagnostic]) -> bool:
-    """Return True if the failures consist of a single one: the base moves at the end."""
+    """Return True if the base motion at the end is the only failure."""
     return [failure.code for failure in failures] == ["not-at-rest"]
 
 
 def _combine_failures(failures: list[Diagnostic]) -> Diagnostic | None:
-    """Return one diagnostic that states all failures of a push; None without a failure."""
+    """Return a single diagnostic that states all failures of a push; None without a failure."""
     if len(failures) < 2:
         return failures[0] if failures else None
     return diagnose("failures-together", failures=failures)
@@ -531,13 +548,13 @@ def make_push_bench(
     integrator: str | None,
     verification: StandVerification | None = None,
 ) -> PushBench:
-    """Create the simulations of a stand with pushes in given directions; see ``push_recovery``.
+    """Create the simulator of a stand with pushes in given directions, for ``push_recovery``.
 
     Args:
         robot: The robot.
         stand: The stand.
-        angles: Directions about the vertical, from the base's forward axis, shape (n,) [rad].
-        duration: Simulated time [s].
+        angles: Push directions about the vertical, from the base's forward axis, shape (n,) [rad].
+        duration: Simulated time of each push [s].
         kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own if None.
         kd: Servo damping [N m s/rad, N s/m], scalar or shape (nu,); the model's own if None.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
@@ -568,8 +585,9 @@ def make_push_bench(
 
 
 _FRAME_TIME = 1 / 30
-"""Time between the configurations of ``PushTrial.motion`` [s]: nine intervals in a fall of 0.3 s.
-Chosen, not tuned."""
+"""Time between two configurations of ``PushTrial.motion`` [s]: a fall of 0.3 s has nine intervals.
+Chosen, not tuned.
+"""
 
 MAX_IMPULSE = 1e6
 """Largest valid impulse [N s]. Chosen, not tuned."""
@@ -577,10 +595,10 @@ MAX_IMPULSE = 1e6
 
 @dataclass(frozen=True, eq=False)
 class PushTrial(PushSettings):
-    """Response of a stand to a push, with the ``PushSettings``.
+    """Outcome and motion of a stand after a simulated push.
 
     Attributes:
-        recovered: Whether the robot recovers, as in ``push_recovery``.
+        recovered: Whether the robot recovers, by the criteria of ``push_recovery``.
         failure: Failure of the robot; None after a recovery.
         impulse: Impulse of the push [N s].
         direction: Direction of the push about the vertical [rad]: 0 is the base's forward, pi/2 the
@@ -612,10 +630,11 @@ def simulate_push(
     feedforward: bool = True,
     integrator: str | None = None,
 ) -> PushTrial:
-    """Simulate a push on a stand; ``push_recovery`` finds the largest push with a recovery.
+    """Simulate a horizontal push on a standing robot, and return the outcome with the motion.
 
-    Push and recovery are defined in ``push_recovery``. A robot that does not stay on its feet
-    without a push does not recover.
+    The push is a constant force for about 20 ms at the CoM of the base body. ``push_recovery``
+    defines recovery, and finds the largest push with a recovery. A robot that does not stay on the
+    feet without a push does not recover.
 
     Args:
         robot: The robot.

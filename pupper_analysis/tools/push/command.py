@@ -49,11 +49,11 @@ def command(
     """Find the largest horizontal push, in each direction, that standing robots survive.
 
     Each ROBOT is a variant, a URDF, an MJCF, or both: the URDF and then the MJCF. By default the
-    six variants are pushed (about three seconds each). Robot and
-    stance are given as for `stand`. A push lasts 20 ms and acts at the CoM of the base. A robot
-    survives a push if it comes to rest upright and only its feet touch the ground: within
-    6 s, or in a simulation of up to 60 s if it still moves then. The legs are lengthened by
-    the depth to which the feet penetrate MuJoCo's soft ground.
+    six variants are pushed (about three seconds each). Robot and stance are given as for `stand`. A
+    push lasts 20 ms and acts at the CoM of the base. A robot survives a push if the robot comes to
+    rest upright and only the feet touch the ground: within 6 s, or within 60 s if the robot still
+    moves after 6 s. The legs are lengthened by the depth to which the feet penetrate MuJoCo's soft
+    ground.
 
     \b
     Examples:
@@ -63,8 +63,8 @@ def command(
       pupper-analysis push --base v3 --torso-mass-scale 1.5 --kp 20 --kd 0.5
       pupper-analysis push v3 --motor steadywin-gim4305-10
 
-    Exit status: 0 done, 1 a robot falls even without a push, or a motor cannot exert the
-    torques at its speed, 2 bad input.
+    Exit status: 0 done, 1 a robot falls even without a push, or a motor cannot exert the torques at
+    the joint speed, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.pupper.variants import VARIANTS
     from pupper_analysis.tools.push.recovery import study_pushes

@@ -1,7 +1,7 @@
 """Documents of pushes: largest impulses of a stance by direction, and response to a push.
 
-Inputs are the largest pushes of one or several robots, or a simulated push; outputs are documents
-that are independent of the output format, with impulses in N s.
+Inputs are the largest pushes of robots, or a simulated push. Outputs are documents that are
+independent of the output format, with impulses in N s.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ def _select_next_step(pushed: PushedStance) -> NextStep:
     """Return the next command: by default `best margin`, after a failure `stand`.
 
     `best margin` finds a stance with a larger margin, which tips later. If the files explain the
-    failure, the next command is `crosscheck` or `audit`. If the robot stays on its feet and torque
-    limits are unknown, it is `audit`.
+    failure, the next command is `crosscheck` or `audit`. If the robot stays on the feet and torque
+    limits are unknown, the next command is `audit`.
     """
     if pushed.peak_torques is not None:
         return NextStep("audit")
@@ -78,11 +78,13 @@ def _select_next_step(pushed: PushedStance) -> NextStep:
 
 
 def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
-    """Yield a text of the weakest direction [degrees] and its impulse [N s], then its failure.
+    """Yield a text of the weakest direction [degrees] and impulse [N s], then the failure.
 
-    A single text is yielded in two cases. If the robot falls without a push, the text contains the
-    mass [kg]. If torque limits are unknown, it contains direction, impulse, and the largest torque
-    of a motor without a stated limit.
+    A single text is yielded in two cases:
+
+    - The robot falls without a push: the text contains the mass [kg].
+    - Torque limits are unknown: the text contains direction, impulse, and the largest torque of a
+      motor without a stated limit.
     """
     recovery = pushed.recovery
     if recovery.failures_without_push:
@@ -115,10 +117,11 @@ def _describe_weakest_push(pushed: PushedStance) -> Iterable[doc.Words]:
 
 
 def _describe_region(pushed: PushedStance) -> Iterable[doc.Words]:
-    """Yield the text of the motor that is beyond its torque-speed region for the longest time.
+    """Yield a text that compares the motor torques with the torque-speed regions of the motors.
 
-    If all motors are within their regions, the text is that of the motor with the largest
-    utilisation. Nothing is yielded without assigned motors, or if the robot falls without a push.
+    The text names the motor that is outside of the region for the longest time. If all motors are
+    inside, the text names the motor with the largest utilisation. Nothing is yielded without
+    assigned motors, or if the robot falls without a push.
     """
     peaks, times = pushed.region_peaks, pushed.beyond_times
     if peaks is None or times is None:
@@ -135,8 +138,9 @@ def _describe_region(pushed: PushedStance) -> Iterable[doc.Words]:
 
 
 _MAX_PRINTED_SHARE = 10.0
-"""Utilisation of a torque-speed region from which only "> 1000 %" is printed: at the no-load speed
-it is infinite. Chosen, not tuned."""
+"""Utilisation of a torque-speed region from which only "> 1000 %" is printed, since the utilisation
+is infinite at the no-load speed. Chosen, not tuned.
+"""
 
 
 def _make_push_table(pushed: PushedStance) -> doc.Table:
@@ -180,11 +184,14 @@ def _make_push_table(pushed: PushedStance) -> doc.Table:
 
 
 def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.LinePlot:
-    """Create the plot of the largest pushes over the direction, a line per robot.
+    """Create the plot of the largest survived impulses [N s] over the direction [degrees].
+
+    The plot has a line per robot.
 
     Args:
         pushed: {name of the robot: largest pushes}.
-        rigid: Key of the robot whose tipping estimate is drawn as well, if all values are finite.
+        rigid: Key of the robot for which the tipping estimate (rigid body) is also drawn, if all
+            values are finite.
     """
     series = [
         _make_closed_series(
@@ -231,7 +238,7 @@ def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.
         results: Results of all robots, including the first robot.
 
     Returns:
-        The blocks; none if the directions of the results differ.
+        Table and plot; empty if the push directions of the results differ.
     """
     pushes = cast("Sequence[PushedStance]", results)
     directions = first.recovery.directions
@@ -261,8 +268,8 @@ def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.
 def trial_document(trial: PushTrial, _: Robot | None = None) -> doc.Document:
     """Create the report of a simulated push.
 
-    `build_document` calls this function for a `PushTrial`. All builders get the robot as the second
-    argument; it is not used here.
+    `build_document` calls this function for a `PushTrial`. The second argument, the robot, is part
+    of the common signature and not used.
     """
     columns = quantity_columns()
     rows = (

@@ -16,8 +16,8 @@ from pupper_analysis.tools.push.recovery import PushRecovery
 def push_figure(results: Mapping[str, PushRecovery], path: str | Path) -> None:
     """Draw the largest push of each robot over the direction: 0 is forward, 90 deg left.
 
-    The figure also shows the estimated push that tips over the first robot, if this estimate is
-    finite.
+    The figure also shows the estimated tipping impulse of the first robot (``tipping_impulses``),
+    if finite.
 
     Args:
         results: {name in the legend: largest pushes}.

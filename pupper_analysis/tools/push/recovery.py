@@ -52,32 +52,33 @@ from pupper_analysis.tools.push.bench import (
 
 @dataclass(frozen=True, eq=False)
 class PushedStance(Result):
-    """A stance, and the largest pushes from which the robot recovers.
+    """Largest pushes from which a robot in a stance recovers, with the verdict without a push.
 
     Attributes:
         name: Name of the robot.
         joint_names: (nu,) joints, in actuator order.
-        stand: Pushed stand: the feet penetrate the simulated ground; on rigid ground if that stand
-            is out of reach or soft loops do not converge (``solve_stand_as_simulated``).
-        recovery: Largest pushes in MuJoCo; if ``code`` is ``unknown``, a motor without a stated
-            torque limit is simulated with unlimited torque.
+        stand: Pushed stand, with the feet in MuJoCo's soft ground. The ground is rigid if this
+            stand is out of reach or soft loops do not converge (``solve_stand_as_simulated``).
+        recovery: Largest pushes in MuJoCo. If ``code`` is ``unknown``, motors without a stated
+            torque limit are simulated with unlimited torque.
         impulse: Impulse in the weakest direction [N s]; not a number if ``code`` is ``unknown``.
-        code: ``unknown`` if a motor that carries the robot has an unknown torque limit; else
-            ``zero`` if a motor has no torque, else ``stated``.
-        unknown_limits: Joints with a motor that move a foot or hand, or belong to a closed loop or
-            coupling, and whose torque limit no file states.
+        code: ``unknown`` if ``unknown_limits`` is not empty; else ``zero`` if a motor has no
+            torque, else ``stated``.
+        unknown_limits: Joints of motors without a stated torque limit that may bear load. These
+            joints move a foot or hand, or belong to a closed loop or coupling.
         peak_torques: (nu,) largest |torque| of the motor at each joint during the weakest push of
-            ``recovery`` [N m or N]; None if ``unknown_limits`` is empty, or the robot does not
+            ``recovery`` [N m or N]. None if ``unknown_limits`` is empty, or if the robot does not
             stand without a push.
         torque_units: (nu,) unit of the torque of each motor: N m for a hinge, N for a slide.
         verdict: Verdict of the stance without a push, with feed-forward. A robot that stays on the
             feet is pushed even if the verdict fails.
         motors: {joint: name of the assigned motor}.
-        region_peaks: (nu,) largest torque of each motor during the weakest push of ``recovery``,
-            relative to the torque that the motor exerts at its speed; not a number for a joint
+        region_peaks: (nu,) largest ratio of motor torque to the torque that the motor can exert at
+            the present speed, during the weakest push of ``recovery``. Not a number for a joint
             without motor. None without motors, or if the robot does not stand without a push.
-        beyond_times: (nu,) time of the weakest push in which each motor is beyond its torque-speed
-            region [s], 0 for a joint without motor; None if ``region_peaks`` is None.
+        beyond_times: (nu,) time during the weakest push in which the ratio exceeds 1: the motor is
+            beyond the torque-speed region [s]. 0 for a joint without motor. None if
+            ``region_peaks`` is None.
     """
 
     name: str
@@ -96,7 +97,7 @@ class PushedStance(Result):
 
     @property
     def within_region(self) -> bool:
-        """Whether no motor is beyond its torque-speed region for more than `MAX_BEYOND_TIME`."""
+        """Whether no motor is beyond the torque-speed region for more than `MAX_BEYOND_TIME`."""
         return self.beyond_times is None or bool((self.beyond_times <= MAX_BEYOND_TIME).all())
 
     @property
@@ -109,7 +110,7 @@ class PushedStance(Result):
 
 
 MAX_BEYOND_TIME = 0.01
-"""Largest total time for which a motor may be beyond its torque-speed region during a push [s]. If
+"""Largest total time for which a motor may be beyond the torque-speed region during a push [s]. If
 the time is longer, the motor cannot exert the torques of the push. The bound permits single time
 steps of an impact. Chosen, not tuned.
 """
@@ -125,7 +126,7 @@ def study_pushes(
     resolution: float = 0.02,
     motors: Mapping[str, Mapping[str, Motor]] | None = None,
 ) -> dict[str, PushedStance]:
-    """Find the largest pushes of robots in a stance (about three seconds for a Pupper).
+    """Find the largest pushes from which robots in a stance recover (about 3 s for a Pupper).
 
     The stands of all robots are solved before the first robot is pushed.
 
@@ -137,8 +138,8 @@ def study_pushes(
         directions: Number of directions, evenly spaced, the first direction forward; 3 to 360.
         resolution: Resolution of the impulses [N s].
         motors: {name of the robot: {joint: motor}}. The torques of the weakest push are compared
-            with the torque-speed regions of these motors. The simulation limits torques by the
-            effort limits of the robots only.
+            with the torque-speed regions of ``motors``. The simulation limits torques by the effort
+            limits of the robots only.
 
     Returns:
         {name of the robot: result}.
@@ -222,8 +223,8 @@ def _compare_with_regions(
     """Compare the torques of a push with the torque-speed regions of motors.
 
     Returns:
-        Largest torque relative to the torque that the motor exerts at its speed, NaN without motor;
-        and time beyond the region [s], 0 without motor; shape (nu,) each.
+        Largest ratio of torque to the torque that the motor can exert at the joint speed, shape
+        (nu,), NaN without motor. Time beyond the region, shape (nu,) [s], 0 without motor.
 
     Raises:
         ModelError: If a number of a motor is unknown.
@@ -236,16 +237,16 @@ def _compare_with_regions(
 
 _REGION_RTOL = 1e-9
 """Relative tolerance of the edge of a torque-speed region. A torque beyond the edge by less counts
-as inside. It covers rounding if the simulation limits a torque to the largest torque of the motor.
-Chosen, not tuned.
+as inside. The tolerance covers rounding if the simulation limits a torque to the largest torque of
+the motor. Chosen, not tuned.
 """
 
 
 def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
-    """Return the motor joints that may bear load during a push, and whose torque limit is unknown.
+    """Return the driven joints that may bear load during a push and lack a torque limit.
 
-    These joints move a foot or hand, or belong to a closed loop or coupling. A torque limit is
-    unknown if no file states it.
+    A joint may bear load if the joint moves a foot or hand, or belongs to a closed loop or
+    coupling. A torque limit is missing if no file states a limit.
     """
     unloaded_joints = find_footless_joints(robot)
     unknown_joints = (
@@ -255,38 +256,38 @@ def unknown_push_limits(robot: Robot) -> tuple[str, ...]:
 
 
 CHECKED_LEVELS = 8
-"""Largest number of smaller pushes per direction that are simulated after the bisection. These
-pushes are equally spaced below the limit of the bisection. They check that the robot also survives
+"""Largest number of smaller pushes per direction that are simulated after the bisection. The pushes
+are equally spaced below the limit of the bisection, and show whether the robot also survives
 smaller pushes. Chosen, not tuned.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class PushRecovery(PushSettings, Tabular):
-    """Largest push in each of n directions from which a stand recovers, with the ``PushSettings``.
+    """Largest push from which a stand recovers, in each of n horizontal directions.
 
     Attributes:
-        directions: (n,) directions about the vertical [rad]: 0 is the base's forward, pi/2 its
-            left.
-        impulses: (n,) largest push from which the robot recovers, as from each smaller simulated
-            push [N s]; a push that is larger by at most ``resolution`` fails.
+        directions: (n,) directions about the vertical [rad]: 0 is the base's forward, pi/2 the
+            base's left.
+        impulses: (n,) largest push from which the robot recovers [N s]. The robot also recovers
+            from each smaller simulated push. A push that is larger by at most ``resolution`` fails.
         velocity_steps: (n,) changes of the robot's velocity: impulse / mass [m/s].
         failures: (n,) failure of the larger push, or of the stand without a push.
-        bisected_impulses: (n,) result of the bisection [N s], before the check of smaller pushes;
-            larger than ``impulses`` if a smaller push failed, or if the push itself failed when
-            simulated to the end.
-        tipping_estimate: (n,) impulse that tips the robot over if it were rigid [N s]; infinite if
-            the feet span no polygon.
+        bisected_impulses: (n,) result of the bisection [N s], before the check of smaller pushes.
+            Larger than ``impulses`` if a smaller push failed, or if the push failed in the complete
+            simulation.
+        tipping_estimate: (n,) impulse that would tip over the robot as a rigid body [N s]; infinite
+            if the feet span no polygon.
         weakest_direction: Direction with the smallest impulse [rad].
         weakest_impulse: Smallest impulse [N s].
         weakest_failure: Failure in the weakest direction.
         mass: Mass of the robot [kg].
         resolution: Resolution of the impulses [N s].
         rollouts: Number of simulated pushes, including a simulation without a push, if any.
-        simulated: Simulated time of these pushes [s]; less than ``rollouts * duration`` if outcomes
-            were decided earlier, more if simulations were prolonged.
+        simulated: Total simulated time of the ``rollouts`` [s]. Less than ``rollouts * duration``
+            if outcomes were decided earlier, more if simulations were prolonged.
         failures_without_push: Failures without a push, from ``verify_stand``; empty if the robot
-            stands, as predicted or not.
+            stays on the feet, even in another pose than predicted.
     """
 
     directions: Array = field(metadata={"unit": "rad"})
@@ -341,13 +342,13 @@ def push_recovery(
     time steps). Before the push the robot is at rest in balance. The servos hold the stand. Without
     feed-forward, the robot starts to sag during the push.
 
-    A stand that does not stay on the feet in ``verify_stand`` withstands no push.
+    All limits are 0 if the robot does not stay on the feet in ``verify_stand``, without a push.
 
-    The robot recovers if only feet touch the ground in the whole simulation, and if three
-    conditions are met at the end: the base tilts by less than 0.5 rad, the CoM has more than half
-    of its initial height, and the base is at rest. A slow fall is no rest: the motion extrapolated
-    to the remaining time must be at most a tenth of the CoM height, and no mode may grow. Contacts
-    are searched every 4 ms. The robot may slide or turn about the vertical.
+    The robot recovers if only feet touch the ground in the whole simulation, and three conditions
+    are met at the end. The base tilts by less than 0.5 rad, the CoM has more than half of the
+    initial height, and the base is at rest. A slow fall is no rest: the motion extrapolated to the
+    remaining time must be at most a tenth of the CoM height, and no mode may grow. Contacts are
+    searched every 4 ms. The robot may slide or turn about the vertical.
 
     A simulation ends early if another body touches the ground, or if the robot is at rest and no
     mode grows. The returned limits were simulated to the end. If the robot is upright at the end
@@ -356,10 +357,10 @@ def push_recovery(
 
     All directions are simulated at once. Impulses are doubled until the robot falls, and then
     bisected. Recovery need not be monotonic: a robot may fall after a push and survive a larger
-    push, for example by sliding. Bisection finds only one of possibly several boundaries. Therefore
-    up to 8 smaller pushes are simulated afterwards, if the distance between them is larger than
+    push, for example by sliding. Bisection then finds only a single boundary. Therefore up to 8
+    smaller, equally spaced pushes are simulated afterwards, if their spacing is larger than
     ``resolution``. If a smaller push fails, a boundary below this push is returned. A failure
-    between these pushes may remain undetected.
+    between the simulated pushes may remain undetected.
 
     Args:
         robot: The robot.
@@ -376,11 +377,11 @@ def push_recovery(
             computed by default.
 
     Returns:
-        The limits [N s]. All are 0 if the robot does not stand without a push;
-        ``failures_without_push`` then has the reasons.
+        The largest survived impulses [N s] with their failures. If the robot does not stand without
+        a push, all impulses are 0, and ``failures_without_push`` contains the reasons.
 
     Raises:
-        ConfigurationError: If an argument is out of its range, the stand belongs to another robot,
+        ConfigurationError: If an argument is out of range, the stand belongs to another robot,
             contains a weld or grip, or has contacts that the robot cannot make, or the base is
             fixed and the stand has feet.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
@@ -441,9 +442,9 @@ def tipping_impulses(
     The robot rolls on two feet over an edge of the support polygon. The feet are spheres of radius
     r, the mean over all contact points of the robot. With the inertia I about the edge on the
     ground and the lever s of the push, an impulse p gives the energy (p s)^2 / (2 I). The centres
-    of the feet keep their height. h is the height of the CoM above these centres, and d its
-    horizontal distance from the line between them. While the robot tips, this height increases from
-    h to hypot(h, d):
+    of the feet keep the height. h is the height of the CoM above the foot centres, and d the
+    horizontal distance of the CoM from the line between the two centres. While the robot tips, the
+    CoM height increases from h to hypot(h, d):
 
         p = sqrt(2 I m g (hypot(h, d) - h)) / s, minimum over the edges in the push direction.
 
@@ -458,7 +459,7 @@ def tipping_impulses(
     Args:
         config: Configuration of the robot with a free base on level ground.
         point: Point of application in the world, shape (3,) [m].
-        axes: Horizontal unit vectors, shape (n, 2).
+        axes: Push directions: horizontal unit vectors in the world frame, shape (n, 2).
         feet: Stance feet; all feet by default.
 
     Returns:
@@ -496,8 +497,8 @@ def _find_push_limits(
 ) -> tuple[Array, Array, tuple[Diagnostic, ...]]:
     """Find the largest survived impulse in each of n directions by bisection.
 
-    A check then simulates up to `CHECKED_LEVELS` smaller impulses per direction, if their distance
-    is larger than ``resolution``. If a smaller impulse fails, the limit is below this impulse. The
+    A check then simulates up to `CHECKED_LEVELS` smaller impulses per direction, if the spacing is
+    larger than ``resolution``. If a smaller impulse fails, the limit is below this impulse. The
     limits are finally simulated to the end (`confirm_limits`). If the robot fails without a push,
     all limits are 0.
 
