@@ -139,11 +139,11 @@ def command(
 ) -> None:
     """Simulate a robot that walks with a learnt policy, and compare its torques with motor limits.
 
-    ROBOT is a variant (v3 by default), a URDF, an MJCF, or a URDF and an MJCF. The robot is
-    simulated as in its files, with servos that have the policy's gains. SOURCE is the policy, and
-    files of its deployment or training, which `contract` reads as well. Observation and action of
-    the policy are read from the policy file, from the deployment, and from a TOML file of the same
-    name beside the policy.
+    ROBOT is a variant (v3 by default), a URDF, an MJCF, or a URDF and an MJCF. The simulated model
+    is the robot's MJCF, with servos that have the policy's gains. SOURCE is the policy, and files
+    of the deployment or training, which `contract` reads as well. Observation and action of the
+    policy are read from the policy file, from the deployment, and from a TOML file of the same name
+    beside the policy.
 
     \b
     Examples:
@@ -159,9 +159,10 @@ def command(
       pupper-analysis walk v3 --policy policy_latest.json --response
       pupper-analysis walk g1.xml deploy.yaml policy.onnx --trace recorded.npz
 
-    Exit status: 0 every run tracks the command (with --fit, within the intervals of the fit; with
-    --orders, no interpretation walks better than the stated one; with --response, no run falls and
-    no command is ignored; with --trace, the trace agrees as well), 1 otherwise, 2 bad input.
+    Exit status: 0 every run tracks the command, 1 otherwise, 2 bad input. Options change the
+    condition of 0: with --fit, every run tracks within the intervals of the fit; with --orders, no
+    interpretation walks better than the stated interpretation; with --response, no run falls and no
+    command is ignored; with --trace, the trace agrees as well.
     """  # noqa: D301 - click reads the \b
     _refuse_idle_options(
         init=init, orders=orders, response=response, trace=trace is not None, vary=vary is not None

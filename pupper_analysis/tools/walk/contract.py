@@ -1,7 +1,7 @@
-"""Contract of a policy and a robot: the observation, and the meaning of the actions.
+"""Policy contract: the observation of a policy, and the meaning of the actions for a robot.
 
 Inputs are statements {contract key: value} of the policy file, of a deployment and of a TOML file.
-`make_contract` merges these statements, checks them against the sizes of the network, and returns a
+`make_contract` merges the statements, checks the sizes against the network, and returns a
 `PolicyContract`.
 """
 
@@ -45,14 +45,14 @@ TERM_SIZES = {
     "accelerometer": 3,
     "contacts": None,
 }
-"""{term of an observation: number of elements}. None means that the number of joints, phases or
-feet determines the number. Velocities and gravity are those of the base, in the base frame. Joint
-positions are relative to the default positions. The up-command is the commanded vertical in the
-base frame. The phase contains the cosines of all phases, followed by the sines. ``phase-sine`` and
-``phase-cosine`` are parts of the phase. ``command-velocity`` and ``command-turning`` are parts of
-the command. The accelerometer measures acceleration minus gravity at the origin of the base, in the
-base frame. Contacts are 1 for each foot that touches anything, otherwise 0, in the order of the
-robot's feet.
+"""{term of a policy's observation: number of elements}. None if the size depends on the number of
+joints, phases or feet. The velocities of the base and the direction of gravity are expressed in the
+base frame. Joint positions are relative to the default positions. The up-command is the commanded
+vertical in the base frame. The phase contains the cosines of all phases, followed by the sines.
+``phase-sine`` and ``phase-cosine`` are parts of the phase. ``command-velocity`` and
+``command-turning`` are parts of the command. The accelerometer measures acceleration minus gravity
+at the origin of the base, in the base frame. Contacts are 1 for each foot that touches anything,
+otherwise 0, in the order of the robot's feet.
 """
 
 _TERM_ALIASES = {
@@ -75,7 +75,8 @@ _TERM_ALIASES = {
     "feet_contacts": "contacts",
 }
 """{name of a term in training libraries: term of `TERM_SIZES`}. The libraries are for example Isaac
-Lab, mjlab and Unitree's environments. Common names are those of `OBSERVATION_ALIASES`.
+Lab, mjlab and Unitree's environments. `OBSERVATION_ALIASES` contains the names that most libraries
+use.
 """
 
 
@@ -83,8 +84,8 @@ def find_term_name(name: str) -> str:
     """Return this package's name of an observation term, for example ``gravity``.
 
     Args:
-        name: Name of the term in a training library, for example ``projected_gravity``; an unknown
-            name is returned unchanged.
+        name: Name of the term in a training library, for example ``projected_gravity``. Unknown
+            names are returned unchanged.
     """
     common = OBSERVATION_ALIASES.get(name, name)
     return _TERM_ALIASES.get(common, name)
@@ -92,19 +93,20 @@ def find_term_name(name: str) -> str:
 
 BY_FRAME, BY_TERM = "by-frame", "by-term"
 """Layouts of an observation with several frames (time steps). ``by-frame``: all terms of a frame,
-then those of the next frame. ``by-term``: all frames of a term, then those of the next term.
+then all terms of the next frame. ``by-term``: all frames of a term, then all frames of the next
+term.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class ObservationTerm:
-    """Term of a policy's observation, such as joint positions, with a scale.
+    """Term of a policy's observation, such as joint positions, with scale, bounds and history.
 
     Attributes:
         name: A key of `TERM_SIZES`.
-        scale: Factor: a number, or a number per element.
+        scale: Factor on the elements: a scalar, or a factor per element.
         clip: Lower and upper bound of the elements before scaling.
-        history: Number of frames of the term; 0 for the number of the contract.
+        history: Number of frames (time steps) of the term; 0 selects `PolicyContract.history`.
     """
 
     name: str
@@ -115,12 +117,12 @@ class ObservationTerm:
 
 @dataclass(frozen=True, eq=False)
 class PolicyContract:
-    """Observation of a policy, and meaning of the actions, for n joints.
+    """Definition of a policy's observation and actions, for n commanded joints.
 
     Attributes:
         terms: Terms of a frame of the observation, in order.
-        joints: Joint names in the order of the policy. If the file states no names, this is empty,
-            and the order is that of the robot's actuators.
+        joints: Joint names in the order of the policy. Empty if the file states no names: the
+            policy then uses the order of the robot's actuators.
         default: Reference of the observed joint positions, in the directions of the policy's joints
             (`signs`), shape (n,) [rad]. The reference is subtracted from the positions.
         offset: Joint positions for an action of zero, shape (n,) [rad]; None for ``default``.
@@ -131,19 +133,22 @@ class PolicyContract:
             [rad].
         kp: Servo stiffness, shape (n,) [N m/rad]; None for the servos of the robot.
         kd: Servo damping, shape (n,) [N m s/rad]; None for the servos of the robot.
-        effort: Torque limits at the joints, shape (n,) [N m]; None for those of the robot's files.
+        effort: Torque limits at the joints, shape (n,) [N m]; None for the limits of the robot's
+            files.
         rate: Number of actions per second [Hz].
         latency: Delay from an observation to the command at the servos [s].
         clip: Bound on the magnitude of each element of an observation.
         action_clip: Bound on the magnitude of each element of an action.
-        history: Number of frames of each term that has no own `ObservationTerm.history`.
+        history: Number of frames (time steps) of each term whose `ObservationTerm.history` is 0.
         newest_first: True if the newest frame is the first.
         layout: ``by-frame`` or ``by-term``.
         phase_rate: Frequency of the gait phase [Hz], if a phase is observed.
-        phase_offsets: Phases at the start, shape (phases,) [rad], for example one per foot.
-        signs: Shape (n,); -1 if the joint of the policy turns in the opposite direction.
+        phase_offsets: Phases at the start, shape (phases,) [rad], for example a phase per foot.
+        signs: Direction of each joint of the policy relative to the robot's joint, 1 or -1, shape
+            (n,).
         feet: Number of feet of the robot, if contacts are observed; otherwise 0.
-        sources: Place of each key: {key: file, with the line if known}; "" if no file states it.
+        sources: Source of each key: {key: file, with the line if known}; "" if no file states the
+            key.
         origins: Origin of each key: {key: ``stated``, ``default`` of a framework, ``derived``,
             ``assumed`` or ``unknown``}.
     """
@@ -210,12 +215,12 @@ class PolicyContract:
         return sum(self.term_size(term) * self.count_frames(term) for term in self.terms)
 
     def reorder_joints(self, order: Sequence[int]) -> PolicyContract:
-        """Return a contract (definition of observation and action) with permuted robot joints.
+        """Return a copy of the contract in which the outputs drive permuted robot joints.
 
         Output i of the policy drives the joint that output ``order[i]`` drove before. Default
-        positions, scales, limits and gains are not permuted: they belong to the outputs of the
-        policy. The result corresponds to a robot with exchanged cables. The contract must name the
-        joints.
+        positions, scales, limits and gains are not permuted, since these values belong to the
+        outputs of the policy. The result corresponds to a robot with exchanged cables. The contract
+        must name the joints.
         """
         return replace(self, joints=tuple(self.joints[index] for index in order))
 
@@ -232,9 +237,8 @@ _KEY_OF_QUANTITY = {
     "upper limit": "upper",
     "latency": "latency",
 }
-"""{quantity that a source, such as a policy file, states: key in the TOML file of a policy
-contract}. The key ``rate`` [Hz] is not listed, since it is the reciprocal of the quantity ``policy
-step`` [s].
+"""{quantity in a policy file or other source: key in the TOML file of a policy contract}. The key
+``rate`` [Hz] is not listed, since it is the reciprocal of the quantity ``policy step`` [s].
 """
 
 
@@ -270,13 +274,14 @@ def convert_source_statements(source: JointSource) -> dict[str, Any]:
 def make_rtneural_values(values: Mapping[str, Any], inputs: int, outputs: int) -> dict[str, Any]:
     """Return {contract key: value} that Pupper's neural_controller implies for an RTNeural JSON.
 
-    The observation of a time step (frame) is that of ``neural_controller.cpp``: angular velocity,
+    The observation of a time step (frame) follows ``neural_controller.cpp``: angular velocity,
     gravity, command, commanded up direction in the base frame, joint positions, last action. With
-    twelve joints these are 36 elements, or 33 without the up direction. The newest frame is the
-    first. Elements are clipped to magnitudes of at most 100. The interval between actions is 20 ms.
+    twelve joints a frame has 36 elements, or 33 without the up direction. The newest frame is the
+    first. Elements are clipped to magnitudes of at most 100. The policy acts every 20 ms.
 
     Args:
-        values: Content of the JSON. The result is empty if it has no ``observation_history``.
+        values: Content of the JSON. The result is empty if ``values`` has no
+            ``observation_history``.
         inputs: Number of inputs of the network.
         outputs: Number of outputs of the network.
     """
@@ -297,7 +302,8 @@ _CONTRACT_KEYS = (
     "latency", "clip", "history", "newest-first", "layout", "phase-rate", "phase-offsets", "signs",
     "effort", "action-offset", "action-clip",
 )  # fmt: skip
-"""Valid keys of a policy contract, as in the TOML file beside the policy. Others are refused."""
+"""Valid keys of a policy contract, as in the TOML file beside the policy. Other keys are refused.
+"""
 
 
 @dataclass(frozen=True)
@@ -317,14 +323,15 @@ class _MergedValues:
     joints: int
 
     def vector(self, key: str, fallback: float | None, size: int | None = None) -> Array | None:
-        """Return the vector of a contract key, shape (size,), from one number or `size` numbers.
+        """Return the value of a contract key as a vector, shape (size,).
 
-        `fallback` replaces each element of a missing key. None if the key is missing and `fallback`
-        is None.
+        A single number is repeated for each element. `fallback` replaces each element of a missing
+        key. None if the key is missing and `fallback` is None. The default of `size` is the number
+        of joints.
 
         Raises:
-            ModelError: If the value is no such number or list, or an element is not finite (limits
-                may be infinite).
+            ModelError: If the value is neither a number nor a list of `size` numbers. Also if an
+                element is not finite; limits may be infinite.
         """
         value = self.values.get(key, fallback)
         if value is None:
@@ -367,13 +374,13 @@ class _MergedValues:
 
 @dataclass(frozen=True)
 class Statements:
-    """Contract keys that a file, or several files, state.
+    """Contract keys and values that a source states, with the origin of each value.
 
     Attributes:
-        file: File, for messages.
+        file: Source file or files, as named in messages.
         values: {key: value}.
-        places: {key: file and line}; the file for other keys.
-        origins: {key: origin}; ``stated`` for other keys.
+        places: {key: file and line}; ``file`` for keys that are not listed.
+        origins: {key: origin}; ``stated`` for keys that are not listed.
     """
 
     file: str
@@ -385,11 +392,11 @@ class Statements:
 def make_contract(
     path: Path, statements: Sequence[Statements], inputs: int, outputs: int
 ) -> PolicyContract:
-    """Merge the statements of several files into a contract.
+    """Merge the contract keys of several sources into a checked `PolicyContract`.
 
     Args:
         path: File of the policy.
-        statements: Contract keys of each file; the last file has precedence.
+        statements: Contract keys of each source; the last source has precedence.
         inputs: Number of inputs of the network.
         outputs: Number of outputs of the network.
 
@@ -478,7 +485,7 @@ def _merge_statements(
 def _require_vector(
     merged: _MergedValues, key: str, default: float | None, size: int | None = None
 ) -> Array:
-    """Return the numbers of a key, as `_MergedValues.vector`; a missing key is an error.
+    """Return the vector of a contract key (`_MergedValues.vector`); refuse a missing key.
 
     Raises:
         ModelError: If the key is missing and has no ``default``, or the value is not valid.
@@ -490,7 +497,7 @@ def _require_vector(
 
 
 def _check_scales(merged: _MergedValues, contract: PolicyContract) -> None:
-    """Raise a ModelError if the scale of a term is neither one number nor one per element."""
+    """Raise a ModelError if the scale of a term has neither 1 element nor the size of the term."""
     for term in contract.terms:
         size = contract.term_size(term)
         if np.size(term.scale) not in (1, size):
@@ -512,7 +519,7 @@ def _set_number_of_feet(contract: PolicyContract, inputs: int) -> PolicyContract
 
 
 def _check_observation(merged: _MergedValues, contract: PolicyContract, inputs: int) -> None:
-    """Check the layout of the observation, and its size against the network.
+    """Check the layout of the observation, and compare the size with the network.
 
     Raises:
         ModelError: If terms have different numbers of frames in a layout by frame, or the size is
@@ -564,7 +571,7 @@ def _read_joints(merged: _MergedValues) -> tuple[str, ...]:
     """Return the joint names in the order of the policy; empty if no file states names.
 
     Raises:
-        ModelError: If the value is no list of distinct names with one per output of the network.
+        ModelError: If the value is not a list of distinct names, a name per output of the network.
     """
     joints = merged.values.get("joints", ())
     is_list = isinstance(joints, Sequence) and not isinstance(joints, str)
@@ -662,18 +669,23 @@ _UNSTATED_ORIGINS = dict.fromkeys(
     Origin.ASSUMED,
 )
 """Origins of keys that no file states. The keys listed here have a neutral value, such as a latency
-of 0. The origin of other unstated keys is ``unknown``. Unstated gains and torque limits are those
-of the robot's files.
+of 0. The origin of other unstated keys is ``unknown``. Unstated gains and torque limits are taken
+from the robot's files.
 """
 
 
 def convert_deployment(deployment: Deployment, inputs: int, outputs: int) -> Statements:
-    """Convert the numbers of a deployment to contract keys, with places and origins.
+    """Convert the facts of a deployment to statements of contract keys, for `make_contract`.
 
     Args:
-        deployment: Numbers of a deployment, for joints of the robot.
-        inputs: Number of inputs of the network.
+        deployment: Gains, joint order, observation and settings that the files of a deployment
+            state.
+        inputs: Number of inputs of the network. If the files state no observation, `inputs` selects
+            one of `KNOWN_LAYOUTS`.
         outputs: Number of outputs of the network.
+
+    Returns:
+        Values of the contract keys, with the file and line, and the origin, of each value.
     """
     values, places, origins = dict[str, Any](), dict[str, str](), dict[str, str]()
 
@@ -753,7 +765,7 @@ def _convert_term(term: ObservedTerm) -> dict[str, Any]:
 
 _BASIC_TERMS = ("angular-velocity", "gravity", "command", "joint-positions", "joint-velocities",
                 "last-action")  # fmt: skip
-"""Terms that the observations of all `KNOWN_LAYOUTS` contain, in their order."""
+"""Terms that the observations of all `KNOWN_LAYOUTS` contain, in this order."""
 
 KNOWN_LAYOUTS: Mapping[str, tuple[tuple[str, ...], float]] = {
     "legged_gym 1.0": (("linear-velocity", *_BASIC_TERMS), 0.0),
@@ -771,7 +783,7 @@ _SCALES_OF_TERMS = {
     "joint-positions": "dof_pos",
     "joint-velocities": "dof_vel",
 }
-"""{term: name of its scale in files of legged_gym}."""
+"""{term: name of the scale of the term in files of legged_gym}."""
 
 
 def _put_known_layout(
@@ -779,8 +791,8 @@ def _put_known_layout(
 ) -> None:
     """State the observation of the first of `KNOWN_LAYOUTS` that has the network's size.
 
-    The observation and its gait frequency are stated by calls of ``put``. Nothing is stated if the
-    files do not contain scales as in legged_gym, or if no layout has this size.
+    The function passes the observation and the gait frequency to ``put``. ``put`` is not called if
+    the files do not contain scales as in legged_gym, or if no layout has this size.
 
     Args:
         deployment: Numbers of a deployment.

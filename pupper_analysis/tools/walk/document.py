@@ -84,11 +84,12 @@ def walk_document(walk: Walk, robot: Robot | None = None) -> doc.Document:
 
 
 def _select_next_step(walk: Walk) -> doc.NextStep:
-    """Return the command to run next.
+    """Return the command that the report proposes to run next.
 
-    If all runs track, the command is ``walk --vary``. If a command of zero prevents a fall, it is
-    ``walk --response``. If other gains prevent a fall, it is ``gains``. Otherwise it is ``walk
-    --orders``.
+    - ``walk --vary``: all runs track the command.
+    - ``walk --response``: a command of zero prevents a fall.
+    - ``gains``: other gains prevent a fall.
+    - ``walk --orders``: all other cases.
     """
     if all(gait.tracks for gait in walk.gaits):
         return doc.NextStep("walk", ("--vary", "mass,kp,delay"))
@@ -178,8 +179,8 @@ def _list_figures(walk: Walk) -> Iterable[doc.Words]:
 def _list_warnings(walk: Walk) -> Iterable[doc.Words]:
     """Yield texts on the runs of a walk: tracking, falls, and bodies that touch the ground.
 
-    The first text contains two numbers: runs that track the command, and runs that fall. It is
-    omitted for a single run. The bodies are those other than feet.
+    The first text states the number of runs that track the command, and the number of runs that
+    fall. For a single run this text is omitted. Feet are not listed as bodies.
     """
     gaits = walk.gaits
     if len(gaits) > 1:
@@ -197,7 +198,7 @@ def _describe_largest_torque(walk: Walk) -> doc.Words:
     """Return the text of the motor with the largest rms torque / torque limit.
 
     The text states rms and peak torque [N m, N], and the time at the limit [%]. If a motor has no
-    positive limit, its rms torque is divided by the largest rms torque of all motors instead.
+    positive limit, the divisor is the largest rms torque of all motors.
     """
     rms, peak = _max_over_runs(walk, "torque_rms"), _max_over_runs(walk, "torque_peak")
     limited = np.isfinite(walk.limits) & (walk.limits > 0)
@@ -215,11 +216,11 @@ def _describe_largest_torque(walk: Walk) -> doc.Words:
 
 
 def _describe_region(walk: Walk) -> Iterable[doc.Words]:
-    """Yield the text of the motor closest to the edge of its torque-speed region.
+    """Yield a text that compares a motor with the torque-speed region of this motor.
 
-    If motors are beyond their regions, it is the motor that is beyond for the longest time.
-
-    Nothing is yielded without assigned motors.
+    The motor is the closest to the edge of the region. If motors are outside of the regions, the
+    text is about the motor that is outside for the longest time. Nothing is yielded without
+    assigned motors.
     """
     peaks, beyond = _max_over_runs(walk, "region_peak"), walk.beyond_region
     if np.isnan(peaks).all():
@@ -258,8 +259,8 @@ def _list_limit_warnings(walk: Walk) -> Iterable[doc.Words]:
 
 
 _MIN_TORQUE = 1e-9
-"""Lower bound of a divisor [N m] in the selection of the most loaded motor. It prevents a division
-by zero in a run without torques. Chosen, not tuned.
+"""Lower bound of a divisor [N m] in the selection of the most loaded motor. The bound prevents a
+division by zero in a run without torques. Chosen, not tuned.
 """
 
 
@@ -329,7 +330,7 @@ def _describe_simulation(walk: Walk) -> doc.Text:
 
 
 def _format_range(values: Array) -> str:
-    """Return the smallest and largest of some values as text, such as ``2-5``; one if equal."""
+    """Return the range of some values as text, such as ``2-5``; a single value if equal."""
     low, high = float(values.min()), float(values.max())
     return f"{low:g}" if low == high else f"{low:g}-{high:g}"
 
@@ -379,11 +380,11 @@ _NEUTRAL_VALUES = {"clip": math.inf, "action-clip": math.inf, "history": 1}
 
 
 def make_key_table(contract: PolicyContract) -> doc.Table:
-    """Create the table of the contract's main keys, with value, origin and source of each.
+    """Create the table of a policy contract: main keys with value, origin and source.
 
-    If no file states a key, and it has no value or a neutral value (`_NEUTRAL_VALUES`), the key is
-    left out. Keys of unknown origin are not left out, since the values of the robot's files apply
-    to them. Position limits, signs and phases are not shown.
+    A key is left out if no file states the key, and the value is missing or neutral
+    (`_NEUTRAL_VALUES`). Keys of unknown origin are not left out, since the values of the robot's
+    files apply. Position limits, signs and phases are not shown.
     """
     values: dict[str, Any] = {
         "observation": ", ".join(
@@ -432,7 +433,9 @@ def make_key_table(contract: PolicyContract) -> doc.Table:
 
 
 _NUM_DRAWN_MOTORS = 4
-"""Number of motors whose torques are drawn: those with the largest rms. Chosen, not tuned."""
+"""Number of motors whose torques are drawn: the motors with the largest rms torque. Chosen, not
+tuned.
+"""
 
 
 def walk_torque_plot(walk: Walk) -> doc.LinePlot:
@@ -495,10 +498,12 @@ def intervals_document(result: TrackedIntervals, robot: Robot | None = None) -> 
 def _select_step_after_intervals(result: TrackedIntervals, *, outside: bool) -> doc.NextStep:
     """Return the next command after a search for tracked intervals.
 
-    If the policy does not track the command with any seed, the command is ``walk --orders``. It is
-    ``walk`` with more seeds in three cases: the result is not passed, a margin is narrow, or
-    ``outside`` is True. ``outside`` means that a measured interval is not inside the tracked
-    interval. Otherwise it is ``walk --response``.
+    - ``walk --orders``: the policy tracks the command with no seed.
+    - ``walk`` with more seeds: the result is not passed, a margin is narrow, or ``outside`` is
+      True.
+    - ``walk --response``: all other cases.
+
+    ``outside`` is True if a measured interval is not inside the tracked interval.
     """
     omitted = ("--vary", "--fit")
     if not result.seeds:
@@ -526,7 +531,7 @@ def _list_narrow_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
 def _describe_nominal_margins(result: TrackedIntervals) -> Iterable[doc.Words]:
     """Yield a text of the smallest speed and turning margins [%] of the unchanged robot.
 
-    The minimum is over the seeds that track the command; without any, nothing is yielded.
+    The minimum is over the seeds that track the command. Without such a seed, nothing is yielded.
     """
     if result.seeds:
         speed, turning = (
@@ -550,9 +555,9 @@ def _describe_ends(failures: tuple[str, ...]) -> doc.Words:
 
 
 def _list_absolute_limits(result: TrackedIntervals) -> Iterable[doc.Words]:
-    """Yield texts of the payload [kg] and the impulses [N s] up to which all seeds track.
+    """Yield texts of the largest payload [kg] and impulses [N s] with which all seeds track.
 
-    The text of the payload also states up to which mass no run falls.
+    The text of the payload also states the largest mass without a fall.
     """
     for interval in result.intervals:
         if interval.quantity == "payload":
@@ -622,8 +627,9 @@ def _make_bound_cell(interval: TrackedInterval, tracked: float, beyond: Array) -
 
     Args:
         interval: Interval.
-        tracked: End of the interval, in its unit.
-        beyond: Nearest untracked value found beyond this end, shape (seeds,); NaN without one.
+        tracked: End of the interval, in the unit of the quantity.
+        beyond: Nearest untracked value found beyond this end, shape (seeds,); NaN without such a
+            value.
     """
     open_end = tracked != interval.nominal and bool(np.isnan(beyond).all())
     return doc.Number(f"{tracked:.3g}{' *' if open_end else ''}", float(tracked))
@@ -839,12 +845,13 @@ def orders_document(result: Orders, robot: Robot | None = None) -> doc.Document:
 
 
 def _select_step_after_orders(result: Orders) -> doc.NextStep:
-    """Return the next command after a ranking of interpretations.
+    """Return the next command after a ranking of interpretations of a policy.
 
-    If no interpretation walks, the command is ``audit`` of the model. If another interpretation
-    than the stated one walks better, it is ``walk --init``, which writes a TOML file for the
-    correction. If the stated interpretation walks best, it is ``walk --vary``. If the ranking is
-    not determined, it is ``walk --response``.
+    - ``audit``: no interpretation walks.
+    - ``walk --init``: an interpretation other than the stated interpretation walks better. The
+      command writes a TOML file for the correction.
+    - ``walk --vary``: the stated interpretation walks best.
+    - ``walk --response``: the ranking is not determined.
     """
     if not result.candidates[0].tracked:
         return doc.NextStep("audit")
@@ -867,12 +874,13 @@ def _describe_change(candidate: Candidate) -> doc.Words:
 
 
 _MAX_SHOWN_CANDIDATES = 12
-"""Maximum number of interpretations of a policy in the table, in addition to the stated one.
-Chosen, not tuned."""
+"""Maximum number of interpretations of a policy in the table, in addition to the stated
+interpretation. Chosen, not tuned.
+"""
 
 
 def _make_candidate_table(result: Orders) -> doc.Table:
-    """Create the table of the best interpretations of a policy, and of the stated one.
+    """Create the table of the best interpretations of a policy, with the stated interpretation.
 
     Columns: rank, change, tracked commands, falls, rms torque [N m], velocity error [1], cost.
     """

@@ -1,4 +1,4 @@
-"""Tests of the cause of a fall: the run is repeated with one quantity changed at a time.
+"""Tests of the cause of a fall: the run is repeated with a single changed quantity.
 
 `find_fall_tests` repeats the first run of a walk that falls. If the robot does not fall with a
 change, the changed quantity is a possible cause. If the robot falls with each change, the policy
@@ -27,7 +27,7 @@ _FACTORS = (
 def find_fall_tests(
     robot: Robot, policy: Policy, walk: Walk, seconds: float = DEFAULT_SECONDS
 ) -> tuple[FallTest, ...]:
-    """Repeat the first run of a walk that falls, with one changed quantity at a time.
+    """Find possible causes of a fall: repeat the run with a single changed quantity.
 
     Args:
         robot: Robot of the walk.
@@ -36,9 +36,10 @@ def find_fall_tests(
         seconds: Duration of each run [s].
 
     Returns:
-        A test per changed quantity; empty if no run of the walk falls. Three changes are left out
-        if they have no effect: a command of zero if the command is zero, no delay if the policy has
-        no latency, and larger torque limits if the motors have no limits.
+        A test per change, of the first run that falls. Empty if no run of the walk falls. A change
+        without effect is left out. Examples are a command of zero if the command is already zero,
+        no delay if the policy has no latency, and larger torque limits if the motors have no
+        limits.
     """
     fallen = next((gait for gait in walk.gaits if gait.fall is not None), None)
     if fallen is None:

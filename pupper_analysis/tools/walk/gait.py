@@ -49,14 +49,15 @@ DEFAULT_SECONDS, WARM_UP_SECONDS = 8.0, 2.0
 second to start walking."""
 
 SPEED_RTOL, SPEED_ATOL = 0.25, 0.05
-"""Relative and absolute [m/s] tolerance of the velocity error. A run tracks the commanded speed v
-if the error is at most `SPEED_RTOL` v + `SPEED_ATOL`. If v is not 0, the tolerance is at most (1 -
-`MIN_FOLLOWED_FRACTION`) v. Chosen: Pupper's public policy reaches 0.93 of the command.
+"""Relative and absolute [m/s] tolerance of the error of the mean horizontal velocity. A run tracks
+the commanded speed v if the error is at most `SPEED_RTOL` v + `SPEED_ATOL`. If v is not 0, the
+tolerance is at most (1 - `MIN_FOLLOWED_FRACTION`) v. Chosen: Pupper's public policy reaches 0.93 of
+the command.
 """
 
 TURN_ATOL = 0.1
-"""Absolute tolerance of the error of the turning rate [rad/s]. It replaces `SPEED_ATOL` in the
-formula for the speed. Chosen, not tuned.
+"""Absolute tolerance of the error of the turning rate [rad/s]. The formula is the formula of
+`SPEED_ATOL`, with the turning rate in place of the speed. Chosen, not tuned.
 """
 
 MIN_FOLLOWED_FRACTION = 0.5
@@ -76,12 +77,12 @@ Chosen, not tuned.
 
 _REGION_RTOL = 1e-9
 """Relative tolerance of the edge of a torque-speed region. A torque beyond the edge by less counts
-as inside. It covers rounding if the simulation limits a torque to the largest torque of the motor.
-Chosen, not tuned.
+as inside. The tolerance covers rounding if the simulation limits a torque to the largest torque of
+the motor. Chosen, not tuned.
 """
 
 _MAX_COMMAND = 100.0
-"""Largest accepted magnitude of a command [m/s, rad/s]. A larger number is refused, since its unit
+"""Largest accepted magnitude of a command [m/s, rad/s]. A larger number is refused, since the unit
 is probably wrong. Chosen, not tuned.
 """
 
@@ -91,7 +92,7 @@ _MOTION_PERIOD = 1 / 25
 
 @dataclass(frozen=True, eq=False)
 class Gait(Result):
-    """Run of a policy on a robot. Means and peaks exclude the warm-up.
+    """Evaluated run of a policy on a robot. Means and peaks exclude the warm-up.
 
     If the robot falls during the warm-up, means and peaks refer to the last step of the run.
 
@@ -99,37 +100,36 @@ class Gait(Result):
         command: Commanded forward speed, speed to the left (m/s) and turning rate to the left
             (rad/s), shape (3,).
         seed: Seed of the initial state; 0 is the default pose at rest.
-        fall: Description of the fall; None without a fall.
+        fall: Description of the fall or divergence; None without.
         duration: Time until the fall, or until the end.
         velocity: Mean forward speed and speed to the left, in the heading of the base, shape (2,);
             zero if the run ends before the warm-up or diverges.
         turning: Mean turning rate to the left; zero if the run ends before the warm-up or diverges.
         tracks: True if the robot does not fall and tracks the command.
-        torque_rms: Root mean square of each motor's torque, shape (nu,); NaN if the run ends at its
-            first state.
-        torque_peak: Largest magnitude of each motor's torque, shape (nu,); NaN if the run ends at
-            its first state.
+        torque_rms: Root mean square of each motor's torque, shape (nu,); NaN if the run has a
+            single state.
+        torque_peak: Largest magnitude of each motor's torque, shape (nu,); NaN if the run has a
+            single state.
         at_limit: Fraction of the time in which each motor is saturated, shape (nu,); NaN for a
-            motor whose torque limit no file states, and if the run ends at its first state.
-        region_peak: Largest torque of each motor relative to the torque that the motor exerts at
-            its speed, shape (nu,); NaN without an assigned motor, and if the run ends at its first
-            state.
-        beyond_region: Fraction of the time in which each motor is outside of its torque-speed
-            region, shape (nu,); NaN as ``region_peak``.
-        speed_peak: Largest speed of each joint, shape (nu,); NaN if the run ends at its first
-            state.
+            motor without a finite torque limit, or if the run has a single state.
+        region_peak: Largest ratio of each motor's torque to the torque that the motor can exert at
+            the present speed, shape (nu,). NaN without an assigned motor, or if the run has a
+            single state.
+        beyond_region: Fraction of the time in which each motor is outside of the torque-speed
+            region, shape (nu,). NaN without an assigned motor, or if the run has a single state.
+        speed_peak: Largest speed of each joint, shape (nu,); NaN if the run has a single state.
         power: Mean of the positive mechanical power of all motors, without recuperation; NaN if the
-            run ends at its first state.
+            run has a single state.
         transport: Cost of transport: power / (weight x speed); None below 0.05 m/s.
         duty: {foot: fraction of the time in contact with the ground}, sampled once per action.
         touching: Bodies other than feet that touched the ground in a sample.
-        static: Root mean square of each motor's static torque in the samples, shape (nu,); None
-            unless the seed is 0, or without samples.
+        static: Root mean square of the torque with which each motor would hold the sampled poses
+            without motion, shape (nu,). None if the seed is not 0, or without samples.
         roll: Standard deviation of the base roll.
         pitch: Standard deviation of the base pitch.
         bounce: Standard deviation of the base height.
-        margin: Distance from a fall: 1 in the default pose, 0 at a fall; of tilt and height loss
-            the worse.
+        margin: Distance from a fall: 1 without tilt and height loss, 0 at a fall. The larger of
+            tilt and height loss, relative to the bound of a fall, determines the margin.
         motion_time: Times of the recorded configurations, shape (m,).
         motion: Recorded configurations, shape (m, nq).
         torque_time: Times of the recorded torques, in the last second, shape (k,).
@@ -166,7 +166,7 @@ class Gait(Result):
 
 @dataclass(frozen=True)
 class FallTest(Result):
-    """Repetition of a run that falls, with one changed quantity.
+    """Repetition of a run that falls, with a single changed quantity.
 
     Attributes:
         quantity: ``command``, ``delay``, or a factor of ``strength``, ``friction``, ``kp``, ``kd``.
@@ -193,7 +193,7 @@ class Walk(Result):
         limits: Torque limit of each motor, shape (nu,); infinite without a limit.
         torque_units: (nu,) unit of the torque of each motor: N m for a hinge, N for a slide.
         mass: Mass of the robot.
-        gaits: A gait per seed; the first starts in the default pose at rest.
+        gaits: A gait per seed; the first run starts in the default pose at rest.
         integrator: MuJoCo's integrator.
         timestep: Time step of the simulation.
         rate: Simulated rate of the policy; the period is a whole number of time steps.
@@ -202,8 +202,8 @@ class Walk(Result):
         evidence: ``simulated``; ``traced`` if the policy was also compared with a recorded trace.
         trace: Comparison with a recorded trace; None without.
         motors: {joint: name of the assigned motor}.
-        fall_tests: Repetitions of the first run that falls, with one changed quantity each; empty
-            if not requested, and if no run falls.
+        fall_tests: Repetitions of the first run that falls, each with a single changed quantity.
+            Empty if not requested, or if no run falls.
     """
 
     name: str
@@ -226,7 +226,7 @@ class Walk(Result):
 
     @property
     def beyond_region(self) -> Array:
-        """Largest fraction of a run in which each motor is outside its torque-speed region.
+        """Largest fraction of a run in which each motor is outside of the torque-speed region.
 
         Shape (nu,); NaN for a joint without assigned motor, and if all runs end at the first state.
         """
@@ -235,22 +235,28 @@ class Walk(Result):
 
     @property
     def within_region(self) -> bool:
-        """Whether no assigned motor is beyond its region longer than `MAX_BEYOND_FRACTION`."""
+        """Whether each assigned motor is almost always inside of the torque-speed region.
+
+        A motor may be outside for a fraction of at most `MAX_BEYOND_FRACTION` of a run.
+        """
         return not bool((self.beyond_region > MAX_BEYOND_FRACTION).any())
 
     @property
     def passed(self) -> bool:
         """Whether all runs track the command, and no file or motor contradicts the result.
 
-        The files must state the masses of all links, and the assigned motors must exert the
-        torques at their speeds (``within_region``).
+        The files must state the masses of all links, and the assigned motors must be able to exert
+        the torques at the joint speeds (``within_region``).
         """
         tracks = all(gait.tracks for gait in self.gaits)
         return tracks and self.within_region and not has_unknown_masses(self.remarks)
 
 
 def list_walk_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Return the errors and assumptions about a robot's files, unknown link masses first."""
+    """List the errors and assumptions of a robot's files that affect a walk.
+
+    If links have no stated mass, the first remark names the links.
+    """
     masses = describe_missing_masses(robot)
     return (*(() if masses is None else (masses,)), *list_file_remarks(robot))
 
@@ -261,7 +267,7 @@ def has_unknown_masses(remarks: Iterable[Diagnostic]) -> bool:
 
 
 def check_command(command: ArrayLike) -> Array:
-    """Return a velocity command as an array of shape (3,) [m/s, m/s, rad/s].
+    """Check a velocity command, and return an array of shape (3,) [m/s, m/s, rad/s].
 
     Raises:
         ConfigurationError: If the command is not three finite numbers with magnitudes of at most
@@ -330,9 +336,10 @@ def simulate_walk(
 ) -> Walk:
     """Simulate a policy on a robot in MuJoCo and evaluate the gait.
 
-    The model is that of the robot's files. If the policy states gains, the servos get these gains;
-    the torque limits are kept. The robot starts in the default pose of the policy, with the lowest
-    foot on the ground. The command is constant from the start.
+    The simulated model is the MJCF of the robot. If the policy states gains, the servos get the
+    gains of the policy. The torque limits are kept, unless the contract of the policy states
+    limits. The robot starts in the default pose of the policy, with the lowest foot on the ground.
+    The command is constant from the start.
 
     Args:
         robot: Robot.
@@ -345,8 +352,8 @@ def simulate_walk(
         warm_up: Duration of the warm-up [s].
         workers: Number of threads; by default the number of cores. The result does not depend on
             this number.
-        motors: {joint: motor}. The torques are compared with the torque-speed regions of these
-            motors. The simulation limits torques by the effort limits of the robot only.
+        motors: {joint: motor}. The torques are compared with the torque-speed regions of
+            ``motors``. The simulation does not limit torques by ``motors``.
 
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed, the robot has no
@@ -379,12 +386,12 @@ def simulate_walk(
 
 
 def joint_torques(stage: Stage, run: PolicyRun) -> Array:
-    """Compute the motor torques [N m, N] of a run, shape (n, nu).
+    """Compute the motor torques [N m, N for slides] of a simulated run, shape (n, nu).
 
-    There is a row for the start of each step except the first; n is the number of recorded states
-    minus 1. MuJoCo's actuator law is evaluated: clip(gain u + bias, force range) x gear. u is the
-    clipped control, or the activation if the actuator has dynamics. The torque is 0 for joints
-    without a motor.
+    Row k contains the torques at the recorded state k, with the controls of the next step. The last
+    state has no row: n is the number of recorded states minus 1. The formula is MuJoCo's actuator
+    law: clip(gain u + bias, force range) x gear. u is the clipped control, or the activation if the
+    actuator has dynamics. The torque is 0 for joints without a motor.
     """
     model, convention = run.case.model, stage.robot.mj_convention
     driven = np.flatnonzero(convention.actuator_index >= 0)
@@ -416,7 +423,7 @@ def joint_torques(stage: Stage, run: PolicyRun) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """Mean velocity and turning rate of a run, and tracking of the command.
+    """Mean velocity and turning rate of a run, compared with the command.
 
     Attributes:
         velocity: Mean velocity forward and to the left, shape (2,) [m/s].
@@ -439,9 +446,10 @@ class Tracking:
 
 
 def evaluate_tracking(stage: Stage, run: PolicyRun, warm_up: float) -> Tracking:
-    """Compute mean velocity and turning rate of a run after the warm-up, and the tracking.
+    """Decide whether a run tracks the velocity command, from the motion after the warm-up.
 
-    The run tracks if the robot does not fall, and both errors are within the tolerances.
+    The run tracks if the robot does not fall, and the errors of the mean velocity and of the mean
+    turning rate are within the tolerances (`SPEED_RTOL`, `SPEED_ATOL`, `TURN_ATOL`).
 
     Args:
         stage: Robot, policy and model of the simulation.
@@ -449,9 +457,9 @@ def evaluate_tracking(stage: Stage, run: PolicyRun, warm_up: float) -> Tracking:
         warm_up: Time that is ignored at the start [s].
 
     Returns:
-        Velocity forward and to the left [m/s], turning rate [rad/s], and tracking. If fewer than
-        two states follow the warm-up, or one of these states is not finite, the velocities are
-        zero, the margins are -infinite, and the failure is ``falls``.
+        Mean velocity forward and to the left [m/s], mean turning rate [rad/s], margins and
+        tracking. The run counts as a fall if fewer than two states follow the warm-up, or a state
+        is not finite. Then the velocities are zero, and the margins are -infinite.
     """
     start = round(warm_up / stage.timestep)
     index = stage.robot.mj_convention.qpos_index
@@ -500,8 +508,8 @@ def measure_gait(
         stage: Robot, policy and model of the simulation.
         run: Simulated run with the command.
         warm_up: Time that is ignored at the start [s].
-        motors: {joint: motor}. The torques are compared with the torque-speed regions of these
-            motors.
+        motors: {joint: motor}. The torques are compared with the torque-speed regions of
+            ``motors``.
     """
     robot, step = stage.robot, stage.timestep
     first = min(round(warm_up / step), max(0, len(run.states) - 2))
@@ -571,7 +579,7 @@ def measure_gait(
 
 
 def describe_run_failure(stage: Stage, run: PolicyRun, duration: float) -> Diagnostic:
-    """Return the message that the robot fell, or that the simulation diverged, in a run.
+    """Create the message of a fall, or of a diverged simulation.
 
     Args:
         stage: Robot, policy and model of the simulation.
@@ -587,14 +595,12 @@ def describe_run_failure(stage: Stage, run: PolicyRun, duration: float) -> Diagn
 
 
 class GroundSupport(NamedTuple):
-    """Feet on the ground at a time, and the static motor torques, shape (nu,) [N m, N for slides].
+    """Feet on the ground, and motor torques that would hold the same pose without motion.
 
-    The static torques are zero if `sample_ground_support` does not compute them.
-
-    The static torques hold the same joint positions without motion. Vertical forces at the contact
-    points carry the weight. The centre of pressure is as close as possible to the projected centre
-    of mass. If the projected centre of mass is outside the support polygon, a standing robot would
-    tip.
+    The static torques, shape (nu,) [N m, N for slides], balance vertical forces at the contact
+    points that carry the weight. The centre of pressure is as close as possible to the projected
+    centre of mass. A standing robot would tip if the projected centre of mass is outside of the
+    support polygon. The static torques are zero if `sample_ground_support` does not compute them.
     """
 
     feet: tuple[str, ...]
@@ -604,10 +610,10 @@ class GroundSupport(NamedTuple):
 def sample_ground_support(
     stage: Stage, model: mujoco.MjModel, states: Array, *, statics: bool
 ) -> tuple[list[GroundSupport], tuple[str, ...]]:
-    """Return ground contacts of feet for each state, and other bodies that touch the ground.
+    """Find the feet on the ground for each state, and other bodies that touch the ground.
 
     Args:
-        stage: Policy on the robot.
+        stage: Robot, policy and model of the simulation.
         model: Simulated model.
         states: States of the simulation, shape (n, size).
         statics: True to compute static torques; otherwise the torques are zero.
@@ -660,12 +666,12 @@ def _compute_static_torques(
 ) -> Array:
     """Return the motor torques of a static pose, shape (nu,) [N m, N for slides].
 
-    The contact forces are vertical and carry the weight. Their fractions n at the points p follow
-    from non-negative least squares: minimise |sum n p - c|^2 with sum n = 1, where c is the
-    horizontal position of the CoM. Without points, no contact force is included.
+    The contact forces are vertical and carry the weight. The fractions n of the weight at the
+    points p follow from non-negative least squares: minimise |sum n p - c|^2 with sum n = 1, where
+    c is the horizontal position of the CoM. Without points, no contact force is included.
 
     Args:
-        stage: Robot and its model.
+        stage: Robot, policy and model of the simulation.
         model: MuJoCo model.
         data: MuJoCo data of the pose.
         points: Contact points in the world frame, shape (n, 3) [m].

@@ -1,9 +1,8 @@
 """Intervals of robot parameters within which a policy tracks the command.
 
-Inputs are a robot, a policy and a command. Output is, for each quantity and seed, the range of
-values with which the policy tracks the command. Each quantity is changed alone, in both directions
-from the nominal value. The range between a tracked and an untracked value is bisected
-(`tracked_intervals`).
+`tracked_intervals` changes each quantity alone, in both directions from the nominal value. The
+range between a tracked and an untracked value is bisected. The output is, for each quantity and
+seed, the range of values with which the policy tracks the command.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ DEFAULT_SEEDS = 5
 NUM_HALVINGS = 5
 """Number of bisections between a tracked and an untracked value of a varied quantity. Derived: five
 bisections locate the end of the interval to 1/32 of the distance from the nominal value to the
-bound of the range. If the quantity is a factor, the distance is that of the logarithms.
+bound of the range. If the quantity is a factor, the logarithms are bisected.
 """
 
 QuantitySetter = Callable[[Stage, mujoco.MjModel, float], None]
@@ -56,12 +55,12 @@ QuantitySetter = Callable[[Stage, mujoco.MjModel, float], None]
 
 @dataclass(frozen=True)
 class VariedQuantity:
-    """Parameter of the robot, or of the simulation, that is varied.
+    """Parameter of the robot or of the simulation that a search for intervals varies.
 
     Attributes:
         unit: Unit; ``x`` for a factor.
         nominal: Value of the unchanged robot.
-        range: Smallest and largest value that are simulated. Chosen, not tuned.
+        range: Smallest and largest simulated value. Chosen, not tuned.
         apply: Function that changes a copy of the model; None for a delay or a push.
     """
 
@@ -71,10 +70,9 @@ class VariedQuantity:
     apply: QuantitySetter | None
 
     def compute_midpoint(self, first: float, second: float) -> float:
-        """Return the midpoint of two values of the quantity.
+        """Return the midpoint of two values of the quantity, for a bisection.
 
-        This is the arithmetic mean. If the quantity is a factor (unit "x"), it is the geometric
-        mean.
+        The midpoint is the geometric mean for a factor (unit "x"), otherwise the arithmetic mean.
         """
         return math.sqrt(first * second) if self.unit == "x" else (first + second) / 2
 
@@ -85,7 +83,7 @@ def _get_base_id(stage: Stage, model: mujoco.MjModel) -> int:
 
 
 def _scale_base_mass(stage: Stage, model: mujoco.MjModel, value: float) -> None:
-    """Multiply mass and inertia of the base body by ``value``, in ``model``; not its CoM."""
+    """Multiply mass and inertia of the base body by ``value``, in ``model``; the CoM is kept."""
     model.body_mass[_get_base_id(stage, model)] *= value
     model.body_inertia[_get_base_id(stage, model)] *= value
 
@@ -131,8 +129,8 @@ def _scale_strength(stage: Stage, model: mujoco.MjModel, value: float) -> None:
 def _scale_legs(stage: Stage, model: mujoco.MjModel, value: float) -> None:
     """Multiply the lengths of the legs by ``value``, in ``model``; sizes and masses are unchanged.
 
-    This changes all bodies of a limb with a foot, except its first body. The positions of these
-    bodies are multiplied, and also the positions of their CoMs, geoms and sites.
+    In each limb with a foot, all bodies except the first body are changed. ``value`` multiplies the
+    positions of the changed bodies, and of the CoMs, geoms and sites on these bodies.
     """
     base, bodies_beyond = _get_base_id(stage, model), set()
     for body, _ in stage.robot.contact_places.values():
@@ -164,7 +162,7 @@ VARIED_QUANTITIES: Mapping[str, VariedQuantity] = {
 """{name: varied quantity}. ``mass`` and ``com`` (forward) belong to the base body. ``friction`` is
 the sliding friction of all contacts. ``legs`` is a factor on the lengths beyond the first body of
 each limb with a foot, at constant mass. ``payload`` is a fraction of the robot's mass, at the CoM
-of the base. A push lasts one action; its value is impulse / mass of the robot.
+of the base. A push lasts for a single action; the value is impulse / mass of the robot.
 """
 
 _PUSH_DIRECTIONS = {"push-forward": (1.0, 0.0), "push-left": (0.0, 1.0)}
@@ -173,21 +171,22 @@ _PUSH_DIRECTIONS = {"push-forward": (1.0, 0.0), "push-left": (0.0, 1.0)}
 
 @dataclass(frozen=True, eq=False)
 class TrackedInterval(Result):
-    """Interval of a quantity within which a policy tracks the command, for each seed.
+    """Interval of a varied quantity within which a policy tracks the command, for each seed.
 
     Attributes:
-        quantity: An element of `VARIED_QUANTITIES`.
+        quantity: A key of `VARIED_QUANTITIES`.
         unit: Unit; ``x`` for a factor.
         nominal: Value of the unchanged robot.
         least: Smallest tracked value found, shape (seeds,).
         most: Largest tracked value found, shape (seeds,).
-        below: Largest untracked value found below ``least``, shape (seeds,); NaN if the lower bound
-            of the range is tracked or is the nominal value.
-        above: Smallest untracked value found above ``most``, shape (seeds,); NaN if the upper bound
-            of the range is tracked or is the nominal value.
-        ended_below: Violated criterion at ``below`` for each seed: ``falls``, ``speed`` or
-            ``turning``; empty without a value.
-        ended_above: Violated criterion at ``above`` for each seed; empty without a value.
+        below: Largest untracked value found below ``least``, shape (seeds,). NaN if the policy
+            tracks at the lower bound of the range, or if this bound is the nominal value.
+        above: Smallest untracked value found above ``most``, shape (seeds,). NaN if the policy
+            tracks at the upper bound of the range, or if this bound is the nominal value.
+        ended_below: Criterion that is violated at ``below``, for each seed: ``falls``, ``speed`` or
+            ``turning``; empty if ``below`` is NaN.
+        ended_above: Criterion that is violated at ``above``, for each seed: ``falls``, ``speed`` or
+            ``turning``; empty if ``above`` is NaN.
         upright_least: Smallest value found without a fall, shape (seeds,).
         upright_most: Largest value found without a fall, shape (seeds,).
         measured: 95 % interval of the real robot's value, from a fit; None without a fit.
@@ -209,26 +208,28 @@ class TrackedInterval(Result):
 
     @property
     def common(self) -> tuple[float, float]:
-        """Intersection, over all seeds, of the intervals in which the policy tracks the command.
+        """Interval in which the policy tracks the command with all seeds: (lower, upper) end.
 
-        Lower and upper end, in the unit of the quantity.
+        The ends are in the unit of the quantity. The interval is the intersection of the intervals
+        of all seeds.
         """
         return float(self.least.max()), float(self.most.min())
 
     @property
     def upright(self) -> tuple[float, float]:
-        """Intersection, over all seeds, of the intervals in which the robot does not fall.
+        """Interval in which the robot falls with no seed: (lower, upper) end.
 
-        Lower and upper end, in the unit of the quantity.
+        The ends are in the unit of the quantity. The interval is the intersection of the intervals
+        of all seeds.
         """
         return float(self.upright_least.max()), float(self.upright_most.min())
 
     @property
     def inside(self) -> bool | None:
-        """Whether the policy tracks the command, with all seeds, in the whole measured interval.
+        """Whether all seeds track the command in the complete measured interval.
 
-        The interval is that of the varied quantity on the real robot (``measured``). None without
-        a measured interval.
+        ``measured`` is the interval of the quantity on the real robot, from a fit. None without a
+        measured interval.
         """
         if self.measured is None:
             return None
@@ -247,7 +248,8 @@ class TrackedIntervals(Result):
         command: Commanded forward speed, speed to the left (m/s) and turning rate to the left
             (rad/s), shape (3,).
         requested_seeds: Number of requested seeds.
-        seeds: Seeds with which the unchanged robot tracks; the other seeds are not used.
+        seeds: Seeds with which the unchanged robot tracks the command. Intervals are searched with
+            these seeds only.
         speed_margins: 1 - speed error / tolerance of the unchanged robot for each requested seed,
             shape (requested_seeds,).
         turning_margins: 1 - error of the turning rate / tolerance, shape (requested_seeds,).
@@ -273,11 +275,12 @@ class TrackedIntervals(Result):
 
     @property
     def narrow(self) -> tuple[str, ...]:
-        """Criteria (``speed``, ``turning``) whose margin is smaller than its spread over the seeds.
+        """Criteria (``speed``, ``turning``) with a margin smaller than the spread over the seeds.
 
-        Another initial state may violate such a criterion. If this criterion ends an interval, the
-        end depends on the initial state rather than on the quantity. Empty with less than two
-        seeds.
+        The margin is the smallest margin of the unchanged robot over ``seeds``; the spread is the
+        largest minus the smallest margin. Another initial state may violate a criterion with a
+        narrow margin. If this criterion ends an interval, the end depends on the initial state
+        rather than on the quantity. Empty with fewer than two ``seeds``.
         """
         margins = {"speed": self.speed_margins, "turning": self.turning_margins}
         return tuple(
@@ -289,7 +292,7 @@ class TrackedIntervals(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the policy tracks on the unchanged robot, and for all values that a fit permits.
+        """Whether the policy tracks the command on the robot, and within all measured intervals.
 
         The unchanged robot must track the command with all seeds. Each interval measured by a fit
         must be within the interval of the same quantity that all seeds track. The files must state
@@ -301,7 +304,7 @@ class TrackedIntervals(Result):
 
 
 def make_changed_case(stage: Stage, name: str, value: float, command: Array, seed: int) -> Case:
-    """Create the case of a walking simulation with a changed quantity.
+    """Create the case (model, command, seed) of a simulated run with a changed quantity.
 
     Args:
         stage: Robot, policy and model of the simulation.
@@ -399,10 +402,10 @@ def _make_interval(
 def _make_brackets(names: Iterable[str], seeds: Iterable[int]) -> dict[_BracketKey, list[float]]:
     """Return the initial bracket [satisfied, violated] of each quantity, side, seed and criterion.
 
-    A bracket contains two values of the quantity. The first value satisfies the criterion;
-    initially it is the nominal value. The second value violates the criterion; initially it is the
-    bound of the range, before this is simulated. If the bound is the nominal value, there is
-    nothing to search, and the second value is NaN.
+    A bracket contains two values of the quantity. The first value satisfies the criterion; the
+    initial value is the nominal value. The second value violates the criterion; the initial value
+    is the bound of the range, which is not yet simulated. If the bound is the nominal value, there
+    is nothing to search, and the second value is NaN.
 
     Args:
         names: Names of `VARIED_QUANTITIES`.
@@ -426,7 +429,7 @@ def _select_trial_values(
 
     Args:
         brackets: Brackets [satisfied, violated]; finished if the second value is NaN.
-        halve: Return the midpoint of the bracket (`VariedQuantity.compute_midpoint`) instead of its
+        halve: Return the midpoint of the bracket (`VariedQuantity.compute_midpoint`) instead of the
             second value.
     """
     return {
@@ -456,7 +459,7 @@ def tracked_intervals(
     of the quantity's range is simulated. If the command is not tracked at the bound, the range
     between a tracked and an untracked value is bisected `NUM_HALVINGS` times. The range between a
     value without and a value with a fall is bisected in the same way. If tracked and untracked
-    values alternate, the bisection finds one of the boundaries. The result does not depend on the
+    values alternate, the bisection finds a single boundary. The result does not depend on the
     number of workers.
 
     Args:
@@ -468,7 +471,8 @@ def tracked_intervals(
         quantities: Names of `VARIED_QUANTITIES`. ``strength`` is left out if no motor has a force
             limit.
         seconds: Duration of each run [s], 3 to 600.
-        measured: {quantity: interval of the real robot}; see `read_measured_intervals`.
+        measured: {quantity: interval of the real robot, (lower, upper)}, as from
+            `read_measured_intervals`.
         workers: Number of threads; by default the number of cores.
 
     Raises:
@@ -486,7 +490,7 @@ def tracked_intervals(
     outcomes: dict[tuple[str, float, int], Tracking] = {}
 
     def simulate(trials: list[tuple[str, float, int]]) -> None:
-        """Simulate all trials without an entry in ``outcomes``, and add the results to it.
+        """Simulate all trials without an entry in ``outcomes``, and add the entries.
 
         A trial is a name of a quantity, a value of the quantity, and a seed.
         """
@@ -556,12 +560,14 @@ def read_measured_intervals(
 ) -> dict[str, tuple[float, float]]:
     """Read the 95 % intervals of a fit of the real robot, as values of `VARIED_QUANTITIES`.
 
-    ``mass`` is a factor on the stated mass of the base, and ``com`` the forward displacement of its
-    CoM [m]. ``kp`` and ``kd`` are factors on the stated gains. Their interval contains the
-    intervals of all joints. ``delay`` [s] is the fitted delay minus the latency of the policy, at
-    least 0. All other parameters of the fit are ignored. A parameter is also ignored if its
-    interval or stated value is infinite. A mass or gain is ignored if its stated value is not
-    positive.
+    - ``mass`` is a factor on the stated mass of the base.
+    - ``com`` is the forward displacement of the base's CoM [m].
+    - ``kp`` and ``kd`` are factors on the stated gains. The interval contains the intervals of all
+      joints.
+    - ``delay`` [s] is the fitted delay minus the latency of the policy, at least 0.
+
+    Other parameters of the fit are ignored. A parameter is also ignored if the interval or the
+    stated value is infinite, or if the stated mass or gain is not positive.
 
     Args:
         path: JSON of a fit: ``fit.json``, or the output of ``--json``.
@@ -609,9 +615,9 @@ def read_measured_intervals(
 
 
 def _find_estimates(data: Any) -> list[Any]:
-    """Return the estimates in the JSON of a fit, unchecked; empty if there are none.
+    """Return the estimates in the JSON of a fit, unchecked; empty without a list of estimates.
 
-    A fit lists its estimates as ``estimates`` or, in ``fit.json``, as ``parameters``.
+    The key of the list is ``estimates`` or, in ``fit.json``, ``parameters``.
     """
     for key in ("estimates", "parameters"):
         rows = data.get(key) if isinstance(data, dict) else None

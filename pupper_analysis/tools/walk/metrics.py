@@ -80,4 +80,4 @@ METRICS: dict[str, dict[str, Any]] = {
         "unit": EFFORT_UNIT,
     },
 }
-"""{metric of this tool for studies: arguments of `Metric`}; see `study`."""
+"""{metric of `study` that walks with a policy: arguments of `Metric`}."""

@@ -1,7 +1,8 @@
 """Network of a policy: a list of array operations, evaluated by NumPy in double precision.
 
 Observations, states and actions have the shape (runs, 1, n) in the graph. The row of each run is
-multiplied separately, so that its result is bitwise independent of the number of other runs.
+multiplied separately. Therefore the result of a run is bitwise independent of the number of other
+runs.
 """
 
 from __future__ import annotations
@@ -26,8 +27,9 @@ that walk on the computer of a robot have about 1e6."""
 
 MAX_VALUE_SIZE = 1_000_000
 """Maximum number of elements of the result of a layer. A larger result is refused, unless an input
-of the layer has at least as many elements: values that double from layer to layer would exhaust the
-memory. The widest layers of walking policies have 1024. Chosen, not tuned."""
+of the layer has at least as many elements. Otherwise values that double from layer to layer could
+exhaust the memory. The widest layers of walking policies have 1024. Chosen, not tuned.
+"""
 
 
 def sigmoid(value: Array) -> Array:
@@ -53,7 +55,7 @@ ACTIVATIONS: Mapping[str, Operation] = {
 
 
 def dense(value: Array, weights: Array, bias: Array) -> Array:
-    """Evaluate a dense layer of a network: return x W + b, shape (runs, 1, u).
+    """Evaluate a dense layer of a policy's network: return x W + b, shape (runs, 1, u).
 
     Args:
         value: Input x, shape (runs, 1, n).
@@ -111,7 +113,9 @@ def lstm(
     state_weights: Array,
     bias: Array,
 ) -> tuple[Array, Array]:
-    """Return the next hidden state and cell of a long short-term memory.
+    """Return the next hidden state and cell state of a long short-term memory.
+
+    Source: Hochreiter and Schmidhuber, 1997, with the forget gate of Gers et al., 2000.
 
     Args:
         value: Input, shape (runs, 1, n).
@@ -121,8 +125,6 @@ def lstm(
             candidate, output gate.
         state_weights: Weights of the state, shape (u, 4 u), in the same order.
         bias: Biases, shape (4 u,).
-
-    Source: Hochreiter and Schmidhuber, 1997, with the forget gate of Gers et al., 2000.
 
     Returns:
         Hidden state, shape (runs, 1, u); cell state, shape (runs, 1, u).
@@ -155,14 +157,14 @@ class NetworkOperation:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """Network that maps observations to actions.
+    """Network of a policy that maps observations to actions, as NumPy operations.
 
     Attributes:
         nodes: Operations in the order of evaluation.
         constants: {name: weights}.
         observation: Name of the observation.
         action: Name of the action.
-        memory: Name of each recurrent state, name of the next value, and size.
+        memory: For each recurrent state: name of the state, name of the next value, and size.
         inputs: Number of elements of an observation.
         outputs: Number of elements of an action.
         files: Files beside the policy's file from which weights were read.
@@ -183,15 +185,13 @@ class Network:
         return sum(constant.size for constant in self.constants.values())
 
     def initial_memory(self, runs: int) -> tuple[Array, ...]:
-        """Return zeros for each recurrent state at the start of runs, shape (runs, 1, size)."""
+        """Return the recurrent states at the start of runs: zeros, shape (runs, 1, size) each."""
         return tuple(np.zeros((runs, 1, size)) for _, _, size in self.memory)
 
     def forward(
         self, observations: Array, memory: Sequence[Array] = ()
     ) -> tuple[Array, tuple[Array, ...]]:
-        """Evaluate the network: return the actions, shape (runs, outputs), and the next memory.
-
-        The memory are the recurrent states.
+        """Evaluate the network: return the actions, and the recurrent states for the next call.
 
         Args:
             observations: Observations, shape (runs, inputs).
@@ -220,10 +220,11 @@ def assemble_network(
     memory: Sequence[tuple[str, str, int]],
     inputs: int,
 ) -> Network:
-    """Build a network of any format, and evaluate the network once with an observation of zeros.
+    """Build a network from operations, and validate the sizes by an evaluation.
 
-    All formats are validated here: finite weights, number of weights, the sizes of the observation,
-    of recurrent states, of each operation's values and of the action.
+    The network is evaluated with an observation of zeros. The function checks that weights are
+    finite and not too many, and checks the sizes of observation, recurrent states, values of each
+    operation, and action.
 
     Args:
         path: The file, for messages.
@@ -235,7 +236,7 @@ def assemble_network(
 
     Raises:
         ModelError: If there are too many weights, a weight is not finite, an input of a node or the
-            action does not exist, or a size does not fit; the message names the layer or value,
+            action does not exist, or a size does not fit. The message names the layer or value,
             unless there are too many weights.
     """
     count = sum(weights.size for weights in constants.values())

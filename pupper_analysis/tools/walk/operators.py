@@ -1,8 +1,8 @@
 """Operators of ONNX networks as functions of NumPy arrays.
 
 The operators occur in public walking policies, or belong to the same layers. Values that depend on
-the observation have a leading axis of runs: an ONNX tensor of shape (1, n) is an array of shape
-(runs, 1, n), and (1, c, n) is (runs, c, n).
+the observation have a leading axis of runs. An ONNX tensor of shape (1, n) is an array of shape
+(runs, 1, n), and a tensor of shape (1, c, n) is an array of shape (runs, c, n).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def _make_gemm(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _is_along_elements(attributes: dict[str, Any]) -> bool:
-    """Return True if the ``axis`` of an operator is stated as -1, 1 or 2: not that of the runs."""
+    """Return True if the ``axis`` of an operator is stated as -1, 1 or 2, not the axis of runs."""
     return attributes.get("axis", 0) in (-1, 1, 2)
 
 
@@ -57,7 +57,7 @@ def _make_split(attributes: dict[str, Any], count: int) -> Operation | None:
 
 
 def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation Concat; None if it would join different runs.
+    """Return the operation Concat; None if Concat would join different runs.
 
     Axis 0 joins lists of sizes.
     Along axis 1, arrays with several channels each are joined by channel. Otherwise the elements of
@@ -85,7 +85,7 @@ def _make_concat(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _concatenate_sizes(*values: Array) -> Array:
-    """Return lists of sizes as one list, shape (n,).
+    """Join lists of sizes, shape (n,).
 
     Raises:
         ValueError: If a value has more than one axis.
@@ -96,7 +96,7 @@ def _concatenate_sizes(*values: Array) -> Array:
 
 
 def _make_clip(attributes: dict[str, Any], _: int) -> Operation:
-    """Return the ONNX operation Clip, with bounds from its inputs, otherwise its attributes."""
+    """Return the ONNX operation Clip, with bounds from the inputs, otherwise from attributes."""
 
     def apply(value: Array, low: Any = None, high: Any = None) -> Any:
         low = attributes.get("min", -np.inf) if low is None else low
@@ -163,7 +163,7 @@ def _erf(value: Array) -> Array:
 
 
 def _make_gelu(attributes: dict[str, Any], _: int) -> Operation:
-    """Return the operation Gelu (Hendrycks and Gimpel, 2016), exact or its tanh approximation."""
+    """Return the operation Gelu (Hendrycks and Gimpel, 2016), exact or the tanh approximation."""
     if attributes.get("approximate") == "tanh":
         return lambda x: 0.5 * x * (1 + np.tanh(np.sqrt(2 / np.pi) * (x + 0.044715 * x**3)))
     return lambda x: 0.5 * x * (1 + _erf(x / np.sqrt(2)))
@@ -186,7 +186,7 @@ def _make_softmax(attributes: dict[str, Any], _: int) -> Operation | None:
 def _make_layer_normalization(attributes: dict[str, Any], _: int) -> Operation | None:
     """Return the operation LayerNormalization (Ba et al., 2016); None if across the runs.
 
-    From axis 1, all elements of a run are normalised together; else those along the last axis.
+    From axis 1, all elements of a run are normalised together; else the last axis is normalised.
     """
     stated = attributes.get("axis", -1)
     if stated not in (-1, 1, 2):
@@ -215,9 +215,11 @@ def _make_batch_normalization(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _make_reduction(function: Callable[..., Any]) -> Make:
-    """Return a maker of a reduction of one axis, by default of all; each axis keeps one element.
+    """Return a maker of a reduction, such as a mean, for ``OPERATION_MAKERS``.
 
-    The maker returns None if several axes, or another axis than -1, 1 or 2, are stated.
+    The operation reduces a single axis, or by default all elements of each run. A reduced axis
+    keeps a single element. The maker returns None if several axes, or another axis than -1, 1 or 2,
+    are stated.
     """
 
     def make(attributes: dict[str, Any], _: int) -> Operation | None:
@@ -237,7 +239,7 @@ def _make_reduction(function: Callable[..., Any]) -> Make:
 
 
 def _find_axis(value: Array, axis: int) -> int:
-    """Return the axis of ``value``, whose first axis is that of the runs, for an ONNX axis.
+    """Return the axis of ``value`` (first axis: runs) that corresponds to an ONNX axis.
 
     Raises:
         ValueError: If the axis of an array with several axes is not 1, 2 or -1.
@@ -252,7 +254,7 @@ def _find_axis(value: Array, axis: int) -> int:
 
 
 def _make_slice(attributes: dict[str, Any], _: int) -> Operation:
-    """Return the operation Slice, with its bounds as inputs or, before opset 10, attributes."""
+    """Return the operation Slice, with bounds as inputs or, before opset 10, attributes."""
 
     def apply(value: Array, *bounds: Array | None) -> Any:
         names = ("starts", "ends", "axes", "steps")
@@ -294,11 +296,10 @@ def _make_gather(attributes: dict[str, Any], _: int) -> Operation:
 
 
 def _make_reshape(_: dict[str, Any], __: int) -> Operation:
-    """Return the operation Reshape, for arrays whose first axis is that of the runs.
+    """Return the operation Reshape, for arrays whose first axis is the axis of the runs.
 
-    A stated shape of three axes (1, c, n), without 0 for c and n, becomes (runs, c, n); any other
-    shape becomes (runs, 1, elements).
-    Arrays with less than three axes are unchanged.
+    A stated shape of three axes (1, c, n), without 0 for c and n, becomes (runs, c, n). Any other
+    shape becomes (runs, 1, elements). Arrays with fewer than three axes are unchanged.
     """
 
     def apply(value: Array, sizes: Array | None = None) -> Array:
@@ -316,7 +317,7 @@ def _make_transpose(attributes: dict[str, Any], _: int) -> Operation | None:
     """Return the operation Transpose; None for an order of axes that is not supported.
 
     Three orders are supported: an exchange of the last two axes, no change, and an exchange of the
-    axis of the runs with an axis of one element. The last order changes nothing for a single
+    axis of runs with an axis of a single element. The last order changes nothing for a single
     observation.
     """
     order = attributes.get("perm", [1, 0])
@@ -332,7 +333,7 @@ def _make_transpose(attributes: dict[str, Any], _: int) -> Operation | None:
 
 
 def _make_convolution(attributes: dict[str, Any], _: int) -> Operation | None:
-    """Return the operation Conv along one axis; None with groups, dilation, pads or more axes."""
+    """Return the operation Conv along an axis; None with groups, dilation, pads or more axes."""
     is_plain = attributes.get("group", 1) == 1 and not any(attributes.get("pads", ()))
     is_plain &= attributes.get("auto_pad", "NOTSET") in ("NOTSET", "VALID")
     stride, dilation = attributes.get("strides", [1]), attributes.get("dilations", [1])
@@ -358,7 +359,7 @@ def _expand(value: Array, sizes: Array) -> Array:
 
 
 def _fold(function: Callable[..., Any]) -> Operation:
-    """Return the operation f(f(a, b), c)... of any number of arrays, for a function f of two."""
+    """Return the operation f(f(a, b), c)... of any number of arrays, for a binary function f."""
 
     def apply(first: Array, *others: Array) -> Any:
         for other in others:
@@ -369,10 +370,12 @@ def _fold(function: Callable[..., Any]) -> Operation:
 
 
 def skip_missing_inputs(operation: Operation, names: Sequence[str]) -> Operation:
-    """Return an operation whose arguments are only the inputs that an ONNX node names.
+    """Return an operation that accepts only the inputs that an ONNX node names.
 
-    ``names`` are the names of the node's inputs. If an optional input is omitted, its name is
-    empty, and ``operation`` gets None for it.
+    Args:
+        operation: Operation with an argument per input of the node.
+        names: Names of the node's inputs. The name of an omitted optional input is empty;
+            ``operation`` then gets None for this input.
     """
     if all(names):
         return operation
@@ -390,8 +393,10 @@ def _ignore_attributes(operation: Operation) -> Make:
 
 
 IDENTITY_OPERATORS = ("Identity", "Cast", "CastLike", "Dropout", "Squeeze", "Unsqueeze")
-"""ONNX operators that are evaluated as identity: for a single observation they change neither the
-numbers nor their order, except a Cast of fractions to integers. Only the first input is used."""
+"""ONNX operators that are evaluated as identity. For a single observation, these operators change
+neither the numbers nor the order of the numbers, except a Cast of fractions to integers. Only the
+first input is used.
+"""
 
 OPERATION_MAKERS: dict[str, Make] = {
     "Add": _ignore_attributes(np.add),
@@ -456,4 +461,4 @@ OPERATION_MAKERS: dict[str, Make] = {
     "LSTM": _make_lstm,
     **dict.fromkeys(IDENTITY_OPERATORS, _ignore_attributes(ACTIVATIONS["linear"])),
 }
-"""{ONNX operator: function that makes its operation from attributes and the number of outputs}."""
+"""{ONNX operator: function that makes the operation from attributes and the number of outputs}."""

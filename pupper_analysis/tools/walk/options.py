@@ -31,17 +31,17 @@ COMMAND_OPTION = click.option(
     metavar="VX,VY,W",
     help="Speed forward and to the left (m/s), and turning to the left (rad/s).",
 )
-"""Option ``--command`` of the commands that simulate a walking policy: its velocity command."""
+"""Option ``--command`` of the commands that simulate a walking policy: the commanded velocity."""
 
 
 def load_walking_robot(
     source: str | VariantSpec | RobotFiles, style: str, *, everything: bool
 ) -> Robot:
-    """Return the selected robot; with ``style`` "text", print the notes on a robot of files.
+    """Load the robot of a walk, and print the notes on a robot that was read from files.
 
     Args:
         source: Variant, or files.
-        style: Output format. In "markdown" nothing is printed, since the report contains the
+        style: Output format. Notes are printed only for "text"; a report in "markdown" contains the
             notes.
         everything: True to print all notes.
     """

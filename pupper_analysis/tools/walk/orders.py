@@ -1,9 +1,9 @@
 """Ranking of readings of a policy: joint orders, signs, scales and histories.
 
 A reading (interpretation) is an order of joints, signs, scale and history. Inputs are a robot, a
-policy and commands; output is an `Orders`. The stated reading, and readings that differ in one
-respect, are simulated. They are ranked by the number of tracked commands. Equal numbers are ranked
-by torque and tracking error (`Candidate.cost`).
+policy and commands; output is an `Orders`. The stated reading, and readings that differ in a single
+respect, are simulated. Readings are ranked by the number of tracked commands; equal numbers are
+ranked by torque and tracking error (`Candidate.cost`).
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ DEFAULT_COMMANDS = ((0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8))
 orders can walk as well."""
 
 MIN_COST_RATIO = 1.1
-"""Ratio of the costs (`Candidate.cost`) of the second-best and the best interpretation of a policy
-(joint order and signs), if both track equally many commands. If they track at least one command,
-and the ratio is larger, the best interpretation is clearly better. Chosen: for Pupper's own policy
-on the model v3 the ratio is 1.2.
+"""Lower bound of the ratio of the costs (`Candidate.cost`) of the second-best and the best
+interpretation of a policy (joint order, signs, scale, history). The ratio is used if both track
+equally many commands, and at least a single command. Above the bound, the best interpretation is
+clearly better. Chosen: for Pupper's own policy on the model v3 the ratio is 1.2.
 """
 
 SCALE_FACTORS = (0.5, 2.0)
@@ -69,7 +69,7 @@ class Candidate(Result):
         fallen: Number of commands with a fall.
         torque: Root mean square of all motor torques in all runs.
         error: Mean deviation of speed and turning rate, relative to the command; 1 for a fall.
-        cost: torque (1 + error), by which candidates with as many tracked commands are ranked (N
+        cost: Ranking value of candidates with equally many tracked commands: torque (1 + error) (N
             m).
     """
 
@@ -114,8 +114,9 @@ class Orders(Result):
     def determined(self) -> bool:
         """Whether the best interpretation of a policy is clearly better than the second.
 
-        The best must track a command. It is clearly better if it tracks more commands than the
-        second, or if the cost of the second is more than `MIN_COST_RATIO` times that of the best.
+        The best interpretation must track a command. A further condition is that the best tracks
+        more commands than the second, or that the cost of the second is more than `MIN_COST_RATIO`
+        times the cost of the best.
         """
         return bool(self.candidates[0].tracked) and (
             self.lead is None or self.lead > MIN_COST_RATIO
@@ -125,9 +126,9 @@ class Orders(Result):
     def alike(self) -> tuple[int, ...]:
         """Indices of the interpretations of a policy that are about as good as the best (index 0).
 
-        An interpretation is an order of joints, signs, scale and history. The listed ones track as
-        many commands as the best, at a cost of at most `MIN_COST_RATIO` times that of the best.
-        Empty if no interpretation tracks a command.
+        An interpretation is an order of joints, signs, scale and history. Each listed
+        interpretation tracks as many commands as the best, at a cost of at most `MIN_COST_RATIO`
+        times the cost of the best. Empty if no interpretation tracks a command.
         """
         best = self.candidates[0]
         return tuple(
@@ -164,8 +165,8 @@ def rank_orders(
       by limb, or by limb if currently grouped by kind.
     - The opposite sign of each joint, and of all joints of the same kind.
     - Half and twice the action scale.
-    - With a history of several steps: the reversed history; and, if all terms have equally many
-      steps, a history ordered by term instead of by time step, or the reverse.
+    - With a history of several steps: the reversed history. If all terms have equally many steps,
+      also a history ordered by term instead of by time step, or the reverse.
 
     Args:
         robot: Robot.
@@ -214,9 +215,16 @@ def rank_orders(
 
 
 def group_limbs(robot: Robot, joints: Sequence[str]) -> list[list[int]]:
-    """Group joints by limb; return the indices into ``joints`` of each limb's joints.
+    """Group joints by limb, to permute the limbs of a policy's joint order.
 
-    A limb is all bodies below the same child body of the base.
+    A limb contains all bodies below the same child body of the base.
+
+    Args:
+        robot: Robot.
+        joints: Names of joints of the robot.
+
+    Returns:
+        For each limb, the indices into ``joints`` of the joints of the limb.
     """
     model = robot.mj_model
     base = model.body(robot.mj_base).id
@@ -237,7 +245,7 @@ joints with the opposite sign."""
 def _list_interpretations(
     robot: Robot, contract: PolicyContract
 ) -> Iterator[tuple[ContractChange, PolicyContract]]:
-    """Yield each interpretation of a policy as (change, changed contract), the stated one first.
+    """Yield interpretations of a policy as (change, changed contract), first the stated contract.
 
     Changed are for example the order of the joints, signs, the action scale or the history.
     """
@@ -271,7 +279,7 @@ def _list_interpretations(
 def _permute_joints(
     stated_joints: tuple[str, ...], limbs: Sequence[Sequence[int]]
 ) -> Iterator[tuple[str, str, tuple[str, ...]]]:
-    """Yield joint orders with exchanged limbs, also grouped by kind of joint, each once.
+    """Yield distinct joint orders with exchanged limbs, also grouped by kind of joint.
 
     Yields:
         "limbs", or "by-kind" for a changed grouping; exchanges as text, ``old > new`` with the
@@ -307,7 +315,7 @@ def _list_limb_orders(count: int) -> Iterator[tuple[int, ...]]:
 
 
 def _group_by_kind(joints: Sequence[str], limbs: Sequence[Sequence[int]]) -> tuple[str, ...]:
-    """Return the joints in the other grouping: by kind if they are by limb, otherwise by limb.
+    """Return the joints in the other grouping: by kind if currently by limb, otherwise by limb.
 
     By kind, the first joints of all limbs come first, then the second joints, and so on. ``limbs``
     contains the indices of the joints of each limb.
@@ -330,11 +338,16 @@ def _evaluate_interpretation(
     change: ContractChange,
     workers: int | None,
 ) -> Candidate:
-    """Simulate an interpretation of a policy with all commands, and return its result.
+    """Simulate an interpretation of a policy with all commands, and return the result.
 
-    Each of ``commands``, shape (n, 3) [m/s, m/s, rad/s], is simulated for ``seconds`` [s].
-    ``change`` is the difference of the interpretation from the stated contract (definition of
-    observation and action).
+    Args:
+        robot: Robot.
+        policy: Policy with the contract (definition of observation and action) of the
+            interpretation.
+        commands: Commands, shape (n, 3) [m/s, m/s, rad/s].
+        seconds: Duration of the run of each command [s].
+        change: Difference of the interpretation from the stated contract.
+        workers: Number of threads; None for the number of cores.
     """
     stage = prepare_stage(robot, policy)
     cases = [stage.make_case(command) for command in commands]

@@ -73,14 +73,14 @@ from pupper_analysis.tools.walk.operators import (
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """Policy: network and contract.
+    """Walking policy: network, and contract (meaning of observations and actions).
 
     Attributes:
         name: File name.
         network: Network that maps observations to actions.
         contract: Observation of the policy, and meaning of the actions.
         files: Files that were read: policy, files of weights, definitions of the contract.
-        notes: Assumptions about a deployment, and disagreements between its files.
+        notes: Assumptions about a deployment, and disagreements between the deployment's files.
     """
 
     name: str
@@ -104,7 +104,7 @@ class Policy:
             path: ONNX file, RTNeural's JSON, or TorchScript (requires torch).
             contract: TOML file with contract keys, which has precedence over the other files; by
                 default the file of the same name with the suffix ``.toml``, if that file exists.
-            deployment: Numbers of a deployment (`read_deployment`), which have precedence over the
+            deployment: Facts of a deployment (`read_deployment`), which have precedence over the
                 policy file.
 
         Raises:
@@ -131,19 +131,22 @@ class Policy:
         return cls(path.name, network, merged, tuple(dict.fromkeys(files)), notes)
 
     def with_contract(self, **changed: Any) -> Policy:
-        """Return the policy with changed fields of its contract (observation and action)."""
+        """Return a copy of the policy with changed fields of the `PolicyContract`."""
         return replace(self, contract=replace(self.contract, **changed))
 
 
 SOURCE_SUFFIXES = (".yaml", ".yml", ".py")
-"""Suffixes of files of a deployment or trainer that `walk` reads as `contract` does."""
+"""Suffixes of files of a deployment or trainer that both `walk` and `contract` read."""
 
 
 def split_sources(words: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Separate words of a command into words that name a robot, and other files.
+    """Separate words of a command into words that name a robot, and files of a policy.
 
-    The other files are recognised by their suffix: policy, deployment or trainer. They may be
+    Files of a policy, deployment or trainer are recognised by the suffix. Such a file may be
     ``FILE:NAME`` to select a configuration.
+
+    Args:
+        words: Words of the command.
 
     Returns:
         Words that name a robot; the other words.
@@ -159,18 +162,19 @@ def split_sources(words: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...
 def select_policy(policy: Path | None, sources: Sequence[str]) -> tuple[Path, tuple[str, ...]]:
     """Return the file of the policy, and the other sources.
 
-    If no policy is given, the only ONNX file in the folder of the first other source is used. The
-    folder ``exported`` beside this folder is searched as well, as in unitree_rl_lab.
+    If neither ``policy`` nor ``sources`` names a policy, the only ONNX file in the folder of the
+    first source is used. The folder ``exported`` beside this folder is searched as well, as in
+    unitree_rl_lab.
 
     Args:
-        policy: Typed policy; None without.
+        policy: File of the option ``--policy``; None without.
         sources: Files of a policy, deployment or trainer.
 
     Returns:
-        File of the policy; other sources, in the given order.
+        File of the policy; other sources, in the order of ``sources``.
 
     Raises:
-        ConfigurationError: If there are several policies, or none.
+        ConfigurationError: If there are several policies, or no policy.
     """
     policies = [Path(word) for word in sources if Path(word).suffix not in SOURCE_SUFFIXES
                 and ":" not in Path(word).name]  # fmt: skip
@@ -189,10 +193,10 @@ def select_policy(policy: Path | None, sources: Sequence[str]) -> tuple[Path, tu
 def read_statements(
     path: Path, deployment: Deployment | None = None
 ) -> tuple[Network, list[Statements]]:
-    """Read the network of a policy, and the contract keys of policy file and deployment.
+    """Read the network of a policy, and the contract keys that the files state.
 
     Returns:
-        Network; contract keys of the policy file and, if any, of the deployment.
+        Network; contract keys and values of the policy file and, if any, of the deployment.
 
     Raises:
         MissingPackageError: If the policy is TorchScript and torch is not installed.
@@ -206,20 +210,21 @@ def read_statements(
 
 
 def _find_toml_line(text: str, key: str) -> int:
-    """Return the line, from 1, that states a key of a flat TOML file; 0 if none does."""
+    """Return the number, from 1, of the line that states a key of a flat TOML file; 0 without."""
     match = re.search(rf"^[ \t]*[\"']?{re.escape(key)}[\"']?[ \t]*=", text, re.MULTILINE)
     return 0 if match is None else text.count("\n", 0, match.end()) + 1
 
 
 @contextmanager
 def refuse_malformed(path: Path) -> Iterator[None]:
-    """Convert a Python error that a malformed policy file causes into a refusal of the file.
+    """Context manager that converts Python errors of a malformed policy file into a ModelError.
 
     The readers check the values that the format uses. This function handles all other errors, for
     all formats. Therefore a malformed file is not reported as a defect of the package.
 
     Raises:
-        ModelError: If the block raises such an error.
+        ModelError: If the block raises a Python error that a malformed file may cause, such as
+            ValueError.
     """
     try:
         yield
@@ -261,17 +266,18 @@ def _read_policy(path: Path) -> tuple[Network, dict[str, Any]]:
 
 
 _NUMPY_TYPES = {1: "<f4", 6: "<i4", 7: "<i8", 10: "<f2", 11: "<f8"}
-"""{data type of an ONNX tensor (TensorProto.DataType): NumPy type of its raw bytes}. Tensors of
-other types are refused."""
+"""{data type of an ONNX tensor (TensorProto.DataType): NumPy type of the raw bytes}. Tensors of
+other types are refused.
+"""
 
 _FLOAT16 = 10
-"""TensorProto data type of half precision. If the numbers are not stored as raw bytes, they are
-stored as integers with the same 16 bits (onnx.proto3, ``int32_data``).
+"""TensorProto data type of half precision. Numbers that are not stored as raw bytes are stored as
+integers with the same 16 bits (onnx.proto3, ``int32_data``).
 """
 
 _FIELD_OF_TYPE = {1: 4, 6: 5, 7: 7, 11: 10}
-"""{data type of an ONNX tensor: number of the TensorProto field with the values}. These fields are
-used for values that are not stored as raw bytes (onnx.proto3).
+"""{data type of an ONNX tensor: number of the TensorProto field with the values}. The field
+contains values that are not stored as raw bytes (onnx.proto3).
 """
 
 
@@ -334,11 +340,11 @@ class _WeightFiles:
 def _read_tensor(
     path: Path, data: int | memoryview, weight_files: _WeightFiles | None = None
 ) -> tuple[str, Array]:
-    """Return the name and the numbers of an ONNX tensor (protobuf message), in its shape.
+    """Return the name and the numbers of an ONNX tensor (protobuf message), shape as stated.
 
     Raises:
-        ModelError: If the tensor is too large, has a negative dimension, an unsupported type or
-            another number of elements than its shape, or if its file of weights cannot be read.
+        ModelError: If the tensor is too large, has a negative dimension, an unsupported type or a
+            number of elements that does not fit the shape, or if a file of weights cannot be read.
             The error names the file.
     """
     tensor = gather_fields(data)
@@ -377,10 +383,10 @@ def _read_tensor(
 
 
 def build_onnx_network(path: Path, file: OnnxFile) -> Network:
-    """Build the network of an ONNX file. Weights may be in other files below the same folder.
+    """Build the network of an ONNX file. Weights may be in files below the same folder.
 
     Args:
-        path: File; files of weights are below its folder.
+        path: Path of the ONNX file.
         file: Content of the file.
 
     Raises:
@@ -394,9 +400,9 @@ def build_onnx_network(path: Path, file: OnnxFile) -> Network:
 
 
 _ACTION_NAMES = ("actions", "action", "mu", "mean", "mean_actions", "continuous_actions")
-"""Names of the output that is the action in networks of rl_games, skrl and others. They are used if
-a network without states has several outputs. Other outputs, such as standard deviation and value,
-are ignored.
+"""Names of the action output in networks of rl_games, skrl and other trainers. The names select the
+action if a network without states has several outputs. Other outputs, such as standard deviation
+and value, are ignored.
 """
 
 
@@ -435,7 +441,7 @@ def _build_onnx_network(path: Path, file: OnnxFile, weight_files: _WeightFiles) 
 
 
 _CONSTANT_ATTRIBUTES = ("value", "value_float", "value_int", "value_floats", "value_ints")
-"""Attributes of an ONNX node ``Constant`` that contain its value."""
+"""Attributes of an ONNX node ``Constant`` that contain the value."""
 
 
 def _build_node(
@@ -528,7 +534,7 @@ def build_rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
 
     Raises:
         ModelError: If there is no layer, or a layer has an unknown type or activation, unsuitable
-            weights or a size that does not fit; the message then names the layer.
+            weights or a size that does not fit. The message names the layer.
     """
     layers = values["layers"]
     if not layers:
@@ -585,7 +591,7 @@ def build_rtneural_network(path: Path, values: Mapping[str, Any]) -> Network:
 def _read_word(
     path: Path, name: str, layer: object, key: str, valid_words: Collection[str], default: str = ""
 ) -> str:
-    """Return the text that a layer of a policy file states for a key, such as its activation.
+    """Return the text that a layer of a policy file states for a key, such as an activation.
 
     Args:
         path: The file, for messages.
@@ -596,7 +602,7 @@ def _read_word(
         default: Word for a missing key, null, or an empty text; "" if the key is required.
 
     Raises:
-        ModelError: If the layer is not an object, or the value is not one of the words.
+        ModelError: If the layer is not an object, or the value is not a valid word.
     """
     value = layer.get(key) if isinstance(layer, dict) else layer
     if isinstance(layer, dict) and default and (value is None or value == ""):
@@ -647,7 +653,7 @@ Larger files are refused."""
 
 
 class _ScriptedModule:
-    """TorchScript module whose states, such as those of an LSTM, are set before each evaluation.
+    """TorchScript module whose states (for example of an LSTM) are set before each evaluation.
 
     Args:
         torch: Module ``torch``.
@@ -712,12 +718,15 @@ class _ScriptedModule:
 
 
 def build_torchscript_network(path: Path) -> Network:
-    """Build the network of a TorchScript file.
+    """Build the network of a TorchScript file, evaluated by torch.
+
+    Args:
+        path: TorchScript file.
 
     Raises:
         MissingPackageError: If torch is not installed.
-        ModelError: If the file cannot be read, is too large or contains no network, or the
-            network keeps a state that is no buffer, or does not start with zeros.
+        ModelError: If the file cannot be read, is too large or contains no network. Also if the
+            network keeps a state that is no buffer, or a state that does not start with zeros.
         ValueError: If the network cannot be evaluated for an observation of any possible size.
     """
     try:

@@ -1,8 +1,8 @@
 """Response of a walking policy: mean velocity for a grid of commands, and dead zones.
 
-Inputs are a robot, a policy and the largest commands; output is a `ResponseMap` with a
-`ResponseAxis` for forward speed, speed to the left and turning rate, unless the largest command is
-0. Along an axis the other two commands are zero.
+Inputs are a robot, a policy and the largest commands; output is a `ResponseMap`. The map has a
+`ResponseAxis` each for forward speed, speed to the left and turning rate, unless the largest
+command of the axis is 0. Along an axis the other two commands are zero.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ NUM_STEPS = 5
 the largest command."""
 
 MIN_RESPONSE = 0.25
-"""Ratio of achieved to commanded velocity. If it is smaller, the policy ignores the command (dead
-zone). Chosen, not tuned: half of the fraction that a tracking robot reaches
+"""Lower bound of the ratio of achieved to commanded velocity. Below the bound, the policy ignores
+the command (dead zone). Chosen, not tuned: half of the fraction that a tracking robot reaches
 (`MIN_FOLLOWED_FRACTION`).
 """
 
@@ -50,7 +50,7 @@ AXIS_NAMES = ("forward", "left", "turning")
 
 @dataclass(frozen=True, eq=False)
 class ResponseAxis(Result):
-    """Achieved velocity for commands along one axis.
+    """Achieved velocities of a walking policy for commands along an axis.
 
     Attributes:
         axis: ``forward``, ``left`` or ``turning``.
@@ -69,10 +69,11 @@ class ResponseAxis(Result):
 
     @property
     def dead_zone(self) -> tuple[float, float]:
-        """Lower and upper end of the range of commands around zero that the policy ignores.
+        """Range of commands around zero that the policy ignores: (lower, upper) end.
 
-        A command is ignored if less than a quarter of it is achieved, without a fall. An end is 0
-        if the smallest command on its side is followed, or if a run falls there.
+        A command is ignored if less than a quarter of the commanded velocity is achieved
+        (`MIN_RESPONSE`), without a fall. An end is 0 if the policy follows the smallest command on
+        this side, or if a run with this command falls.
         """
         ends = []
         for side in (-1.0, 1.0):
@@ -125,14 +126,15 @@ def map_response(
     seconds: float = DEFAULT_SECONDS,
     workers: int | None = None,
 ) -> ResponseMap:
-    """Simulate a policy for commands from minus to plus the largest command of each axis.
+    """Measure the velocities that a policy achieves, for commands along each axis.
 
     Args:
         robot: Robot.
         policy: Policy.
         limits: Largest forward speed, speed to the left [m/s], and turning rate [rad/s]; an axis
             with the limit 0 is left out.
-        seeds: Number of initial states per command; see `simulate_walk`.
+        seeds: Number of initial states per command. Seed 0 is the default pose at rest, the other
+            seeds deviate as in `simulate_walk`.
         seconds: Duration of each run [s], 3 to 600.
         workers: Number of threads; by default the number of cores. The result does not depend on
             this number.

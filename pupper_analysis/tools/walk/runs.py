@@ -37,8 +37,9 @@ from pupper_analysis.tools.walk.contract import BY_FRAME, PolicyContract
 from pupper_analysis.tools.walk.policy import Policy
 
 _BATCH_SIZE = 16
-"""Maximum number of runs in lockstep. Chosen, not tuned: bounds the share of Python's overhead and
-the memory of the states."""
+"""Maximum number of runs in lockstep. Chosen, not tuned: a compromise between Python's overhead per
+run and the memory of the states.
+"""
 
 _JOINT_SPREAD, _SPEED_SPREAD = 0.05, 0.05
 """Bounds of the uniform differences between initial states: joint positions [rad], and base
@@ -48,8 +49,8 @@ PUSH_TIME = 2.0
 """Start of the push of a run [s]. Chosen so that the robot walks by then."""
 
 _STEP_RTOL = 1e-6
-"""Relative tolerance of the check that an action lasts at least one time step. It covers rounding
-of the rate and the time step. Chosen, not tuned.
+"""Relative tolerance of the check that an action lasts at least a time step. The tolerance covers
+rounding of the rate and the time step. Chosen, not tuned.
 """
 
 _CHECKED_FALL_FRACTION = 0.9
@@ -69,8 +70,8 @@ class Case:
         delay: Delay of commands at the servos [s].
         seed: Seed of the initial state; 0 is the default pose at rest.
         lift: Additional height of the initial state [m], for example for longer legs.
-        push: Impulse on the CoM of the base body during the action that starts at `PUSH_TIME`:
-            along x and y of the world frame, shape (2,) [N s].
+        push: Impulse on the CoM of the base body, along x and y of the world frame, shape (2,) [N
+            s]. The impulse acts during the action that starts at `PUSH_TIME`.
     """
 
     model: mujoco.MjModel
@@ -83,17 +84,17 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class PolicyRun:
-    """Result of a simulated run: states, controls, fall.
+    """Recorded states, controls and fall of a simulated run of a policy.
 
     Attributes:
         case: Definition of the run.
         states: States after each step (mjSTATE_FULLPHYSICS), up to a fall, shape (n, size).
-        targets: Applied controls of each step, shape (n, model.nu).
+        targets: Applied controls of the step that ends in each state, shape (n, model.nu).
         fallen: True if the robot fell or the simulation diverged.
         lean: Largest tilt of the base from the default pose, at the end of any action after the
             warm-up [rad].
-        lost: Largest height loss of the reference point at the same times, at least 0 [m]; the
-            point is fixed to the base at the CoM of the default pose (`StandReference`).
+        lost: Largest height loss of the reference point at the same times, at least 0 [m]. The
+            point is fixed to the base, at the CoM of the default pose (`StandReference`).
     """
 
     case: Case
@@ -106,14 +107,14 @@ class PolicyRun:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """A policy on a robot: data that all runs share, for n joints of the policy.
+    """Robot, policy and simulated model: the data that all runs of a policy with n joints share.
 
     Attributes:
         robot: Robot.
         policy: Policy.
         model: MuJoCo model with the servos of the policy.
         joints: Index of the robot's joint for each joint of the policy, shape (n,).
-        gear: ctrl per joint position, shape (n,).
+        gear: Servo control (ctrl) per joint position, shape (n,).
         ctrl: Controls of the default pose, shape (model.nu,).
         default: Initial configuration of seed 0 without `Case.lift`, shape (nq,).
         substeps: Number of time steps per action.
@@ -136,7 +137,7 @@ class Stage:
         return float(self.model.opt.timestep)
 
     def make_case(self, command: Array, seed: int = 0) -> Case:
-        """Create the definition of a run with the robot as in its files; nothing is simulated.
+        """Create the definition of a run with the unchanged robot; nothing is simulated.
 
         Args:
             command: Commanded forward speed, speed to the left [m/s] and turning rate [rad/s],
@@ -147,13 +148,14 @@ class Stage:
 
 
 def prepare_stage(robot: Robot, policy: Policy) -> Stage:
-    """Prepare simulations of a policy: the robot as in its files, with the policy's servo gains.
+    """Prepare the simulation of a policy on a robot: model, servo gains, start pose.
 
-    A policy without gains gets those of the robot's files.
+    The model is the robot's MJCF on the ground, with the servo gains of the policy. If the policy
+    states no gains, the gains of the robot's files are used.
 
     Raises:
         ConfigurationError: If the base is fixed, the robot has no feet, the policy acts more than
-            once per time step, or its contract states an effort below `MIN_EFFORT`.
+            once per time step, or the contract states an effort below `MIN_EFFORT`.
         ModelError: If a joint has no motor, the policy states kp without kd or kd without kp,
             neither policy nor robot has gains, or the number of joints or of observed feet differs.
         UnknownNameError: If the policy names a joint that the robot does not have.
@@ -209,7 +211,7 @@ def prepare_stage(robot: Robot, policy: Policy) -> Stage:
 
 
 def with_contract_efforts(robot: Robot, contract: PolicyContract, joints: IntArray) -> Robot:
-    """Return the robot with the torque limits of a policy's contract, if the contract states any.
+    """Apply the torque limits of a policy's contract to a robot.
 
     A finite limit of a TOML file replaces the limit of the robot's files. A limit of another
     source, for example a deployment, replaces the robot's limit only if it is lower, since both
@@ -235,7 +237,7 @@ def with_contract_efforts(robot: Robot, contract: PolicyContract, joints: IntArr
 def replace_efforts(
     robot: Robot, policy: Policy, efforts: Mapping[str, float]
 ) -> tuple[Robot, Policy]:
-    """Return robot and policy with other torque limits, which replace those of all files.
+    """Replace the torque limits of all files by passed limits, in robot and policy.
 
     Args:
         robot: Robot.
@@ -292,14 +294,16 @@ def simulate_cases(
     warm_up: float,
     workers: int | None = None,
 ) -> Iterator[PolicyRun]:
-    """Simulate cases and yield the runs in the same order.
+    """Simulate the runs of several cases in threads, and yield the runs in the same order.
 
     Args:
-        stage: Policy on the robot.
-        cases: Runs; their models have the sizes of the stage's model.
+        stage: Robot, policy and model of the simulation.
+        cases: Definitions of the runs. The models must have the same sizes as the model of
+            ``stage``.
         duration: Simulated time of each run without a fall [s].
         warm_up: Initial time in which tilt and height loss are not recorded [s].
-        workers: Number of threads; by default the number of cores.
+        workers: Number of threads; by default the number of cores. The results do not depend on
+            this number.
     """
     batches = [cases[start : start + _BATCH_SIZE] for start in range(0, len(cases), _BATCH_SIZE)]
     # Fewer batches than workers: use smaller batches.
@@ -323,15 +327,15 @@ class Lockstep:
     """Runs that are simulated together, action by action.
 
     Args:
-        stage: Policy on the robot.
-        cases: Runs; pushes are applied by the caller.
+        stage: Robot, policy and model of the simulation.
+        cases: Definitions of the runs. The caller applies the pushes.
 
     Attributes:
         commands: Commands of all runs, shape (runs, 3); may be changed between two actions.
         active: Indices of the n runs that continue, shape (n,).
         current: States of the active runs, shape (n, size).
-        observed: Observations for the last action, of the runs that were active then, shape (n,
-            inputs).
+        observed: Observations of the last action, shape (n, inputs), of the n runs that were active
+            at this action.
         tick: Number of actions so far.
     """
 
@@ -352,11 +356,11 @@ class Lockstep:
         )
 
     def advance(self, forces: Array | None = None) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Simulate one action (control step) of the active runs.
+        """Simulate an action (control step) of the active runs.
 
         Args:
             forces: Forces [N] and torques [N m] on the bodies of n active runs during the action,
-                shape (n, 6 nbody); see `FORCED_CONTROL_SPEC`. None: no forces.
+                shape (n, 6 nbody), in the layout of ``xfrc_applied``. None for no forces.
 
         Returns:
             Full physics states of MuJoCo, shape (n, substeps, size); applied controls, shape
@@ -413,7 +417,7 @@ def _simulate_batch(
     """Simulate several cases in the same time steps, each until a fall or the end.
 
     Args:
-        stage: Robot, policy and model.
+        stage: Robot, policy and model of the simulation.
         cases: Cases, for example commands and pushes.
         duration: Duration of each run without a fall [s].
         warm_up: Time at the start of which tilt and height loss are not recorded [s].
@@ -464,13 +468,15 @@ def _simulate_batch(
 
 
 def make_push_forces(stage: Stage, impulses: Sequence[tuple[float, float]]) -> Array:
-    """Return forces on the base that have given impulses within one step of the policy.
-
-    The shape is (runs, 6 nbody) [N, N m], as MuJoCo's ``xfrc_applied`` per run.
+    """Compute forces on the base that exert an impulse during an action of the policy.
 
     Args:
-        stage: Policy on the robot.
+        stage: Robot, policy and model of the simulation.
         impulses: Impulse of each run in the world frame, (x, y) [N s].
+
+    Returns:
+        Forces at the CoM of the base body, shape (runs, 6 nbody) [N, N m], in the layout of
+        MuJoCo's ``xfrc_applied``.
     """
     forces = np.zeros((len(impulses), stage.model.nbody, 6))
     forces[:, stage.model.body(stage.robot.mj_base).id, :2] = impulses
@@ -520,8 +526,8 @@ def measure_lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
     of the default pose (`StandReference`).
 
     Args:
-        stage: Policy on the robot.
-        states: States, shape (..., size).
+        stage: Robot, policy and model of the simulation.
+        states: Full physics states of MuJoCo, shape (..., size).
 
     Returns:
         Tilt, shape (...) [rad]; height loss, shape (...) [m].
@@ -535,15 +541,16 @@ def measure_lean_and_loss(stage: Stage, states: Array) -> tuple[Array, Array]:
 
 
 class Observer:
-    """Computes the observations of runs in lockstep.
+    """Observation model of a policy: computes the observations of runs that advance together.
 
     Args:
-        stage: Policy on the robot.
+        stage: Robot, policy and model of the simulation.
         commands: Commands of all runs, shape (runs, 3).
         models: Model of each run; by default the model of the stage.
 
     Attributes:
-        controls: Controls that act when an observation is made, shape (runs, model.nu).
+        controls: Applied controls at the time of the observation, shape (runs, model.nu). The
+            caller updates the array.
         last: Last actions of all runs, shape (runs, n).
         second_last: Actions before the last actions, shape (runs, n).
     """

@@ -20,8 +20,8 @@ from pupper_analysis.tools.walk.contract import TERM_SIZES
 from pupper_analysis.tools.walk.policy import read_statements
 
 _REQUIRED_KEYS = ("observation", "default", "action-scale", "rate")
-"""Keys of a policy contract that have no default value. The template marks these keys if no file
-states them.
+"""Keys of a policy contract that have no default value. The template marks a required key that no
+file states.
 """
 
 _MEANINGS = {
@@ -46,15 +46,15 @@ _MEANINGS = {
 def write_template(
     policy: Path, robot: Robot, deployment: Deployment | None = None
 ) -> tuple[Path, tuple[str, ...]]:
-    """Write a template of the TOML file beside a policy.
+    """Write a template of the TOML file that defines a policy's observation and action.
 
     Args:
         policy: File of the policy.
         robot: Robot, whose joints and start pose are suggestions.
-        deployment: Numbers of a deployment; None without.
+        deployment: Facts of a deployment; None without.
 
     Returns:
-        Path of the TOML file, and the keys that must be completed.
+        Path of the TOML file beside the policy; keys that the user must complete.
 
     Raises:
         MissingPackageError: If the policy is TorchScript and torch is not installed.

@@ -1,8 +1,9 @@
 """Comparison of a policy's contract with a recorded trace, open loop.
 
-A `Trace` contains observations and actions of a policy that ran on a robot, and the signals behind
-them. `check_trace` evaluates the network for the recorded observations, and compares each term of
-the observations with the recorded signals: order, sign, scale, offset and delay.
+A `Trace` contains observations and actions of a policy that ran on a robot, and the recorded
+signals of the robot. `check_trace` evaluates the network for the recorded observations, and
+compares each term of the observations with the recorded signals: order, sign, scale, offset and
+delay.
 """
 
 from __future__ import annotations
@@ -35,14 +36,15 @@ from pupper_analysis.tools.walk.runs import (
 )
 
 MIN_SAMPLES = 20
-"""Smallest number of samples of a trace; with fewer, the file is refused. Chosen, not tuned."""
+"""Smallest number of samples of a trace. A file with fewer samples is refused. Chosen, not tuned.
+"""
 
 MAX_DELAY_SAMPLES = 10
 """Largest delay that is searched, in samples. Chosen: 0.2 s at 50 Hz."""
 
 MATCH_RTOL, MATCH_ATOL = 0.02, 1e-4
 """Relative and absolute tolerance of a column of a term; the absolute tolerance is in the unit of
-the term. A column agrees if rms difference <= `MATCH_RTOL` * (rms of the expected signal about its
+the term. A column agrees if rms difference <= `MATCH_RTOL` * (rms of the expected signal about the
 mean) + `MATCH_ATOL`. Chosen, not tuned: above the noise of encoders and float32 logs, below the
 effect of a wrong sign, scale, order or delay.
 """
@@ -77,12 +79,12 @@ _SIGNALS = {
 
 
 _NUM_COLUMNS = {"angular_velocity": 3, "gravity": 3, "quaternion": 4}
-"""{array of a trace: number of columns}, if it does not depend on the robot."""
+"""{array of a trace: number of columns}, for arrays whose size does not depend on the robot."""
 
 _NUM_UNKNOWN_SAMPLES = {"last-action": 1, "second-last-action": 2}
-"""{term: number of samples at the start of a trace that are not compared}. In these samples the
-term contains actions before the trace, which are unknown. A trace may begin while the policy
-already runs.
+"""{term: number of samples at the start of a trace that are not compared}. At the start the term
+contains actions before the trace, which are unknown. A trace may begin while the policy already
+runs.
 """
 
 MAX_NORM_DEVIATION = 0.05
@@ -93,13 +95,14 @@ larger, the trace is refused. Chosen: logs with two decimals have 0.01; a row of
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """Record of a policy that ran on a robot; n samples, one per action.
+    """Record of a policy that ran on a robot: observations, actions and signals of n samples.
 
     Attributes:
         path: File.
-        time: Times, shape (n,) [s].
-        arrays: {name of the signal: shape (n, size)}; see `_SIGNALS`. Positions, velocities and
-            targets have the joints of ``joints`` as columns.
+        time: Times of the samples, shape (n,) [s]. A sample per action of the policy.
+        arrays: {name of the signal, for example ``observations`` or ``positions``: values, shape
+            (n, size)}. Positions, velocities and targets have a column per joint, in the order of
+            ``joints``.
         joints: Names of the robot's joints in the order of the columns; empty for the order of the
             robot's actuators.
     """
@@ -116,20 +119,20 @@ class Trace:
 
 
 def read_trace(path: str | Path) -> Trace:
-    """Read a trace from a CSV or npz file.
+    """Read the record of a policy that ran on a robot, from a CSV or npz file.
 
-    A CSV file has the columns ``time``, ``obs_0`` ..., ``action_0`` ..., and optionally
+    A CSV file has the columns ``time``, ``obs_0`` ..., ``action_0`` .... Optional columns are
     ``q_JOINT``, ``v_JOINT``, ``target_JOINT``, ``command_0`` to 2, ``gyro_0`` to 2, ``gravity_0``
-    to 2 or ``quat_0`` to 3 (w, x, y, z); ``v_JOINT`` and ``target_JOINT`` require ``q_JOINT``. An
-    npz file has the arrays ``time``, ``observations``, ``actions``, and optionally ``positions``,
-    ``velocities``, ``targets``, ``joints`` (names), ``commands``, ``angular_velocity``, ``gravity``
-    or ``quaternion``.
+    to 2 and ``quat_0`` to 3 (w, x, y, z). ``v_JOINT`` and ``target_JOINT`` require ``q_JOINT``. An
+    npz file has the arrays ``time``, ``observations`` and ``actions``. Optional arrays are
+    ``positions``, ``velocities``, ``targets``, ``joints`` (names), ``commands``,
+    ``angular_velocity``, ``gravity`` and ``quaternion``.
 
     Raises:
         ModelError: If the file cannot be read, ``time``, ``observations`` or ``actions`` is
-            missing, an array has an invalid shape, a number is not finite, a quaternion has not
-            norm 1 (`MAX_NORM_DEVIATION`), times do not ascend, or there are less than `MIN_SAMPLES`
-            samples.
+            missing, an array has an invalid shape, or a number is not finite. Also if the norm of a
+            quaternion differs from 1 by more than `MAX_NORM_DEVIATION`, times do not ascend, or
+            there are fewer than `MIN_SAMPLES` samples.
     """
     path = Path(path)
     try:
@@ -179,7 +182,7 @@ def _read_npz(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
 
 
 def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Return {array: values} of a CSV file, and the joint names in its columns ``q_JOINT``.
+    """Return {array: values} of a CSV file, and the joint names in the columns ``q_JOINT``.
 
     The names are empty if the columns are numbered, or absent. Numbered columns of a signal are
     sorted by their numbers.
@@ -245,7 +248,7 @@ class TermCheck(Result):
 
 @dataclass(frozen=True, eq=False)
 class TraceCheck(Result):
-    """Comparison of a policy's contract with a recorded trace.
+    """Comparison of a policy's contract with a recorded trace of the policy.
 
     Attributes:
         name: Name of the robot.
@@ -273,7 +276,10 @@ class TraceCheck(Result):
 
 
 def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
-    """Compare the contract of a policy with a recorded trace.
+    """Compare a policy's contract with a recorded trace, to find wrong orders, signs or scales.
+
+    The actions of the network, each term of the observation, and the joint targets are compared
+    with the recorded signals.
 
     Args:
         robot: Robot.
@@ -281,8 +287,9 @@ def check_trace(robot: Robot, policy: Policy, trace: Trace) -> TraceCheck:
         trace: Trace of this policy.
 
     Raises:
-        ModelError: If observations or actions have other sizes than those of the network, the trace
-            lacks a joint of the policy, or an array does not have a column per joint.
+        ModelError: If the trace has another number of observations or actions than the network,
+            lacks a joint of the policy, or lacks a column per joint. Also if the policy names no
+            joints and has another number of joints than the robot.
         UnknownNameError: If the policy names a joint that the robot does not have.
     """
     contract, observations = policy.contract, trace.arrays["observations"]
@@ -354,7 +361,7 @@ def _make_signals(robot: Robot, policy: Policy, trace: Trace) -> dict[str, Array
 
     Raises:
         ModelError: If the trace lacks a joint of the policy, or a column per joint, or the policy
-            names no joints and their number differs.
+            names no joints and the number of joints differs.
         UnknownNameError: If the policy names a joint that the robot does not have.
     """
     contract, arrays = policy.contract, trace.arrays
@@ -407,8 +414,8 @@ def _extract_frame(contract: PolicyContract, observations: Array, *, newest: boo
 def _measure_difference(seen: Array, expected: Array) -> float:
     """Return the rms difference of two signals (n, size), relative to the expected signal [1].
 
-    The divisor is the rms of ``expected`` about its mean, plus `MATCH_ATOL` / `MATCH_RTOL`, so that
-    the result is at most `MATCH_RTOL` if both agree within the tolerances.
+    The divisor is the rms of ``expected`` about the mean, plus `MATCH_ATOL` / `MATCH_RTOL`. The
+    result is at most `MATCH_RTOL` if both signals agree within the tolerances.
     """
     difference = float(np.sqrt(np.mean((seen - expected) ** 2)))
     size = float(np.sqrt(np.mean((expected - expected.mean(axis=0)) ** 2)))
@@ -532,11 +539,11 @@ def _find_permutation(seen: Array, expected: Array, names: Sequence[str]) -> tup
 
 
 def _list_offsets(seen: Array, expected: Array, names: Sequence[str]) -> str:
-    """Return the elements whose mean difference seen - expected is not 0, with it, as text.
+    """Return the elements with a nonzero mean difference seen - expected, as text.
 
-    At most six elements are named; a difference up to `MATCH_ATOL` counts as 0. ``seen`` and
-    ``expected``, shape (n, size) each, are the recorded elements, and the elements as the contract
-    defines them.
+    The text contains the differences of at most six elements. A difference up to `MATCH_ATOL`
+    counts as 0. ``seen`` and ``expected``, shape (n, size) each, are the recorded elements, and the
+    elements as the contract defines them.
     """
     offsets = (seen - expected).mean(axis=0)
     changed = np.flatnonzero(np.abs(offsets) > MATCH_ATOL)
@@ -552,7 +559,7 @@ def _search_elsewhere(
 ) -> tuple[float, str, str]:
     """Return another explanation if a term is elsewhere in the observation, or frames are reversed.
 
-    The result has the entries of `_explain_difference`. Without another explanation it is
+    The result has the entries of `_explain_difference`. Without another explanation, the result is
     ``found``.
 
     Args:
@@ -584,9 +591,9 @@ def record_trace(
     seconds_per_command: float = 1.0,
     seed: int = 1,
 ) -> dict[str, Any]:
-    """Simulate a policy and return the arrays of a trace, for ``np.savez``.
+    """Simulate a policy, and return the arrays of a trace for ``np.savez`` and `read_trace`.
 
-    The names are those that `read_trace` reads from an npz file; a row per action.
+    The arrays have a row per action, and the names that `read_trace` reads from an npz file.
 
     Args:
         robot: Robot.
