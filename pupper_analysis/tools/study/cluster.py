@@ -1,8 +1,8 @@
 """Workers of a Dask or Ray cluster for the designs of a study.
 
 `connect_dask` connects to a scheduler, or starts workers on this machine, and yields an executor
-for `Study.run`. If a worker ends, Dask evaluates its designs again on another worker. `RayExecutor`
-submits designs to a Ray cluster.
+for `Study.run`. If a worker ends, Dask evaluates the designs of the worker again on another worker.
+`RayExecutor` submits designs to a Ray cluster.
 """
 
 from __future__ import annotations
@@ -25,11 +25,14 @@ CONNECT_SECONDS: Final = 30.0
 
 @contextmanager
 def connect_dask(address: str) -> Iterator[tuple[Executor, int]]:
-    """Yield an executor of a Dask cluster, and the number of its workers' threads.
+    """Connect to a Dask cluster in a ``with`` block, to evaluate designs on the workers.
 
     Args:
         address: Address of a scheduler, such as ``tcp://host:8786``, or ``local:N`` for N worker
-            processes on this machine, which end with the block.
+            processes on this machine. Local workers end with the ``with`` block.
+
+    Yields:
+        Executor, and the total number of threads of the workers.
 
     Raises:
         ConfigurationError: If the address is not valid, or no scheduler or no worker answers.
@@ -69,10 +72,10 @@ def connect_dask(address: str) -> Iterator[tuple[Executor, int]]:
 
 
 class RayExecutor(Executor):
-    """Executor that submits each call as a task to a Ray cluster; ``ray.init`` connects to it.
+    """Executor that submits each call as a task to the Ray cluster of ``ray.init``.
 
-    Ray does not repeat a task if its worker ends. In this case the study evaluates the designs of
-    the task again, one by one.
+    Ray does not repeat a task whose worker ended. In this case the study evaluates each design of
+    the task again, separately.
 
     Raises:
         MissingPackageError: If Ray is not installed.
@@ -86,7 +89,7 @@ class RayExecutor(Executor):
         self._remote_functions: dict[Callable[..., Any], Any] = {}  # Ray sends each function once
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
-        """Submit a call, and return its future result."""
+        """Submit a call ``function(*arguments, **named)``, and return the future result."""
         if function not in self._remote_functions:
             self._remote_functions[function] = self._ray.remote(max_retries=0)(function)
         task = self._remote_functions[function].remote(*arguments, **named)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def _list_metrics(context: click.Context, _: click.Parameter, requested: bool) -> None:
-    """Print all metrics with their units and exit, if ``--list-metrics`` was requested."""
+    """Print all metrics with units and exit, if ``--list-metrics`` was requested."""
     if not requested or context.resilient_parsing:
         return
     from pupper_analysis.tools.study.document import metrics_document
@@ -34,7 +34,7 @@ def _list_metrics(context: click.Context, _: click.Parameter, requested: bool) -
 _STUDY_FOLDER = kinds.Folder(
     {"study.json": kinds.OutputKind("study", kinds.match_prefix('{\n  "format": ', '{"format": '))}
 )
-"""Folder of a study, recognised by the beginning of its file ``study.json``."""
+"""Folder of a study, recognised by the beginning of the file ``study.json``."""
 
 
 @shared.command("study", meanings={"file": "a TOML file that describes the study"})

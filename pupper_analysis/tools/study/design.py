@@ -1,7 +1,7 @@
 """Design of a study: variable values, the resulting robot and stand, and measured columns.
 
-Diagnostics of failed designs are stored as plain data, so that the message can be rendered later in
-any language.
+Diagnostics of failed designs are stored as plain data. Therefore the messages can be rendered later
+in any language.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ from pupper_analysis.tools.study.parameters import (
 
 
 def to_record(message: Diagnostic) -> dict[str, Any]:
-    """Convert a diagnostic to JSON data; `from_record` is the inverse."""
+    """Convert a diagnostic (message) to JSON data; `from_record` is the inverse."""
     subject, sources = message.subject, message.sources
     return {
         "code": message.code,
@@ -113,7 +113,7 @@ def from_record(record: dict[str, Any]) -> Diagnostic:
 def _encode_value(value: Value) -> Any:
     """Encode a value of a diagnostic as JSON data.
 
-    A diagnostic, quantity, vector, phrase or term becomes {name of its type: encoded data}.
+    A diagnostic, quantity, vector, phrase or term becomes {name of the type: encoded data}.
     """
     if isinstance(value, tuple):
         return [_encode_value(item) for item in value]
@@ -179,10 +179,10 @@ def load_file_source(arguments: Mapping[str, Any]) -> FileSource:
 
 @dataclass(frozen=True)
 class Variants(ScalableVariant):
-    """Source of the robots that result from scaling a variant.
+    """Source of a study's robots: a variant, scaled by the values of the variables.
 
     Attributes:
-        whole: True to keep visual geoms and meshes.
+        whole: True to keep visual geoms and meshes in the MJCF.
     """
 
     whole: bool = False
@@ -203,7 +203,7 @@ class Variants(ScalableVariant):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the name of the base variant and its scale factors, {name: value}, as plain data.
+        """Return the base and the scale factors of the variant as plain data, {name: value}.
 
         A study variable may replace a scale factor.
         """
@@ -215,12 +215,12 @@ RobotSource = FileSource | Variants
 
 
 def make_robot_source(robot: Any) -> RobotSource:
-    """Create the source of robots from the argument ``robot`` of `Study`.
+    """Create the source of a study's robots from the argument ``robot`` of `Study`.
 
     Args:
-        robot: One of four forms. 1. A text: name of a variant, or names of robot files joined by
-            ``+``. 2. A `VariantSpec`. 3. A mapping with such a text as ``base``, and scale factors
-            or file options. 4. A mapping of files and options (`load_file_source`).
+        robot: A text, a `VariantSpec` or a mapping. A text is the name of a variant, or contains
+            names of robot files joined by ``+``. A mapping contains such a text as ``base``, with
+            scale factors or file options, or contains files and options (`load_file_source`).
 
     Raises:
         ConfigurationError: If the argument has none of the supported forms, or an unknown key, or
@@ -252,7 +252,7 @@ def make_robot_source(robot: Any) -> RobotSource:
 
 
 def hash_description(description: Description) -> str:
-    """Return the SHA-256 hash of a robot description as hexadecimal text.
+    """Compute the SHA-256 hash of a robot description as hexadecimal text.
 
     The hash does not depend on the folders of the files.
     """
@@ -290,9 +290,9 @@ STANCE_VARIABLES = {
     for axis, name in enumerate([f"{known.name}_{x}" for x in known.axes] or [known.name])
     if name not in METRICS
 }
-"""Variables of the stance: {variable: (field, index into the field's axes)}. The model does not
-depend on these variables. A field is left out if its name is also a metric, such as ``com_margin``,
-since both would use the same column of the table.
+"""{variable of a study that changes the stance: (field of the stand task, index into the field's
+axes)}. The model does not depend on stance variables. A field whose name is also a metric, such as
+``com_margin``, is left out, since both would use the same column of the table.
 """
 
 ROBOT_VARIABLES = {name: field for name, field in ROBOT_FIELDS.items() if not field.axes}
@@ -300,13 +300,14 @@ ROBOT_VARIABLES = {name: field for name, field in ROBOT_FIELDS.items() if not fi
 joint or body names: payload, friction, and the gains of all servos."""
 
 FIELD_OF_VARIABLE = {name: field for name, (field, _) in STANCE_VARIABLES.items()} | ROBOT_VARIABLES
-"""{variable of the stance or of the whole robot: field that defines its unit and range}. Variables
-with a pattern of joint or body names are not included."""
+"""{variable of the stance or of the whole robot: field that defines unit and range}. Variables with
+a pattern of joint or body names are not included.
+"""
 
 MAX_CACHED_ROBOTS = 8
-"""Maximum number of entries in each of the caches of scaled robots, of robots and of stands. A few
-entries are sufficient: in a product of lists, successive designs mostly differ in the last variable
-only. Chosen, not tuned.
+"""Maximum number of entries in each cache: scaled robots, robots, and stands. A few entries are
+sufficient: in a product of lists, successive designs mostly differ only in the last variable.
+Chosen, not tuned.
 """
 
 
@@ -316,10 +317,8 @@ class DesignBuilder:
 
     Attributes:
         source: Source of the robots.
-        task: Stand task. If a variable of the stance sets a value of the task, it replaces this
-            value.
-        point: Position of the payload [m], optionally after a frame name; see
-            `robot.tool.find_place`.
+        task: Stand task. The value of a stance variable replaces the value in the task.
+        point: Position of the payload: (x, y, z) [m] in the base frame, or (frame, x, y, z).
         motors: {code: motor} of the motor variables (`encode_motor`).
         present_motor: Motor whose mass the files include; None without motor variables.
     """
@@ -343,14 +342,14 @@ class DesignBuilder:
         )
 
     def design(self, numbers: Mapping[str, float]) -> Design:
-        """Build the robot of a design and solve its stance, for given values of the variables.
+        """Build the robot of a design and solve the stance, for given values of the variables.
 
         Args:
             numbers: {variable: value in the unit of the variable}.
 
         Raises:
-            PupperAnalysisError: If the robot cannot be built or the stance cannot be solved; see
-                `classify_failure`.
+            PupperAnalysisError: If the robot cannot be built or the stance cannot be solved.
+                `classify_failure` returns the kind of the failure.
         """
         gains = {name: value for name, value in numbers.items() if is_servo_variable(name)}
         stance = {
@@ -378,7 +377,7 @@ class DesignBuilder:
         return Design(robot, stand, own_servos=own_servos, point=self.point, motors=motors)
 
     def robot_without_payload(self, numbers: Mapping[str, float]) -> Robot:
-        """Return the robot of a design with its servo gains, without the payload.
+        """Build the robot of a design with the servo gains of the design, without the payload.
 
         Args:
             numbers: {variable: value in the unit of the variable}.
@@ -491,10 +490,10 @@ def check_variable_name(name: str, source: RobotSource) -> None:
 
 
 def check_variable_range(name: str, low: float, high: float) -> None:
-    """Check the smallest and largest value of a variable (``low``, ``high``) against its bounds.
+    """Check the smallest and largest value of a variable (``low``, ``high``) against the bounds.
 
-    Two kinds of values are checked later, when a design is built: infinite values of a
-    distribution, and offsets (`ADDITIVE_KINDS`), whose bounds depend on the robot.
+    Some values are not checked here: infinite bounds of a distribution, motors, and values of
+    `ADDITIVE_KINDS`, whose bounds depend on the robot.
 
     Raises:
         ConfigurationError: If a finite value is out of bounds.
@@ -531,7 +530,7 @@ STAND_FAILURES = (
     NotSettlingError,
 )
 """Errors that mean that the robot of a design cannot stand in the stance. After such an error, a
-metric has its ``fallen`` value, if it defines one. After other errors, the value of the metric is
+metric has the value `Metric.fallen`, if defined. After other errors, the value of the metric is
 unknown.
 """
 
@@ -561,10 +560,17 @@ def measure_design(
 ) -> DesignRow:
     """Build a design, evaluate all metrics, and return the row of the table with the results.
 
-    If a metric fails, the other metrics are still evaluated, and the row records the first failure.
-    If the design cannot be built, no metric is evaluated. A metric may define the value ``fallen``
-    for robots that do not stand. This value is recorded if the error is in `STAND_FAILURES`.
-    ``numbers`` is {variable: value in the unit of the variable}.
+    Errors do not leave this function. The row records the first failure:
+
+    - If the design cannot be built, no metric is evaluated.
+    - If a metric fails, the other metrics are still evaluated.
+    - If the error is in `STAND_FAILURES` and the metric defines a value ``fallen``, this value is
+      recorded. Otherwise the value is missing.
+
+    Args:
+        builder: Builder of the study's designs.
+        numbers: {variable: value in the unit of the variable}.
+        metrics: Metrics.
     """
     row: DesignRow = dict.fromkeys(FAILURE_COLUMNS)
     try:
@@ -609,8 +615,8 @@ def make_failure_columns(kind: str, reason: Diagnostic) -> DesignRow:
 def measure_columns(design: Design, metrics: tuple[Metric, ...]) -> dict[str, float]:
     """Evaluate the metrics of a design, and return {column: value in the unit of the metric}.
 
-    A metric that raises an error in `STAND_FAILURES` has its ``fallen`` value, if it defines one.
-    Other metrics that raise an error of this package are left out.
+    If a metric raises an error in `STAND_FAILURES` and defines a value ``fallen``, the result
+    contains this value. Other metrics that raise an error of this package are left out.
     """
     row: dict[str, float] = {}
     for metric in metrics:
@@ -643,7 +649,7 @@ def _to_float(name: str, value: Any) -> float:
 
 
 def describe_error(error: BaseException) -> Diagnostic:
-    """Return the diagnostic of an error; for an error of another package, its type and message."""
+    """Return the diagnostic of an error; for an error of another package, type and message."""
     if isinstance(error, PupperAnalysisError):
         return error.diagnostic
     return diagnose("other-error", error=type(error).__name__, message=str(error))

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pupper_analysis.tools.study.running import Progress as StudyProgress
 
 _MAIN_EFFECT_NOTE = "alone-the-variance"
-"""Key of the text that explains main effects, below their table."""
+"""Key of the text that explains main effects, below the table of main effects."""
 
 MAX_TABLE_ROWS = 300
 """Maximum number of rows in a table of designs. Bounds the size of a page. Chosen, not tuned."""
@@ -52,8 +52,8 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
     """Create the report of a study of robot designs.
 
     The report contains tables of metrics, failures, best designs, effects and designs.
-    `build_document` calls this function for a `StudyOutcome`. All builders get the robot as the
-    second argument; it is not used here.
+    `build_document` calls this function for a `StudyOutcome`. The second argument, the robot, is
+    part of the common signature and not used.
     """
     failed = sum(group.designs for group in outcome.failures)
     count_text = text("count-designs-of-which-failed", count=len(outcome.table), failed=failed)
@@ -89,9 +89,9 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
 def _describe_best(outcome: StudyOutcome) -> Iterator[doc.Words]:
     """Yield the number of designs that meet the requirements, and the best design.
 
-    The best design is named only if there is exactly one objective. If no design meets all
-    requirements, the text contains the number of designs that meet each single requirement. Without
-    requirements, nothing is yielded unless there is exactly one objective and a Pareto front.
+    The best design is named only for a single objective. If no design meets all requirements, the
+    text contains the number of designs that meet each single requirement. Without requirements,
+    nothing is yielded unless there are a single objective and a Pareto front.
     """
     single = len(outcome.objectives) == 1
     if not outcome.requirements and not single:
@@ -329,7 +329,7 @@ def _format_share(value: float) -> doc.Number:
 
 
 def _make_design_table(outcome: StudyOutcome) -> doc.Table:
-    """Create the table of the first `MAX_TABLE_ROWS` designs, with a note about the others."""
+    """Create the table of the first `MAX_TABLE_ROWS` designs, with a note about other designs."""
     measured = [summary.metric for summary in outcome.measured]
     columns = [*outcome.variables, *measured]
     return replace(
@@ -384,8 +384,8 @@ def _make_row_table(
 def format_duration(seconds: float) -> str:
     """Format a duration [s] as text in s, min or h.
 
-    The unit is s below 120 s, and min below 120 min, both without decimals. Otherwise it is h, with
-    one decimal. The text is "-" if the duration is not finite.
+    The unit is s below 120 s, min below 120 min, and otherwise h. Hours have a decimal. The text is
+    "-" if the duration is not finite.
     """
     if not math.isfinite(seconds):
         return "-"

@@ -1,8 +1,8 @@
 """Stretched links: geometry, mass and inertia of the links of a robot, in the URDF and the MJCF.
 
-A link is stretched along the line from the joint of the link to the next joint, or to the foot. A
-component of this line along a joint axis is removed, so that a lateral offset remains. This axis is
-that of the next joint, or of the link's own joint if the line ends at a foot.
+A link is stretched along the line from the joint of the link to the end: the next joint, or the
+foot. The component of this line along a joint axis is removed, so that a lateral offset remains.
+This axis belongs to the next joint, or to the link's own joint if the line ends at a foot.
 
 With the unit vector u of the line, the factor s and A = 1 + (s - 1) u u^T, positions become p' = A
 p. The density is constant. Therefore the mass becomes m' = s m, and the second moments become S' =
@@ -10,8 +10,8 @@ s A S A^T, where S = tr(I)/2 1 - I and I' = tr(S') 1 - S'.
 
 Links that are fixed to a stretched link are stretched as well. Boxes and meshes with a principal
 axis along u, and cylinders and capsules with the axis along u, are lengthened. A mesh without such
-an axis is refused. Any other primitive shape keeps its size and is moved. Both ends of a geom with
-``fromto`` are moved, whatever its axis.
+an axis is refused. Any other primitive shape keeps the size and is moved. A geom with ``fromto`` is
+different: both ends are moved, for any direction of the axis.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Stretch:
     factor: float
 
     def compute_matrix(self, rotation: Array) -> Array:
-        """Return the matrix A, shape (3, 3), of a stretch p' = A p + b in the axes of a frame.
+        """Compute the matrix A, shape (3, 3), of a stretch p' = A p + b in the axes of a frame.
 
         Args:
             rotation: Rotation from the frame to the world, shape (3, 3).
@@ -83,10 +83,11 @@ class Stretch:
 
 
 def find_stretch(robot: Robot, joint: str, factor: float) -> Stretch:
-    """Return the stretch of the link that a joint moves, in the direction of the link's end.
+    """Find the origin and the direction in which the link below a joint is stretched.
 
-    The end is the next joint, or the foot. The direction is perpendicular to the axis of the next
-    joint. If the end is a foot, it is perpendicular to the axis of ``joint``.
+    The direction points from the joint to the end of the link: the next joint, or the foot. The
+    component along an axis is removed: the axis of the next joint, or the axis of ``joint`` if the
+    end is a foot.
 
     Args:
         robot: Robot.
@@ -94,8 +95,8 @@ def find_stretch(robot: Robot, joint: str, factor: float) -> Stretch:
         factor: Factor on the length of the link.
 
     Raises:
-        ConfigurationError: If the joint is ``""`` (the base), the link does not end at exactly one
-            joint or foot, or the length is below `_MIN_LINK_LENGTH`.
+        ConfigurationError: If the joint is ``""`` (the base), the number of joints and feet at the
+            end of the link is not 1, or the length is below `_MIN_LINK_LENGTH`.
     """
     urdf = UrdfTree.of(robot.description.urdf)
     name = f"length:{joint}" if joint else "length"
@@ -132,7 +133,7 @@ def _link_pose(config: Configuration, link: str) -> pin.SE3:
 
 
 def _normalise(vector: Array) -> Array:
-    """Return a vector divided by its norm."""
+    """Scale a vector to unit norm."""
     normalised: Array = np.array(vector) / np.linalg.norm(vector)
     return normalised
 
@@ -152,7 +153,7 @@ def evaluate_neutral_poses(robot: Robot) -> tuple[Configuration, mujoco.MjData]:
 def stretch_links(
     robot: Robot, trees: tuple[UrdfTree, SpecTree], factors: Mapping[str, float]
 ) -> float:
-    """Stretch links in the URDF and the MJCF, in place.
+    """Stretch links in the URDF and the MJCF in place, and return the new base height.
 
     The base heights of the keyframes are changed, so that the clearance above the ground is kept.
 
@@ -162,13 +163,13 @@ def stretch_links(
         factors: {joint: factor on the length of the link that the joint moves}.
 
     Returns:
-        New base height of the nominal stand [m]. With the largest foot radius r, (new height - r) /
-        (old height - r) is the ratio of the same terms for the home posture. The height is
-        unchanged for a fixed base, or without feet.
+        New base height of the nominal stand [m]. With the largest foot radius r, height - r is
+        multiplied by the ratio of the same quantity in the home posture, after and before the
+        stretch. The height is unchanged for a fixed base, or without feet.
 
     Raises:
-        ConfigurationError: If a link is the base, has no length, or does not end at exactly one
-            joint or foot.
+        ConfigurationError: If a link is the base, has no length, or has several ends or no end
+            (next joint or foot).
         ModelError: If no axis of a mesh is along the stretch.
     """
     urdf, mjcf = trees
@@ -204,7 +205,7 @@ def stretch_links(
 def stretch_inertia(
     inertia: pin.Inertia, matrix: Array, shift: Array, factor: float
 ) -> pin.Inertia:
-    """Return the inertia of a link whose points p move to A p + b.
+    """Compute the inertia of a link whose points p move to A p + b.
 
     The mass is multiplied by ``factor``. The fraction of the mass at each point is unchanged.
 
@@ -223,9 +224,9 @@ def stretch_inertia(
 
 
 def _find_axis_factors(matrix: Array, rotation: Array) -> Array | None:
-    """Return the stretch factors (3,) of a shape along its own axes, columns of ``rotation``.
+    """Return the stretch factors (3,) along the axes of a shape, the columns of ``rotation``.
 
-    None if the stretch ``matrix``, shape (3, 3), is not diagonal in these axes.
+    None if the stretch ``matrix``, shape (3, 3), is not diagonal in the axes of the shape.
     """
     local = rotation.T @ matrix @ rotation
     factors = np.diag(local)
@@ -236,7 +237,7 @@ def _find_axis_factors(matrix: Array, rotation: Array) -> Array | None:
 
 
 def _stretch_link(urdf: UrdfTree, name: str, matrix: Array, shift: Array, factor: float) -> None:
-    """Stretch a link of the URDF in place, with its inertial, shapes and child joint origins.
+    """Stretch a link of the URDF in place, with inertial, shapes and child joint origins.
 
     Points p of the link frame [m] move to A p + b, with A = ``matrix`` and b = ``shift``. The mass
     is multiplied by ``factor``.
@@ -262,10 +263,10 @@ def _move_origin(element: etree._Element, matrix: Array, shift: Array) -> None:
 
 
 def _stretch_form(form: etree._Element, factors: Array | None, link: str) -> None:
-    """Scale the size of a URDF shape by factors along its own axes, shape (3,).
+    """Scale the size of a URDF shape by factors along the axes of the shape, shape (3,).
 
-    Spheres keep their size; cylinders and capsules keep their radius. If the stretch is along none
-    of the axes, ``factors`` is None, and the shape keeps its size.
+    The size of a sphere is not changed, nor is the radius of a cylinder or capsule. If the stretch
+    is along none of the axes, ``factors`` is None, and the size is unchanged.
 
     Raises:
         ModelError: If the shape is a mesh and ``factors`` is None.
@@ -307,7 +308,7 @@ def _stretch_body(
         transform: A, shape (3, 3), and b, shape (3,) [m]: points p of the body frame move to
             A p + b.
         factor: Factor on the mass.
-        meshes: Mesh geoms are appended here: {mesh name: [(geom, factors along its axes)]}.
+        meshes: Mesh geoms are appended here: {mesh name: [(geom, factors along the geom's axes)]}.
     """
     matrix, shift = transform
     if inertia.mass > 0:
@@ -330,17 +331,17 @@ def _stretch_geom(
 ) -> None:
     """Stretch a geom of the MJCF in place: points p of the body frame [m] move to A p + b.
 
-    Spheres and ellipsoids keep their size; cylinders and capsules keep their radius. If a geom has
-    ``fromto``, both of its ends are moved.
+    The size of spheres and ellipsoids, and the radius of cylinders and capsules, are not changed.
+    If a geom has ``fromto``, both ends are moved.
 
     Args:
         geom: Geom.
         matrix: A, shape (3, 3).
         shift: b, shape (3,) [m].
-        meshes: Mesh geoms are appended here: {mesh name: [(geom, factors along its axes)]}.
+        meshes: Mesh geoms are appended here: {mesh name: [(geom, factors along the geom's axes)]}.
 
     Raises:
-        ModelError: If the geom is a mesh, and the stretch is along none of its axes.
+        ModelError: If the geom is a mesh, and the stretch is along no axis of the mesh.
     """
     if not np.isnan(geom.fromto[0]):
         ends = np.array(geom.fromto)

@@ -1,8 +1,8 @@
 """Metrics of a study: named metrics of a design, and functions of (robot, stand).
 
-A metric is a function of a `Design` (robot with a solved stand). It returns a number or {name:
-number}, in SI units. Other tools define further metrics, such as the payload limit, in their
-modules ``metrics``.
+A metric is a function of a `Design` (robot with a solved stand) that returns a number or {name:
+number}, in SI units. Modules ``metrics`` of other tools define further metrics, such as the payload
+limit.
 """
 
 from __future__ import annotations
@@ -57,15 +57,18 @@ MetricFunction = Callable[[Robot, Stand], Any]
 
 @dataclass(eq=False)
 class Design:
-    """A robot with a solved stand. Quantities that several metrics need are computed on first use.
+    """Robot of a study with a solved stand, the argument of each metric.
+
+    Quantities that several metrics need are computed on first use.
 
     Attributes:
         robot: Robot with payload and servo gains.
         stand: Solved stand.
-        own_servos: True if the servo gains are those of the file. The metric ``stands`` then also
-            evaluates the simulation of the published file.
-        point: Position of a payload, present or sought; see `robot.tool.find_place`.
-        motors: {joint: motor} of the motor variables of the study; empty without any.
+        own_servos: True if the servo gains are the gains of the file. The metric ``stands`` then
+            also evaluates the simulation of the published file.
+        point: Position at which a payload is attached: (x, y, z) [m] in the base frame, or (frame,
+            x, y, z).
+        motors: {joint: motor} of the motor variables of the study; empty without motor variables.
     """
 
     robot: Robot
@@ -76,9 +79,12 @@ class Design:
     _results: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     def compute_once(self, function: Callable[[Design], T]) -> T:
-        """Return the result of a function of this design, which is evaluated at the first call.
+        """Return ``function(self)``, evaluated at the first call and then cached.
 
-        Metrics of other tools can share a result in this way. An exception is not stored.
+        Metrics of other tools can share a result in this way. An exception is not cached.
+
+        Args:
+            function: Function of a design; the key of the cache.
         """
         if function not in self._results:
             self._results[function] = function(self)
@@ -89,7 +95,8 @@ class Design:
     def gains(self) -> dict[str, Any]:
         """Servo gains of this design, as keyword arguments ``kp`` and ``kd``.
 
-        Each has the shape (nu,) [N m/rad and N m s/rad]. Empty if the gains are those of the file.
+        Each array has the shape (nu,) [N m/rad, N m s/rad]. Empty if the design has the gains of
+        the file.
         """
         if self.own_servos:
             return {}
@@ -98,12 +105,12 @@ class Design:
 
     @cached_property
     def statics(self) -> GravityCompensation:
-        """Motor torques and contact forces in the design's stand, with least tangential forces."""
+        """Motor torques and contact forces in the stand, with minimum tangential forces."""
         return stand_statics(self.robot, self.stand)
 
     @cached_property
     def _equilibrium_or_error(self) -> SteadyState | PupperAnalysisError:
-        """Steady state without feed-forward, as the command ``stand`` computes it, or the error.
+        """Steady state without feed-forward, as in the command ``stand``, or the error.
 
         The error is stored, so that a failed computation is not repeated.
         """
@@ -125,7 +132,7 @@ class Design:
 
     @property
     def standing_equilibrium(self) -> SteadyState:
-        """Predicted equilibrium of the servo-driven robot without feed-forward, if it stays up.
+        """Predicted equilibrium without feed-forward in which the servo-driven robot stays up.
 
         Raises:
             NotStandingError: If the robot does not stay up (``failures`` of the equilibrium).
@@ -154,18 +161,22 @@ class Design:
     def simulated_stand(self) -> Stand:
         """Stand on MuJoCo's soft ground, the initial state of simulations.
 
-        The stand is on rigid ground if the soft-ground stand is out of reach. The errors are those
-        of ``solve_stand_as_simulated``.
+        The stand is on rigid ground if the soft-ground stand is out of reach.
+        ``solve_stand_as_simulated`` documents the errors.
         """
         return solve_stand_as_simulated(self.robot, self.stand)
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Verdict on the design's stand, as by the command ``stand``."""
+        """Verdict on the design's stand, the same as in the command ``stand``."""
         return judge_stand(self.robot, self.stand, **self.gains)
 
     def map_to_joints(self, values: Iterable[float]) -> dict[str, float]:
-        """Return {joint: value} for ``values`` of all joints in actuator order, in any unit."""
+        """Return {joint: value} for an array with a value per joint.
+
+        Args:
+            values: Values in actuator order, in any unit.
+        """
         pairs = zip(self.robot.joint_names, values, strict=True)
         return {name: float(value) for name, value in pairs}
 
@@ -188,18 +199,17 @@ class Design:
 
 @dataclass(frozen=True)
 class Metric:
-    """Named function of a design that fills a column of the table of a study.
+    """Quantity that a study measures for each design: a named function with a unit.
 
     Attributes:
-        name: Column of the table; a mapping of values fills the columns ``NAME.KEY``.
+        name: Column of the table. If the function returns a mapping, the columns are ``NAME.KEY``.
         function: Function of a design. If the metric needs a file, `of_file` creates this function.
         unit: Unit; ``1`` for a ratio, empty for a function of the user.
         simulates: True if the metric needs a simulation, or some seconds.
-        fallen: Value of the metric for a design that cannot stand; None if the value is unknown in
-            this case.
-        of_file: Function that creates ``function`` for a file. Its argument is the text after the
-            colon, for example the path of a policy. It returns the function of a design, and a hash
-            of the file content. None if the metric needs no file.
+        fallen: Value of the metric for a design that cannot stand; None if this value is unknown.
+        of_file: Function that creates ``function`` for a file; None if the metric needs no file.
+            The argument is the text after the colon, for example the path of a policy. The results
+            are the function of a design, and a hash of the file content.
         file: Text after the colon in ``NAME:FILE``.
         content: Hash that `of_file` returned.
     """
@@ -222,9 +232,9 @@ def text_key(metric: str) -> str:
 def _check_stand(design: Design) -> bool:
     """Return True if the robot stays up without feed-forward and no deviation grows within 12 s.
 
-    If the design has the gains of the file, the simulation of the unmodified MJCF from its keyframe
+    If the design has the gains of the file, the simulation of the unmodified MJCF from the keyframe
     must not fail either. If a mode grows in the linearised step but not in simulation, the growth
-    is ignored, and the verdict of `judge_stand` must pass as well.
+    is ignored. The verdict of `judge_stand` must then pass as well.
 
     Raises:
         NotStandingError: If the robot falls, a deviation grows, the verdict does not pass, or the
@@ -257,12 +267,18 @@ SET_DOWN_DURATION = 5.0
 
 
 def survives_set_down(design: Design) -> bool:
-    """Return True if the robot stands after it is set down from `SET_DOWN_HEIGHT`.
+    """Return True if the robot stands after a drop from the height `SET_DOWN_HEIGHT`.
 
-    The servos hold the positions of the stand, without feed-forward. The base starts at rest. True
-    requires three conditions: the robot does not fall in a checked state, it has not collapsed in
-    the last state (`StandReference.has_collapsed`), and the simulation does not diverge. A robot
-    without an equilibrium in which it stays up is not simulated.
+    The servos hold the positions of the stand, without feed-forward. The base starts at rest. The
+    simulation lasts `SET_DOWN_DURATION`. All conditions must be met:
+
+    - The robot falls in no checked state (`StandReference.has_fallen`).
+    - The robot has not collapsed in the last state (`StandReference.has_collapsed`).
+    - The simulation does not diverge.
+
+    Args:
+        design: Design. Without an equilibrium in which the robot stays up, nothing is simulated,
+            and an error is raised.
 
     Raises:
         NotStandingError: If the robot does not stay up in the predicted equilibrium.
@@ -350,12 +366,12 @@ METRICS: Mapping[str, Metric] = {
 
 
 def make_metric(requested: str | MetricFunction) -> Metric:
-    """Return a named metric, or create the metric of a function of (robot, stand).
+    """Return the metric that a study requests by name or as a function of (robot, stand).
 
     Args:
         requested: Name of `METRICS`, followed by ``:FILE`` if the metric needs a file; or a
-            function. The function must be at the top level of a module, so that other processes can
-            import it.
+            function. Other processes import the function, so that the top level of a module must
+            define the function.
 
     Raises:
         ConfigurationError: If the name is unknown, a file is missing or not needed, or the argument
@@ -408,9 +424,13 @@ def _bind_file(metric: Metric, requested: str) -> Metric:
 
 
 def resolve_metric_file(folder: Path, requested: object) -> object:
-    """Return a requested metric ``METRIC:FILE`` with the path of the file in a folder.
+    """Prepend a folder to the file of a requested metric ``METRIC:FILE``.
 
-    An absolute path, and a request without a file, are unchanged.
+    Absolute paths, and requests without a file, are returned unchanged.
+
+    Args:
+        folder: Folder to which the path is relative.
+        requested: Metric as requested in a study file.
     """
     name, _, file = requested.partition(":") if isinstance(requested, str) else ("", "", "")
     metric = METRICS.get(name)
@@ -419,7 +439,11 @@ def resolve_metric_file(folder: Path, requested: object) -> object:
 
 @dataclass(frozen=True)
 class UserFunction:
-    """Adapter that calls a function of (robot, stand) with a design."""
+    """Adapter from a user's function of (robot, stand) to a function of a design.
+
+    Attributes:
+        function: Function of (robot, stand).
+    """
 
     function: MetricFunction
 
@@ -433,10 +457,10 @@ class UserFunction:
         return f"{self.function.__module__}:{getattr(self.function, '__qualname__', '')}"
 
     def fingerprint(self) -> str:
-        """Return the import path of the user's function and a hash of its source text.
+        """Return a text that identifies the user's function: import path and hash of the source.
 
         The fingerprint changes with the source text, so that old results are not reused. If no
-        source text is available, for example for a built-in function, the fingerprint is the path.
+        source text is available, for example for a built-in function, the hash is constant.
         """
         try:
             text = inspect.getsource(self.function)
@@ -446,9 +470,9 @@ class UserFunction:
 
 
 def format_metric(metric: Metric) -> str:
-    """Return the text that requests a metric in a study file.
+    """Format a metric as the text that requests the metric in a study file.
 
-    This is the name, ``NAME:FILE``, or ``module:function`` for a function of the user.
+    The text is ``NAME``, ``NAME:FILE``, or ``module:function`` for a function of the user.
     """
     function = metric.function
     metric_name = f"{metric.name}:{metric.file}" if metric.file else metric.name
@@ -458,10 +482,11 @@ def format_metric(metric: Metric) -> str:
 def fingerprint_metric(metric: Metric) -> str:
     """Return a text that identifies a metric in the hash of a study.
 
-    For a function of the user, the text is the fingerprint of the function. For a metric of this
-    package or another tool, it is the name. If this metric reads a file (``NAME:FILE``, such as a
-    policy), the text also contains the hash of the file. If the meaning of a named metric changes,
-    `METRICS_REVISION` increases instead.
+    - For a function of the user: the fingerprint of the function.
+    - For a named metric: the name.
+    - For a named metric with a file, such as a policy: the name and the hash of the file.
+
+    If the meaning of a named metric changes, `METRICS_REVISION` is increased instead.
     """
     function = metric.function
     metric_name = f"{metric.name} {metric.content}".rstrip()

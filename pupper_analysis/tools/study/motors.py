@@ -33,9 +33,7 @@ from pupper_analysis.tools.study.parameters import VariablePattern, find_moving_
 from pupper_analysis.tools.study.variables import Variable
 
 MOTOR_KIND = "motor"
-"""Name of the study variable whose values are motors. It is also the kind in a variable name
-``motor:PATTERN``.
-"""
+"""Name of the study variable whose values are motors, and kind in the name ``motor:PATTERN``."""
 
 _CODE_DIGITS = 13
 """Number of hexadecimal digits of the hash with which tables identify a motor (`encode_motor`). 13
@@ -49,7 +47,7 @@ def is_motor_variable(name: str) -> bool:
 
 
 def encode_motor(motor: Motor) -> float:
-    """Return the number with which a table identifies a motor: a hash of its name and numbers."""
+    """Compute the number with which a table identifies a motor: a hash of name and numbers."""
     parts = [
         repr(getattr(motor, item.name)) for item in fields(Motor) if item.name not in _SOURCE_FIELDS
     ]
@@ -62,11 +60,11 @@ _SOURCE_FIELDS = ("source", "sources")
 
 
 def make_motor_variable(name: str, requested: object) -> tuple[Variable, dict[float, Motor]]:
-    """Create the variable of a list of motors, and return {code: motor}.
+    """Create the study variable whose values are the motors of a list.
 
     Args:
         name: Name of the variable, for messages.
-        requested: A name of a motor or of a motor file, a list of these, or {"values": list}.
+        requested: Name of a motor or of a motor file, a list of names, or {"values": list}.
 
     Returns:
         Variable; {code of the variable: motor}.
@@ -93,17 +91,20 @@ def make_motor_variable(name: str, requested: object) -> tuple[Variable, dict[fl
 def assign_motors(
     robot: Robot, numbers: Mapping[str, float], motors: Mapping[float, Motor]
 ) -> dict[str, Motor]:
-    """Return {joint: motor} of a design, from the values of all variables.
+    """Select the motor of each joint in a design, from the values of the motor variables.
 
     A variable ``motor:PATTERN`` has priority over ``motor``.
 
     Args:
         robot: Robot of the design.
-        numbers: {variable: value}; the values of motor variables are codes.
+        numbers: {variable: value} of all variables; the values of motor variables are codes.
         motors: {code: motor}.
 
+    Returns:
+        {joint: motor}; empty without motor variables.
+
     Raises:
-        ConfigurationError: If a motor would be assigned to a joint that cannot have one.
+        ConfigurationError: If a selected joint cannot have a motor, for example a slide.
         UnknownNameError: If a pattern matches no joint.
     """
     assigned: dict[str, Motor] = {}
@@ -118,16 +119,22 @@ def assign_motors(
 def with_motors(robot: Robot, motors: Mapping[str, Motor], present: Motor) -> Robot:
     """Return a robot with other motors at joints, in the URDF and the MJCF.
 
-    The effort limit becomes the largest torque of the motor at rest. The velocity limit becomes the
-    speed without load. The armature becomes the inertia of the rotor at the output. The mass
-    difference to the motor ``present`` is added to the parent link, as a point mass at the origin
-    of the joint. If the motor states no speed, gain, rotor inertia or gear ratio, the corresponding
-    number of the files is kept.
+    Changed numbers of each joint:
+
+    - Effort limit: largest torque of the motor at rest.
+    - Velocity limit: speed of the motor without load.
+    - Armature: inertia of the rotor at the output.
+    - Servo gains: gains that the motor states.
+    - Mass of the parent link: the mass difference to the motor ``present`` is added as a point mass
+      at the origin of the joint.
+
+    If the motor states no speed, gain, rotor inertia or gear ratio, the corresponding number of the
+    files is kept.
 
     Args:
         robot: Robot.
         motors: {joint: motor}; no slides.
-        present: Motor at these joints whose mass the files include.
+        present: Motor at the joints of ``motors`` whose mass the files include.
 
     Raises:
         ModelError: If mass or largest torque of a motor are unknown, or a model cannot be built.
@@ -154,7 +161,7 @@ def with_motors(robot: Robot, motors: Mapping[str, Motor], present: Motor) -> Ro
 
 
 def _with_motor_gains(robot: Robot, motors: Mapping[str, Motor]) -> Robot:
-    """Return a robot with the servo gains that its motors state; other gains are unchanged."""
+    """Return a robot with the servo gains that the motors state; other gains are unchanged."""
     if all(motor.kp is None and motor.kd is None for motor in motors.values()):
         return robot
     gains = resolve_servo_gains(robot)
@@ -174,7 +181,7 @@ def _add_masses(
     Args:
         robot: Robot of the trees.
         trees: Trees of the URDF and of the MJCF.
-        differences: {joint: mass that is added to its parent link at the origin of the joint}.
+        differences: {joint: mass [kg] that is added to the parent link at the origin of the joint}.
     """
     urdf, mjcf = trees
     by_link: dict[tuple[ModelTree, str], list[tuple[float, Array]]] = {}
@@ -193,7 +200,7 @@ def _add_masses(
 
 
 def _read_inertia(tree: ModelTree, link: str) -> pin.Inertia:
-    """Return the spatial inertia of a link or body in its own frame [kg, m, kg m^2]."""
+    """Return the spatial inertia of a link or body in the link frame [kg, m, kg m^2]."""
     if isinstance(tree, UrdfTree):
         return tree.links[link].inertia or pin.Inertia.Zero()
     assert isinstance(tree, SpecTree)

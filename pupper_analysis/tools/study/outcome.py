@@ -1,7 +1,7 @@
 """Outcome of a study: failures by kind, summary of each metric, main effects, Pareto front.
 
 Input is the table of a study, a row per design; output is a `StudyOutcome`. No design is evaluated.
-For a full product of values, main effects are eta squared; for samples, they are epsilon squared
+Main effects are eta squared for a full product of values, and epsilon squared for samples
 (`compute_main_effects`).
 """
 
@@ -48,12 +48,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Failures(Result):
-    """Designs that failed in the same way.
+    """Group of designs with the same kind of failure.
 
     Attributes:
         kind: Failure kind.
         metric: Metric that failed in the first design with this failure; None if the design could
-            not be built, exceeded the time limit or ended its worker.
+            not be built, exceeded the time limit or ended the worker process.
         designs: Number of designs with this failure.
         share: Fraction of the stored designs.
         reason: Reason for the first design with this failure, in English.
@@ -80,11 +80,11 @@ class MetricSummary(Result):
         median: Median.
         maximum: Largest value.
         designs: Number of designs with a value.
-        main_effects: {variable: fraction of the variance due to this variable alone, among the
-            designs with a value}; empty for a column ``NAME.KEY``.
-        interaction: Fraction of the variance due to several variables together. None for samples,
-            for a column ``NAME.KEY``, for fewer than two variables with several values, if all main
-            effects are 0, and unless all designs of the product have a value.
+        main_effects: {variable: fraction of the metric's variance due to this variable alone}, over
+            the designs with a value. Empty for a column ``NAME.KEY``.
+        interaction: Fraction of the metric's variance due to several variables together. None in
+            these cases: samples, a column ``NAME.KEY``, fewer than two variables with several
+            values, all main effects 0, or a design without a value.
     """
 
     metric: str
@@ -103,9 +103,10 @@ class StudyOutcome(Result):
 
     Attributes:
         robot: Robot as named in the study.
-        converted: ``"urdf"`` or ``"mjcf"``: model that was generated from the other file; empty if
+        converted: Model that was generated from the other file, ``"urdf"`` or ``"mjcf"``; empty if
             both files exist.
-        rests_on: Assumptions of the stands: simulation of the published file, added servos.
+        rests_on: Assumptions on which the stands depend: simulation of the published file, added
+            servos.
         variables: {variable: values or distribution, as in the study file}.
         table: A row per stored design.
         units: {variable or metric: unit in ``table``}; empty for ratios and factors.
@@ -113,9 +114,9 @@ class StudyOutcome(Result):
         measured: Summary of each metric.
         failures: Failed designs by kind, the most frequent first.
         objectives: {column: ``min`` or ``max``} of the Pareto front; empty without a front.
-        front: Designs on the Pareto front; only designs that meet the requirements and stand, if
-            ``stands`` was measured.
-        requirements: {requirement as text: number of designs that meet it alone}.
+        front: Designs on the Pareto front. Only designs that meet the requirements are considered
+            and, if ``stands`` was measured, that stand.
+        requirements: {requirement as text: number of designs that meet this requirement}.
         feasible: Number of designs that meet all requirements.
     """
 
@@ -141,10 +142,10 @@ def study_outcome(
     minimise: Sequence[str] = (),
     maximise: Sequence[str] = (),
 ) -> StudyOutcome:
-    """Collect the results of a study without evaluating designs.
+    """Summarise the stored results of a study: metrics, failures, and Pareto front.
 
     Args:
-        study: Study.
+        study: Study. No design is evaluated.
         folder: Folder of the results.
         minimise: Columns that the Pareto front minimises. If ``minimise`` and ``maximise`` are both
             empty, the objectives of the study are used. Without objectives there is no front.
@@ -191,10 +192,10 @@ def study_outcome(
 
 
 def list_stand_assumptions(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Return the assumptions on which the simulated stands of a robot depend.
+    """List the assumptions on which the simulated stands of a robot depend, as messages.
 
-    The messages state how the published file behaves in a simulation from its keyframe, and
-    describe the servos, if this package has added them.
+    The messages state the result of a simulation of the published file from the keyframe. If this
+    package has added servos, a message describes the servos.
     """
     messages = [clause.message for clause in make_keyframe_run_clauses(own_run(robot))]
     with contextlib.suppress(ModelError):  # a robot without servos, whose gains are variables
@@ -230,13 +231,13 @@ def compute_main_effects(
 ) -> dict[str, float]:
     """Compute the fraction of a metric's variance due to each variable alone.
 
-    For the full product of lists, the fraction is eta squared. This is the variance of the means of
-    the metric, one for each value of the variable, divided by the total variance. The remainder to
-    1 is due to several variables together.
+    For the full product of lists, the fraction is eta squared: the variance of the group means of
+    the metric, divided by the total variance. A group contains the designs with the same value of
+    the variable. The remainder to 1 is due to several variables together.
 
-    For samples, the values of a variable are grouped into intervals of equal width. The fraction is
-    then epsilon squared, which corrects eta squared for the number of designs. Designs without a
-    value of the metric are left out.
+    For samples, the values of a variable are grouped into intervals of equal width
+    (`MAX_VALUE_CELLS`). The fraction is then epsilon squared, which corrects eta squared for the
+    number of designs. Designs without a value of the metric are left out.
 
     Source: Kelley, "An unbiased correlation ratio measure", 1935.
 
@@ -286,7 +287,7 @@ def _number_levels(column: pd.Series[Any]) -> Array:
 def _summarise_metric(
     table: pd.DataFrame, name: str, spread: Sequence[str], study: Study
 ) -> MetricSummary:
-    """Return the smallest, median and largest value of a metric, and its main effects.
+    """Compute the smallest, median and largest value of a metric, and the main effects.
 
     Args:
         table: Table of results, a row per design.
@@ -351,13 +352,14 @@ OBJECTIVE_SIGNS = {"min": 1.0, "max": -1.0}
 
 
 def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataFrame:
-    """Return the designs on the Pareto front.
+    """Select the designs on the Pareto front: the designs that no other design dominates.
 
-    A design is on the front if no other design dominates it. Design A dominates design B if A is at
-    least as good in all objectives, and better in at least one objective.
+    Design A dominates design B if A is at least as good in all objectives, and better in an
+    objective.
 
     Args:
-        table: Table of a study. Designs without a value of an objective are left out.
+        table: Table of a study, a row per design. Designs without a value of an objective are left
+            out.
         objectives: {column: ``"min"`` or ``"max"``}.
 
     Returns:
@@ -414,13 +416,13 @@ def _find_unbeaten(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
 MAX_VALUE_CELLS, MIN_CELLS, DESIGNS_PER_CELL = 24, 4, 3
 """Sizes of the groups (cells) into which main effects divide the values of a sampled variable. If
 the variable has at most `MAX_VALUE_CELLS` distinct values, each value is a cell. Otherwise the
-cells are intervals of equal width. Their number is sqrt(n / `DESIGNS_PER_CELL`) for n designs, but
-at least `MIN_CELLS` and at most `MAX_VALUE_CELLS`. Chosen, not tuned.
+cells are intervals of equal width. The number of cells is sqrt(n / `DESIGNS_PER_CELL`) for n
+designs, but at least `MIN_CELLS` and at most `MAX_VALUE_CELLS`. Chosen, not tuned.
 """
 
 ROUNDING_RTOL = 1e-9
 """Relative tolerance of the difference of two values, relative to the larger magnitude. A range
-counts as 0 if its ends differ by at most this value. It covers rounding. Chosen, not tuned.
+counts as 0 if both ends agree within this tolerance, which covers rounding. Chosen, not tuned.
 """
 
 
@@ -440,10 +442,10 @@ def _assign_cells(values: Array) -> Array:
 
 
 def find_column_unit(column: str, robot: Robot) -> str:
-    """Return the unit of a column of a study's table (metric or variable).
+    """Return the unit of a column of a study's table (metric or variable), for reports.
 
-    Empty for ratios and factors. The unit of torques and stiffnesses depends on the joints: all
-    joints of the robot, or the joint of a column ``METRIC.JOINT``.
+    The result is empty for ratios and factors. The unit of torques and stiffnesses depends on the
+    type of the joints: all joints of the robot, or the joint of a column ``METRIC.JOINT``.
 
     Args:
         column: Column of the table.
@@ -460,7 +462,9 @@ _QUANTITIES = {
     for units in (HINGE_UNITS, MIXED_UNITS)
     for quantity in ("effort", "stiffness", "damping")
 }
-"""{stated unit of a metric or variable: field of ``JointUnits``}, if it depends on the joints."""
+"""{stated unit of a metric or variable: field of ``JointUnits``}, for units that depend on the
+joints.
+"""
 
 
 def _find_stated_unit(column: str) -> str:
@@ -481,7 +485,7 @@ def _find_stated_unit(column: str) -> str:
 
 
 def format_column_label(column: str, unit: str) -> str:
-    """Return the name of a column of a study's table, with its unit in parentheses if not empty."""
+    """Format the label of a column of a study's table: name, and unit in parentheses if any."""
     return f"{column} ({unit})" if unit else column
 
 
@@ -491,7 +495,7 @@ def measure_span(low: float, high: float) -> float:
 
 
 def list_metric_columns(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
-    """Return the metric columns of a table that have at least one value."""
+    """Return the metric columns of a study's table that are not empty."""
     other_columns = (*variables, "design", *FAILURE_COLUMNS)
     return [
         str(name)

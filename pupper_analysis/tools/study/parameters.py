@@ -1,4 +1,4 @@
-"""Factors on and offsets of the numbers of a robot, applied to the URDF and the MJCF.
+"""Factors and offsets of a robot's parameters, applied to both URDF and MJCF.
 
 Inputs are a robot and {variable: number}, for example ``mass:*_1`` with a factor; output is a robot
 whose URDF and MJCF have the same factors and offsets. Links on fixed joints are scaled together.
@@ -72,7 +72,8 @@ the URDF's link."""
 
 ADDITIVE_KINDS = (*COM_OFFSET_KINDS, *JOINT_STANCE_KINDS, *LINK_STANCE_KINDS, "motor")
 """Kinds of variables of a study whose values are offsets, positions or motors, not factors on
-numbers of the files. `check_variable_range` checks no bounds of variables of these kinds."""
+numbers of the files. `check_variable_range` does not check bounds of ``ADDITIVE_KINDS``.
+"""
 
 BODY_VARIABLE_KINDS = ("mass", "inertia", "length", *COM_OFFSET_KINDS)
 """Kinds of variables ``KIND:PATTERN`` whose pattern selects bodies instead of joints."""
@@ -82,7 +83,7 @@ SERVO_KINDS = ("kp", "kd")
 
 @dataclass(frozen=True)
 class VariablePattern:
-    """Parsed name of a variable of the form ``KIND:PATTERN``.
+    """Parsed name of a study variable of the form ``KIND:PATTERN``, such as ``mass:*_1``.
 
     Attributes:
         kind: An element of `PATTERN_KINDS`.
@@ -94,7 +95,7 @@ class VariablePattern:
 
     @staticmethod
     def parse(name: str) -> VariablePattern | None:
-        """Parse the name ``KIND:PATTERN`` of a study variable; None if it contains no colon.
+        """Parse the name ``KIND:PATTERN`` of a study variable; None for a name without colon.
 
         Raises:
             ConfigurationError: If the kind is unknown or the pattern is empty.
@@ -110,11 +111,18 @@ class VariablePattern:
 
 
 def find_moving_joints(robot: Robot, pattern: VariablePattern) -> tuple[str, ...]:
-    """Return the joints that match a pattern, or that move the matching bodies.
+    """Find the joints that a variable pattern selects, by name or by the body that the joint moves.
 
-    The base is returned as ``""``. If a name equals the pattern, only this name matches
-    (`match_names`). A body matches if its link name in the URDF, its body name in the MJCF, or the
-    name of its joint matches.
+    A pattern of `BODY_VARIABLE_KINDS` matches the link name in the URDF, the body name in the MJCF,
+    or the joint name. A pattern of another kind matches the joint name. If a name equals the
+    pattern, only this name matches (`match_names`).
+
+    Args:
+        robot: Robot.
+        pattern: Parsed name of the variable.
+
+    Returns:
+        Joint names; ``""`` for the base.
 
     Raises:
         UnknownNameError: If nothing matches; the message lists the names.
@@ -156,17 +164,16 @@ def map_joint_bodies(robot: Robot) -> dict[str, str]:
 
 
 _RESULT_RTOL = 1e-9
-"""Tolerance with which `_check_result` compares the changed robot with the request. It is relative
-for masses, plus 1e-15 kg, and absolute [m] for centres of mass. It covers rounding. Chosen, not
-tuned.
+"""Tolerance for rounding with which `_check_result` compares the changed robot with the request:
+relative for masses, plus 1e-15 kg, and absolute [m] for centres of mass. Chosen, not tuned.
 """
 
 
 def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
-    """Return a robot with factors and offsets applied to both models.
+    """Return a robot with scaled parameters and moved CoMs, in both URDF and MJCF.
 
-    Links and bodies that are fixed to a matching body are scaled as well. Servo gains are ignored
-    here; see `with_gains`.
+    Links and bodies that are fixed to a matching body are scaled as well. Factors on servo gains
+    are ignored: `with_gains` applies the gains.
 
     Args:
         robot: Robot.
@@ -175,8 +182,8 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
             ``com_z`` is an offset [m] in the axes of the URDF's link.
 
     Raises:
-        ConfigurationError: If a value is out of range, a stretched link is the base or has no
-            length or not exactly one end, or the CoM of a fixed base would be moved.
+        ConfigurationError: If a value is out of range, a stretched link is the base, has no length,
+            or has several ends or no end, or the CoM of a fixed base would be moved.
         UnknownNameError: If a pattern matches nothing.
         ModelError: If a model cannot be built, or does not have the requested masses and centres of
             mass.
@@ -227,7 +234,7 @@ def _add_offsets(
     """Add an offset [m] of the CoM to the offsets of all matching bodies, in place.
 
     Args:
-        offsets: {joint that moves the body, "" for the base: offset of its CoM (3,) [m]}.
+        offsets: {joint that moves the body, "" for the base: offset of the body's CoM (3,) [m]}.
         robot: Robot.
         name: Name of the variable, for messages.
         pattern: Pattern that selects the bodies and the axis.
@@ -252,16 +259,16 @@ def _scale_value(
 
     Args:
         tree: Tree of the URDF or the MJCF.
-        link: Link whose mass or inertia is scaled, with the links fixed to it; used only for the
-            kinds ``mass`` and ``inertia``.
+        link: Link whose mass or inertia is scaled, with the links fixed to the link; used only for
+            the kinds ``mass`` and ``inertia``.
         kind: ``mass``, ``inertia``, or the kind of a joint parameter.
         joint: Joint whose parameter is scaled, for all other kinds.
         factor: Factor.
         robot: Robot of the files, for error messages.
 
     Raises:
-        ModelError: If the tree cannot scale the mass or inertia, because MuJoCo computes it from
-            the geoms.
+        ModelError: If the tree cannot scale the mass or inertia, because MuJoCo computes the value
+            from the geoms.
     """
     if kind not in BODY_VARIABLE_KINDS:
         tree.scale(joint, BY_KIND.get(kind) or BY_MJCF[kind], factor)
@@ -332,11 +339,15 @@ def _measure_bodies(robot: Robot, joint: str, body: str) -> Iterator[tuple[float
 
 
 def with_ground_friction(robot: Robot, friction: float) -> Robot:
-    """Return a robot with the given coefficient of sliding friction between feet and ground.
+    """Return a robot with a given coefficient of sliding friction between feet and ground.
 
-    All geoms of the feet and of the world body get this coefficient. MuJoCo uses the larger value
-    of the two geoms, or that of the geom with higher priority. In both cases the contact has this
-    coefficient.
+    All geoms of the feet and of the world body get the coefficient. MuJoCo uses the larger value of
+    both geoms, or the value of the geom with higher priority. In both cases the contact has the
+    given coefficient.
+
+    Args:
+        robot: Robot.
+        friction: Coefficient of sliding friction [1].
 
     Raises:
         ConfigurationError: If the coefficient is negative or not finite, or a contact of a foot has
@@ -362,7 +373,7 @@ def with_ground_friction(robot: Robot, friction: float) -> Robot:
 def with_gains(
     robot: Robot, kp: ArrayLike | None, kd: ArrayLike | None, factors: Mapping[str, float]
 ) -> Robot:
-    """Return a robot with other servo gains, in the MJCF and the MuJoCo model.
+    """Return a robot with other servo gains, in both the MJCF and the MuJoCo model.
 
     Args:
         robot: Robot.
@@ -395,10 +406,10 @@ def with_gains(
 
 
 def without_visuals(description: Description) -> Description:
-    """Return a description without visual geoms, unused meshes and all textures in the MJCF.
+    """Remove visual geoms, unused meshes and all textures from the MJCF of a description.
 
-    The dynamics and the contacts are unchanged: a geom that gives its body mass is kept. Models
-    with many meshes compile several times faster.
+    The dynamics and the contacts are unchanged: a visual geom that contributes to the mass of a
+    body is kept. Models with many meshes compile several times faster.
     """
     spec = description.mjcf.copy()
     kept_names = {geom for geom, _ in description.foot_geoms.values()}
@@ -430,8 +441,9 @@ def without_visuals(description: Description) -> Description:
 def move_coms(robot: Robot, trees: tuple[UrdfTree, SpecTree], offsets: Mapping[str, Array]) -> None:
     """Move centres of mass in both files, in place.
 
-    The CoMs of a link and of all links fixed to it are moved by the same offset in the world.
-    Therefore the common CoM moves by this offset. Inertias about centres of mass are not changed.
+    The CoMs of a link, and of all links fixed to the link, are moved by the same offset in the
+    world. Therefore the common CoM moves by this offset. Inertias about centres of mass are not
+    changed.
 
     Args:
         robot: Robot of the files. The links have the orientations of all joints at zero.

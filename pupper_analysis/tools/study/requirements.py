@@ -32,7 +32,7 @@ _REQUIREMENT = re.compile(r"\s*(<=|>=|<|>|=)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?
 
 @dataclass(frozen=True)
 class Requirement:
-    """Required values of a column of the table of a study.
+    """Requirement on the designs of a study: a bound on a column of the table.
 
     Attributes:
         column: Metric or variable.
@@ -71,9 +71,10 @@ class Requirement:
         return f"{self.column} {self.comparison} {self.limit:g}"
 
     def is_met(self, table: pd.DataFrame) -> NDArray[np.bool_]:
-        """Return for each row of a table whether the value meets the requirement.
+        """Return a mask of the rows of a study's table that meet the requirement, shape (rows,).
 
-        The shape is (rows,). A missing value, or a missing column, does not meet it.
+        A row with a missing value does not meet the requirement. The mask is False without the
+        column.
         """
         if self.column not in table:
             return np.zeros(len(table), bool)

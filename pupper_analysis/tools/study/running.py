@@ -1,7 +1,7 @@
 """Evaluation of the designs of a study on an executor.
 
-Rows are stored at intervals. If a design raises an error, exceeds the time limit or ends its
-worker, its row contains the reason, and the run continues.
+Rows are stored at intervals. If a design raises an error, exceeds the time limit or ends the worker
+process, the row of the design contains the reason, and the run continues.
 """
 
 from __future__ import annotations
@@ -62,8 +62,7 @@ class WorkDefinition:
         metrics: Names of metrics, and functions.
         variables: Names of the variables.
         task: Stand task.
-        point: Position of a payload [m], optionally after a frame name; see
-            `robot.tool.find_place`.
+        point: Position of a payload: (x, y, z) [m] in the base frame, or (frame, x, y, z).
         versions: Package versions of the machine that started the run.
         limit: Time limit per design [s], or None.
         motors: {code: motor} of the motor variables.
@@ -98,7 +97,7 @@ class Chunk:
 
 @dataclass(frozen=True)
 class ChunkOutcome:
-    """Table rows of the designs that a worker has evaluated, and the time that this took.
+    """Table rows of the designs of a chunk, with the duration of the evaluation.
 
     Attributes:
         rows: A row per design.
@@ -211,7 +210,7 @@ def initialise_worker() -> None:
     parent = parent_process()
 
     def follow() -> None:
-        """End this worker process when its parent process ends."""
+        """End this worker process when the parent process ends."""
         if parent is not None:
             parent.join()
             os._exit(1)
@@ -241,9 +240,9 @@ def split_chunks(
 
 
 CHUNK_SECONDS = 0.5
-"""Smallest intended duration of the evaluation of a chunk of designs by a worker [s]; with many
-workers, `CHUNK_SECONDS_PER_WORKER` applies. Chosen, not tuned: sending a chunk takes about 1 % of
-this time."""
+"""Smallest intended time for which a worker evaluates a chunk of designs [s]. With many workers,
+`CHUNK_SECONDS_PER_WORKER` applies. Chosen, not tuned: sending a chunk takes about 1 % of this time.
+"""
 
 CHUNK_SECONDS_PER_WORKER = 0.01
 """Intended duration of a chunk, per worker of the cluster [s]. A chunk lasts at least this value
@@ -264,10 +263,10 @@ the start (`FIRST_SHARD_SECONDS`). Chosen, not tuned.
 """
 
 FIRST_SHARD_SECONDS = 0.5
-"""Initial time [s] between two shards (Parquet files) of results. It is short, so that a run that
-ends early loses little. Later this time is a fifth of the elapsed time, at most `SHARD_SECONDS`, so
-that a long run has few shards. If `SHARD_ROWS` rows are reached, they are written earlier. Chosen,
-not tuned.
+"""Initial time [s] between two shards (Parquet files) of results. A short time limits the loss if a
+run ends early. Later the time is a fifth of the elapsed time, at most `SHARD_SECONDS`, so that a
+long run has few shards. A shard is written earlier if `SHARD_ROWS` rows are reached. Chosen, not
+tuned.
 """
 
 MAX_CRASHES = 2
@@ -299,8 +298,8 @@ class Progress:
     """Progress of a run of a study: numbers of designs, and times.
 
     Attributes:
-        total: Number of designs of the study. Designs that are repeated within a block are
-            subtracted when they are found.
+        total: Number of designs of the study. Repeated designs within a block are subtracted when
+            the block is reached.
         num_stored: Number of designs that were stored before the run, or that repeat a design of an
             earlier block.
         done: Number of designs that this run has evaluated.
@@ -332,9 +331,9 @@ class Progress:
 
 
 class _RecordingContext(multiprocessing.context.SpawnContext):
-    """Start method *spawn*, with a list of all processes that were created with it.
+    """Start method *spawn*, with a list of all created processes.
 
-    An executor does not make its processes public. The list gives access to their exit codes, which
+    The processes of an executor are not public. The list gives access to the exit codes, which
     distinguish a time limit from a crash.
     """
 
@@ -343,17 +342,17 @@ class _RecordingContext(multiprocessing.context.SpawnContext):
         self.processes: list[BaseProcess] = []
 
     def Process(self, *arguments: Any, **named: Any) -> BaseProcess:  # type: ignore[override]  # noqa: N802
-        """Create a process, as `multiprocessing.Process`, and add it to the list."""
+        """Create a process, as `multiprocessing.Process`, and append the process to the list."""
         process = super().Process(*arguments, **named)
         self.processes.append(process)
         return process
 
 
 def choose_chunk_size(progress: Progress, num_workers: int) -> int:
-    """Return the number of designs per chunk, 1 to `MAX_CHUNK_DESIGNS`.
+    """Choose the number of designs per chunk, 1 to `MAX_CHUNK_DESIGNS`, from the measured times.
 
-    It is 1 until a design has been evaluated. Later chunks take about `CHUNK_SECONDS`, or
-    `CHUNK_SECONDS_PER_WORKER` times the number of workers if this is longer.
+    The number is 1 until a design has been evaluated. Later chunks take about `CHUNK_SECONDS`, or
+    `CHUNK_SECONDS_PER_WORKER` times the number of workers if this time is longer.
 
     Args:
         progress: Progress of the run, with the time that workers have spent on designs.
@@ -384,7 +383,7 @@ class WorkerPool:
 
     @property
     def owns_processes(self) -> bool:
-        """Whether the pool owns its processes (no executor was given), and can replace them."""
+        """Whether the pool has started the processes itself, and can renew them."""
         return self._given_executor is None
 
     @property
@@ -393,18 +392,18 @@ class WorkerPool:
         return self.owns_processes and self._num_submitted >= DESIGNS_PER_PROCESS * self.workers
 
     def renew(self) -> None:
-        """End all worker processes and start new ones; wait until the new processes are ready."""
+        """Replace all worker processes; wait until the new processes are ready."""
         self.end_processes()
         self.check_startup()  # wait for the start, so that it does not count for the next design
 
     def submit(self, chunk: Chunk) -> Future[ChunkOutcome]:
-        """Submit the evaluation of a chunk of designs to a worker; return its future result."""
+        """Submit the evaluation of a chunk of designs to a worker; return the future result."""
         self._num_submitted += len(chunk.names)
         with self._block_interrupts():
             return self._get_executor().submit(measure_designs, chunk)
 
     def check_startup(self) -> None:
-        """Check that worker processes can start.
+        """Check that worker processes can start. An executor of the caller is not checked.
 
         Raises:
             StudyError: If a process ends during startup.
@@ -430,7 +429,7 @@ class WorkerPool:
 
     @contextlib.contextmanager
     def _block_interrupts(self) -> Iterator[None]:
-        """Block Ctrl-C in processes started in a context, until `initialise_worker` ignores it."""
+        """Block Ctrl-C in processes started in a context, until `initialise_worker` has run."""
         if self._given_executor is not None or not hasattr(signal, "pthread_sigmask"):
             yield
             return
@@ -453,7 +452,7 @@ class WorkerPool:
         return any(process.exitcode == TIME_LIMIT_EXIT_CODE for process in self._processes)
 
     def end_processes(self) -> None:
-        """End the worker processes; those of an executor that the caller passed keep running.
+        """End the worker processes. Workers of an executor of the caller keep running.
 
         A process that the system could not start is skipped.
         """
@@ -509,7 +508,7 @@ class StudyRun:
         executor: Executor | None,
         workers: int | None,
     ) -> Progress:
-        """Evaluate all designs of a study that are not stored, store their rows, return progress.
+        """Evaluate and store all designs of a study that are not stored yet; return the progress.
 
         Args:
             blocks: Hashes and variable values (n, variables) of the designs.
@@ -567,7 +566,7 @@ class StudyRun:
     def _make_chunks(
         self, blocks: Iterable[tuple[list[str], Array]], num_workers: int
     ) -> Iterator[Chunk]:
-        """Yield the designs in chunks, each for one worker, sized by the measured times.
+        """Yield the designs in chunks, each for a single worker, sized by the measured times.
 
         Args:
             blocks: (hashes of n designs, variable values, shape (n, variables)) of each block.
@@ -584,7 +583,7 @@ class StudyRun:
     def _run_chunks(self, pool: WorkerPool, first: Chunk, source: Iterator[Chunk]) -> None:
         """Evaluate ``first`` and the chunks of ``source`` in the workers of ``pool``; store rows.
 
-        Chunks that lost their worker are evaluated again, one design at a time.
+        If a worker ended, each design of the chunk is evaluated again, separately.
         """
         waiting: Chunk | None = first
         while waiting is not None or self._in_flight or self._suspects:
@@ -622,7 +621,7 @@ class StudyRun:
             self._restart_workers(pool, None)
 
     def _collect_chunk(self, pool: WorkerPool, future: Future[ChunkOutcome]) -> None:
-        """Store the rows of a finished chunk, or schedule its designs again if its worker ended.
+        """Store the rows of a finished chunk, or schedule the designs again if the worker ended.
 
         Errors of this package that the evaluation raised are raised again.
 
@@ -649,7 +648,7 @@ class StudyRun:
         self._store_rows(outcome.rows)
 
     def _restart_workers(self, pool: WorkerPool, error: BaseException | None) -> None:
-        """Restart the workers; unfinished designs will be evaluated again, one at a time.
+        """Restart the workers; each unfinished design will be evaluated again, separately.
 
         Raises:
             StudyError: If the workers belong to an executor of the caller.
@@ -662,7 +661,7 @@ class StudyRun:
         pool.renew()
 
     def _retry_alone(self, pool: WorkerPool, chunk: Chunk, seconds: float) -> None:
-        """Schedule the designs of a chunk one by one after its worker ended unexpectedly.
+        """Schedule each design of a chunk separately after the worker ended unexpectedly.
 
         A single design is recorded as failed after `MAX_CRASHES` crashes or after the time limit.
 

@@ -2,7 +2,7 @@
 
 A run stores evaluated designs as Parquet files (shards). Each shard is a table with a row per
 design. Therefore an interrupted run loses only rows that are not written yet. The stored table is
-the union of all shards. The hash of a design identifies its row.
+the union of all shards. The hash of a design identifies the row.
 """
 
 from __future__ import annotations
@@ -41,8 +41,7 @@ def require_library(library: str) -> None:
     """Check that a library of the extra ``study`` is installed.
 
     Raises:
-        MissingPackageError: If the library is missing; the message contains the command to install
-            it.
+        MissingPackageError: If the library is missing; the message contains the install command.
     """
     import importlib.util
 
@@ -51,7 +50,7 @@ def require_library(library: str) -> None:
 
 
 class Store:
-    """Folder in which a study stores its definition and results.
+    """Folder in which a study stores the definition and the results.
 
     Args:
         folder: Path of the folder.
@@ -192,9 +191,9 @@ class Store:
 
 
 def make_design_keys(designs: Sequence[str]) -> NDArray[np.uint64]:
-    """Return the first 64 bits of the hexadecimal hashes of n designs, shape (n,).
+    """Return short keys of n designs: the first 64 bits of the hexadecimal hashes, shape (n,).
 
-    A million keys need 8 MB, and two of them are equal by chance with a probability of 3e-8.
+    A million keys need 8 MB. The probability that two of a million keys are equal is 3e-8.
     """
     key_bytes = bytes.fromhex("".join(design[:16] for design in designs))
     return np.frombuffer(key_bytes, ">u8").astype(np.uint64)

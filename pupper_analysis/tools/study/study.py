@@ -1,6 +1,6 @@
 """A study: variables, designs and metrics, defined in Python or by a TOML file.
 
-`Study.run` evaluates the metrics of all designs that its folder does not contain yet, and returns a
+`Study.run` evaluates the metrics of all designs that the folder does not contain yet, and returns a
 table with a row per design. A hash of the study's definition and of the variable values identifies
 a design. Therefore an interrupted or extended study can be continued.
 """
@@ -82,7 +82,7 @@ _REQUIRED_KEYS = {
     "vary": "vary = {leg_scale = [1.0, 1.2]}",
     "measure": 'measure = ["peak_utilisation"]',
 }
-"""{required key of a study: example of its line in a TOML file}."""
+"""{required key of a study: example of the line in a TOML file}."""
 
 STUDY_KEYS = (
     "robot",
@@ -102,15 +102,15 @@ STUDY_KEYS = (
 
 
 class Study:
-    """Designs of a robot, and the metrics that are evaluated for each design.
+    """Parameter study of a robot: variables, and metrics that are evaluated for each design.
 
     Attributes:
         source: Source of the robots.
         variables: {name: variable}.
-        task: Stand task; variables of the stance take precedence.
-        sampling: Designs.
+        task: Stand task; values of stance variables take precedence.
+        sampling: Generator of the designs: product of lists, or samples.
         metrics: Metrics.
-        point: Position of a payload [m], optionally after a frame name.
+        point: Position of a payload: (x, y, z) [m] in the base frame, or (frame, x, y, z).
         time_limit: Time limit per design [s], or None.
         motors: {code: motor} of the motor variables (`encode_motor`).
         present_motor: Motor whose mass the robot's files include; None without motor variables.
@@ -144,7 +144,7 @@ class Study:
                 arguments of `load_robot`. ``leg_scale`` and ``torso_mass_scale`` can be varied for
                 variants only.
             vary: {name of a variable: values}. Values are a list, a ``linspace``, a distribution,
-                or a number. For a motor variable, they are names or files of motors.
+                or a number. The values of a motor variable are names or files of motors.
             measure: Names of ``METRICS``, or functions of (robot, stand).
             samples: Number of designs, required if a variable has a distribution. Otherwise None:
                 the designs are the product of all lists.
@@ -234,7 +234,7 @@ class Study:
             ConfigurationError: If a motor is varied and no present motor is given, or if a present
                 motor is given and no motor is varied.
             UnknownNameError: If no motor has the name.
-            ModelError: If the file of the motor is not valid, or its mass is unknown.
+            ModelError: If the file of the motor is not valid, or the mass is unknown.
         """
         if bool(self.motors) != (present is not None):
             code = "present-motor-missing" if self.motors else "present-motor-unused"
@@ -246,7 +246,7 @@ class Study:
         return motor
 
     def make_source_with_visuals(self) -> RobotSource:
-        """Return the source of the study's robots with visual geoms, which runs of a study omit."""
+        """Create a source of the study's robots with visual geoms, to write a design as files."""
         if isinstance(self.source, FileSource):
             return FileSource(self.source.files, self.source.files.load())
         return Variants(self.source.spec, whole=True)
@@ -298,8 +298,9 @@ class Study:
     def digest(self) -> str:
         """SHA-256 hash (hexadecimal) of all data that determine the results of a given design.
 
-        For example, the hash contains robot, stand task, payload position, metrics and package
-        versions. It does not contain the variables and the time limit.
+        The hash identifies designs together with the variable values (`hash_designs`). For example,
+        the hash contains robot, stand task, payload position, metrics and package versions.
+        Variables and time limit are not contained.
         """
         parts = {
             "robot": hash_description(self.base.description),
@@ -329,7 +330,7 @@ class Study:
             yield hash_designs(self.digest, tuple(self.variables), block), block
 
     def work(self) -> bytes:
-        """Return the definition of the study's designs for the workers, as pickled bytes."""
+        """Return the data that each worker needs, a `WorkDefinition`, as pickled bytes."""
         work = WorkDefinition(
             source=self.source,
             metrics=self._requested_metrics,
@@ -347,7 +348,7 @@ class Study:
         """Return the study as {key of a study file: value}, data for `Study.of`.
 
         ``time_limit`` is None for no time limit. `Study.of` cannot restore motors, whose numbers
-        are in separate files, and functions of the user. In these cases the data are only for
+        are in separate files, and functions of the user. Data with motors or functions are only for
         `read_study`.
         """
         data: dict[str, Any] = {
@@ -376,7 +377,7 @@ class Study:
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> Study:
-        """Create a study from plain data, as a TOML file contains.
+        """Create a study from plain data with the keys of a study file.
 
         Raises:
             ConfigurationError: If a key is missing or unknown, or an argument is not valid.
@@ -451,13 +452,13 @@ class Study:
             folder: Folder of the results. An interrupted or changed study resumes there.
             executor: Any `concurrent.futures.Executor`, such as Dask's ``client.get_executor()``;
                 by default processes on this machine.
-            workers: Number of processes; by default the number of cores. With ``executor``, its
-                number of workers; by default the number that it reports.
+            workers: Number of processes; by default the number of cores. With ``executor``, the
+                number of workers of the executor; by default the number that the executor reports.
             progress: Function that is called with the progress.
 
         Returns:
-            A row per design, in the order of the study: hash, variable values, measured values,
-            and the failure columns.
+            A row per design, in the order of the study: hash, variable values, measured values, and
+            the failure columns.
 
         Raises:
             ConfigurationError: If an argument is not valid.
@@ -478,9 +479,10 @@ class Study:
         workers: int | None = None,
         progress: Callable[[Progress], None] | None = None,
     ) -> Progress:
-        """Evaluate all designs that are not stored yet, as `run`, but do not load the table.
+        """Evaluate all designs that are not stored yet, without loading the table.
 
-        Memory use grows with the number of designs only by 8 bytes per design.
+        The arguments are the same as in `run`. Memory use grows with the number of designs only by
+        8 bytes per design.
 
         Returns:
             Number of evaluated designs, failures and elapsed time.
@@ -558,9 +560,9 @@ def _resolve_motor_files(folder: Path, data: dict[str, Any]) -> None:
 
 
 def name_motors(table: pd.DataFrame, variables: Mapping[str, Variable]) -> pd.DataFrame:
-    """Return the table of a study with names of motors in place of their codes.
+    """Replace the codes of motors in the table of a study by the names of the motors.
 
-    Codes are in the columns of the variables that have labels (``Variable.labels``).
+    Columns of variables with labels (``Variable.labels``) contain codes.
     """
     named = {
         name: variable.name_values(table[name])
@@ -571,7 +573,7 @@ def name_motors(table: pd.DataFrame, variables: Mapping[str, Variable]) -> pd.Da
 
 
 def hash_designs(digest: str, variables: Sequence[str], block: Array) -> list[str]:
-    """Return a hash of each design, of the study's digest, the variable names and the values.
+    """Compute a hash per design from the study's digest, the variable names and the values.
 
     The order of the variables does not affect the hash.
 
@@ -589,9 +591,9 @@ def hash_designs(digest: str, variables: Sequence[str], block: Array) -> list[st
 
 
 def order_rows(frame: pd.DataFrame, blocks: Iterable[list[str]]) -> pd.DataFrame:
-    """Return the table rows of given designs in the given order, without empty columns.
+    """Select the table rows of given designs, in the given order, without empty columns.
 
-    Failure columns are kept, even if they are empty.
+    Empty failure columns are kept.
 
     Args:
         frame: Table with the columns ``design`` (hash) and results.
@@ -617,13 +619,13 @@ def order_rows(frame: pd.DataFrame, blocks: Iterable[list[str]]) -> pd.DataFrame
 
 
 def read_study(folder: str | Path) -> pd.DataFrame:
-    """Read the results in the folder of a study.
+    """Read the stored results of a study, from the folder alone.
 
     Returns:
         A row per stored design, as `Study.run` returns.
 
     Raises:
-        StudyError: If the folder contains no study, its definition is damaged or has another
+        StudyError: If the folder contains no study, the definition is damaged or has another
             format, or a file with results (shard) is damaged.
         MissingPackageError: If pandas is not installed.
     """

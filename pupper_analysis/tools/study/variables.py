@@ -58,7 +58,7 @@ class Variable:
         kind: ``values`` (all equally likely), ``linspace``, ``motors``, or a distribution:
             ``uniform`` or ``log_uniform`` with lower and upper bound, ``normal`` with mean and
             standard deviation.
-        numbers: Parameters, as in the study file. For motors, their codes (`encode_motor`).
+        numbers: Parameters, as in the study file. For motors, the codes (`encode_motor`).
         labels: Names of motors, as in the study file; empty for other kinds.
     """
 
@@ -83,10 +83,15 @@ class Variable:
         return min(listed), max(listed)
 
     def at(self, probabilities: Array) -> Array:
-        """Return the values of a study variable at n probabilities (quantiles), shape (n,).
+        """Map probabilities to values of a study variable: evaluate the quantile function.
+
+        For a list, all values are equally likely.
 
         Args:
             probabilities: Numbers between 0 and 1, shape (n,).
+
+        Returns:
+            Values, shape (n,), in the unit of the variable.
         """
         if self.levels is None:
             return _QUANTILE_FUNCTIONS[self.kind](self.numbers[0], self.numbers[1], probabilities)
@@ -97,23 +102,23 @@ class Variable:
     def to_dict(self) -> dict[str, Any]:
         """Return a study variable as in a study file: {kind: parameters}.
 
-        Motors are {"motors": {name: code}}, so that a table can be read without their files.
+        Motors are {"motors": {name: code}}, so that a table can be read without motor files.
         """
         if self.labels:
             return {self.kind: dict(zip(self.labels, self.numbers, strict=True))}
         return {self.kind: list(self.numbers)}
 
     def code_of(self, value: Any) -> float:
-        """Return a value of this variable as a number.
+        """Convert a value of this study variable to a number.
 
-        The name of a motor is converted to its code.
+        The name of a motor is converted to the code of the motor.
         """
         if isinstance(value, str):
             return self.numbers[self.labels.index(value)]
         return float(value)
 
     def name_values(self, column: pd.Series[Any]) -> pd.Series[Any]:
-        """Return a column of values; codes of motors are replaced by their names."""
+        """Replace the codes of motors in a column of values by names; other values are kept."""
         if not self.labels:
             return column
         return column.map(dict(zip(self.numbers, self.labels, strict=True)))
@@ -176,7 +181,7 @@ def uniform(low: float, high: float) -> Variable:
 def log_uniform(low: float, high: float) -> Variable:
     """Create a variable of a study whose logarithm is distributed uniformly.
 
-    Its bounds ``low`` and ``high`` are in the unit of the variable.
+    The bounds ``low`` and ``high`` are in the unit of the variable.
 
     Raises:
         ConfigurationError: If the interval is empty, a bound is not finite, or the lower bound is
@@ -211,18 +216,18 @@ VARIABLE_MAKERS: Mapping[str, Callable[..., Variable]] = {
     "normal": normal,
     "log_uniform": log_uniform,
 }
-"""Function that creates a variable from the parameters in a study file, for each kind."""
+"""{kind of a variable in a study file: function that creates the variable from parameters}."""
 
 
 def make_variable(name: str, requested: object) -> Variable:
-    """Create a variable from a number, a list, {kind: parameters}, or a variable.
+    """Create a study variable from a number, a list, {kind: parameters}, or a variable.
 
     Args:
         name: Name of the variable, for messages.
         requested: Value from the study.
 
     Raises:
-        ConfigurationError: If the value has none of these forms, or the parameters are not valid.
+        ConfigurationError: If the value has another form, or the parameters are not valid.
     """
     try:
         if isinstance(requested, Variable):
@@ -264,7 +269,7 @@ def _diagnose_grid(numbers: Any) -> Diagnostic:
 
 
 def _check_interval(name: str, low: float, high: float) -> tuple[float, float]:
-    """Return both bounds as floats, if they are finite and low < high.
+    """Return both bounds as floats, if finite and low < high.
 
     Raises:
         ConfigurationError: Otherwise; ``name`` is the kind of the variable, for the message.
@@ -279,8 +284,8 @@ def _check_interval(name: str, low: float, high: float) -> tuple[float, float]:
 
 
 BLOCK_SIZE = 4096
-"""Number of designs that `Sampling.blocks` generates at once. It bounds the memory. It is a power
-of 2, because the points of a Sobol sequence are balanced in groups of 2^k. Chosen, not tuned.
+"""Number of designs that `Sampling.blocks` generates at once, to bound the memory. The number is a
+power of 2, because the points of a Sobol sequence are balanced in groups of 2^k. Chosen, not tuned.
 """
 
 MAX_SAMPLES = 2**30
@@ -289,7 +294,7 @@ MAX_SAMPLES = 2**30
 
 @dataclass(frozen=True)
 class Sampling:
-    """Designs of a study, generated block by block: memory does not grow with their number.
+    """Generator of the designs of a study, block by block, so that memory use is bounded.
 
     If all variables are lists, the designs are the product of the lists; the last variable changes
     fastest. If a variable has a distribution, the designs are a scrambled Sobol sequence. The first

@@ -1,8 +1,8 @@
-"""Writing a design as URDF, MJCF and stance, and evaluating the metrics again from these files.
+"""Writing a design as URDF, MJCF and stance, and evaluating the metrics again from the files.
 
-Input is a study and a row of its results. Output is a folder with both models, their meshes, and
-the stance as a file of options. A comparison of the metrics in the study with the metrics of the
-written files is returned as well.
+Input is a study and a row of the results. The first output is a folder with both models, the
+meshes, and the stance as a file of options. The second output is a comparison of the metrics in the
+study with the metrics of the written files.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ from pupper_analysis.tools.study.study import Study
 
 _METRIC_RTOL = 1e-6
 """Tolerance ``tol`` between the metrics of the study (expected) and of the written files (value).
-They agree if |value - expected| <= tol max(|expected|, tol). The files contain all digits, but
-iterative solvers may differ within their tolerances. Chosen, not tuned.
+Both values agree if |value - expected| <= tol max(|expected|, tol). The files contain all digits,
+but the results of iterative solvers may differ within the solver tolerances. Chosen, not tuned.
 """
 
 _MESH_FOLDER = "meshes"
@@ -56,7 +56,7 @@ _MESH_FOLDER = "meshes"
 
 @dataclass(frozen=True, eq=False)
 class WrittenDesign(Result):
-    """A design as files, with the metrics before and after writing.
+    """Design of a study written to files, with the metrics before and after writing.
 
     Attributes:
         number: Row of the design in the table of the study, from 1.
@@ -68,7 +68,7 @@ class WrittenDesign(Result):
         file_values: {metric: value from the written files}; NaN for a metric that fails.
         command: Command that computes the stand from the written files.
         failures: Metrics whose values differ.
-        warnings: Statement that the design stands only undisturbed, if it does.
+        warnings: Warning that the design stands, but not after a drop from 2 mm; empty without.
     """
 
     number: int
@@ -89,12 +89,13 @@ class WrittenDesign(Result):
 
 
 def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign:
-    """Write an evaluated design of a study to ``design-NUMBER`` in the folder of the study.
+    """Write an evaluated design of a study to files, and evaluate the metrics of the files again.
 
-    The URDF, the MJCF with the servo gains, the meshes of both, and the stance as a file of options
-    are written. The files describe the robot without the payload of the design, which is an option
-    of the command. The files are then loaded, and the metrics of the study are evaluated again,
-    with the payload. A simulation decides whether the design stands after it is set down.
+    The folder ``design-NUMBER`` in the folder of the study gets the URDF, the MJCF with the servo
+    gains, the meshes of both, and the stance as a file of options. The files describe the robot
+    without the payload of the design, which is an option of the command. The files are then loaded,
+    and the metrics of the study are evaluated again, with the payload. A simulation decides whether
+    the design stands after a drop from a small height (`survives_set_down`).
 
     Args:
         study: Study.
@@ -103,7 +104,7 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
 
     Raises:
         ConfigurationError: If the row does not exist, the robot of the design cannot be built, or
-            its stance cannot be solved.
+            the stance cannot be solved.
         StudyError: If a shard is damaged.
         OutputError: If a file cannot be written, or exists with other content.
         ModelError: If no robot can be loaded from the written files.
@@ -156,12 +157,13 @@ def write_design(study: Study, number: int, folder: str | Path) -> WrittenDesign
 
 
 def _build_design(study: Study, codes: Mapping[str, float], number: int) -> tuple[Design, Robot]:
-    """Build the design of a row, and its robot without payload, with visual meshes.
+    """Build the design of a row, and the robot without payload, with visual meshes.
 
     ``codes`` contains the value of each variable.
 
     Raises:
-        ConfigurationError: If the robot of the design cannot be built, or its stance not be solved.
+        ConfigurationError: If the robot of the design cannot be built, or the stance cannot be
+            solved.
     """
     builder = DesignBuilder(
         study.make_source_with_visuals(),
@@ -224,7 +226,7 @@ def _list_changed_metrics(
 
 
 def _warn_of_set_down(design: Design) -> Iterator[Diagnostic]:
-    """Yield a warning if a design stands, but not after it is set down (`survives_set_down`)."""
+    """Yield a warning if a design stands, but not after a small drop (`survives_set_down`)."""
     try:
         survives = survives_set_down(design)
     except PupperAnalysisError:  # the metrics state why it does not stand
@@ -234,7 +236,7 @@ def _warn_of_set_down(design: Design) -> Iterator[Diagnostic]:
 
 
 def format_place(point: FramePoint) -> str:
-    """Return a position as text for the option ``--payload-at``: ``x,y,z`` [m], or with a frame.
+    """Format a position as text for the option ``--payload-at``: ``x,y,z`` [m], or with a frame.
 
     Args:
         point: (x, y, z) or (frame, x, y, z) [m].
@@ -269,7 +271,7 @@ def _reload_files(robot: Robot, urdf: Path, mjcf: Path) -> tuple[Robot, list[str
 
 
 def format_stance(task: StandTask) -> str:
-    """Return a stand task as TOML text, a file for ``--stance``."""
+    """Format a stand task as TOML text, the content of a file for ``--stance``."""
     lines, tables = [], []
     for name, value in task.values().items():
         field = FIELDS[name]
@@ -288,7 +290,7 @@ def format_stance(task: StandTask) -> str:
 def _format_stance_value(value: Any, unit: str = "") -> str:
     """Format a value of the stance as TOML.
 
-    A single length or angle is a text with its unit, such as "0.1m"; the elements of a tuple are
+    A single length or angle is a text with unit, such as "0.1m". The elements of a tuple are
     numbers without unit [m, rad].
     """
     if isinstance(value, tuple):
@@ -301,7 +303,7 @@ def _format_stance_value(value: Any, unit: str = "") -> str:
 def _make_files(
     description: Description, packages: Mapping[str, Path] | None
 ) -> Iterator[tuple[Path, bytes]]:
-    """Yield (path, content) of the URDF, the MJCF, and the meshes and textures that they reference.
+    """Yield (path, content) of the URDF, the MJCF, and the referenced meshes and textures.
 
     Paths are relative to the folder of the design. ``packages`` maps ROS package names to folders.
     """
@@ -331,7 +333,7 @@ def _without_made_frames(description: Description) -> Description:
 
 
 def _choose_path(contents: dict[str, tuple[Path | None, bytes]], file: Path, content: bytes) -> str:
-    """Choose the output path of a mesh, and add its content to ``contents``.
+    """Choose the output path of a mesh, and add the content of ``file`` to ``contents``.
 
     If a file with the same name and other content is present, the name gets a number.
     """
