@@ -3,7 +3,7 @@
 Input is a URDF, an MJCF, a file of a registered format, or a robot in memory. The values that the
 file states are read into a ``RobotModel``, without the preparation that other commands apply.
 Output is an ``Audit`` with the findings. A finding contains the line, if known, and possible
-repairs. Some rules report several violations in one finding.
+repairs. Some rules report several violations as a single finding.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def audit_model(
         disabled: Ids of rules that are not run.
 
     Returns:
-        Findings, sorted by severity; at equal severity, causes precede consequences.
+        Audit with the findings, sorted by severity. At equal severity, causes precede consequences.
 
     Raises:
         ModelError: If the file cannot be read.
@@ -158,10 +158,10 @@ def _run_rules(
 
 
 _CONSEQUENCES = {"hardly-any-mass": 3}
-"""{code of a message: precedence}, for messages whose precedence differs from the precedence of
-their rule. Findings of equal severity are listed by ascending precedence. ``hardly-any-mass``
-reports a link that is light compared with the links that it carries. This finding comes late, since
-it may only be a consequence of wrong masses of the carried links.
+"""{code of a message: precedence}, for messages whose precedence differs from the precedence of the
+rule. Findings of equal severity are listed by ascending precedence. ``hardly-any-mass`` reports a
+link that is light compared with the attached links. This finding comes late, since the cause may be
+wrong masses of the attached links.
 """
 
 

@@ -72,12 +72,13 @@ def _describe_worst_finding(audit: Audit) -> Iterable[doc.Words]:
 
 
 def _select_next_step(audit: Audit) -> doc.NextStep | None:
-    """Return the command to run next.
+    """Return the command that the report proposes to run next, or None.
 
-    With errors, the command is `audit --fix`, which shows the patch. This requires the file suffix
-    ``.urdf`` or ``.xml``, and a finding with a single repair. Without errors, the command is
-    `stand` or `hold`. This requires one of these suffixes, or the name of a published robot. The
-    result is None in all other cases.
+    - ``audit --fix``: the audit has errors, the file suffix is ``.urdf`` or ``.xml``, and a finding
+      has a single repair.
+    - ``stand`` (free base) or ``hold``: the audit has no errors, and the file has such a suffix or
+      is a published robot.
+    - None: all other cases.
     """
     simulated = Path(audit.file).suffix in (".urdf", ".xml")
     if not audit.passed:
@@ -120,7 +121,7 @@ def _describe_finding_group(
 
     Args:
         audit: Audit with the findings.
-        group: Findings, at least one, for different elements of the file, for example links.
+        group: Findings for different elements of the file, for example links; not empty.
         advice: Texts about the rule and the general repair, which follow the concrete repairs.
     """
     first, *others = group
@@ -179,7 +180,7 @@ def _format_change(repair: ValueRepair) -> doc.Name:
 
 
 def get_rule_text(rule: str, what: str) -> doc.Text:
-    """Return the title, reason or repair of an audit rule in English and Chinese.
+    """Return a text of an audit rule in English and Chinese: title, reason or repair.
 
     Args:
         rule: Id of the rule.

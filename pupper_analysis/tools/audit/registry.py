@@ -28,7 +28,7 @@ MODEL_FORMATS = ("urdf", "mjcf", *formats())
 
 @dataclass(frozen=True)
 class Rule:
-    """Entry of the catalogue of rules.
+    """Rule of the audit: entry of the catalogue, without the check.
 
     Attributes:
         id: Name in kebab case.
@@ -89,15 +89,15 @@ def _merge_texts(own: Mapping[str, str], model: Mapping[str, str], space: str) -
 
 
 _REGISTERED_CHECKS: dict[str, Check] = {}
-"""{id of a rule: function that yields its findings}, filled by the decorator `rule`."""
+"""{id of a rule: function that yields the findings of the rule}, filled by the decorator `rule`."""
 
 RULES: Mapping[str, Rule] = MappingProxyType(_read_catalogue())
 """{id: rule} of all formats."""
 
 CHECKS: Mapping[str, Check] = MappingProxyType(_REGISTERED_CHECKS)
-"""{id of a rule: function that yields its findings}. Other packages may register formats and add
-checks for their formats. For these formats, the checks in this table whose rules apply to all
-formats are run as well.
+"""{id of a rule: function that yields the findings of the rule}. Other packages may register
+formats and additional checks. For a registered format, all checks of this table are also run whose
+rules apply to all formats.
 """
 
 
@@ -114,7 +114,7 @@ def rule(check: Check) -> Check:
 
 @dataclass(frozen=True)
 class ValueRepair(Result):
-    """New values of attributes of an element, or a new element.
+    """Proposed repair of a finding: new attribute values of an element, or a new element.
 
     Attributes:
         file: File to be changed.
@@ -149,7 +149,7 @@ class ValueRepair(Result):
 
 @dataclass(frozen=True, eq=False)
 class Finding(Result):
-    """Violation of a rule in a file.
+    """Violation of an audit rule in a file, with place, message and repairs.
 
     Attributes:
         rule: Id of the rule.
@@ -157,7 +157,8 @@ class Finding(Result):
         file: File that contains the violation, possibly an included file.
         line: Line from 1; None if the finding has no line.
         prim: Path of the prim in a USD; None in other files.
-        repairs: Proposed new values: one repair if unique, else several candidates, or none.
+        repairs: Proposed new values: a single repair if unique, otherwise several candidates. Empty
+            without a proposal.
         element: Kind and name of the element, for example ``link 'FL_calf'``; kind only, if the
             element has no name.
         why: Reason for the rule.
@@ -194,7 +195,7 @@ class Finding(Result):
 
 @dataclass(frozen=True, eq=False)
 class Audit(Tabular):
-    """Result of the audit of a file.
+    """Result of the audit of a model file: findings, and rules that were run.
 
     Attributes:
         file: Path of the file.
@@ -233,22 +234,7 @@ class Audit(Tabular):
 
 
 def list_extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
-    """Return points with approximately the convex hull of all shapes of some links, at zero angles.
-
-    Args:
-        bodies: Links with visual and collision shapes.
-        frame: Link; the points are expressed in the frame of this link.
-
-    Returns:
-        Points, shape (n, 3) [m]; None if there are no shapes, or the size of a shape is not known,
-        for example because a mesh was not read.
-    """
-    points, is_complete = list_known_points(bodies, frame)
-    return points if is_complete else None
-
-
-def list_known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None, bool]:
-    """Return points with approximately the convex hull of the links' shapes of known size.
+    """Return points that span approximately the convex hull of all shapes of some links.
 
     The joints between the links have zero angles.
 
@@ -257,8 +243,25 @@ def list_known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None
         frame: Link; the points are expressed in the frame of this link.
 
     Returns:
-        Points, shape (n, 3) [m], or None if no size is known; and whether the sizes of all shapes
-        are known (False for example if a mesh was not read).
+        Points, shape (n, 3) [m]. None if there are no shapes, or the size of a shape is not known,
+        for example because a mesh was not read.
+    """
+    points, is_complete = list_known_points(bodies, frame)
+    return points if is_complete else None
+
+
+def list_known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None, bool]:
+    """Return points that span approximately the convex hull of the links' shapes of known size.
+
+    The joints between the links have zero angles.
+
+    Args:
+        bodies: Links with visual and collision shapes.
+        frame: Link; the points are expressed in the frame of this link.
+
+    Returns:
+        Points, shape (n, 3) [m], or None if no size is known; True if the sizes of all shapes are
+        known (False for example if a mesh was not read).
     """
     to_frame, parts, is_complete = frame.pose.inverse(), [], True
     for body in bodies:
@@ -272,7 +275,7 @@ def list_known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None
 
 
 def list_link_points(robot: RobotModel, body: Link) -> Array:
-    """Return the origins of a link, of the link's frames and of the child links.
+    """Return the origins of a link, of the link's frames and of the child links, as points.
 
     Returns:
         Points, shape (n, 3) [m], in the frame of the link.
@@ -291,10 +294,10 @@ def compute_hull_distance(points: Array, point: Array) -> float:
         point: Point, shape (3,) [m].
 
     Returns:
-        Largest signed distance [m] to the planes of the hull's faces: positive if the point is
-        outside the hull, negative if it is inside. Fewer than four points, or points in a plane,
-        have no hull with a volume. In this case the result is the largest signed distance to the
-        sides of the bounding box along the coordinate axes.
+        Largest signed distance [m] to the planes of the hull's faces: positive outside the hull,
+        negative inside. Fewer than four points, or points in a plane, have no hull with a volume.
+        In this case the result is the largest signed distance to the sides of the bounding box
+        along the coordinate axes.
     """
     from pupper_analysis.base.qhull import ConvexHull, QhullError  # loads SciPy
 

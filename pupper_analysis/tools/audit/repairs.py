@@ -1,10 +1,10 @@
 """Repairs of findings: new values of a file that should pass, and the reason.
 
-A repair replaces attributes of one or more elements, or adds them. A finding has one repair if only
-one value is proposed, several candidates if a few values are possible, and none otherwise. The rule
-is not run again with the new values. The new value is, for example, derived from the mirrored
-element, from equal limbs or from the joint of an actuator, or is the old value with another unit or
-decimal point.
+A repair replaces or adds attributes of elements. A finding has a single repair if only a single
+value is proposed, several candidates if a few values are possible, and otherwise no repair. The
+rule is not run again with the new values. The new value is, for example, derived from the mirrored
+element, from equal limbs or from the joint of an actuator. The new value may also be the old value
+with another unit or decimal point.
 """
 
 from __future__ import annotations
@@ -48,12 +48,15 @@ from pupper_analysis.tools.audit.rules.shapes import (
 
 
 def find_repairs(robot: RobotModel, rule: str, found: CheckFinding) -> tuple[ValueRepair, ...]:
-    """Propose attribute values to remove a finding: one repair, several candidates, or none.
+    """Propose attribute values that remove a finding.
 
     Args:
         robot: Model of the file.
         rule: Id of the rule.
         found: Finding of the check of the rule.
+
+    Returns:
+        A single repair if unique, otherwise several candidates; empty without a proposal.
     """
     propose = _PROPOSALS.get(rule)
     return () if propose is None else tuple(propose(robot, found))
@@ -62,12 +65,11 @@ def find_repairs(robot: RobotModel, rule: str, found: CheckFinding) -> tuple[Val
 def _make_urdf_repair(
     robot: UrdfModel, tag: str, name: str, child: str, new: Mapping[str, str], reason: Diagnostic
 ) -> Iterator[ValueRepair]:
-    """Yield the repair of an element of a URDF: new values of its attributes.
+    """Yield the repair of an element of a URDF: new values of attributes.
 
-    ``tag`` is ``link`` or ``joint``, and ``name`` is its name. The changed element is its first
-    child element with the tag ``child``. Nothing is yielded if the name is not unique, or if the
-    element is missing. Nothing is yielded either if the element lacks one of the attributes, or
-    already has the new values.
+    The changed element is the first child with the tag ``child`` of the link or joint with the name
+    ``name``; ``tag`` is ``link`` or ``joint``. Nothing is yielded if the name is not unique, the
+    element is missing, an attribute is missing, or the values are equal.
     """
     element = _find_unique_child(robot, tag, name, child)
     if element is None or any(element.get(attribute) is None for attribute in new):
@@ -89,7 +91,7 @@ def _make_change(
 
 
 def _join_changes(changes: Iterable[ValueRepair | None]) -> Iterator[ValueRepair]:
-    """Yield one repair that consists of several changes; nothing without a change."""
+    """Yield a single repair that consists of several changes; nothing without a change."""
     found = [change for change in changes if change is not None]
     if found:
         yield replace(found[0], further=tuple(found[1:]))
@@ -126,7 +128,8 @@ def _repair_command_range(robot: RobotModel, found: CheckFinding) -> Iterator[Va
 
     Nothing is proposed for a servo with a gear other than 1, or with a gain other than the
     stiffness: the command is then not a joint position. Nothing is proposed either if the servo has
-    no name, or if the range is not in exactly one <position> or <general> element of this name.
+    no name, or if the number of <position> and <general> elements with this name and a range is not
+    1.
     """
     if not isinstance(robot, MjcfModel) or robot.mj_model is None:
         return
@@ -231,10 +234,13 @@ def _repair_number(
 ) -> Iterator[ValueRepair]:
     """Yield repairs of a number that differs between two mirrored links or joints, the partners.
 
-    If at least `MIN_SIBLINGS` other limbs have equal numbers, the partner that deviates from these
-    gets the number of the other partner. If both partners or neither deviate, there is no repair.
-    If there are fewer other limbs, or their numbers differ, there are two candidates: either
-    partner gets the number of the other. Only positive numbers are proposed.
+    - At least `MIN_SIBLINGS` other limbs have equal numbers: the partner that deviates from this
+      number gets the number of the other partner. If both partners or neither deviate, there is no
+      repair.
+    - Fewer other limbs, or different numbers: there are two candidates, in which either partner
+      gets the number of the other.
+
+    Only positive numbers are proposed.
 
     Args:
         robot: Model of the URDF.
@@ -271,12 +277,13 @@ def _repair_number(
 def _repair_tensor(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the possible repairs of an inertia tensor of a URDF.
 
-    1. If `_mirror_tensor` proposes a tensor, there is one repair, usually with this tensor.
-    Exception: if exactly one moment with moved decimal point agrees with the proposed tensor within
-    `_MIRROR_RTOL`, the repair only moves this decimal point. 2. If `_mirror_tensor` proposes
-    nothing, the repairs are all physically possible tensors in which the decimal point of one
-    moment is moved. 3. If no such tensor exists, the repair is the tensor of the solid shapes
-    (`_fill_shapes`).
+    The first method with a result decides:
+
+    - `_mirror_tensor` proposes a tensor. The repair is this tensor. Exception: if a single tensor
+      of `_move_decimal_points` agrees with the proposal within `_MIRROR_RTOL`, the repair only
+      moves this decimal point.
+    - All physically possible tensors in which the decimal point of a single moment is moved.
+    - The tensor of the solid shapes (`_fill_shapes`).
     """
     if not isinstance(robot, UrdfModel):
         return
@@ -322,10 +329,10 @@ as possible: rounding of printed numbers. Chosen, not tuned."""
 def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
     """Yield the tensor of the solid shapes of a link, with the stated mass and a uniform density.
 
-    The shapes are the collision shapes, or without these the visual shapes; the solid of an open
-    mesh is its convex hull. A stated CoM far outside of the shapes (`_MAX_OUTSIDE`) is replaced,
-    too. Nothing is proposed, for example, for a link with a shape of unknown size, without mass or
-    <inertial>, or with an impossible density.
+    The shapes are the collision shapes, or without collision shapes the visual shapes. The convex
+    hull replaces the solid of an open mesh. A stated CoM far outside of the shapes (`_MAX_OUTSIDE`)
+    is replaced, too. Nothing is proposed, for example, for a link with a shape of unknown size,
+    without mass or <inertial>, or with an impossible density.
     """
     link, tags = robot.links[name], robot.file.tree.links.get(name)
     if (
@@ -372,12 +379,14 @@ def _fill_shapes(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 
 
 _ZERO_RTOL = 1e-6
-"""Entry of the tensor of a solid, relative to the largest entry, below which it is written as zero.
-Chosen: coordinates of STL files are in single precision."""
+"""Lower bound of an entry of the tensor of a solid, relative to the largest entry. A smaller entry
+is written as zero. Chosen: coordinates of STL files are in single precision.
+"""
 
 _MAX_OUTSIDE = 0.1
-"""Distance of a CoM from the convex hull of the link's shapes, relative to their extent, above
-which the CoM is replaced together with the tensor. Chosen, not tuned."""
+"""Largest distance of a CoM from the convex hull of the link's shapes, relative to the extent of
+the shapes. At a larger distance the CoM is replaced together with the tensor. Chosen, not tuned.
+"""
 
 
 _MIRROR_RTOL = 0.02
@@ -390,11 +399,12 @@ proposed. Chosen, not tuned.
 MAX_DECIMAL_SHIFT = 6
 """Largest number of places by which a repair moves the decimal point of a moment of inertia or a
 mass. Chosen: a larger factor, such as 1e9 for g mm^2, is a wrong unit, and concerns all moments of
-a tensor instead of one."""
+a tensor instead of a single moment.
+"""
 
 
 def _move_decimal_points(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
-    """Yield repairs of a nearly diagonal tensor: one moment is multiplied by a power of ten.
+    """Yield repairs of a nearly diagonal tensor: a single moment is multiplied by a power of ten.
 
     All stated moments must be positive. Only tensors that satisfy the triangle inequality are
     yielded.
@@ -442,9 +452,9 @@ def _mirror_tensor(robot: UrdfModel, name: str) -> Iterator[ValueRepair]:
 def _compute_mirrored_tensor(robot: UrdfModel, link: Link, twin: Link) -> dict[str, str] | None:
     """Return the mirror image of the tensor of ``twin`` as {attribute of <inertia>: text}.
 
-    The tensor [kg m^2] is for ``link``, the link on the other side, in the axes of its inertial
-    frame. None if the robot has no mirror plane, or if the tensor of ``twin`` is missing or
-    physically impossible.
+    The tensor [kg m^2] is for ``link``, the link on the other side, in the axes of the inertial
+    frame of ``link``. None if the robot has no mirror plane, or if the tensor of ``twin`` is
+    missing or physically impossible.
     """
     mirror = find_mirror_plane(robot)
     if mirror is None or twin.inertial is None:
@@ -471,18 +481,18 @@ def _find_common_attributes(
 ) -> dict[str, str] | None:
     """Return the attributes of an element that the corresponding links of all other limbs share.
 
-    On such robots the four calves, for example, are copies of one part, and no mirror images.
+    On such robots the four calves, for example, are copies of the same part, and no mirror images.
 
     Args:
         robot: Model of a URDF.
         name: Link.
         child: Path of the element below a link.
-        own: Whether the element of the link itself must have these attributes, too.
+        own: Whether the element of the link ``name`` must have the common attributes, too.
 
     Returns:
         {attribute: text}. A missing ``xyz`` or ``rpy`` of an <origin> is returned as zeros. None if
         there are fewer than `MIN_SIBLINGS` + 1 other limbs, including the limb on the other side.
-        None also if one of the links lacks the element, or if the numbers of the links differ.
+        None also if a link lacks the element, or if the numbers of the links differ.
     """
     kind = strip_sides(name)
     names = [other for other in robot.links if other != name and strip_sides(other) == kind]
@@ -501,7 +511,7 @@ def _find_common_attributes(
 
 
 def _find_twin(robot: RobotModel, name: str) -> Link | None:
-    """Return the other link of the left-right pair with a link; None if it is in no such pair."""
+    """Return the other link of the left-right pair with a link; None for a link without pair."""
     for first, second in find_mirror_pairs(robot.links):
         if name in (first, second):
             return robot.links[second if name == first else first]
@@ -534,8 +544,8 @@ def _repair_mass(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair
     """Yield the repair of a URDF link without mass: the mass of the link on the other side.
 
     A link without <mass> gets the CoM and the tensor as well. If all other limbs have equal values
-    (`_find_common_attributes`), mass, CoM and tensor are copied from these. Otherwise CoM and
-    tensor are mirror images of those on the other side.
+    (`_find_common_attributes`), mass, CoM and tensor are copied from the other limbs. Otherwise CoM
+    and tensor are mirror images of the values on the other side.
     """
     if not isinstance(robot, UrdfModel) or found.message.code == "hardly-any-mass":
         return
@@ -591,12 +601,11 @@ def _mirror_com(robot: RobotModel, link: Link, twin: Link) -> Array | None:
 def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a URDF link's CoM: the mirror image of the CoM on the other side.
 
-    If the other limbs state equal CoMs (`_find_common_attributes`), this CoM is copied instead.
-
-    If the finding only reports that both CoMs differ, `select_deviating_pairs` selects the link to
-    be repaired. It compares the magnitudes of the CoM coordinates in the link's frame with those of
-    other limbs. If there are too few other limbs, or these differ, both links are candidates. If
-    both links or neither deviate, there is no repair.
+    If the other limbs state equal CoMs (`_find_common_attributes`), this CoM is copied instead. If
+    the finding only reports that both CoMs differ, `select_deviating_pairs` selects the link to be
+    repaired. The selection compares the magnitudes of the CoM coordinates, in the link frame, with
+    other limbs. If there are too few other limbs, or the other limbs differ, both links are
+    candidates. If both links or neither deviate, there is no repair.
     """
     link = robot.links.get(found.name)
     twin = None if link is None else _find_twin(robot, found.name)
@@ -629,8 +638,8 @@ def _repair_com(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]
 
 MAX_DENSITY_RATIO = 3.0
 """Largest ratio between the density of a repaired link and the median density of the other links,
-in either direction. Derived from sqrt(10), rounded down: of masses that differ by powers of ten, at
-most one is within this bound.
+in either direction. Derived from sqrt(10), rounded down: at most a single mass among masses that
+differ by powers of ten is within this bound.
 """
 
 
@@ -642,8 +651,8 @@ def _repair_dense_mass(robot: RobotModel, found: CheckFinding) -> Iterator[Value
     density must be within a factor `MAX_DENSITY_RATIO` of the median of the other links. If the
     tensor fits the stated mass (`_fits_shapes`), the tensor is divided as well.
 
-    Another candidate is the volume times the median density, with the stated tensor. It requires a
-    density below ten times `MAX_DENSITY`, and no mass of fixed links.
+    Another candidate is the volume times the median density, with the stated tensor. This candidate
+    requires a density below ten times `MAX_DENSITY`, and no mass of fixed links.
     """
     link = robot.links.get(found.name)
     if not isinstance(robot, UrdfModel) or link is None or link.inertial is None:
@@ -697,7 +706,7 @@ def _fits_shapes(robot: RobotModel, link: Link) -> bool:
 def _scale_tensor(robot: UrdfModel, name: str, factor: float) -> dict[str, str]:
     """Return {attribute: text} of a link's <inertia>, with all entries multiplied by a factor.
 
-    Empty if the link has no <inertia>, or its name is not unique.
+    Empty if the link has no <inertia>, or the name is not unique.
     """
     element = _find_unique_child(robot, "link", name, "inertial/inertia")
     return {
@@ -772,7 +781,7 @@ def _list_similar_files(robot: UrdfModel, prefix: str, name: str) -> list[str]:
 def _repair_axis_of_zeros(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repairs of a URDF axis of zeros: the axes of corresponding joints of other limbs.
 
-    Each axis is copied as expressed in the frame of its own joint; equal axes are proposed once.
+    Each axis is copied as expressed in the frame of the other joint; equal axes are proposed once.
     Joints without <axis> are left out.
     """
     if not isinstance(robot, UrdfModel) or found.name not in robot.joints:
@@ -813,10 +822,10 @@ def _repair_axis_sense(robot: RobotModel, found: CheckFinding) -> Iterator[Value
 def _repair_joint_place(robot: RobotModel, found: CheckFinding) -> Iterator[ValueRepair]:
     """Yield the repair of a joint origin: the mirror image of the partner joint's origin.
 
-    If at least `MIN_SIBLINGS` joints of other limbs have origins with equal absolute coordinates,
-    only the joint that deviates from these is repaired. If both joints or neither deviate, there is
-    no repair. If there are fewer joints in other limbs, or their origins differ, both joints are
-    candidates.
+    - At least `MIN_SIBLINGS` joints of other limbs have origins with equal absolute coordinates:
+      the joint that deviates from these coordinates is repaired. If both joints or neither deviate,
+      there is no repair.
+    - Fewer joints in other limbs, or different origins: both joints are candidates.
     """
     mirror = find_mirror_plane(robot)
     partner = next(
@@ -949,4 +958,4 @@ _PROPOSALS: Final[Mapping[str, Callable[[RobotModel, CheckFinding], Iterator[Val
     "inertia-not-positive-definite": _repair_tensor,
     "inertia-implausible": _repair_implausible_tensor,
 }
-"""{rule: function that proposes repairs of its findings}."""
+"""{rule: function that proposes repairs of the findings of the rule}."""

@@ -29,10 +29,10 @@ from pupper_analysis.tools.audit.registry import rule
 
 @dataclass(frozen=True)
 class ActuatorDrive(ActuatorLaw):
-    """Actuator with constant gain on a hinge or slide.
+    """Actuator of an MJCF with constant gain on a single hinge or slide.
 
     Attributes:
-        name: Name of the actuator; without name, that of the joint.
+        name: Name of the actuator; for an actuator without name, the name of the joint.
         id: Index of the actuator.
         control: Index of the first control.
         joint: Index of the joint.
@@ -49,7 +49,7 @@ class ActuatorDrive(ActuatorLaw):
 
     @property
     def is_servo(self) -> bool:
-        """Whether the force depends on the joint position, as that of a position servo."""
+        """Whether the force depends on the joint position, as for a position servo."""
         return self.stiffness != 0
 
 
@@ -82,7 +82,7 @@ def _list_robot_drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, Actua
 
 @rule
 def actuator_without_effect(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find actuators whose command has no effect, since the gain or gear ratio is 0."""
+    """Find actuators whose command has no effect, because the gain or the gear ratio is 0."""
     for _, drive in _list_robot_drives(robot):
         if drive.gain == 0 or drive.gear == 0:
             message = diagnose("actuator-without-effect", gain=drive.gain, gear=drive.gear)
@@ -139,10 +139,11 @@ def drive_of_another_kind(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 
 MAX_COMMAND_RANGE_ERROR, MIN_DEGREES = 0.1, 12.0
-"""Bounds with which `command_range_in_degrees` reports a command range. The first is the largest
-difference from the joint's range after conversion from degrees, relative to the width of the
-joint's range. The second is the magnitude that an end of the command range must exceed: read in
-radians, it is nearly two turns. Chosen, not tuned."""
+"""Bounds with which `command_range_in_degrees` reports a command range. The first bound is the
+largest difference from the joint's range after conversion from degrees, relative to the width of
+the joint's range. The second bound is the magnitude that an end of the command range must exceed:
+12 rad are nearly two turns. Chosen, not tuned.
+"""
 
 
 @rule
@@ -192,8 +193,8 @@ def actuator_unlimited(robot: MjcfModel) -> Iterator[CheckFinding]:
 def forcerange_above_joint(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find actuators whose forcerange times gear exceeds actuatorfrcrange by more than 1 %.
 
-    Compared are the largest magnitudes of both ranges at the joint [N m, N]. Actuators without one
-    of the ranges are skipped.
+    The largest magnitudes of both ranges at the joint are compared [N m, N]. Actuators without both
+    ranges are skipped.
     """
     for model, drive in _list_robot_drives(robot):
         if not (model.actuator_forcelimited[drive.id] and model.jnt_actfrclimited[drive.joint]):

@@ -39,8 +39,8 @@ def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[CheckFinding]:
     """Report missing mesh files, grouped by severity, Git LFS pointers, package and folder.
 
     The severity is ERROR for collision meshes of a URDF, and for all meshes of an MJCF, since
-    MuJoCo refuses an MJCF without its meshes. The severity is WARNING for visual meshes of a URDF.
-    Git LFS pointers, URLs and ``package://`` paths have the severity WARNING as well, because these
+    MuJoCo refuses an MJCF with a missing mesh. The severity is WARNING for visual meshes of a URDF.
+    Git LFS pointers, URLs and ``package://`` paths have the severity WARNING as well, because the
     files may exist elsewhere.
     """
     refused = isinstance(robot, MjcfModel)
@@ -118,13 +118,13 @@ def mesh_unreadable(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 def find_mesh_problem(path: Path) -> Diagnostic | None:
-    """Return the reason why a file is not a valid mesh.
+    """Check whether a file is a valid mesh, and return the reason if not.
 
     STL and OBJ files are parsed; a COLLADA file must contain the word ``COLLADA`` near the start.
     Other formats, and files larger than ``MAX_READ_MESH_BYTES`` bytes, are checked by suffix only.
 
     Returns:
-        Message; None if no error was found.
+        Message of the error; None if no error was found.
     """
     ending = path.suffix.lower()
     if ending not in _MESH_SUFFIXES and find_format(path) is None:
@@ -173,8 +173,7 @@ def _list_missing_in_mjcf(file: MjcfFile) -> Iterator[_MissingMesh]:
     """Yield the mesh files of an MJCF that are missing, or are pointers of Git LFS.
 
     Each mesh file is searched in the folders of the MJCF and of included files, and in ``meshdir``
-    and ``assetdir`` below these folders. A folder in the name of the mesh file is tried and
-    omitted.
+    and ``assetdir`` below both. The name of the mesh file is tried with and without folder.
     """
     folders = [Path()]
     for attributes, _ in file.elements("compiler"):
@@ -190,5 +189,5 @@ def _list_missing_in_mjcf(file: MjcfFile) -> Iterator[_MissingMesh]:
 
 
 def find_first_place(file: MjcfFile, tag: str, attribute: str) -> Place | None:
-    """Return the place of the first element with a tag and an attribute in an MJCF, or None."""
+    """Return file and line of the first element with a tag and an attribute in an MJCF, or None."""
     return next((place for found, place in file.elements(tag) if attribute in found), None)

@@ -60,7 +60,7 @@ _HIP_PATTERN = re.compile(r"(?<![a-z])hip(?![a-z])", re.IGNORECASE)
 
 
 def infer_axis_from_name(name: str, all_names: set[str]) -> int | None:
-    """Return the axis of the base frame that a joint name implies.
+    """Infer the rotation axis of a joint, x, y or z of the base frame, from the joint name.
 
     Examples: ``abduction`` and ``hip_roll`` imply x, ``thigh``, ``knee`` and ``hip_pitch`` imply y,
     ``hip_yaw`` implies z. ``hip`` alone implies x if joints with ``thigh`` and with ``calf`` in
@@ -89,8 +89,9 @@ def axis_contradicts_name(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find hinges with an axis that contradicts the name of the joint: ``knee`` implies the y axis.
 
     `infer_axis_from_name` derives the axis (x, y or z of the base frame) from the joint name. A
-    finding is an axis at more than 60 degrees from it, in either direction, at zero joint angles. A
-    robot whose mirror plane is not parallel to the xz plane of the base is skipped.
+    finding is a joint axis, at zero joint angles, at more than 60 degrees from the derived axis.
+    The sign of the axis has no effect. A robot whose mirror plane is not parallel to the xz plane
+    of the base is skipped.
     """
     mirror = find_mirror_plane(robot)
     if mirror is not None and mirror.axis != 1:
@@ -168,10 +169,10 @@ def _find_inverted_ranges(robot: MjcfModel) -> Iterator[CheckFinding]:
 def limits_without_effect(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find stated position limits that have no effect.
 
-    In a URDF, these are limits (lower < upper) of joints of the type ``continuous``. In an MJCF
-    that MuJoCo accepts, these are ranges with equal lower and upper end, which MuJoCo ignores
-    (severity WARNING). Ranges of named joints, tendons and actuators with a bias are checked,
-    unless the file states ``limited``.
+    - URDF: limits (lower < upper) of a joint of the type ``continuous``.
+    - MJCF: ranges with equal lower and upper end, which MuJoCo ignores (severity WARNING). Ranges
+      of named joints, tendons and actuators with a bias are checked, unless the file states
+      ``limited``. A file that MuJoCo refuses is skipped.
     """
     for joint in robot.joints.values():
         lower, upper = (joint.stated.get(f"{end} limit", math.nan) for end in ("lower", "upper"))
@@ -187,7 +188,7 @@ def _find_ranges_with_equal_ends(file: MjcfFile) -> Iterator[CheckFinding]:
     """Yield ranges with equal ends and ``limited="auto"`` of named joints, tendons and servos.
 
     Each range is a finding. Servos are the actuators with a bias. Control ranges of other actuators
-    are left out: they are torque limits (`effort_or_velocity_zero`).
+    are torque limits and are left out (`effort_or_velocity_zero`).
     """
     servos = [act for act in file.spec.actuators if act.biastype != mujoco.mjtBias.mjBIAS_NONE]
     for tag, elements, name, switch in (
@@ -212,14 +213,17 @@ def _find_ranges_with_equal_ends(file: MjcfFile) -> Iterator[CheckFinding]:
 def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find finite hinge limits that appear to be in the wrong unit.
 
-    Limits with a magnitude of 12 to 400 rad are probably degrees. Smaller limits are accepted,
-    since 10 rad is a common way to specify no limit. Limits above 400 rad are degrees if the equal
-    joint of another limb has the same limits in radians. The severity is WARNING, and ERROR for ten
-    turns or more. Symmetric limits always have the severity WARNING, since +-100 rad may specify no
-    limit.
+    Degrees instead of radians:
 
-    If the unit of the file is degrees, the limits may be radians. They are reported if there are at
-    least three hinges, and no limit is above 2 pi degrees.
+    - Limits with a magnitude of 12 to 400 rad are probably degrees. Smaller limits are accepted,
+      since 10 rad is a common way to specify no limit.
+    - Limits above 400 rad are degrees if the equal joint of another limb has the same limits in
+      radians.
+    - The severity is WARNING, and ERROR for ten turns or more. Symmetric limits always have the
+      severity WARNING, since +-100 rad may specify no limit.
+
+    Radians instead of degrees are reported if the unit of the file is degrees, there are at least
+    three hinges, and no limit is above 2 pi degrees.
     """
     hinges = [
         j
@@ -250,10 +254,10 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _equals_other_limb(joint: Joint, hinges: Sequence[Joint]) -> bool:
-    """Return True if limits, converted from degrees to radians, are those of another limb's joint.
+    """Return True if another limb has the same joint limits, after conversion from degrees.
 
-    The joint of the other limb has the same name except for the side; the limits may have the
-    opposite sign. The relative tolerance is 1 %.
+    The joint of the other limb has the same name except for the side. The limits of ``joint`` are
+    converted to radians; the signs may be opposite. The relative tolerance is 1 %.
     """
     lower, upper = np.deg2rad((joint.lower, joint.upper))
     kind = strip_sides(joint.name)
@@ -269,7 +273,8 @@ def _equals_other_limb(joint: Joint, hinges: Sequence[Joint]) -> bool:
 def range_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find robots with at least four limited hinges that all have the same symmetric range.
 
-    The range is a finding if the upper limit is at least 3.1 rad: it is probably a placeholder.
+    The range is a finding if the upper limit is at least 3.1 rad, since the range is then probably
+    a placeholder.
     """
     hinges = [j for j in robot.joints.values() if j.kind == HINGE_JOINT and math.isfinite(j.upper)]
     if len(hinges) < _MIN_HINGES:
@@ -332,7 +337,7 @@ def _list_stated_limits(robot: RobotModel) -> Iterator[tuple[str, Mapping[str, f
 
 
 def _find_mirrored_effort(robot: RobotModel, name: str) -> tuple[str, float] | None:
-    """Return the mirrored joint and its effort [N m, N].
+    """Return the mirrored joint and the effort of the mirrored joint [N m, N].
 
     None without a mirrored joint, or if the effort is not positive and finite.
     """
@@ -381,8 +386,9 @@ between both axes, and largest absolute z component of the hip's axis in the bas
 tuned."""
 
 MIN_REACHED_FRACTION = 0.75
-"""Lower bound of the fraction of the knee range in which a hip angle puts the foot below the hip.
-If the fraction is smaller, the joint limits of the leg can be a finding. Chosen, not tuned.
+"""Lower bound of the fraction of the knee range in which a hip angle within the limits puts the
+foot below the hip. Below the bound, `limits_away_from_stand` checks the signs of the limits.
+Chosen, not tuned.
 """
 
 NUM_KNEE_ANGLES = 61
@@ -392,7 +398,7 @@ Chosen, not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """Hip and knee with parallel axes, at zero angles in the base frame.
+    """Geometry of a leg with parallel hip and knee axes, at zero angles in the base frame.
 
     Attributes:
         hip: Joint of the hip.
@@ -483,8 +489,8 @@ def find_legs(robot: RobotModel) -> Iterator[Leg]:
 def _find_shank_end(robot: RobotModel, shank: Link) -> Array | None:
     """Return the end of a shank in the base frame, shape (3,) [m].
 
-    It is the next joint, or else the fixed link, frame or sphere farthest from the shank's joint.
-    None if the shank has several moving children, or none of these parts.
+    The end is the next joint, or else the fixed link, frame or sphere farthest from the shank's
+    joint. None if the shank has several moving children, or no moving child and no fixed part.
     """
     group = robot.fixed_group(shank.name)
     moving = [c for part in group for c in robot.children(part.name) if c.moving]

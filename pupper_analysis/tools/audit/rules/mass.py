@@ -37,15 +37,16 @@ from pupper_analysis.tools.audit.registry import (
 
 MAX_COM_OFFSET = 0.002
 """Fixed part of the tolerance [m] for a CoM outside the convex hull of a link's shapes, joints and
-frames. A fraction of their extent is added (`DRAWN_FRACTION` or `SIMPLIFIED_FRACTION`). A CoM
-farther outside is reported. Chosen, not tuned.
+frames. A fraction of the extent of the points is added (`DRAWN_FRACTION` or `SIMPLIFIED_FRACTION`).
+A CoM farther outside is reported. Chosen, not tuned.
 """
 
 DRAWN_FRACTION, SIMPLIFIED_FRACTION = 0.05, 0.5
-"""Fractions of a link's extent that are added to `MAX_COM_OFFSET`. The first applies if a shape is
-visual or a mesh; the second if all are simple collision shapes, which may be smaller than the link.
-If only collision shapes count, since another size is unknown, the first requires that all are
-meshes. Chosen, not tuned."""
+"""Fractions of a link's extent that are added to `MAX_COM_OFFSET`. `DRAWN_FRACTION` applies if a
+shape is visual or a mesh. `SIMPLIFIED_FRACTION` applies if all shapes are simple collision shapes,
+which may be smaller than the link. If only the collision shapes have known sizes, `DRAWN_FRACTION`
+requires that all collision shapes are meshes. Chosen, not tuned.
+"""
 
 DEFAULT_DENSITY = 1000.0
 """MuJoCo's default density of a geom [kg/m^3]. A visual mesh with this density probably has mass by
@@ -103,9 +104,9 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 MIN_MASS_FRACTION = 1e-3
-"""Smallest accepted ratio of the mass of a moving link (with the links fixed to it) to the mass of
-all other links that it carries. A smaller mass is reported: the unit may be wrong, or a mass may be
-missing. Chosen, not tuned.
+"""Smallest accepted ratio of the mass of a moving link, with fixed links, to the mass of all
+descendant links that move relative to this link. A smaller mass is reported: the unit may be wrong,
+or a mass may be missing. Chosen, not tuned.
 """
 
 
@@ -115,10 +116,11 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
 
     Shapes of links fixed to the link are included. The tolerance is `MAX_COM_OFFSET` plus a
     fraction of the extent. If the size of a shape is unknown, only the collision shapes are used.
-    If there are no collision shapes, or the size of one is unknown, only the link's joints and
-    frames form the hull. The tolerance is then the length of the longest limb. Links with less than
-    1e-4 of the robot's mass are skipped. A link without shapes is skipped if a fixed link has
-    shapes.
+    If the collision shapes are missing or of unknown size, only the link's joints and frames form
+    the hull. The tolerance is then the length of the longest limb.
+
+    Skipped are links with less than 1e-4 of the robot's mass, and links without shapes of which a
+    fixed link has shapes.
     """
     span = max((_compute_reach(robot, name) for name in robot.links), default=0.0)
     for body in robot.links.values():
@@ -167,7 +169,7 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
 def _compute_reach(robot: RobotModel, name: str) -> float:
     """Return the sum of the distances between frame origins from the root to a link [m].
 
-    The origins are those of the link and its ancestors, at zero angles.
+    The path contains the link and all ancestors, at zero angles.
     """
     chain = [robot.links[link_name].pose.position for link_name in (name, *robot.ancestors(name))]
     return float(sum(np.linalg.norm(np.diff(chain, axis=0), axis=1)))
@@ -175,13 +177,13 @@ def _compute_reach(robot: RobotModel, name: str) -> float:
 
 @rule
 def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find a robot that is too heavy for its motors.
+    """Find a robot that is too heavy for the motors.
 
-    The torque of the weight (weight [N] times the longest distance between successive hinges [m])
-    must not exceed the sum of the efforts of all hinges [N m]. The severity is WARNING, and ERROR
-    above `IMPOSSIBLE_TORQUE_RATIO` times the sum. The finding names a moving link with more than
-    `MAX_MASS_FRACTION` of the mass, or else the base. Robots with fewer than two hinges, or with an
-    effort that is unknown, infinite or not positive, are skipped.
+    The torque of the weight is the weight [N] times the longest distance between successive hinges
+    [m]. This torque must not exceed the sum of the efforts of all hinges [N m]. The severity is
+    WARNING, and ERROR above `IMPOSSIBLE_TORQUE_RATIO` times the sum. The finding names a moving
+    link with more than `MAX_MASS_FRACTION` of the mass, or else the base. Robots with fewer than
+    two hinges, or with an effort that is unknown, infinite or not positive, are skipped.
     """
     hinges = [
         joint for joint in robot.joints.values() if joint.kind == HINGE_JOINT and joint.parent
@@ -223,8 +225,9 @@ def mass_beyond_motors(robot: RobotModel) -> Iterator[CheckFinding]:
 
 IMPOSSIBLE_TORQUE_RATIO = 10.0
 """Torque of the weight, relative to the sum of all efforts, above which `mass_beyond_motors` has
-the severity ERROR instead of WARNING: a smaller ratio may have another cause than a wrong unit, for
-example weak motors and straight legs. Chosen, not tuned."""
+the severity ERROR instead of WARNING. A smaller ratio may have another cause than a wrong unit, for
+example weak motors and straight legs. Chosen, not tuned.
+"""
 
 
 MAX_MASS_FRACTION = 0.9
@@ -273,7 +276,8 @@ def visual_adds_mass(robot: MjcfModel) -> Iterator[CheckFinding]:
 def base_fused(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find models without free joint in which two or more legs begin at the world.
 
-    A leg has two joints or more, of which one has the name of a leg joint (`LEG_JOINT_NAME`).
+    A leg has two joints or more, and at least a single joint with the name of a leg joint
+    (`LEG_JOINT_NAME`).
     """
     model = robot.mj_model
     if model is None or has_free_joint(model):
@@ -312,8 +316,8 @@ MIN_GYRATION_SQUARED = 1e-10
 MIN_REACH = 0.05
 """Lower bound of the radius R [m] for a link without shapes. The largest moment of inertia of the
 link must be at most `MAX_INERTIA_FACTOR` m R^2. R is the largest distance from the CoM to the
-origins of the link, its frames and its children. Without the bound, R could be zero. Chosen, not
-tuned.
+origins of the link, the link's frames and the children. Without the bound, R could be zero. Chosen,
+not tuned.
 """
 
 
@@ -328,11 +332,13 @@ def _list_stated_inertials(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]
 def inertia_not_positive_definite(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find stated inertias, of a positive mass, with a negative or zero principal moment.
 
-    A moment of zero is a finding for a moving link without fixed links. For a moving link with
-    fixed links, it is a finding of severity WARNING if two conditions hold. The link has more than
-    half of the mass of itself and its fixed links, and at least 1e-4 of the robot's mass. The
-    tolerance for a negative moment depends on the greatest moment and on the rounding of the stated
-    numbers, not on the mass. So a tensor of -5e-20 kg m^2 about each axis is a finding.
+    - Negative moment: a finding for each link. The tolerance depends on the greatest moment and on
+      the rounding of the stated numbers, not on the mass. So a tensor of -5e-20 kg m^2 about each
+      axis is a finding.
+    - Moment of zero: a finding for a moving link without fixed links.
+    - Moment of zero of a moving link with fixed links: a finding of severity WARNING if the link
+      has more than half of the mass of link and fixed links together, and at least 1e-4 of the
+      robot's mass.
     """
     for body, inertial in _list_stated_inertials(robot):
         least, _, greatest = inertial.moments
@@ -438,9 +444,9 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find masses and inertias that are probably defaults of an exporter.
 
     Only moving links with stated values are checked. An inertia is a finding if at least two links
-    have it, and its three moments are the same power of ten (1, 0.1, 0.01 ... kg m^2). A mass is a
-    finding if it is a power of ten (1, 0.1, 0.01 ... kg), and all of the three or more links have
-    it.
+    have this inertia, and the three moments are the same power of ten (1, 0.1, 0.01 ... kg m^2). A
+    mass is a finding if the mass is a power of ten (1, 0.1, 0.01 ... kg) and common to all links,
+    and there are at least three links.
     """
     moving = [
         (body, body.inertial)
@@ -472,12 +478,12 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[CheckFinding]:
 
 @rule
 def one_density(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find robots whose stated masses are the volumes of the shapes times one density.
+    """Find robots whose stated masses are the volumes of the shapes times a common density.
 
     A finding requires at least `MIN_COMPARED_LINKS` counted links. At least `MIN_EQUAL_FRACTION` of
-    these must have one density within `DENSITY_RTOL`. The volume of a link is the volume of its
-    visual shapes. If it has no visual shapes, or the volume of one is unknown, the collision shapes
-    are used.
+    the counted links must have the same density within `DENSITY_RTOL`. The volume of a link is the
+    volume of the visual shapes. If the link has no visual shapes, or the volume of a visual shape
+    is unknown, the collision shapes are used.
 
     Links below 1e-4 of the total mass and links of unknown volume are not counted. Copies are not
     counted either: links with the mass and volume of another link, such as the four thighs of a
@@ -526,8 +532,9 @@ a mirrored mesh. Chosen, not tuned."""
 
 DENSITY_RTOL = 0.01
 """Relative difference up to which two links have the same density in the rule `one_density`, which
-reports masses that are volumes times one density. Chosen, not tuned: CAD programs write masses with
-three digits or more."""
+reports masses that are volumes times a common density. Chosen, not tuned: CAD programs write masses
+with three digits or more.
+"""
 
 
 def _compute_link_volume(body: Link) -> float | None:
@@ -547,8 +554,8 @@ def _compute_link_volume(body: Link) -> float | None:
 _MIN_REPEATED_LINKS = 2
 """Smallest number of moving links with the same inertia, a power of ten times the identity, at
 which the inertia is reported. A single link may have the value by chance. A mass that is a power of
-ten is reported only if all moving links have it, and their number is larger than this constant.
-Chosen, not tuned.
+ten is reported only if all moving links have this mass, and the number of moving links is larger
+than this constant. Chosen, not tuned.
 """
 
 
@@ -558,7 +565,7 @@ def _is_power_of_ten(value: float) -> bool:
 
 
 ROUND_LOG_ATOL = 1e-9
-"""Tolerance of the test for a power of ten. A number is a power of ten if its decimal logarithm
+"""Tolerance of the test for a power of ten. A number is a power of ten if the decimal logarithm
 differs from an integer by less than this value. Chosen, above binary rounding.
 """
 

@@ -2,8 +2,8 @@
 
 `find_mirror_plane` derives the plane between left and right from pairs of names and the positions
 of the links. Each rule compares a quantity of the first link or joint of a pair with the second
-within a tolerance; vectors, inertias, axes and ranges are reflected first. Of pairs at displaced
-positions, `mirror_position` reports the first of each chain. The comparisons of CoM, inertia,
+within a tolerance. Vectors, inertias, axes and ranges are reflected first. If several pairs of a
+chain are displaced, `mirror_position` reports only the first pair. The comparisons of CoM, inertia,
 shapes and contacts leave displaced pairs out.
 """
 
@@ -68,20 +68,21 @@ class MirrorPlane:
 
 
 def find_mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> MirrorPlane | None:
-    """Find the plane in which the largest number of left-right link pairs are mirror images.
+    """Find the plane between left and right, in which link pairs are mirror images.
 
-    Each candidate plane is normal to an axis of the base. It contains the origin of the base, or
-    the median of the pairs' midpoints along this axis. All joint positions are zero.
+    Each candidate plane is normal to an axis of the base, and contains the origin of the base or
+    the median of the pairs' midpoints. The plane that mirrors most pairs is selected. All joint
+    positions are zero.
 
     Args:
         robot: Model of the robot.
-        tolerance: Largest distance between a link and the mirror image of its partner [m].
+        tolerance: Largest distance between a link and the mirror image of the partner [m].
 
     Returns:
-        Plane, normal to an axis of the base, that mirrors at least a third of the pairs. If no
-        plane does, and the robot is planar, the plane in which the robot moves. Planar means: both
-        links of each pair have the same position, and all hinges are parallel to one axis of the
-        base. None in all other cases, and for a robot without pairs.
+        The selected plane if at least a third of the pairs are mirror images. Otherwise, for a
+        planar robot, the plane in which the robot moves: both links of each pair have the same
+        position, and all hinges are parallel to an axis of the base. None in all other cases, and
+        for a robot without pairs.
     """
     pairs = find_mirror_pairs(robot.links)
     if not pairs:
@@ -107,7 +108,7 @@ def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
     """Return the plane in which a planar robot moves, normal to an axis of the base.
 
     The plane contains the median of the links' positions along this axis. None if the robot has no
-    hinges, or the hinges are not all parallel to one axis of the base.
+    hinges, or the hinges are not all parallel to the same axis of the base.
     """
     axes = np.array([joint.axis for joint in robot.joints.values() if joint.kind == HINGE_JOINT])
     for axis in range(3):
@@ -118,8 +119,9 @@ def _find_plane_of_motion(robot: RobotModel) -> MirrorPlane | None:
 
 
 MIN_PLANAR_COSINE = 0.9999
-"""Cosine of the angle between each hinge axis and an axis of the base, above which the robot counts
-as planar, with this axis as normal of its plane. Chosen, not tuned."""
+"""Lower bound of the cosine between each hinge axis and the same axis of the base. Above the bound
+the robot counts as planar, and this axis is the normal of the plane. Chosen, not tuned.
+"""
 
 
 POSITION_TOLERANCE, MASS_RTOL, COM_TOLERANCE, INERTIA_RTOL, LIMIT_TOLERANCE = (
@@ -129,9 +131,10 @@ POSITION_TOLERANCE, MASS_RTOL, COM_TOLERANCE, INERTIA_RTOL, LIMIT_TOLERANCE = (
     0.1,
     0.02,
 )
-"""Largest differences between left and right that are not reported: positions [m], masses
-(relative), CoM [m] (plus 1 % of its distance from the origin of the base), inertia (relative to the
-largest entry), joint limits [rad or m]. Chosen, not tuned."""
+"""Largest differences between left and right that are not reported. In this order: positions [m],
+masses (relative), CoM [m] (plus 1 % of the distance from the origin of the base), inertia (relative
+to the largest entry), joint limits [rad or m]. Chosen, not tuned.
+"""
 
 
 def _list_body_pairs(robot: RobotModel) -> Iterator[tuple[Link, Link]]:
@@ -151,10 +154,10 @@ def _get_anchor(body: Link) -> Array:
 def _find_displaced_bodies(
     robot: RobotModel, mirror: MirrorPlane
 ) -> tuple[set[str], list[tuple[Link, Link]]]:
-    """Return the names of links at positions that are no mirror images, and their first pairs.
+    """Return the names of links at positions that are no mirror images, and the first pairs.
 
-    A first pair is a left-right pair of such links without a displaced ancestor. A pair is skipped
-    if its first link neither moves nor has mass, and has no "foot" in the name.
+    A first pair is a left-right pair of displaced links without a displaced ancestor. A pair is
+    skipped if the first link neither moves nor has mass, and has no "foot" in the name.
     """
     displaced: set[str] = set()
     first_pairs = []
@@ -209,9 +212,9 @@ def _masses_agree(first: Link, second: Link) -> bool:
 
 @rule
 def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Find joints, or fixed links, that are more than 1 mm from the mirror image of their partner.
+    """Find joints or fixed links that are more than 1 mm from the mirror image of the partner.
 
-    Of displaced pairs in a chain, only the pair nearest to the base is reported.
+    If several pairs of a chain are displaced, only the pair nearest to the base is reported.
     """
     mirror = find_mirror_plane(robot)
     if mirror is None:
@@ -236,8 +239,8 @@ def mirror_position(robot: RobotModel) -> Iterator[CheckFinding]:
 def mirror_mass(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links whose masses differ by more than 1 %.
 
-    The severity is WARNING, and ERROR if both masses are positive and one is
-    `IMPOSSIBLE_MASS_RATIO` times the other or more.
+    The severity is WARNING. The severity is ERROR if both masses are positive and the ratio of the
+    larger to the smaller mass is at least `IMPOSSIBLE_MASS_RATIO`.
     """
     for first, second in _list_body_pairs(robot):
         if not _masses_agree(first, second):
@@ -316,21 +319,22 @@ def mirror_inertia(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 SIGN_RTOL, MIN_PRODUCT_FRACTION = 0.02, 0.01
-"""Bounds of the check for a wrong sign of a product of inertia. `SIGN_RTOL`: largest difference
-between the magnitudes of two entries, relative to the entry, with which the entries count as equal
-up to sign. `MIN_PRODUCT_FRACTION`: lower bound of all products of inertia, relative to the largest
-entry; with a smaller product no sign is compared. Chosen, not tuned."""
+"""Bounds of the check for a wrong sign of a product of inertia. `SIGN_RTOL`: two entries count as
+equal up to sign if the magnitudes differ by at most this fraction of the entry.
+`MIN_PRODUCT_FRACTION`: lower bound of all products of inertia, relative to the largest entry; with
+a smaller product no sign is compared. Chosen, not tuned.
+"""
 
 _PRODUCTS = np.array([name[1] != name[2] for name in INERTIA_ENTRIES])
 """Mask of the products among the entries of an inertia, in the order of `INERTIA_ENTRIES`."""
 
 
 def _has_wrong_sign(image: Array, entries: Array) -> bool:
-    """Return True if one or three products of inertia have the opposite sign.
+    """Return True if an odd number of products of inertia have the opposite sign.
 
     All other entries must be equal. With two opposite signs the result is False: such a part is not
-    mirrored, but turned by 180 degrees. The result is also False if a product of ``image`` is zero
-    (at most ``MIN_PRODUCT_FRACTION`` of the largest entry), because its sign is then unknown.
+    mirrored, but turned by 180 degrees. The result is also False if a product of ``image`` is at
+    most ``MIN_PRODUCT_FRACTION`` of the largest entry, because the sign is then unknown.
 
     Args:
         image: Entries of the mirrored inertia, shape (6,) [kg m^2], in the order of
@@ -363,8 +367,8 @@ def list_joint_pairs(robot: RobotModel) -> Iterator[tuple[MirrorPlane, Joint, Jo
 def _compute_axis_sense(mirror: MirrorPlane, first: Joint, second: Joint) -> float:
     """Compute the cosine between a joint axis and the mirrored axis of the partner.
 
-    With the reflection matrix S, the image of a sliding axis a is S a, and that of a rotation axis
-    (a pseudovector) is -S a.
+    With the reflection matrix S, the image of a sliding axis a is S a. The image of a rotation axis
+    a (a pseudovector) is -S a.
     """
     image = mirror.matrix @ first.axis * (-1.0 if first.kind == HINGE_JOINT else 1.0)
     return float(image @ second.axis)
@@ -374,7 +378,8 @@ def _compute_axis_sense(mirror: MirrorPlane, first: Joint, second: Joint) -> flo
 def mirror_axis(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of joints whose axes, up to sign, are no mirror images within 1 deg.
 
-    A pair is a finding, too, if its sense is the exception (`_find_reversed_axis`).
+    A pair is a finding, too, if the sense of the axes differs from all other pairs
+    (`_find_reversed_axis`).
     """
     yield from _find_reversed_axis(robot)
     for mirror, first, second in list_joint_pairs(robot):
@@ -398,13 +403,13 @@ exception; iCub has two in 34 pairs."""
 
 
 def _find_reversed_axis(robot: RobotModel) -> Iterator[CheckFinding]:
-    """Yield a finding if the axes of exactly one left-right pair have another sense than the rest.
+    """Yield a finding if the axes of a single left-right pair have another sense than the rest.
 
     In most published robots, the axes of all pairs are parallel, or the axes of all pairs are
-    mirror images. The finding names the joint of the pair whose axis is probably reversed. This is
-    the joint whose axis points against most axes of the equal joints of other limbs. If this does
-    not decide, the axes of all other parallel hinges are used. If neither decides, the first joint
-    of the pair is named.
+    mirror images. The finding names the joint of the pair whose axis is probably reversed: the
+    joint whose axis points against most axes of the equal joints of other limbs. If this does not
+    decide, the axes of all other parallel hinges are used. If neither decides, the first joint of
+    the pair is named.
     """
     pairs, parallel = [], []
     for mirror, first, second in list_joint_pairs(robot):
@@ -486,9 +491,9 @@ def mirror_limits(robot: RobotModel) -> Iterator[CheckFinding]:
 def mirror_drive(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of joints with different damping, dry friction, armature or springs.
 
-    If a quantity is equal in fewer than three quarters of the pairs, `find_unlike_pairs` reports
-    only pairs with a large ratio. Exception: if few distinct values occur, for example one for each
-    side, all different pairs are reported.
+    All different pairs are reported if a quantity is equal in at least three quarters of the pairs,
+    or if few distinct values occur, for example a value for each side. Otherwise
+    `find_unlike_pairs` reports only pairs with a large ratio.
     """
     pairs = [(first.name, second.name) for _, first, second in list_joint_pairs(robot)]
     for attribute in PASSIVE_ATTRIBUTES:
@@ -515,17 +520,23 @@ Measured on published robots: at most 1 mm."""
 
 SHAPE_TOLERANCE = 0.01
 """Largest difference of the extents of left and right meshes [m] that is not reported, in addition
-to a tenth of their size: left and right meshes are cut differently. Chosen, not tuned."""
+to a tenth of the size: left and right meshes are cut differently. Chosen, not tuned.
+"""
 
 
 @rule
 def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find pairs of left and right links with collision shapes that are no mirror images.
 
-    A pair is a finding if only one link has shapes, or if the bounding boxes differ by more than
-    `SIMPLE_SHAPE_TOLERANCE` or `SHAPE_TOLERANCE`. The boxes are along the base axes, at zero
-    angles. They include shapes of links fixed to the link. Pairs at displaced positions are
-    omitted. Boxes of shapes with unknown size are not compared.
+    A pair is a finding in two cases:
+
+    - Only one link of the pair has shapes.
+    - The bounding boxes differ by more than `SIMPLE_SHAPE_TOLERANCE` (primitive shapes only), or by
+      more than `SHAPE_TOLERANCE` plus a tenth of the size (with meshes).
+
+    The boxes are along the base axes, at zero angles, and include shapes of links fixed to the
+    link. Pairs at displaced positions are omitted. Boxes of shapes with unknown size are not
+    compared.
     """
     for mirror, first, second in _list_pairs_in_place(robot):
         pair = [_list_colliding_links(robot, link) for link in (first, second)]
@@ -558,10 +569,11 @@ def mirror_shapes(robot: RobotModel) -> Iterator[CheckFinding]:
 
 
 def _choose_wrong_shapes(robot: RobotModel, first: Link, second: Link) -> tuple[Link, Link]:
-    """Return the link of a pair whose collision shapes are probably wrong, and its partner.
+    """Return (wrong, partner): the link of a pair with probably wrong shapes, and the partner.
 
-    This is the link that deviates from equal links of other limbs (`select_deviating_pairs`), or
-    else the only one without collision shapes of its own. If neither decides, the second link.
+    The wrong link is the link that deviates from equal links of other limbs
+    (`select_deviating_pairs`), or else the only link of the pair without collision shapes. If
+    neither decides, the second link is returned as the wrong link.
     """
     pairs = [(second, first), (first, second)]
     kind, boxes = strip_sides(first.name), dict[str, Array]()
@@ -590,16 +602,17 @@ has the wrong value. Chosen, not tuned."""
 def select_deviating_pairs(
     pairs: list[tuple[Link, Link]], values: Mapping[str, Array]
 ) -> list[tuple[Link, Link]]:
-    """Return the pair whose first link deviates from the corresponding links of other limbs.
-
-    If the other limbs are fewer than `MIN_SIBLINGS`, or their values differ by more than
-    `SIBLING_ATOL`, all pairs are returned: the wrong link is unknown. If none or several of the
-    first links deviate, the result is empty.
+    """Select the pair whose first link deviates from the corresponding links of other limbs.
 
     Args:
         pairs: (link that may be wrong, link on the other side).
         values: {link: lengths in the frame of the link that are equal on both sides [m]} of the
             pairs and of other limbs, such as the magnitudes of CoM coordinates.
+
+    Returns:
+        The selected pair as a list. All pairs if the wrong link is unknown: there are fewer than
+        `MIN_SIBLINGS` other limbs, or the values of the other limbs differ by more than
+        `SIBLING_ATOL`. Empty if none or several of the first links deviate.
     """
     names = {link.name for link, _ in pairs}
     others = [value for name, value in values.items() if name not in names]
@@ -622,14 +635,17 @@ SIBLING_ATOL = 2e-3
 def mirror_contacts(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find left-right pairs of links with different contact parameters on the ground.
 
-    Geoms of links fixed to the link are included. MuJoCo combines the parameters of each geom with
-    the parameters of the ground: condim, friction, solref, solimp and margin. The number of geoms
-    that can touch the ground is compared. If it is equal for both links, each combined parameter
-    that differs is a finding. If only one link has geoms that can touch the ground, the other link
-    is a finding. If both links have the same total number of geoms, and fewer geoms of one link can
-    touch the ground, this link is a finding. Links without collision geoms, and pairs at displaced
-    positions, are not compared. If the file has no ground, a plane with MuJoCo's defaults is
-    assumed.
+    MuJoCo combines the parameters of each geom with the parameters of the ground: condim, friction,
+    solref, solimp and margin. Geoms of links fixed to the link are included. Compared are the geoms
+    that can touch the ground:
+
+    - Only one link has such geoms: the other link is a finding.
+    - The numbers of such geoms differ, and the total numbers of geoms are equal: the link with
+      fewer such geoms is a finding.
+    - The numbers are equal: each combined parameter that differs is a finding.
+
+    Links without collision geoms, and pairs at displaced positions, are not compared. If the file
+    has no ground, a plane with MuJoCo's defaults is assumed.
     """
     model = robot.mj_model
     if model is None:
@@ -698,14 +714,14 @@ def _list_contact_parameters(
 
 
 def _list_geoms(robot: MjcfModel, model: mujoco.MjModel, link: Link) -> list[int]:
-    """Return the indices of the geoms of a link and of the links that are fixed to it."""
+    """Return the indices of the geoms of a link and of the links fixed to this link."""
     bodies = [robot.body_names.index(part.name) for part in robot.fixed_group(link.name)]
     indices: list[int] = np.flatnonzero(np.isin(model.geom_bodyid, bodies)).tolist()
     return indices
 
 
 def _list_colliding_links(robot: RobotModel, link: Link) -> list[Link]:
-    """Return a link and the links fixed to it, each with its collision shapes only.
+    """Return a link and the links fixed to this link, each with collision shapes only.
 
     Links without collision shapes are left out.
     """

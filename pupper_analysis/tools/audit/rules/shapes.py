@@ -1,7 +1,7 @@
 """Rules about the position and the size of shapes, including wrong units of mass and length.
 
-The extent of points is the longest side of their bounding box along the axes of the frame in which
-they are expressed [m].
+The extent of points is the longest side of the bounding box [m], along the axes of the frame in
+which the points are expressed.
 """
 
 from __future__ import annotations
@@ -34,16 +34,17 @@ from pupper_analysis.tools.audit.registry import (
 
 POSITION_TOLERANCE = 1e-3
 """Tolerance of positions [m], in four rules. Ends of rods at joints and feet: 2 % of the half
-length or of the distance, if larger. Ends of a rod on its axis: half a radius, if larger. Foot
+length or of the distance, if larger. Ends of a rod on the axis: half a radius, if larger. Foot
 frames: at the centre or on the surface of a sphere. Gaps between visual and collision shapes: a
-fraction of the extent, if larger (`MIN_GAP_FRACTION`). Chosen, not tuned."""
+fraction of the extent, if larger (`MIN_GAP_FRACTION`). Chosen, not tuned.
+"""
 
 
 def _list_end_points(robot: RobotModel, body: Link) -> dict[Subject, Array]:
-    """Return {joint or foot: position, shape (3,) [m]} of the ends of a link, in its frame.
+    """Return {joint or foot: position, shape (3,) [m]} of the ends of a link, in the link frame.
 
-    These are the moving joints of the next links, and the links and frames with "foot" in their
-    name. Links that are fixed to the link belong to it.
+    The ends are the moving joints of the next links, and the links and frames with "foot" in the
+    name. Links that are fixed to the link are included.
     """
     to_frame = body.pose.inverse()
     points: dict[Subject, Array] = {}
@@ -90,11 +91,15 @@ def _measure_rod(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
 def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find capsules and cylinders that begin at a joint but do not end at the next joint or foot.
 
-    The end of the rod is compared with the joint or foot on its axis that is nearest to this end. A
-    rod is reported if it is too long by 2 % or more (and by `POSITION_TOLERANCE` or more), or too
-    short by 20 % or more. A rod that is too short by its radius is not reported, within the
-    tolerance for long rods. The limit for short rods is larger, since shapes are often shortened on
-    purpose to avoid contact with the neighbour. Rods of equal length on a link are reported once.
+    The end of the rod is compared with the nearest joint or foot on the rod's axis. A rod is
+    reported in two cases:
+
+    - Too long: by 2 % or more, and by `POSITION_TOLERANCE` or more.
+    - Too short: by 20 % or more. A rod that is too short by the radius is accepted, within the
+      tolerance for long rods. This bound is larger, since shapes are often shortened on purpose to
+      avoid contact with the neighbour.
+
+    Rods of equal length on a link are reported once.
     """
     for body in robot.links.values():
         if not body.moving:
@@ -137,11 +142,14 @@ def shape_ends_off_joint(robot: RobotModel) -> Iterator[CheckFinding]:
 def shape_off_link(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find collision rods and slabs along a link that are away from the line between the joints.
 
-    Only moving links with a single moving child are checked. A shape is checked if its length is 60
-    to 140 % of the distance between the joints, and more than twice its width. It is reported if
-    its centre is farther from the line than the half width plus 10 % of the link length. It is also
-    reported if its centre is displaced along the line by more than 40 % of this length. In 119
-    published shapes the largest values are 3 % and 20 %.
+    Only moving links with a single moving child are checked. A shape is checked if the length is 60
+    to 140 % of the distance between the joints (the link length), and more than twice the width. A
+    shape is reported in two cases:
+
+    - The centre is farther from the line than the half width plus 10 % of the link length.
+    - The centre is displaced along the line by more than 40 % of the link length.
+
+    In 119 published shapes the largest values are 3 % and 20 %.
     """
     for body in robot.links.values():
         ends = [
@@ -229,10 +237,10 @@ def _is_on_line(offset: Array, direction: Array, radius: float) -> bool:
 def foot_sphere_off_frame(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find foot frames that are neither at the centre nor on the surface of the foot's sphere.
 
-    The foot's sphere is the collision sphere nearest to the frame. The sphere is searched on the
-    link of the frame and on the links fixed below. If these have no sphere, or if the frame is
-    that of the foot link itself, it is searched on all links that move with this link. Spheres
-    with "foot" in the name of the sphere or link have precedence.
+    The foot's sphere is the collision sphere nearest to the frame. The search includes the link of
+    the frame and the links fixed below. If no sphere is found, or if the frame is the frame of the
+    foot link, the search includes all links that move with this link. Spheres with "foot" in the
+    name of the sphere or link have precedence.
 
     There is no finding if the sphere is farther away than five radii. The severity is NOTE if the
     frame is inside the sphere, which some models use for a flat sole.
@@ -284,8 +292,9 @@ MAX_DENSITY = 20_000.0
 """Mass per volume of the convex hull of a link [kg/m^3] above which the density is reported.
 Tungsten has 19300.
 
-The hull is the largest volume of a body with these shapes. Of 1500 published links the densest has
-15600: a wrist whose mesh omits attached parts."""
+The convex hull is the largest possible volume of the link. The densest of 1500 published links has
+15600: a wrist whose mesh omits attached parts.
+"""
 
 UNREAD_MESH_FACTOR = 5.0
 """Factor on `MAX_DENSITY` for a link with a mesh that was not read, since the known shapes may be
@@ -296,15 +305,16 @@ MIN_DENSITY = 2.0
 has 1.2, the lightest foam 10, the lightest published link 8.8."""
 
 MIN_MASS_FRACTION = 0.01
-"""Smallest mass of a link with its fixed links, relative to the robot's mass, at which density and
-missing collision shapes are checked. Lighter links do not count for the median density, since their
-shapes may be markers instead of the real geometry. The density of a free base is checked with any
-mass. Chosen, not tuned.
+"""Smallest mass of a link with fixed links, relative to the robot's mass, at which density and
+missing collision shapes are checked. Lighter links do not count for the median density, since the
+shapes of a light link may be markers instead of the real geometry. The density of a free base is
+checked with any mass. Chosen, not tuned.
 """
 
 MIN_SHAPE_FRACTION = 0.5
-"""Extent of a link's shapes, relative to the extent of its joints and frames, below which its
-density is not checked: the shapes may show a part of the link only. Chosen, not tuned."""
+"""Smallest extent of a link's shapes, relative to the extent of the link's joints and frames, with
+which the density is checked. Smaller shapes may show only a part of the link. Chosen, not tuned.
+"""
 
 MIN_EXTENT = 0.01
 """Smallest extent [m] of a link's shapes with which the link's density is checked, and smallest
@@ -327,13 +337,15 @@ reported as too large. Measured: the largest ratio of 1500 published links is 2.
 def density_implausible(robot: RobotModel) -> Iterator[CheckFinding]:
     """Find implausible densities: mass / volume of the convex hull of the shapes.
 
-    The mass is that of a root link or moving link and all links fixed to it. Visual and collision
-    shapes, and the origins of link, frames and children, define the hull. Densities of 2 to 20000
-    kg/m^3 are plausible. If the size of a shape is unknown, for example because a mesh was not
-    read, densities of at most 100000 kg/m^3 are plausible. The severity is WARNING, and ERROR above
-    `IMPOSSIBLE_SIZE_RATIO` times `MAX_DENSITY`.
+    The mass is the mass of a root link or moving link with all fixed links. Visual and collision
+    shapes, and the origins of link, frames and children, define the hull. Plausible densities:
 
-    A plausible density is also reported if it is above `DENSITY_OF_STEEL` and above
+    - 2 to 20000 kg/m^3 (`MIN_DENSITY`, `MAX_DENSITY`).
+    - At most 100000 kg/m^3 if the size of a shape is unknown, for example because a mesh was not
+      read.
+
+    The severity is WARNING, and ERROR above `IMPOSSIBLE_SIZE_RATIO` times `MAX_DENSITY`. A
+    plausible density is also reported if the density is above `DENSITY_OF_STEEL` and above
     `MIN_DENSITY_RATIO` times the median of the other links.
 
     Skipped are, for example, light bodies (`MIN_MASS_FRACTION`) other than a free base, bodies with
@@ -396,11 +408,15 @@ tuned."""
 
 
 def compute_median_density(robot: RobotModel, name: str) -> float | None:
-    """Compute the median of mass per volume of the convex hull over the other links [kg/m^3].
+    """Compute the median density of the other links: mass / volume of the convex hull [kg/m^3].
 
-    The links are those of `_list_moving_links` except the link ``name``, with the links fixed to
-    them. Light links (`MIN_MASS_FRACTION`), and links without mass, without volume or with a shape
-    of unknown size are left out. None if fewer than `MIN_OTHER_LINKS` remain.
+    The other links are the root links and moving links except the link ``name``, each with all
+    fixed links. Light links (`MIN_MASS_FRACTION`), and links without mass, without volume or with a
+    shape of unknown size are left out. None if fewer than `MIN_OTHER_LINKS` remain.
+
+    Args:
+        robot: Model of the robot.
+        name: Link that is left out.
     """
     densities = []
     for body in _list_moving_links(robot):
@@ -442,11 +458,12 @@ def moving_link_without_collision(robot: UrdfModel) -> Iterator[CheckFinding]:
 def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find links whose collision shapes are apart from the visual shapes.
 
-    The gap between the bounding boxes along the axes of the link is compared with the extent of the
-    visual shapes. A gap above `MIN_GAP_FRACTION` of the extent is reported. If a size is unknown,
-    for example of a mesh that was not read, the gap is measured between the origins of the same
-    mesh in both (`_measure_equal_mesh_gap`). The extent is then that of the origins of link, frames
-    and children.
+    The gap between both bounding boxes, along the axes of the link, is compared with the extent of
+    the visual shapes. A gap above `MIN_GAP_FRACTION` of the extent is reported.
+
+    If a size is unknown, for example of a mesh that was not read, the gap is the distance between
+    the origins of the same mesh in both (`_measure_equal_mesh_gap`). The extent is then the extent
+    of the origins of link, frames and children.
     """
     for body in robot.links.values():
         sides = [
@@ -470,13 +487,14 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 
 MIN_GAP_FRACTION = 0.1
-"""Gap between a link's visual and collision shapes, relative to the extent that
-`collision_off_visual` defines, above which the gap is reported, if it also exceeds
-`POSITION_TOLERANCE`. Chosen, not tuned."""
+"""Lower bound of a reported gap between a link's visual and collision shapes, relative to the
+extent that `collision_off_visual` defines. The gap must also exceed `POSITION_TOLERANCE`. Chosen,
+not tuned.
+"""
 
 
 def _compute_reach_of_children(robot: RobotModel, body: Link) -> float:
-    """Return the longest side of the box of the origins of a link, its frames and children [m].
+    """Return the longest side of the box of the origins of a link, frames and children [m].
 
     The box is aligned with the axes of the link.
     """
@@ -487,7 +505,7 @@ def _measure_equal_mesh_gap(robot: UrdfModel, name: str) -> float | None:
     """Return the distance between the origins of a collision mesh and the same visual mesh [m].
 
     Meshes with the same stem of the file are the same. None unless the link has a single collision
-    shape, and exactly one visual shape is the same mesh.
+    shape, and a single visual shape is the same mesh.
     """
     found: dict[str, list[tuple[str, Array]]] = {"visual": [], "collision": []}
     for tag, shape, geometry in robot.file.tree.links[name].shapes:
@@ -502,9 +520,10 @@ def _measure_equal_mesh_gap(robot: UrdfModel, name: str) -> float | None:
 
 
 IMPOSSIBLE_SIZE_RATIO = 10.0
-"""Ratio of a density to `MAX_DENSITY`, or of the extent of the joints to the largest plausible
-extent (or of the smallest plausible extent to it), from which the severity is ERROR. Chosen, not
-tuned."""
+"""Smallest ratio by which a density or an extent exceeds a bound with severity ERROR instead of
+WARNING. The bounds are `MAX_DENSITY`, `MAX_ROBOT_EXTENT` and, for the inverse ratio,
+`MIN_ROBOT_EXTENT`. Chosen, not tuned.
+"""
 
 
 @rule
@@ -513,8 +532,9 @@ def scale_unusual(robot: RobotModel) -> Iterator[CheckFinding]:
 
     The extent of all joint positions at zero angles must be 0, or between `MIN_ROBOT_EXTENT` and
     `MAX_ROBOT_EXTENT` [m]. The shapes of a link must extend over at most `MAX_SHAPE_RATIO` times
-    this extent, unless that is below `MIN_EXTENT`. The severity is WARNING, and ERROR if the extent
-    of the joints is `IMPOSSIBLE_SIZE_RATIO` times beyond a bound.
+    the extent of the joints. Shapes are not checked if the extent of the joints is below
+    `MIN_EXTENT`. The severity is WARNING, and ERROR if the extent of the joints is
+    `IMPOSSIBLE_SIZE_RATIO` times beyond a bound.
     """
     places = np.array([joint.position for joint in robot.joints.values() if joint.moves])
     if len(places) < 2 or robot.base not in robot.links:

@@ -50,7 +50,7 @@ def gravity_unusual(robot: MjcfModel) -> Iterator[CheckFinding]:
 
 @rule
 def armature_zero(robot: MjcfModel) -> Iterator[CheckFinding]:
-    """Find models in which the armature of all driven joints and of their actuators is zero.
+    """Find models in which the armature of all driven joints and all actuators is zero.
 
     `list_drives` yields the actuators. A model without such an actuator is no finding.
     """
@@ -129,9 +129,9 @@ def list_foot_geoms(robot: MjcfModel) -> list[int]:
 def foot_softer_than_its_size(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find spherical feet whose ground contact reaches full impedance deeper than half the radius.
 
-    The width of ``solimp`` [m] is that of the contact with the ground, combined as in MuJoCo. The
-    width has an effect only if the impedance rises (``solimp[0] < solimp[1]``). Feet with equal
-    radius and width are a single finding.
+    The impedance of the contact is combined as in MuJoCo. The width of ``solimp`` [m] must not
+    exceed `MAX_WIDTH_RATIO` times the radius. The width has an effect only if the impedance rises
+    (``solimp[0] < solimp[1]``). Feet with equal radius and width are a single finding.
     """
     model = robot.mj_model
     if model is None:
@@ -161,8 +161,9 @@ tuned."""
 def _list_foot_spheres(robot: MjcfModel, model: mujoco.MjModel) -> list[int]:
     """Return the ids of the spherical geoms of feet.
 
-    If `list_foot_geoms` finds no feet, these are the collision spheres at the ends of limbs. The
-    end of a limb is a moving body without moving children whose only collision geom is a sphere.
+    If `list_foot_geoms` finds no feet, the collision spheres at the ends of limbs count as feet.
+    The end of a limb is a moving body without moving children whose only collision geom is a
+    sphere.
     """
     named, spheres = list_foot_geoms(robot), mujoco.mjtGeom.mjGEOM_SPHERE
     if named:
@@ -189,10 +190,9 @@ def _read_impedance(solimp: Sequence[float]) -> tuple[bool, float]:
 def hull_below_foot(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find meshes of a shank whose convex hull, which MuJoCo collides, reaches below the foot.
 
-    Compared are the lowest points of the mesh and of the foot's sphere, with the shank inclined up
-    to `MAX_SHANK_ANGLE` about the axis of the knee. Only meshes and spheres that move together by a
-    single hinge, and that can both touch the ground, are compared. There is at most one finding per
-    foot.
+    The lowest points of the mesh and of the foot's sphere are compared, with the shank inclined up
+    to `MAX_SHANK_ANGLE` about the axis of the knee. Mesh and sphere must move together by a single
+    hinge, and both must be able to touch the ground. A foot has at most a single finding.
     """
     model = robot.mj_model
     if model is None:
@@ -239,8 +239,9 @@ MIN_HULL_DEPTH = 1e-3
 the hull is reported. Chosen, not tuned."""
 
 _SHANK_ANGLES = np.linspace(-MAX_SHANK_ANGLE, MAX_SHANK_ANGLE, 25)
-"""Inclinations of a shank, shape (25,) [rad], at which the depth of its mesh below the foot is
-evaluated."""
+"""Inclinations of a shank, shape (25,) [rad], at which the depth of the shank's mesh below the foot
+is evaluated.
+"""
 
 
 def _list_downward_directions(data: mujoco.MjData, knee: int, foot: int) -> Array:
@@ -325,7 +326,7 @@ def _list_colliding_geoms(model: mujoco.MjModel) -> Iterator[int]:
 def link_without_inertial(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Find links without <inertial>, except ``world``: PyBullet assigns 1 kg to each.
 
-    All links are in one finding.
+    A single finding lists all such links.
     """
     first, *others = [
         link.name for link in robot.links.values() if link.inertial is None and link.name != "world"
@@ -342,7 +343,7 @@ def link_without_inertial(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 @rule
 def massless_link_collides(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find links with zero or missing mass that have collision shapes; one finding for all."""
+    """Find links with zero or missing mass that have collision shapes, as a single finding."""
     first, *others = [
         link.name
         for link in robot.links.values()

@@ -2,7 +2,7 @@
 
 Input is the model of a file; a URDF starts at zero angles. The rules compare joint positions with
 the limits and with the commands of keyframes, evaluate heights and penetrations with MuJoCo, and
-simulate one keyframe.
+simulate a single keyframe.
 """
 
 from __future__ import annotations
@@ -41,8 +41,9 @@ MAX_FLOOR_DEPTH = 5e-3
 standing robot sinks a few mm into soft contacts. Chosen, not tuned."""
 
 MAX_KEYFRAMES = 100
-"""Largest number of keyframes of a file that a rule checks; the further ones are not checked,
-except `home` by the rules for a single keyframe. Chosen, to bound the time."""
+"""Largest number of keyframes of a file that a rule checks. Further keyframes are not checked,
+except `home` by the rules for a single keyframe. Chosen, to bound the time.
+"""
 
 MAX_SAG = 0.5
 """Largest accepted difference between a servo command and the joint position in a keyframe [rad,
@@ -283,22 +284,21 @@ def _find_opposite_signs(
 ) -> tuple[tuple[str, ...], float] | None:
     """Find the joints whose angles must change sign, so that all feet are the lowest shapes.
 
-    The joints have the same place in the chains of all legs. The smallest set of joints counts; all
-    hinges of the legs must then be inside their limits.
+    The joints have the same place in the chains of all legs. The smallest set of joints counts.
+    With the changed signs, all hinges of the legs must be inside the limits.
 
     Args:
         robot: Model of the MJCF, which MuJoCo compiles.
         qpos: Configuration of the keyframe, shape (nq,).
         feet: Ids of the foot geoms.
-        others: Ids of the other geoms, which must be above the feet.
+        others: Ids of the geoms that must be above the feet.
         heights: Returns the height [m] of the lowest point of each geom, from qpos and ids.
 
     Returns:
-        Names of the joints, and the largest distance of a foot from the ground [m]. A set of joints
-        is a solution if it puts all feet below the other shapes, and within `MIN_FOOT_CLEARANCE` of
-        the ground. None if there is no solution, or if several solutions have the smallest size.
-        None also if the legs have no hinges, different numbers of hinges, or more than
-        `MAX_LEG_JOINTS` hinges.
+        Names of the joints, and the largest distance of a foot from the ground [m]. A solution puts
+        all feet below the other shapes, and within `MIN_FOOT_CLEARANCE` of the ground. None if
+        there is no solution, or if several solutions have the smallest size. None also if the legs
+        have no hinges, different numbers of hinges, or more than `MAX_LEG_JOINTS` hinges.
     """
     model = robot.mj_model
     assert model is not None
@@ -443,8 +443,8 @@ def _run_simulation(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) 
 def start_in_floor(robot: MjcfModel) -> Iterator[CheckFinding]:
     """Find initial configurations with a body deeper than `MAX_FLOOR_DEPTH` in a world plane.
 
-    World planes are planes of the world body and of bodies that are fixed to it. There is one
-    finding per configuration, which names the deepest body.
+    World planes are planes of the world body and of bodies that are fixed to the world. Each
+    configuration has a single finding, which names the deepest body.
     """
     for start in _list_start_poses(robot):
         depths: dict[str, float] = {}
@@ -481,7 +481,7 @@ def _list_penetrations(
 ) -> Iterator[tuple[tuple[int, int], tuple[int, int], float]]:
     """Yield (ids of both bodies, ids of both geoms, penetration [m]) of MuJoCo's contacts.
 
-    The contacts are those at the configuration of ``start``; flexible bodies are left out. The
+    The contacts are evaluated at the configuration of ``start``; flexible bodies are left out. The
     penetration is negative if the geoms are apart, within the contact margin. Nothing is yielded if
     MuJoCo's collision detection stops with an error.
     """

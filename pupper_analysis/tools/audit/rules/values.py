@@ -1,7 +1,7 @@
 """Rules about single values that are impossible or probably wrong.
 
-Input is the model of a file, or its elements. The rules check, for example, the signs of sizes and
-passive joint terms, the ranges of MuJoCo's options, and the units of rotations.
+Input is the model of a file, or the elements of the file. The rules check, for example, the signs
+of sizes and passive joint terms, the ranges of MuJoCo's options, and the units of rotations.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def value_impossible(robot: RobotModel) -> Iterator[CheckFinding]:
 def _find_impossible_sizes(robot: UrdfModel) -> Iterator[CheckFinding]:
     """Yield a finding for each size <= 0, length below 0 or mesh scale of 0 in a URDF.
 
-    Negative factors of a mesh scale are no findings: they mirror the mesh (`mesh_mirrored`).
+    Negative factors of a mesh scale, which mirror the mesh, are no findings (`mesh_mirrored`).
     """
     for link, _, shape in _list_shapes(robot):
         tag = str(shape.tag)
@@ -115,7 +115,7 @@ def geometry_empty(robot: UrdfModel) -> Iterator[CheckFinding]:
 
 @rule
 def mesh_mirrored(robot: UrdfModel) -> Iterator[CheckFinding]:
-    """Find mesh scales with three negative factors; one finding per file.
+    """Find mesh scales with three negative factors; a single finding per file.
 
     A single negative factor is often intended.
     """
