@@ -1,6 +1,6 @@
 """Make a URDF and an MJCF agree.
 
-Numbers of one file are written into the other file, in place.
+Numbers of a file are written into the other file, in place.
 """
 
 from pupper_analysis.base.exports import make_lazy_exports

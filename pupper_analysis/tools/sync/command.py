@@ -68,7 +68,7 @@ def command(
     style: str,
     everything: bool,
 ) -> None:
-    """Make a robot's URDF and MJCF agree: write the numbers of one into the other, in place.
+    """Make a robot's URDF and MJCF agree: write numbers from a file into the other, in place.
 
     Only attributes whose numbers differ are written; comments, order and line ends are unchanged.
     Without --take the differences are listed, numbered from 1, with both values, and nothing is

@@ -13,9 +13,9 @@ from pupper_analysis.models.xml import NUMBER_PATTERN
 
 NUMBER_RTOL: Final = 1e-12
 """Relative tolerance of numbers in files. If a number in a file deviates less from the requested
-number, its text is kept. The tolerance is relative to the largest number of the vector, or to a
-larger scale that the caller passes. A requested number whose magnitude is below the tolerance is
-written as 0. Chosen, not tuned: far below the tolerances of comparisons.
+number, the text in the file is kept. The tolerance is relative to the largest number of the vector,
+or to a larger scale that the caller passes. A requested number whose magnitude is below the
+tolerance is written as 0. Chosen, not tuned: far below the tolerances of comparisons.
 """
 
 
@@ -27,9 +27,9 @@ larger, since a number with so few digits is rarely this close by chance.
 
 
 def format_shortest(value: float, scale: float) -> str:
-    """Return a number as text with as few digits as possible, within a tolerance.
+    """Format a number with as few digits as possible, within a small tolerance.
 
-    "0" if the magnitude is at most `NUMBER_RTOL` times ``scale``.
+    The text is "0" if the magnitude is at most `NUMBER_RTOL` times ``scale``.
 
     Args:
         value: Number.
@@ -43,10 +43,10 @@ def format_shortest(value: float, scale: float) -> str:
 
 
 def format_numbers(old: Sequence[str], new: ArrayLike, floor: float = 0.0) -> str | None:
-    """Return the text of a vector for an XML attribute; unchanged numbers keep the file's digits.
+    """Format a vector for an XML attribute; unchanged numbers keep the digits of the file.
 
-    A number counts as unchanged if it differs by at most ``NUMBER_RTOL`` times the reference
-    magnitude. This is the larger of ``floor`` and the largest magnitude in the vector.
+    A number counts as unchanged if the difference is at most ``NUMBER_RTOL`` times the reference
+    magnitude: the larger of ``floor`` and the largest magnitude in the vector.
 
     Args:
         old: Texts of the numbers in the file. There may be fewer texts than numbers in ``new``, or
@@ -79,7 +79,7 @@ def _parse_number(word: str) -> float:
 
 
 def _find_shortest(value: float, scale: float) -> float:
-    """Return ``value`` with the fewest digits that keep it within a tolerance.
+    """Round ``value`` to the fewest digits with an error within a tolerance.
 
     The tolerance depends on the number of digits, and is relative to ``scale``
     (`_ROUNDING_STEPS`).

@@ -84,11 +84,11 @@ def _describe_differences(sync: Sync) -> Iterable[doc.Text]:
 
 
 def _select_next_step(sync: Sync, *, chosen: bool, dry_run: bool) -> doc.NextStep:
-    """Return the command to run next.
+    """Return the command that the report proposes to run next.
 
-    If the files differ and no value was chosen, the result is a trial of `sync` with the values of
-    the URDF. If a trial (``dry_run``) has changes, the result is the `sync` that writes them.
-    Otherwise it is `crosscheck`.
+    - Trial ``sync --take urdf --dry-run``: the files differ and no value was chosen.
+    - ``sync`` without ``--dry-run``: a trial has planned changes.
+    - ``crosscheck``: all other cases.
     """
     if not chosen and not sync.agree:
         return doc.NextStep("sync", ("--take", "urdf", "--dry-run"))
@@ -113,7 +113,7 @@ def _describe_impossible_changes(sync: Sync) -> Iterable[doc.Words]:
 def _make_choice_blocks(sync: Sync) -> Iterable[doc.Block]:
     """Yield the differences with the lines in both files, then examples of ``--take``.
 
-    There must be at least one difference.
+    The sync must have a difference.
     """
     for difference in sync.differences:
         places = (difference.urdf_place, difference.mjcf_place)

@@ -1,4 +1,4 @@
-"""Joint trees of the two matched robots, merged values, and frame transforms between the files.
+"""Joint trees of a matched URDF and MJCF, merged values, and frame transforms between both.
 
 `list_single_part_changes` lists changes of a single part of a rigid body that give the body a
 target inertia.
@@ -29,14 +29,14 @@ Part = TypeVar("Part", bound=Hashable)
 
 _TRIANGLE_RTOL = 1e-6
 """Relative tolerance of the triangle inequality of principal moments of inertia in `is_physical`. A
-smaller violation is accepted, since it may be rounding. Chosen, not tuned.
+smaller violation may be rounding and is accepted. Chosen, not tuned.
 """
 
 
 def list_single_part_changes(
     parts: Mapping[Part, pin.Inertia], target: pin.Inertia, empty: Part
 ) -> list[tuple[Part, pin.Inertia]]:
-    """List the ways to give a body a target inertia by changing a single part of the body.
+    """List the changes of a single part of a rigid body that give the body a target inertia.
 
     Args:
         parts: Inertias of the parts with mass that form the body, in a common frame.
@@ -45,8 +45,8 @@ def list_single_part_changes(
 
     Returns:
         (part, new inertia) of each change with a physically possible inertia, the heaviest part
-        first. The list may be empty. If at most one part has mass, its new inertia is the target,
-        and is not checked.
+        first. The list may be empty. If at most one part has mass, the only change gives this part
+        (or ``empty``) the target inertia, without a check.
     """
     changes = []
     for part in sorted(parts, key=lambda name: -parts[name].mass) or [empty]:
@@ -62,8 +62,8 @@ def list_single_part_changes(
 def is_physical(body: pin.Inertia) -> bool:
     """Return True if mass and rotational inertia of a body are physically possible.
 
-    The mass must be positive. The inertia must be positive definite, and its principal moments must
-    satisfy the triangle inequality.
+    The mass must be positive. The inertia must be positive definite, and the principal moments must
+    satisfy the triangle inequality within `_TRIANGLE_RTOL`.
     """
     if not body.mass > 0:
         return False
@@ -74,7 +74,8 @@ def is_physical(body: pin.Inertia) -> bool:
 def is_same_body(first: pin.Inertia, second: pin.Inertia, tolerance: float = 1e-11) -> bool:
     """Return True if mass, CoM and rotational inertia of two bodies agree.
 
-    The tolerance is relative for mass and inertia, and in m for the CoM.
+    ``tolerance`` is relative for mass and inertia, and in m for the CoM. Both bodies must be
+    expressed in the same frame.
     """
     size = max(float(np.abs(first.inertia).max()), float(np.abs(second.inertia).max()), 1e-300)
     return bool(
@@ -86,14 +87,14 @@ def is_same_body(first: pin.Inertia, second: pin.Inertia, tolerance: float = 1e-
 
 @dataclass(frozen=True, eq=False)
 class MatchedRobots:
-    """Both robots, in the URDF's link frames and the MJCF's conventions.
+    """Joint trees of a matched URDF and MJCF in common frames, with transforms to the files.
 
     Attributes:
         matched: Match of the two files.
-        urdf: Joint tree of the URDF.
+        urdf: Joint tree of the URDF, in the URDF's link frames with the MJCF's zero angles.
         mjcf: Joint tree of the MJCF, in the same frames.
-        own: Joint tree of the MJCF in the MJCF's frames. The frame of each body has its origin at
-            the joint.
+        own: Joint tree of the MJCF in the MJCF's frames. The origin of each body frame is at the
+            joint.
         urdf_frames: {base or joint: pose of the URDF link's frame in the frame of the trees}.
         mjcf_frames: {base or joint: pose of the MJCF body's frame at the joint in the frame of the
             trees}.
@@ -109,7 +110,7 @@ class MatchedRobots:
     bodies: Mapping[str, pin.SE3]
 
     def merge_values(self, side: str, taken: Collection[PropertyKey]) -> MultibodyTree:
-        """Return the multibody tree of a file, with selected values of the other file.
+        """Build the multibody tree that a file must describe after taking values of the other file.
 
         Args:
             side: ``"urdf"`` or ``"mjcf"``: file to be changed.
@@ -126,7 +127,7 @@ class MatchedRobots:
 
 
 def pair_robots(matched: Match, alignment: Alignment) -> MatchedRobots:
-    """Compute the joint trees of a URDF and an MJCF in common frames, and the frames of each file.
+    """Compute the joint trees of a URDF and an MJCF in common frames, for `Side`.
 
     Args:
         matched: Match of the two files.
@@ -155,7 +156,7 @@ def pair_robots(matched: Match, alignment: Alignment) -> MatchedRobots:
 
 
 def _find_gauge_transforms(tree: MultibodyTree, moved: MultibodyTree) -> dict[str, pin.SE3]:
-    """Return {base or joint: pose of its frame in ``tree`` relative to its frame in ``moved``}."""
+    """Return {base or joint: pose of the frame in ``tree`` relative to the frame in ``moved``}."""
     gauges = {tree.base: pin.SE3.Identity()}
     waiting = tree.children(tree.base)
     while waiting:
@@ -169,11 +170,11 @@ def _find_gauge_transforms(tree: MultibodyTree, moved: MultibodyTree) -> dict[st
 
 @dataclass(eq=False, kw_only=True)
 class Side:
-    """File that receives numbers of the other file.
+    """URDF or MJCF that receives numbers of the other file: base class of the planners.
 
     Attributes:
         sides: Both robots.
-        target: Tree that the file shall have.
+        target: Multibody tree that the changed file must describe.
         unwritten: {difference: reason why no value can be written}.
         notes: {difference: note on the written value}.
     """

@@ -21,13 +21,13 @@ from pupper_analysis.tools.sync.digits import format_numbers
 
 
 class EditableMjcf:
-    """Elements of an MJCF, with the content of included files.
+    """XML elements of an MJCF and the included files, for changes in place.
 
     Args:
         file: MJCF.
 
     Attributes:
-        documents: {file: document}.
+        documents: {file: XML document}.
         root: Root element.
         angle: Angle unit of the file [rad].
         autolimits: True if the compiler option ``autolimits`` is set.
@@ -51,10 +51,10 @@ class EditableMjcf:
         return self._bodies.get(name)
 
     def find_joint(self, name: str, body: str) -> XmlElement | None:
-        """Return the XML element of a joint in a body.
+        """Return the XML element of a joint in a body of the MJCF.
 
-        If the body has no joint with this name, its first joint without a name is returned. None if
-        there is no such joint either, or if MuJoCo copies the body from another element.
+        If the body has no joint with this name, the body's first joint without a name is returned.
+        None if there is no such joint either, or if MuJoCo copies the body from another element.
         """
         element = self._bodies.get(body)
         if element is None:
@@ -78,14 +78,15 @@ class EditableMjcf:
     def write(
         self, element: XmlElement, attribute: str, value: str | ArrayLike, floor: float = 0.0
     ) -> None:
-        """Set an attribute of an element; numbers that the file already states keep their text.
+        """Set an attribute of an element; unchanged numbers keep the text of the file.
 
         Args:
             element: Element.
             attribute: Name of the attribute.
             value: Text, a number, or several numbers.
-            floor: Lower bound of the magnitude to which the relative tolerance is applied, in the
-                unit of the numbers. Numbers within the tolerance keep their text.
+            floor: Lower bound of the magnitude to which the relative tolerance `NUMBER_RTOL` is
+                applied, in the unit of the numbers. The text of a number within the tolerance is
+                kept.
         """
         if isinstance(value, str):
             text: str | None = value

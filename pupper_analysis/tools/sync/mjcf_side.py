@@ -43,20 +43,21 @@ from pupper_analysis.tools.sync.frames import Side, is_same_body, list_single_pa
 from pupper_analysis.tools.sync.mjcf_in_place import EditableMjcf
 
 _NEW_INERTIAL_COST = 100
-"""Cost of adding an <inertial> to a body. The cost of another change is its number of changed
+"""Cost of adding an <inertial> to a body. The cost of another change is the number of changed
 attributes. If several changes are possible, the change with the smallest cost is made. Chosen
 larger than the number of attributes of any change of existing elements.
 """
 
 _ORIENTATION_ATTRIBUTES = ("axisangle", "euler", "xyaxes", "zaxis")
-"""Orientation attributes of an <inertial> that cannot be rewritten: a body whose <inertial> has one
-of them is not changed."""
+"""Orientation attributes of an <inertial> that cannot be rewritten. A body whose <inertial> has
+such an attribute is not changed.
+"""
 
 
 def plan_inertial(side: MjcfSide, mover: str, keys: list[PropertyKey]) -> None:
     """Plan the changes of <inertial> that give a group of bodies the target inertia.
 
-    The bodies of a group are fixed to each other. One of them is changed, with as few changed
+    The bodies of a group are fixed to each other. A single body is changed, with as few changed
     attributes as possible.
 
     Args:
@@ -99,7 +100,7 @@ def plan_inertial(side: MjcfSide, mover: str, keys: list[PropertyKey]) -> None:
 
 
 def make_inertial_changes(element: XmlElement, target: pin.Inertia) -> dict[str, str]:
-    """Return the attributes of an ``<inertial>`` that must change to give a target inertia.
+    """Compute the attributes of an ``<inertial>`` that must change to state a target inertia.
 
     The present form (principal moments with axes, or full matrix) is kept.
 
@@ -152,13 +153,13 @@ def _make_principal_numbers(element: XmlElement, target: Array) -> dict[str, Arr
 
 COPIED_BODY = diagnose("body-is-a-copy")
 """Reason why a change of a body is not written to the MJCF. MuJoCo copies the body from another
-element, so the file contains no element for it.
+element, so the file contains no element for this body.
 """
 
 
 @dataclass(eq=False, kw_only=True)
 class MjcfSide(Side):
-    """MJCF that receives numbers of a URDF.
+    """MJCF that receives numbers of a URDF: planner of the changes.
 
     Attributes:
         file: MJCF.
@@ -178,9 +179,11 @@ class MjcfSide(Side):
         self.model: mujoco.MjModel = self.robot.mj_model
 
     def plan(self, taken: Collection[PropertyKey]) -> None:
-        """Plan the changes of the MJCF for selected differences (kind, element), and its `gains`.
+        """Plan the changes of the MJCF for selected differences and for `gains`, in memory.
 
         Changes of positions are planned first, because children move with the parent body.
+        ``taken`` contains (kind, element) of each difference. The reason for a difference that
+        cannot be written is recorded in `unwritten`.
         """
         for key in taken:
             if key[0] == "position":
@@ -211,9 +214,9 @@ class MjcfSide(Side):
     def _plan_position(self, key: PropertyKey) -> None:
         """Plan to move the body of a joint, with the child bodies, to the URDF's joint position.
 
-        ``key`` is the difference (kind, joint). The position is not written in four cases: the
-        joint is not the first of its body, it is not at the body's origin, the body is a copy of
-        another element, or the body is within a <frame>.
+        ``key`` is the difference (kind, joint). The position is not written if the joint is not the
+        first joint of the body, or is not at the body's origin. The position is also not written if
+        the body is a copy of another element, or is within a <frame>.
         """
         name = key[1]
         index = self.model.joint(name).id
@@ -271,9 +274,9 @@ class MjcfSide(Side):
         self.elements.write(element, "range", values, 1.0)
 
     def _plan_damping(self, key: PropertyKey) -> None:
-        """Plan to set the damping of a joint to the target, minus the damping of its actuators.
+        """Plan to set the damping of a joint to the target, minus the damping of the actuators.
 
-        Higher polynomial coefficients are kept. ``key`` is the difference (kind, joint). It is not
+        Higher polynomial coefficients are kept. ``key`` is the difference (kind, joint). Nothing is
         written if the result would be negative, or the base has no joint.
         """
         name = key[1]
@@ -294,9 +297,9 @@ class MjcfSide(Side):
         self._plan_number(key, "damping", [target, *higher])
 
     def _plan_armature(self, key: PropertyKey) -> None:
-        """Plan to set the armature of a joint to the target, minus the armature of its actuators.
+        """Plan to set the armature of a joint to the target, minus the armature of the actuators.
 
-        ``key`` is the difference (kind, joint). It is not written if the result would be negative.
+        ``key`` is the difference (kind, joint). Nothing is written if the result would be negative.
         """
         index = self.model.joint(key[1]).id
         dof = int(self.model.jnt_dofadr[index])
@@ -311,7 +314,7 @@ class MjcfSide(Side):
     def _plan_number(self, key: PropertyKey, attribute: str, values: list[float]) -> None:
         """Plan to set an attribute of a joint's element in the MJCF to ``values`` in SI units.
 
-        ``key`` is the difference (kind, joint). It is not written if the element is a copy of
+        ``key`` is the difference (kind, joint). Nothing is written if the element is a copy of
         another element.
         """
         element = self.find_joint_element(key[1])
@@ -409,11 +412,15 @@ def plan_effort(side: MjcfSide, key: PropertyKey) -> None:
 
     The present limit is the smallest of three bounds: ``actuatorfrcrange`` of the joint,
     ``forcerange`` of the actuator, and ``ctrlrange`` of a <motor> actuator. A stated bound is
-    changed if it is the smallest, if it is below the target, or if its range is from 0 to 0. If no
+    changed if the bound is the smallest, is below the target, or has a range from 0 to 0. If no
     bound is stated, ``actuatorfrcrange`` is added.
 
     Nothing is planned if several actuators drive the joint, or if the joint or an actuator is a
     copy of another element. The reason is then recorded in ``side.unwritten``.
+
+    Args:
+        side: MJCF.
+        key: Difference: ("effort", joint).
     """
     name, model = key[1], side.model
     target = side.target.joints[name].effort

@@ -1,4 +1,4 @@
-"""Makes a URDF and an MJCF agree: numbers of one file are written into the other, in place.
+"""Makes a URDF and an MJCF agree: numbers of a file are written into the other file, in place.
 
 Inputs are two files, and for each difference the file whose value is taken. Outputs are the changed
 files and a `Sync`. Changes are planned, verified by comparing changed copies of the models, and
@@ -46,7 +46,7 @@ from pupper_analysis.tools.sync.plan import (
 
 @dataclass(frozen=True)
 class Unmended(Result):
-    """Difference between a URDF and an MJCF that a sync has left, with the reason.
+    """Difference between a URDF and an MJCF that remains after a sync, with the reason.
 
     Attributes:
         difference: Name: ``link base: mass``.
@@ -72,9 +72,9 @@ class Sync(Result):
         diff: Changes of the files in the format of ``diff -u``.
         written: Files that were replaced.
         backups: Copies of the old files.
-        withheld: True if nothing is written because a chosen difference cannot be mended; the files
-            would otherwise describe a mixture of two robots.
-        agree: True if the files agree with these edits.
+        withheld: True if nothing is written because a chosen difference cannot be removed. With
+            other changes alone, the files would describe a mixture of two robots.
+        agree: True if the files agree after the edits.
     """
 
     differences: tuple[Difference, ...]
@@ -104,21 +104,22 @@ def sync_models(
     packages: Mapping[str, Path] | None = None,
     tolerances: Tolerances | None = None,
 ) -> Sync:
-    """Make a URDF and an MJCF of the same robot agree, by writing numbers of one into the other.
+    """Make a URDF and an MJCF of the same robot agree: write numbers of a file into the other.
 
     Only attributes with different numbers are written; all other bytes are unchanged. Changes are
-    first verified on copies. A change that does not remove its difference is not written. Without
-    ``partial``, nothing at all is written if this happens, or if a chosen number cannot be written.
+    first verified on copies. A change that does not remove the difference is not written. Without
+    ``partial``, nothing at all is written in this case, or if a chosen number cannot be written.
 
-    Two kinds of chosen differences remain in any case, and do not prevent other changes. First,
-    differences that are no numbers of both formats. Second, numbers that the chosen file does not
-    state.
+    Two kinds of chosen differences always remain, and do not prevent other changes:
+
+    - differences that are no numbers of both formats;
+    - numbers that the chosen file does not state.
 
     Args:
-        urdf: Path of the URDF; name of a published robot; or a variant, such as ``"v3"``, for its
-            URDF.
-        mjcf: Path of the MJCF; name of a published robot; or a variant, for its MJCF. By default
-            the MJCF of the variant ``urdf``.
+        urdf: Path of the URDF; name of a published robot; or a variant, such as ``"v3"``, whose
+            URDF is used.
+        mjcf: Path of the MJCF; name of a published robot; or a variant, whose MJCF is used. By
+            default the MJCF of the variant ``urdf``.
         take: File whose values are taken: ``"urdf"`` (the MJCF is changed) or ``"mjcf"`` (the URDF
             is changed). A text after a colon selects differences, for example ``"mjcf:mass"``,
             ``"urdf:link base: mass"`` or ``"mjcf:3"`` (see `choose_files`). Differences that are
@@ -129,7 +130,7 @@ def sync_models(
         force: Write to files with uncommitted changes in a git repository.
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
         packages: {ROS package: folder}, for ``package://`` paths.
-        tolerances: Differences within these tolerances are ignored. The default is that of
+        tolerances: Differences within the tolerances are ignored. The default is the same as in
             `compare_models`: numbers that agree to 5 or 6 digits are unchanged.
             ``Tolerances.strict()`` only ignores rounding of floating-point numbers.
 
@@ -168,8 +169,8 @@ def _find_paths(
 ) -> tuple[str | Path, str | Path]:
     """Return the paths of the URDF and the MJCF.
 
-    The files of a scaled variant are written to ``folder``. Any other name or path is returned as
-    it is.
+    The files of a scaled variant are written to ``folder``. Any other name or path is returned
+    unchanged.
 
     Raises:
         ConfigurationError: If a model is an object in memory, or ``mjcf`` is missing and ``urdf``
@@ -249,10 +250,10 @@ def _compare_files(files: Files, tolerances: Tolerances) -> FilesCompared:
 def _make_verified_plan(
     files: Files, tolerances: Tolerances, comparison: FilesCompared, keys: Mapping[PropertyKey, str]
 ) -> tuple[Plan, FilesCompared]:
-    """Return a plan whose changes remove the differences, and the comparison after these changes.
+    """Return a plan whose changes remove the differences, and the comparison after the changes.
 
     The plan is applied to copies of the files, and the copies are compared. A change that does not
-    remove its difference is removed from the plan. If an engine refuses a copy, all changes are
+    remove the difference is removed from the plan. If an engine refuses a copy, all changes are
     removed.
     """
     refused: dict[PropertyKey, Diagnostic] = {}
@@ -302,8 +303,8 @@ def _write_files(
     """Replace all changed files, or none; return the paths of files and backups.
 
     Raises:
-        OutputError: If a file cannot be written, was changed since it was read, or, unless
-            ``force``, has uncommitted changes in git.
+        OutputError: If a file cannot be written or was changed after reading. Unless ``force``,
+            also if a file has uncommitted changes in git.
     """
     for document in plan.documents():
         remove_stale_files(resolve_target(document.path)[0].parent)
@@ -325,15 +326,15 @@ def _list_unmended(
 ) -> Iterable[Unmended]:
     """Yield the differences that remain after the changes of a plan, each with the reason.
 
-    Parts and joints that only one file contains are also yielded. If nothing else is yielded, the
-    result contains the reasons why the files do not agree.
+    Parts and joints that only a single file contains are also yielded. If nothing else is yielded,
+    the result contains the reasons why the files do not agree.
 
     Args:
         plan: Planned changes.
         before: Comparison of the original files.
         after: Comparison of the changed files.
         keys: {difference that the user has chosen: side whose value is taken}.
-        labels: {difference before the changes: its name}.
+        labels: {difference before the changes: name of the difference}.
     """
     remaining = {(d.kind, d.element): d for d in after.differences}
     for key, name in labels.items():
@@ -390,7 +391,7 @@ _JOINT_PROPERTIES: Final = (
 
 
 def format_owner_name(difference: Difference) -> str:
-    """Return kind and name of the element that differs between URDF and MJCF.
+    """Format kind and name of the element that differs between URDF and MJCF.
 
     Examples: ``link FL_hip``, ``joint FL_knee``, ``frame FL_foot``. The name of any other element
     is returned without a kind.
@@ -405,7 +406,7 @@ def format_owner_name(difference: Difference) -> str:
 
 
 def find_subject_link(difference: Difference) -> str:
-    """Return the name of the link or other element that differs.
+    """Return the name of the link, or of another element, that a difference concerns.
 
     Args:
         difference: Difference between URDF and MJCF.
@@ -415,7 +416,7 @@ def find_subject_link(difference: Difference) -> str:
 
 
 def format_difference_label(difference: Difference) -> str:
-    """Return the name of a difference between two models, for example ``link FL_hip: mass``."""
+    """Format the name of a difference between URDF and MJCF, such as ``link FL_hip: mass``."""
     kind = "position" if difference.kind == "frame" else difference.kind
     return f"{format_owner_name(difference)}: {kind}"
 
@@ -423,14 +424,18 @@ def format_difference_label(difference: Difference) -> str:
 def choose_files(
     differences: Sequence[Difference], take: str | Iterable[str]
 ) -> tuple[str | None, ...]:
-    """Return the source of the value for each difference; None if none was chosen.
+    """Choose for each difference the file whose value is taken, from the user's choices.
 
     Args:
         differences: Differences, numbered from 1.
         take: Choices of the form ``FILE`` or ``FILE:SELECTION``, where FILE is ``urdf`` or
             ``mjcf``. A selection is a list of numbers (``3``, ``1,4-6``), a kind (``mass``), an
             owner (``base``, ``joint FL_hip``), or owner and kind (``link FL_hip: mass``). The most
-            specific choice has precedence. If choices are equally specific, the last one applies.
+            specific choice has precedence. If choices are equally specific, the last choice
+            applies.
+
+    Returns:
+        ``"urdf"``, ``"mjcf"`` or None (not chosen) for each difference.
 
     Raises:
         ConfigurationError: If a choice is not valid or matches no difference.

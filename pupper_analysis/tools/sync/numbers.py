@@ -1,7 +1,7 @@
 """Writing of given numbers into the URDF and the MJCF of a robot.
 
-The files of a model keep their relative paths in the output folder. Therefore paths in the files
-need not be changed.
+The output folder preserves the relative paths of a model's files. Therefore paths in the files need
+not be changed.
 """
 
 from __future__ import annotations
@@ -58,11 +58,11 @@ from pupper_analysis.tools.sync.urdf_side import UrdfSide
 
 @dataclass(frozen=True, eq=False)
 class WrittenNumbers:
-    """Files with given numbers, verified and ready to be written.
+    """Model files with new numbers, in memory, verified and ready to be written.
 
     Attributes:
-        urdf: Path of the URDF in the folder; None if the robot has none.
-        mjcf: Path of the MJCF in the folder; None if the robot has none.
+        urdf: Path of the URDF in the output folder; None if the robot has no URDF file.
+        mjcf: Path of the MJCF in the output folder; None if the robot has no MJCF file.
         edits: Changes of attributes, in the files that were read.
         contents: {path in the folder: content} of the models and of the files that the models need.
         sources: Files that were read.
@@ -77,14 +77,14 @@ class WrittenNumbers:
     def make_writings(
         self, folder: Path, old_hashes: Mapping[str, str] | None = None, *, force: bool = False
     ) -> list[Writing]:
-        """Return the file-writing requests that put the new files into a folder (for `write_all`).
+        """Create the requests for `write_all` that write the new files into a folder.
 
         Files that exist with the same content are left out.
 
         Args:
             folder: Output folder.
             old_hashes: {path in the folder: hash} of an earlier result. An existing file is
-                replaced if its content has this hash.
+                replaced if the content has this hash.
             force: Replace any file that is not a file of the robot.
 
         Raises:
@@ -110,7 +110,7 @@ class WrittenNumbers:
     def hash_contents(self) -> dict[str, str]:
         """Return {path in the output folder: hash of the file's content}.
 
-        A later run recognises unmodified files by the hash, and may replace them.
+        A later run recognises unmodified files by the hash, and may replace such files.
         """
         return {str(place): hash_content(content) for place, content in self.contents.items()}
 
@@ -130,24 +130,25 @@ def write_numbers(
     *,
     files: tuple[Path | None, Path | None] | None = None,
 ) -> WrittenNumbers:
-    """Write numbers into the URDF and the MJCF of a robot in memory, and verify the result.
+    """Change numbers in the URDF and the MJCF of a robot, in memory, and verify the result.
 
-    Only attributes with changed numbers are written; all other bytes are unchanged. The numbers are
-    converted to the frames and attributes of each file. Links that are fixed to each other form one
-    body. Mass, CoM and inertia in ``numbers`` are those of the whole body, and one of its links is
-    changed. If a mass is given without an inertia, the inertia about the CoM is scaled by the ratio
-    of the masses.
+    Only attributes with changed numbers are changed; all other bytes stay. The numbers are
+    converted to the frames and attributes of each file. Links that are fixed to each other form a
+    body. Mass, CoM and inertia in ``numbers`` belong to the complete body; a single link of the
+    body is changed. If a mass is given without an inertia, the inertia about the CoM is scaled by
+    the ratio of the masses.
 
     Args:
         robot: Robot. A model that was generated from the other model has no file, and is not
             written.
         numbers: {(kind, element): value}. The kinds of a link or body are ``mass`` [kg], ``com``,
-            shape (3,) [m], and ``inertia`` about the CoM, shape (3, 3) [kg m^2]. They belong to all
-            links that move together with the element. Their frame is that of the URDF's link that
-            the joint moves, or that of the base. The kinds of a joint are ``damping`` [N m s/rad,
-            N s/m], ``friction`` [N m, N] and ``armature`` [kg m^2, kg], without the contributions
-            of motors, and ``kp`` [N m/rad, N/m] and ``kd`` [N m s/rad, N s/m] of the position
-            servo, at the joint. A URDF cannot state ``armature``, ``kp`` and ``kd``.
+            shape (3,) [m], and ``inertia`` about the CoM, shape (3, 3) [kg m^2]. The values belong
+            to all links that move together with the element. The frame is the frame of the URDF's
+            link that the joint moves, or of the base. The kinds of a joint are ``damping`` [N m
+            s/rad, N s/m], ``friction`` [N m, N] and ``armature`` [kg m^2, kg], without the
+            contributions of motors. Further kinds of a joint are ``kp`` [N m/rad, N/m] and ``kd``
+            [N m s/rad, N s/m] of the position servo, at the joint. A URDF cannot state
+            ``armature``, ``kp`` and ``kd``.
         files: URDF and MJCF, if different from the files from which the robot was loaded.
 
     Returns:
@@ -205,9 +206,9 @@ class _EditedFile:
     """Model file with new numbers in memory; empty without a file.
 
     Attributes:
-        documents: {path: edited XML document} of the file and its includes.
+        documents: {path: edited XML document} of the file and the included files.
         unwritten: {property: reason} of the numbers that the file cannot state.
-        layout: Files that the model needs, with their paths in the output folder.
+        layout: Files that the model needs, with paths in the output folder.
     """
 
     documents: Mapping[Path, XmlDocument] = field(default_factory=dict)
@@ -216,7 +217,7 @@ class _EditedFile:
 
 
 def _edit_urdf(urdf: UrdfFile, robots: MatchedRobots, changes: NumberChanges) -> _EditedFile:
-    """Write the numbers that a URDF can state into its document in memory."""
+    """Write the numbers that a URDF can state into the document in memory."""
     document = read_xml_bytes(urdf.path)
     side = UrdfSide(tree=UrdfTree(document.root), sides=robots, target=changes.make_tree("urdf"))
     kinds = (*BODY_KINDS, "damping", "friction")
@@ -293,9 +294,9 @@ def _map_renamed_joints(robot: Robot, urdf: UrdfFile) -> dict[str, str]:
 
 _READ_RTOL = 1e-9
 """Tolerance of the difference between a requested number and the number that an engine reads from
-the new file. It is relative, but absolute [m] for a centre of mass. If a difference is larger, the
-files are not written. The tolerance covers the rounding errors of digits and of rotations. Chosen,
-not tuned.
+the new file. The tolerance is absolute [m] for a centre of mass, otherwise relative. If a
+difference is larger, the files are not written. The tolerance covers the rounding errors of digits
+and of rotations. Chosen, not tuned.
 """
 
 
@@ -306,7 +307,7 @@ def try_files(
     mjcf: tuple[MjcfFile, Path | None],
     names: Mapping[str, str],
 ) -> None:
-    """Write the files to a temporary folder, read them with both engines, and check the numbers.
+    """Verify new model files: read copies with both engines, and check the requested numbers.
 
     Args:
         contents: {path in the folder: content}.
@@ -384,14 +385,14 @@ NUMBER_KINDS = (*BODY_KINDS, *JOINT_PARAMETER_KINDS, *SERVO_KINDS)
 _SAME_ROBOT_RTOL = 1e-6
 """Tolerance of the difference between a body of the loaded robot and the same body in the files. If
 a difference is larger, the robot was changed after loading, and nothing is written. The tolerance
-applies to the relative difference of the mass, and to the difference of the CoM [m]. Multiplied by
-1e3, it applies to the relative difference of the inertia. Conversion and alignment are accurate to
-about 1e-9, and later changes exceed the last written digit. Chosen, not tuned.
+applies to the relative difference of the mass, and to the difference of the CoM [m]. The tolerance
+of the relative difference of the inertia is 1e3 times larger. Conversion and alignment are accurate
+to about 1e-9, and later changes exceed the last written digit. Chosen, not tuned.
 """
 
 
 def make_refusal(robot: Robot, reasons: Mapping[PropertyKey, Diagnostic]) -> ModelError:
-    """Return the error that lists the numbers that cannot be written, with reasons."""
+    """Create the error that lists the numbers that cannot be written, with reasons."""
     problems = [
         diagnose("number-unwritten", what=" ".join(k), why=why) for k, why in reasons.items()
     ]
@@ -401,7 +402,7 @@ def make_refusal(robot: Robot, reasons: Mapping[PropertyKey, Diagnostic]) -> Mod
 def resolve_numbers(
     matched: Match, numbers: Mapping[PropertyKey, ArrayLike]
 ) -> dict[PropertyKey, Array]:
-    """Replace the links and bodies in the keys of numbers by the joints that move them.
+    """Replace links and bodies in the keys of ``numbers`` by the joints that move the links.
 
     The base replaces a link or body that no joint moves.
 
@@ -437,9 +438,9 @@ def resolve_numbers(
 
 
 def check_robot_matches_files(robot: Robot, changes: NumberChanges) -> None:
-    """Check that all bodies of a robot have the mass, CoM and inertia that the files state.
+    """Check that a robot in memory has the mass, CoM and inertia of each body in the files.
 
-    If the base is fixed in the world, only its mass is compared.
+    Only the mass of the base is compared if the base is fixed in the world.
 
     Raises:
         ModelError: If a body differs: the robot was changed after loading, or has other files.
@@ -468,10 +469,10 @@ def check_robot_matches_files(robot: Robot, changes: NumberChanges) -> None:
 
 
 class NumberChanges:
-    """Requested numbers of links and joints, and the resulting target trees of both files.
+    """Requested numbers of links and joints, from which the target tree of a file is built.
 
     Args:
-        both: Robots, in the URDF's link frames.
+        both: Matched robots of URDF and MJCF, in the URDF's link frames.
         wanted: {(kind, base or joint): value}.
     """
 
@@ -491,7 +492,7 @@ class NumberChanges:
         }
 
     def make_tree(self, side: str) -> MultibodyTree:
-        """Return the multibody tree that a file shall have after the change of its numbers.
+        """Return the multibody tree that a file must describe with the requested numbers.
 
         Args:
             side: ``"urdf"`` or ``"mjcf"``.

@@ -66,12 +66,13 @@ class UnwrittenCause(StrEnum):
     NOT_STATED = "not stated"
     """The chosen file states no value."""
     NO_WORDS = "no words"
-    """The difference is not a number of both formats: structure, a convention, or a number of one
-    format."""
+    """The difference is not a number of both formats: structure, a convention, or a number of a
+    single format.
+    """
     NOT_MENDED = "not mended"
-    """The number cannot be written, or the change does not mend the difference."""
+    """The number cannot be written, or the change does not remove the difference."""
     NEW = "new"
-    """The difference appeared when other differences were mended."""
+    """The difference appeared when other differences were removed."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ class Edit(Result):
 
 @dataclass(frozen=True, eq=False)
 class Files:
-    """A URDF and an MJCF, and the options by which their elements are matched.
+    """Paths of a URDF and an MJCF, with options for the matching of links and joints.
 
     Attributes:
         urdf: Path of the URDF.
@@ -114,12 +115,12 @@ class Files:
 
 @dataclass(eq=False)
 class Plan:
-    """Planned changes of a URDF and an MJCF, and differences that remain, with reasons.
+    """Planned changes of a URDF and an MJCF in memory, and differences that remain.
 
     Attributes:
         files: Files and options.
         urdf: {file: document} of the URDF.
-        mjcf: {file: document} of the MJCF and its includes, the main file first.
+        mjcf: {file: document} of the MJCF and the included files, the main file first.
         copies: Layouts of both models, for verification.
         left: {difference: reason why no value is written}.
         causes: {difference that is not written: kind of reason}; by default ``NOT_MENDED``.
@@ -149,7 +150,7 @@ class Plan:
 
 
 def list_edits(documents: Iterable[XmlDocument]) -> tuple[Edit, ...]:
-    """Return the planned changes of attributes in XML documents, in their order."""
+    """List the planned changes of attributes in XML documents, in the order of the documents."""
     return tuple(
         edit
         for document in documents
@@ -159,7 +160,7 @@ def list_edits(documents: Iterable[XmlDocument]) -> tuple[Edit, ...]:
 
 
 def make_plan(files: Files, tolerances: Tolerances, taken: Mapping[PropertyKey, str]) -> Plan:
-    """Plan the changes of both files.
+    """Plan the changes of a URDF and an MJCF that take selected values from the other file.
 
     Args:
         files: Files and options.
@@ -245,7 +246,7 @@ def _make_unstated_reason(whose: str) -> Diagnostic:
 
 
 def _iterate_edits(element: XmlElement) -> Iterator[Edit]:
-    """Yield the changes of the attributes of an element, then those of its new children."""
+    """Yield the changes of the attributes of an element, then of new child elements."""
     old_name = {new: old for old, new in element.renamed.items()}
     for attribute, text in element.changes.items():
         old = element.attributes.get(old_name.get(attribute, attribute))
@@ -257,7 +258,7 @@ def _iterate_edits(element: XmlElement) -> Iterator[Edit]:
 
 
 def _describe_element(element: XmlElement) -> str:
-    """Return the tags from the nearest named element to this one, such as ``link leg > mass``."""
+    """Return the tags from the nearest named ancestor to the element, as ``link leg > mass``."""
     parts = []
     current: XmlElement | None = element
     while current is not None:
@@ -274,8 +275,8 @@ def is_absent(
 
     Engines replace missing values: a missing limit by infinity, a missing damping or friction by 0,
     and the mass of a link without <inertial> by 0. A stated mass of 0 or below counts as no value.
-    A URDF must state an effort, and exporters write 0 if it is unknown. Therefore an effort of 0 or
-    below, or an infinite effort, counts as no value.
+    A URDF must state an effort, and exporters write 0 for an unknown effort. Therefore an effort of
+    0 or below, or an infinite effort, counts as no value in a URDF.
 
     Args:
         key: Kind and element of the differing number.
@@ -306,14 +307,14 @@ def is_absent(
 
 
 _MJCF_FOLDER = "mjcf"
-"""Subfolder of the output folder for the MJCF and the files that it needs. It is used if neither
-model is within the common folder (`FileLayout.top`) of the other model.
+"""Subfolder of the output folder for the MJCF and the files that the MJCF needs. The subfolder is
+used if neither model is within the common folder (`FileLayout.top`) of the other model.
 """
 
 
 @dataclass(frozen=True)
 class FileLayout:
-    """Files of a model, and their paths in a copy of the model in an output folder.
+    """Files of a model, with the paths of a copy of each file in an output folder.
 
     No path in the files is changed. Therefore the output folder contains the same subfolders as the
     original folder, as far as relative paths require.
@@ -332,7 +333,7 @@ class FileLayout:
 
     @staticmethod
     def arrange(main: Path, needed: Iterable[Path], within: Iterable[Path] = ()) -> FileLayout:
-        """List the files for a copy of a model in an output folder, and the common folder.
+        """Create the layout of a copy of a model: list all files, and find the common folder.
 
         Args:
             main: Main file of the model.
@@ -358,8 +359,8 @@ class FileLayout:
 def combine_layouts(urdf: FileLayout, mjcf: FileLayout) -> tuple[FileLayout, FileLayout]:
     """Return the layouts of a URDF's and an MJCF's files for a common output folder.
 
-    If the common folder (``top``) of one model contains that of the other model, all files keep
-    their relative positions. Otherwise the files of the MJCF get a separate folder.
+    If the common folder (``top``) of a model contains the common folder of the other model, the
+    relative positions of all files are kept. Otherwise the files of the MJCF get a separate folder.
 
     Returns:
         Layout of the URDF's files; layout of the MJCF's files.
@@ -380,7 +381,7 @@ def list_urdf_files(urdf: UrdfFile) -> FileLayout:
 
     If the URDF is inside a ROS package, a ``package://`` path to this package counts as relative,
     and the ``package.xml`` is included. Files at absolute paths and in other packages are left out,
-    since their paths do not depend on the location of the URDF.
+    since such paths do not depend on the location of the URDF.
     """
     files: list[Path] = []
     packages: list[Path] = []
@@ -414,8 +415,8 @@ def _iterate_assets(mjcf: MjcfFile) -> Iterator[Path]:
     """Yield the existing mesh, height field, skin and texture files to which an MJCF refers.
 
     A relative path is searched in the folder of the MJCF, and in the folder of each included file.
-    Every existing file is yielded. References with an absolute path are left out, and also those
-    with an absolute ``meshdir`` or ``texturedir``.
+    Every existing file is yielded. References with an absolute path, or with an absolute
+    ``meshdir`` or ``texturedir``, are left out.
     """
     spec = mjcf.spec
     folders = tuple(dict.fromkeys(file.parent for file in (mjcf.path, *mjcf.files)))

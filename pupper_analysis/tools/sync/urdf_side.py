@@ -31,7 +31,7 @@ Changes = dict[tuple[str, str], str]
 UNKNOWN_LIMITS = {"effort": join_numbers(UNSTATED), "velocity": "1000"}
 """{attribute of a URDF's <limit>: text that is written if no file states the required value}. The
 velocity is in rad/s or m/s. An effort of 0 counts as unknown in cross-checks, since exporters write
-it for unknown efforts. The velocity is not 0, since motion planners would use this value. Chosen,
+0 for unknown efforts. The velocity is not 0, since motion planners would use this value. Chosen,
 not tuned.
 """
 
@@ -46,7 +46,7 @@ _NUMBER_KINDS = [
 
 @dataclass(eq=False, kw_only=True)
 class UrdfSide(Side):
-    """URDF that receives numbers of an MJCF.
+    """URDF that receives numbers of an MJCF: planner of the changes.
 
     Attributes:
         tree: Links and joints, as elements that are changed in place.
@@ -60,9 +60,10 @@ class UrdfSide(Side):
         self._compared_links = self.sides.matched.urdf_tree.links
 
     def plan(self, taken: Collection[PropertyKey]) -> None:
-        """Plan the changes of the URDF, without writing any file.
+        """Plan the changes of the URDF in memory, without writing any file.
 
-        Changes of positions are planned first, because child links move with the parent link.
+        Changes of positions are planned first, because child links move with the parent link. The
+        reason for a difference that cannot be written is recorded in ``unwritten``.
 
         Args:
             taken: Differences (kind, element) whose values are taken from the MJCF.
@@ -127,7 +128,7 @@ class UrdfSide(Side):
             joint.element.ensure(tag).set(word, text)
 
     def _plan_limits(self, key: PropertyKey) -> None:
-        """Plan to set a joint's limits in the URDF to those of the MJCF [rad or m].
+        """Plan to set a joint's limits in the URDF to the limits of the MJCF [rad or m].
 
         ``key`` is the difference (kind, joint). A continuous joint becomes revolute. A joint with
         an infinite limit is not written.
@@ -179,8 +180,7 @@ class UrdfSide(Side):
     def _list_members(self, mover: str) -> list[str]:
         """Return the compared links that move with ``mover``, a joint or the base.
 
-        If the child link of the joint is compared, it is the first entry. For the base, this is the
-        base link.
+        The first entry is the child link of the joint, or the base link, if this link is compared.
         """
         top = self.sides.matched.urdf_link[mover]
         members, waiting = [], [top]
@@ -192,7 +192,7 @@ class UrdfSide(Side):
         return members
 
     def _plan_inertial(self, mover: str, keys: list[PropertyKey]) -> None:
-        """Plan to change one link, so that all links moving with a joint have the target inertia.
+        """Plan to change a single link, so that the links of a joint have the target inertia.
 
         Args:
             mover: Joint, or the base.
@@ -229,9 +229,9 @@ class UrdfSide(Side):
 
 
 def make_xyz_text(owner: XmlElement | None, place: Array) -> str | None:
-    """Return the text of ``xyz`` for the position ``place``, shape (3,) [m].
+    """Format a position, shape (3,) [m], as the attribute ``xyz`` of an <origin>.
 
-    None if the <origin> of ``owner`` states this position.
+    None if the <origin> of ``owner`` already states this position.
     """
     origin = None if owner is None else owner.find("origin")
     old_text = None if origin is None else origin.get("xyz")
@@ -239,7 +239,7 @@ def make_xyz_text(owner: XmlElement | None, place: Array) -> str | None:
 
 
 def make_inertial_changes(link: XmlElement, target: pin.Inertia) -> Changes:
-    """Return the changes of a link's <inertial> to a target inertia in the link's frame.
+    """Compute the attributes of a link's <inertial> that must change to state a target inertia.
 
     The stated axes of the inertia tensor are kept.
     """
