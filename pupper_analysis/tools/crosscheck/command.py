@@ -61,11 +61,11 @@ def command(
 ) -> None:
     """Find the numbers that make a robot's URDF and MJCF disagree.
 
-    Both models are compared in both engines, and body by body. Each difference is shown with its
-    line in both files and its effect on the dynamics, the most important first, and the list is
-    checked for completeness. The placement of link frames does not count. Joints are matched by
-    --map, by name, by name without prefixes and suffixes, and finally by structure (which is then
-    printed).
+    Both models are compared in both engines, and body by body. Each difference is shown with the
+    lines in both files and the effect on the dynamics, the most important difference first. The
+    list is checked for completeness. The placement of link frames does not count. Joints are
+    matched by --map, by name, by name without prefixes and suffixes, and finally by structure
+    (which is then printed).
 
     SAME ROBOT, DIFFERENT CONVENTIONS means that only the zero angles of joints, or the frame of a
     free base, differ, so that the same joint angles are another pose. The exit status is then 1.

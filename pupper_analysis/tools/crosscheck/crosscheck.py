@@ -84,17 +84,18 @@ from pupper_analysis.robot.matching.trees import Mimics, Reference, urdf_mimics
 from pupper_analysis.robot.robot import Robot
 
 ENGINE_RTOL = 1e-8
-"""Deviation of Pinocchio from MuJoCo (or yourdfpy) on the same model, relative to the scale of the
-quantity, above which it is reported as a deviation of the engines. Chosen, not tuned."""
+"""Largest deviation of Pinocchio from MuJoCo (or yourdfpy) on the same model, relative to the scale
+of the quantity. A larger deviation is reported as a deviation of the engines. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison(FilesCompared):
-    """Result of comparing a URDF with an MJCF, and of the cross-check.
+    """Comparison of a URDF with an MJCF, with the cross-check in both engines.
 
     Attributes:
         check: Cross-check of both models in both engines.
-        engines: Quantities on which the engines deviate for the same model.
+        engines: Quantities for which the engines deviate on the same model.
     """
 
     check: CrossCheck
@@ -120,11 +121,11 @@ def compare_models(
     Files of registered formats, such as USD, are accepted in place of either file.
 
     Args:
-        urdf: Path of the URDF or the replacement; name of a published robot; a variant, for its
-            URDF; or a robot in memory that is a URDF: its text, ``yourdfpy.URDF`` or ``pin.Model``.
+        urdf: Path of the URDF or the replacement; name of a published robot; a variant, whose URDF
+            is used; or a robot in memory that is a URDF: text, ``yourdfpy.URDF`` or ``pin.Model``.
             Differences of scaled variants and of robots in memory have no lines.
-        mjcf: Path of the MJCF or the replacement; name of a published robot; a variant, for its
-            MJCF; or a robot in memory that is an MJCF: its text, ``mujoco.MjSpec`` or
+        mjcf: Path of the MJCF or the replacement; name of a published robot; a variant, whose MJCF
+            is used; or a robot in memory that is an MJCF: text, ``mujoco.MjSpec`` or
             ``mujoco.MjModel``. By default the MJCF of the variant ``urdf``.
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
         packages: {ROS package: folder}, for ``package://`` paths.
@@ -137,7 +138,7 @@ def compare_models(
         seed: Seed of the random numbers, at least 0.
 
     Returns:
-        Comparison.
+        Differences with causes, lines and effects; deviations of models and engines; verdict.
 
     Raises:
         ModelError: If a file cannot be read, the files cannot be matched, the robot has no mass, or
@@ -183,16 +184,16 @@ def compare_models(
 def list_mass_shares(
     difference: Difference, urdf: Sources, mjcf: Sources
 ) -> tuple[Diagnostic, ...]:
-    """Return a message per file with the mass [kg] of a body whose inertials differ.
+    """List the masses of the links that form a body with different inertials, a message per file.
 
-    If several links with mass are fixed to the body, the message lists the mass of each, heaviest
-    first. There is no message for other kinds of differences, or if neither file has several links
-    with mass.
+    If several links with mass are fixed to the body, the message lists the mass of each link,
+    heaviest first. There is no message for other kinds of differences, or if neither file has
+    several links with mass.
 
     Args:
         difference: Difference.
-        urdf: Links of the URDF that move with each joint, and the lines of their values.
-        mjcf: Bodies of the MJCF that move with each joint, and the lines of their values.
+        urdf: Links of the URDF that move with each joint, with the lines of values.
+        mjcf: Bodies of the MJCF that move with each joint, with the lines of values.
     """
     if difference.kind not in INERTIAL_KINDS:
         return ()
@@ -244,7 +245,11 @@ def _list_engine_deviations(check: CrossCheck, explanation: Explanation) -> tupl
 
 
 Evaluation = dict[str, Array]
-"""{quantity: values}: shape (rows, k) for the model, or (configurations, rows, k) for states."""
+"""{quantity: values} of a model in an engine, as arrays.
+
+The shape is (rows, k) for parameters of the model, and (configurations, rows, k) for quantities
+that depend on the state.
+"""
 
 BODIES, JOINTS, DOFS, FEET = "bodies", "joints", "dofs", "feet"
 """Kinds of objects that the rows of a quantity describe, in `COMPARED_QUANTITIES`."""
@@ -271,10 +276,10 @@ COMPARED_QUANTITIES = {
     "gyro": ("IMU", "rad/s"),
     "accelerometer": ("IMU", "m/s^2"),
 }
-"""{compared quantity: (kind of object that each row describes, unit)}. The unit of quantities of
-joints is that of `JointUnits` with this name. Quantities that do not
-depend on the configuration are expressed in the world frame at zero angles, with a floating base at
-the origin."""
+"""{compared quantity: (kind of object that each row describes, unit)}. The unit of a quantity of
+joints is a field name of `JointUnits`. Quantities that do not depend on the configuration are
+expressed in the world frame at zero angles, with a floating base at the origin.
+"""
 
 ROW_SCALED_QUANTITIES = ("body masses", "body inertias")
 """Quantities with a row per body, whose deviation is divided by the largest magnitude in the row of
@@ -285,8 +290,8 @@ def list_row_labels(robot: Robot, quantity: str) -> tuple[str, ...]:
     """Return the labels of the rows in which a compared quantity is evaluated.
 
     The labels are bodies, joints, degrees of freedom or contact points, depending on the quantity.
-    A body is named by the joint that moves it; the base has its own name. All other quantities have
-    a single label, such as ``com`` or ``IMU``.
+    The label of a body is the joint that moves the body, or the name of the base. All other
+    quantities have a single label, such as ``com`` or ``IMU``.
 
     Args:
         robot: Robot.
@@ -311,7 +316,7 @@ def collect_evaluation(
     Args:
         robot: Robot.
         at_rest: {quantity: values} that do not depend on the state.
-        of_states: {quantity: values} at each state; at least one state.
+        of_states: {quantity: values} at each state; not empty.
 
     Returns:
         {quantity: values}, shape (rows, k) for values at rest, (states, rows, k) for values of
@@ -328,7 +333,7 @@ def collect_evaluation(
 
 
 def evaluate_in_pinocchio(robot: Robot, states: States) -> Evaluation:
-    """Evaluate all compared quantities of a robot's Pinocchio model.
+    """Evaluate all compared quantities of a robot's Pinocchio model, for the cross-check.
 
     Args:
         robot: Robot.
@@ -401,7 +406,7 @@ def evaluate_in_mujoco(
     frames: Mapping[str, str],
     states: States,
 ) -> Evaluation:
-    """Evaluate all compared quantities of a MuJoCo model of a robot.
+    """Evaluate all compared quantities of a MuJoCo model of a robot, for the cross-check.
 
     Args:
         robot: Robot that defines joints and feet.
@@ -468,8 +473,8 @@ def _evaluate_at_rest(
 ) -> dict[str, ArrayLike]:
     """Return body and joint parameters of a MuJoCo model, {quantity: values}.
 
-    The quantities and their units are those of `COMPARED_QUANTITIES` that do not depend on the
-    state, with a row per body, joint or degree of freedom.
+    The result contains the quantities of `COMPARED_QUANTITIES` that do not depend on the state,
+    with a row per body, joint or degree of freedom.
 
     Args:
         robot: Robot, whose joint order is used.
@@ -497,9 +502,10 @@ def _evaluate_at_rest(
 def _lump_fixed_bodies(
     model: mujoco.MjModel, data: mujoco.MjData, moving_bodies: Sequence[int]
 ) -> list[pin.Inertia]:
-    """Return the inertia of the base and of each body with a joint, with all bodies fixed to it.
+    """Return the inertia of the base and of each body with a joint, including fixed bodies.
 
-    If the base is fixed to the world, all bodies fixed to the world belong to it, as in Pinocchio.
+    If the base is fixed to the world, the base includes all bodies fixed to the world, as in
+    Pinocchio.
 
     Args:
         model: Model.
@@ -600,7 +606,7 @@ def _compute_base_pose(robot: Robot, qpos: NDArray[np.float64]) -> pin.SE3:
 
 DEFAULT_RTOL = 1e-9
 """Default of the largest relative deviation between two evaluations that counts as agreement. The
-deviation is divided by the scale of the quantity: its largest absolute value in all rows, or in the
+deviation is divided by the scale of the quantity: the largest absolute value in all rows, or in the
 same row. Chosen, not tuned.
 """
 
@@ -646,7 +652,7 @@ MJCF_ENGINE_EDGES = ("engines (MJCF)",)
 
 @dataclass(frozen=True, eq=False)
 class QuantityCheck(Result):
-    """Deviation between the evaluations of a quantity.
+    """Largest deviation of a quantity between two models or between two engines.
 
     Attributes:
         name: Quantity.
@@ -656,11 +662,12 @@ class QuantityCheck(Result):
             value in the row.
         deviation: Absolute deviation at the place of the worst relative deviation.
         relative: Largest relative deviation.
-        evaluations: Evaluations with the largest relative deviation.
-        edge: Edge with the largest relative deviation, for example ``models (MuJoCo)``.
+        evaluations: Pair of evaluations (model and engine) with the largest relative deviation.
+        edge: Name of the pair of evaluations with the largest relative deviation, for example
+            ``models (MuJoCo)``.
         location: Row with the largest relative deviation (for example a body, joint or foot), and
             number of the configuration if the quantity depends on the configuration.
-        edge_deviations: {edge: largest relative deviation}.
+        edge_deviations: {name of a pair of evaluations: largest relative deviation}.
         passed: Whether ``relative`` is within the tolerance.
     """
 
@@ -722,7 +729,7 @@ def validate_state_request(count: int, seed: int) -> None:
 
 
 def list_size_notes(robot: Robot, count: int) -> Iterator[Diagnostic]:
-    """Yield a note if a robot is large: compared in MuJoCo only, and possibly at fewer states.
+    """Yield a note if a large robot is compared in MuJoCo only, and possibly at fewer states.
 
     Args:
         robot: Robot.
@@ -743,9 +750,9 @@ def cross_check(
     seed: int = 0,
     mimics: Mimics | None = None,
 ) -> CrossCheck:
-    """Compare a URDF and an MJCF in Pinocchio and in MuJoCo.
+    """Compare the dynamics of a robot's URDF and MJCF, each evaluated in Pinocchio and in MuJoCo.
 
-    States are random (`random_states`). Joint positions and torques are within their limits. A
+    States are random (`random_states`). Joint positions and torques are within the joint limits. A
     floating base has any orientation, and a position within 1 m of the origin along each axis.
 
     Args:
@@ -816,7 +823,8 @@ def _evaluate_all(
         robot: Robot.
         states: Random states.
         reduced: MuJoCo model of the MJCF without terms that a URDF cannot express.
-        full: MuJoCo model of the MJCF with these terms, without couplings that the URDF has too.
+        full: MuJoCo model of the MJCF with terms that a URDF cannot express, without couplings that
+            the URDF has too.
 
     Returns:
         {evaluation name: values}, messages about evaluations that were left out, and the robot with
@@ -986,8 +994,8 @@ def _compute_deviation(
     """Return the largest relative deviation of two arrays of equal shape, element by element.
 
     The absolute deviation is divided by a scale: the largest finite magnitude in both arrays, or in
-    the same row of both if ``per_row``; at least ``least``. Equal infinities have no deviation; any
-    other pair with a number that is not finite has an infinite one.
+    the same row of both if ``per_row``; at least ``least``. Equal infinities have no deviation. The
+    deviation is infinite for any other pair with a number that is not finite.
 
     Returns:
         Relative deviation; absolute deviation, scale and indices of the same element.

@@ -1,8 +1,8 @@
 """Document and annotations of a comparison: the differences, with the lines of both files.
 
 Input is a ``Comparison`` of a URDF with an MJCF. Causes and differences are shown in the order of
-their urgency; differences with the same values form a group. The table of quantities has a column
-per edge: a pair of evaluations, of two models in one engine or of one model in two engines.
+urgency; differences with the same values form a group. The table of quantities has a column per
+edge: a pair of evaluations, of two models in the same engine or of the same model in two engines.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 
 def list_matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
-    """Yield notes about the matching of joints, and about parts that were not compared."""
+    """Yield notes on assumptions of a comparison: matched joints, and parts without comparison."""
     yield from comparison.notes
     if comparison.mount is not None:
         yield diagnose("tilt-is-no-difference", tilt=comparison.mount)
@@ -62,9 +62,9 @@ def list_matching_notes(comparison: Comparison) -> Iterable[Diagnostic]:
 
 
 _MAX_PRINTED_SHARE = 1.005
-"""Largest printed ratio of the effect of one difference to the effect of all differences together.
-A ratio between 1 and this value is printed as 100 %. Larger ratios occur if differences cancel, and
-are omitted in the message. Chosen, not tuned.
+"""Largest printed ratio of the effect of a single difference to the effect of all differences
+together. A ratio between 1 and this value is printed as 100 %. Larger ratios occur if differences
+cancel, and are omitted in the message. Chosen, not tuned.
 """
 
 
@@ -72,8 +72,8 @@ def describe_effects(difference: Difference) -> Diagnostic:
     """Create the message with the effects of a difference on the dynamics, the largest share first.
 
     An effect is the deviation of a quantity that this single difference causes. The message states
-    the deviation relative to the scale of the quantity, and its share of the deviation that all
-    differences cause together.
+    the deviation relative to the scale of the quantity. The message also states the fraction of the
+    deviation that all differences cause together.
     """
     if not difference.effects:
         return diagnose("no-effect")
@@ -95,9 +95,8 @@ def describe_effects(difference: Difference) -> Diagnostic:
 def make_comparison_annotations(comparison: Comparison) -> list[Annotation]:
     """Create annotations for CI services from the comparison of a URDF with an MJCF.
 
-    Each cause and each difference has an annotation. So has each part of the robot that only one
-    file contains, each unmatched joint and each other reason against agreement. A warning is added
-    if joints are guessed.
+    Each cause, each difference, each part of the robot in a single file, each unmatched joint and
+    each other reason against agreement has an annotation. A warning is added if joints are guessed.
     """
     urdf, mjcf = comparison.urdf, comparison.mjcf
     annotations = [_make_annotation("part", "part", part, urdf) for part in comparison.parts]
@@ -132,7 +131,7 @@ def make_comparison_annotations(comparison: Comparison) -> list[Annotation]:
 
 
 def _list_unmatched_joints(comparison: Comparison) -> Iterable[tuple[str, Diagnostic, str]]:
-    """Yield (name, message, file) of each joint that only one file has."""
+    """Yield (name, message, file) of each joint that only a single file contains."""
     urdf, mjcf = comparison.urdf, comparison.mjcf
     for joints, file, other in (
         (comparison.only_urdf, urdf, mjcf),
@@ -171,7 +170,7 @@ _ONE_FILE_EDGES = {
     EDGE_NAMES[MJCF_PINOCCHIO, MJCF_MUJOCO],
     EDGE_NAMES[URDF_PINOCCHIO, URDF_YOURDFPY],
 }
-"""Names of the pairs of evaluations (edges) of one file in two engines or by two readers."""
+"""Names of the pairs of evaluations (edges) of the same file in two engines or by two readers."""
 
 MAX_NAMED_ELEMENTS = 4
 """Largest number of further elements with the same difference that a note names. The table lists
@@ -219,7 +218,7 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
 
 
 def _describe_extent(comparison: Comparison) -> doc.Text:
-    """Return a text with the number of differences and the largest deviation that they cause.
+    """Return a text with the number of differences and the largest caused deviation.
 
     For files that agree, the text states the largest deviation of the evaluations instead.
     """
@@ -250,7 +249,7 @@ def _format_file_name(path: str) -> doc.Name:
 def _list_blocks(comparison: Comparison) -> Iterable[doc.Block]:
     """Yield the blocks of the document, with causes and differences in the order of urgency.
 
-    The blocks are files, parts in one file only, causes and groups of differences with quoted
+    The blocks are files, parts in a single file, causes and groups of differences with quoted
     lines, the table of all differences, other objections, and the table of quantities.
     """
     causes, groups = comparison.causes, comparison.unexplained_differences
@@ -403,7 +402,7 @@ def _make_deviation_cell(relative: float | None, tolerance: float) -> doc.Number
 
 @draw_result.register(Comparison)
 def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axes, ...]:
-    """Draw the largest relative deviation of each quantity between models and between engines.
+    """Plot the largest relative deviation of each quantity between models and between engines.
 
     The deviations are on a logarithmic axis, with the tolerance; zeros are left out.
     """
@@ -432,7 +431,7 @@ def plot_comparison(comparison: Comparison, _: Robot | None = None) -> tuple[Axe
 def _tabulate_quantities(comparison: Comparison) -> doc.Table:
     """Create the table of relative deviations: a row per quantity, a column per compared pair.
 
-    A pair consists of two evaluations, for example of one model in two engines.
+    A pair consists of two evaluations, for example of the same model in two engines.
     """
     check = comparison.check
     every = dict.fromkeys(EDGE_NAMES.values())

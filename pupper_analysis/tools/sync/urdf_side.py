@@ -81,7 +81,7 @@ class UrdfSide(Side):
             self._plan_inertial(name, [key for key in taken if key[1] == name])
 
     def _compute_link_pose(self, link: str) -> pin.SE3:
-        """Return the pose of a link in the frame of the base or moving link that carries it."""
+        """Return the pose of a link in the frame of the base or moving link above the link."""
         pose = pin.SE3.Identity()
         while link not in self._mover_of_link and link in self._parent_joints:
             joint = self._parent_joints[link]
