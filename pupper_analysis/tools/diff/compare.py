@@ -59,22 +59,22 @@ from pupper_analysis.tools.diff.version import Version, VersionedFile, open_vers
 
 @dataclass(frozen=True, eq=False)
 class ModelChange(Result):
-    """Change of a number, a vector or an element.
+    """Change of a number, a vector or an element between two versions of a model.
 
     Attributes:
-        kind: Kind of a `Difference`; also ``joint`` (only in one version), ``name`` (renamed joint)
-            and the tag of an element outside the tree, for example ``motor`` or ``geom``.
+        kind: Kind of a `Difference`; also ``joint`` (only in a single version), ``name`` (renamed
+            joint) and the tag of an element outside the tree, for example ``motor`` or ``geom``.
         element: Joint, body (named by the moving joint, or the base), frame or other element, by
             the old name.
         old: Old value; None if the element is new.
         new: New value, in the old link frames; None if the element was removed.
         unit: Unit of both values.
         diagnostic: Message with both values.
-        effects: {quantity: effect of this change alone}; empty without an effect on the tree. For
-            contacts, options, flags and keyframes, the effect in a simulation if it is the only
-            change, else empty.
-        consequences: For contacts, options, flags and keyframes: displacement of a surface, and
-            effects in a simulation if it is the only change; else empty.
+        effects: {quantity: effect of this change alone on the dynamics}; empty without an effect.
+            The effect of a contact, option, flag or keyframe is known only from a simulation, and
+            only if there is no other change.
+        consequences: Further effects of a contact, option, flag or keyframe: displacement of a
+            surface, and effects in a simulation if there is no other change. Empty for other kinds.
         old_place: File and line in the old version; empty if unknown or absent.
         new_place: File and line in the new version; empty if unknown or absent.
     """
@@ -92,29 +92,31 @@ class ModelChange(Result):
 
     @property
     def message(self) -> str:
-        """Description of the change in one English sentence, with old and new value."""
+        """Description of the change in an English sentence, with old and new value."""
         return str(self.diagnostic)
 
 
 @dataclass(frozen=True, eq=False)
 class ModelDiff(Result):
-    """Changes between two versions of a model.
+    """Changes between two versions of a model, with the effects on mass, torques and dynamics.
 
     Attributes:
         old: Old file.
         new: New file.
         same: Whether nothing has changed, within the tolerances.
-        changes: Changes, the most urgent first: structure and conventions, large effects or mass
-            differences, limits, others; each sorted by effect.
+        changes: Changes, the most urgent first. The order is structure and conventions, large
+            effects or mass differences, limits, other changes; each group is sorted by effect.
         mass: Total mass of the old and the new version.
-        torques: {joint: (old, new)}, largest torque or force (N m or N) against gravity,
-            base level and held, at random positions, for joints in both versions.
-        torque_units: {joint: unit of its torques: N m for a hinge, N for a slide}.
+        torques: {joint: (old, new)} of the largest torque or force (N m or N) against gravity, at
+            random positions, with a level and fixed base. Only joints in both versions are
+            included.
+        torque_units: {joint: unit of the torques: N m for a hinge, N for a slide}.
         deviations: {quantity: relative deviation between both versions}.
         residual: {quantity: relative deviation that no change explains}.
         complete: Whether all residuals are within the tolerance.
         combined: For two MJCFs: effects of all changes together in a simulation of the files, with
-            a ground if both lack one; empty if the effect is reported for the only change.
+            an added ground if both have no ground. Empty if the effect is reported for the only
+            change.
         notes: Assumptions, and content that was left out.
     """
 
@@ -141,16 +143,17 @@ def diff_models(
     packages: Mapping[str, Path] | None = None,
     tolerances: Tolerances | None = None,
 ) -> ModelDiff:
-    """Compare two URDFs or two MJCFs: two versions of a file, two files, or robots in memory.
+    """List the changes between two versions of a model (two URDFs or two MJCFs), with effects.
 
     Equivalent descriptions (link frames, position of a hinge along the axis) are no changes.
-    Collision shapes are compared by surface; in an MJCF also contact parameters, pairs, options,
-    flags, keyframes, motors, tendons and equalities. Visual shapes and sensors are ignored.
+    Collision shapes are compared by surface. The comparison of MJCFs includes contact parameters,
+    pairs, options, flags, keyframes, motors, tendons and equalities. Visual shapes and sensors are
+    ignored.
 
     Args:
         old: Old file, ``REVISION:PATH`` for a file in git, a variant, the name of a published
             robot, or a robot in memory, as for ``load_robot``. The model of a variant has the
-            format of the other version; an MJCF, if both are variants. Changes of scaled variants
+            format of the other version, or MJCF if both are variants. Changes of scaled variants
             and of robots in memory have no lines.
         new: New version, in the same forms as ``old``.
         packages: {ROS package: folder}, for ``package://`` paths.
@@ -192,7 +195,7 @@ def _open_version_or_variant(
 
     Args:
         given: Version to open: file, robot in memory or variant.
-        other: Version with which it is compared. If both are variants, the format is MJCF.
+        other: Version with which ``given`` is compared. If both are variants, the format is MJCF.
         packages: {ROS package: folder}.
     """
     if not is_variant(given):
@@ -209,7 +212,7 @@ def _open_version_or_variant(
 
 
 class _Comparison:
-    """Comparison of two versions, reduced to common joints."""
+    """Comparison of two versions of a model whose trees are reduced to common joints."""
 
     def __init__(
         self,
@@ -233,13 +236,13 @@ class _Comparison:
     def _unify_joints(
         self, one: MultibodyTree, two: MultibodyTree
     ) -> tuple[MultibodyTree, MultibodyTree]:
-        """Fix joints that only one version has, and rename new joints to the old names.
+        """Fix joints that exist in a single version, and rename new joints to the old names.
 
-        Each such joint becomes a difference, as does another type of the base. Frames that only one
-        version has are dropped.
+        Each fixed or renamed joint becomes a difference, as does another type of the base. Frames
+        that exist in a single version are dropped.
 
         Raises:
-            ModelError: If both versions have joints, but none in common.
+            ModelError: If both versions have joints, but no joint in common.
         """
         if one.joints and two.joints and not self.pairs:
             message = diagnose("no-joint-in-common", other=self.sources[0].name)
@@ -393,7 +396,7 @@ def _sum_mass(values: MultibodyTree) -> float:
 def _rename_targets(value: Any, names: Mapping[str, str]) -> Any:
     """Replace the joint name in the value of a mimic joint or a motor; return other values.
 
-    ``names`` is {name in the value: name that replaces it}.
+    ``names`` is {name in the value: new name}.
     """
     if isinstance(value, list) and value and isinstance(value[0], str):
         return [names.get(value[0], value[0]), *value[1:]]
@@ -404,7 +407,7 @@ def _rename_targets(value: Any, names: Mapping[str, str]) -> Any:
 
 
 def _to_lists(value: Any) -> Any:
-    """Convert an array or a tuple, or those in a table, to lists, so that ``==`` compares them."""
+    """Convert arrays and tuples, also in a table, to lists, which ``==`` can compare."""
     if isinstance(value, Mapping):
         return {key: _to_lists(item) for key, item in value.items()}
     if hasattr(value, "tolist"):
@@ -429,9 +432,9 @@ def _describe_changed_value(value: Any, other: Any) -> Diagnostic | Term | str:
 
 
 def _format_value(value: Any, other: Any) -> str:
-    """Format a value with six digits, or more if it otherwise equals ``other``; lists in brackets.
+    """Format a value with six digits, or more to distinguish the value from ``other``.
 
-    ``other`` is the value of the other version.
+    ``other`` is the value of the other version. Lists are in brackets.
     """
     if isinstance(value, list):
         others = other if isinstance(other, list) and len(other) == len(value) else value
@@ -451,7 +454,7 @@ comparison of a URDF with an MJCF (`attribution._NUM_STATES`). Chosen, not tuned
 
 @dataclass(frozen=True, eq=False)
 class RandomStates:
-    """Random states within the joint limits of a tree, at which similar trees are evaluated.
+    """Random states at which the dynamics of an old and a new tree are compared in MuJoCo.
 
     Attributes:
         values: Tree that defines the joint limits.
@@ -481,18 +484,18 @@ class RandomStates:
     def qvel(self) -> Array:
         """Random velocities of the compared states, shape (n, nv) [m/s, rad/s].
 
-        They are normal with a standard deviation of 1; the seed is fixed.
+        The velocities are normally distributed with a standard deviation of 1; the seed is fixed.
         """
         size = len(self.values.joints) + 6 * self.values.floating
         return np.random.default_rng(1).normal(size=(_NUM_STATES, size))
 
     @cached_property
     def _mujoco_tree(self) -> MujocoTree:
-        """MuJoCo model of the tree ``values``; other trees of its structure are copied into it."""
+        """MuJoCo model of the tree ``values``, also used for other trees of the same structure."""
         return MujocoTree(self.values)
 
     def _load_tree(self, values: MultibodyTree) -> tuple[mujoco.MjModel, list[int], list[int]]:
-        """Return the MuJoCo model of a tree, and indices into its qpos and its qvel.
+        """Return the MuJoCo model of a tree, and indices into the model's qpos and qvel.
 
         Index k states the entry of the model's qpos (qvel) for column k of this object's ``qpos``
         (``qvel``).
@@ -507,15 +510,17 @@ class RandomStates:
         return tree.model, places, [*range(6 * base), *tree.model.jnt_dofadr[ids].tolist()]
 
     def evaluate_tree(self, values: MultibodyTree) -> dict[str, Array]:
-        """Evaluate the dynamics of a tree at all compared states, in MuJoCo.
+        """Evaluate the dynamics of a tree at all random states, in MuJoCo.
 
-        The tree must have the same joints as the tree whose limits define the states.
+        Args:
+            values: Tree with the same joints as the tree whose limits define the states.
 
         Returns:
             {quantity: values, shape (n, ...)}: mass matrix [kg, kg m, kg m^2], gravity [N, N m],
-            bias forces minus passive forces such as damping [N, N m], CoM [m], and positions [m] in
-            the world of the bodies that the joints move ("joint positions") and of the frames
-            ("foot positions"). Quantities without values are left out, for example without frames.
+            bias forces minus passive forces such as damping [N, N m], CoM [m], and positions in the
+            world frame [m]. The positions are "joint positions" of the bodies that the joints move,
+            and "foot positions" of the frames. Quantities without values are left out, for example
+            without frames.
         """
         model, places, dofs = self._load_tree(values)
         data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
@@ -542,7 +547,7 @@ class RandomStates:
         return {name: np.array(found) for name, found in rows.items()}
 
     def compute_holding_torques(self, values: MultibodyTree) -> dict[str, float]:
-        """Compute the largest torque [N m] or force [N] of each joint under the links' weight.
+        """Compute the largest joint torques [N m] or forces [N] that hold the links' weight.
 
         The maximum is over all random states. A floating base is fixed in a level pose.
 
@@ -563,9 +568,9 @@ class RandomStates:
 
 
 def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
-    """Return a tree with renamed joints, bodies included; names that are not listed stay.
+    """Return a tree with renamed joints, in joints, parents, bodies and frame owners.
 
-    The field ``base`` of the tree is not changed.
+    Names that are not listed stay. The field ``base`` of the tree is not changed.
 
     Args:
         values: Tree.

@@ -1,7 +1,7 @@
 """Document of a diff: changes between two versions of a model.
 
 Input is a ``ModelDiff``. The document contains each change with the quoted lines of both versions
-and its effect, the change of mass, and the gravity torques that have changed.
+and the effect, the change of mass, and the gravity torques that have changed.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.diff.compare import ModelChange, ModelDiff
 
 _MIN_RELATIVE_CHANGE = 1e-3
-"""Relative change of a gravity torque above which the table of torques contains the joint. Smaller
-changes hardly alter the four printed digits. Chosen, not tuned."""
+"""Smallest relative change of a gravity torque with which the table of torques lists the joint.
+Smaller changes hardly alter the four printed digits. Chosen, not tuned.
+"""
 
 
 @build_document.register(ModelDiff)
@@ -108,7 +109,7 @@ def _make_file_place(
 
     Args:
         file: Version of the model.
-        place: Path and line as text; empty if the file does not contain the value, or if its line
+        place: Path and line as text; empty if the file does not contain the value, or if the line
             is unknown.
         values: Value in this version and in the other version.
         unit: Unit of both.
@@ -122,8 +123,8 @@ def _make_file_place(
 def _describe_dynamics_change(change: ModelChange) -> doc.Text:
     """Return a sentence on how much a change changes each quantity of the dynamics.
 
-    The effects are those of this change alone, without the other changes, the largest first. The
-    effects of changes in `_NOT_EVALUATED_KINDS` are unknown.
+    The sentence lists the effects of this change alone, without the other changes, the largest
+    effect first. The effects of changes in `_NOT_EVALUATED_KINDS` are unknown.
     """
     if not change.effects:
         unknown = change.kind in _NOT_EVALUATED_KINDS
@@ -142,8 +143,9 @@ def _describe_dynamics_change(change: ModelChange) -> doc.Text:
 
 
 _NOT_EVALUATED_KINDS = ("joint", "type")
-"""Kinds of changes whose effects on the dynamics are not evaluated: joints in one version only, and
-another type of the base. The trees are compared with such joints fixed, and with a free base."""
+"""Kinds of changes whose effects on the dynamics are not evaluated: joints in a single version, and
+another type of the base. The trees are compared with such joints fixed, and with a free base.
+"""
 
 
 def _format_percent(old: float, new: float) -> str:

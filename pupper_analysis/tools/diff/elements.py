@@ -1,7 +1,8 @@
 """Changes of collision shapes, MuJoCo's options and keyframes, and the simulated effects.
 
-The combined effect is simulated: both files run from the first keyframe, or from qpos0 if there is
-none. If neither file has a ground and both robots float, the same plane is added under both.
+The combined effect is simulated from the first keyframe of each file, or from qpos0 without a
+keyframe. If neither file has a ground and both robots have a free base, the same plane is added
+under both.
 """
 
 from __future__ import annotations
@@ -55,12 +56,12 @@ ElementKey = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class ModelElement:
-    """Element of a model file.
+    """Element of a model file (shape, option, keyframe, actuator ...), with compared values.
 
     Attributes:
         values: {attribute: numbers}.
-        place: Function that returns the place of an attribute, in the element or a default class;
-            otherwise the place of the element.
+        place: Function that returns file and line of an attribute, in the element or a default
+            class. Without the attribute, the result is the place of the element.
         shape: Shape of a geom; None for other elements.
         touches: Whether a geom can collide, by ``contype`` and ``conaffinity`` or in a pair; True
             for other elements.
@@ -80,10 +81,10 @@ larger condim of both geoms; a default ground has 3. Further coefficients are no
 
 
 def list_elements(file: MjcfFile) -> dict[ElementKey, ModelElement]:
-    """Return the elements of an MJCF whose values are compared: {(tag, name): element}.
+    """List the elements of an MJCF that `diff` compares: {(tag, name): element}.
 
-    These are geoms, contact pairs and exclusions, options, flags, keyframes, joints, actuators,
-    tendons and equalities.
+    The elements are geoms, contact pairs and exclusions, options, flags, keyframes, joints,
+    actuators, tendons and equalities.
 
     Args:
         file: File that MuJoCo compiles.
@@ -153,10 +154,10 @@ def _list_tree_elements(file: MjcfFile) -> dict[ElementKey, ModelElement]:
 
 
 def _find_element_place(file: MjcfFile, kind: str, name: str, row: int, word: str) -> Place:
-    """Return the place of an attribute (``word``) of an element; without it, of the element.
+    """Return file and line of an attribute (``word``) of an element, or else of the element.
 
-    An element without a name (``name`` begins with "#") is found by its number ``row`` among the
-    elements of its kind.
+    An element without a name (``name`` begins with "#") is found by the number ``row`` among the
+    elements of the same kind.
     """
     if name.startswith("#"):
         return file.place_by_number(kind, row)
@@ -177,9 +178,10 @@ def _get_nth_place(places: list[Place], number: int, count: int, file: MjcfFile)
 
 
 def list_geom_names(model: mujoco.MjModel) -> list[str]:
-    """Return a name for each geom of a model, in the model's order.
+    """Return a unique name for each geom of a model, in the model's order.
 
-    A geom without name gets the name of the body and its number in the body: ``calf #2``.
+    The name of a geom without name consists of the body and the number of the geom in the body:
+    ``calf #2``.
     """
     names, seen = [], dict[int, int]()
     for geom in range(model.ngeom):
@@ -241,7 +243,7 @@ includes all flags."""
 
 
 def get_flag_name(bit: Any) -> str:
-    """Return the name of the attribute of ``<flag>`` for a MuJoCo bit (``mjtDisableBit`` ...)."""
+    """Return the attribute of ``<flag>`` in an MJCF for a MuJoCo bit, such as ``mjtDisableBit``."""
     return str(bit.name).split("_", 1)[1].lower()
 
 
@@ -253,9 +255,10 @@ def has_flag(model: mujoco.MjModel, bit: Any) -> bool:
 
 
 MIN_FELT_MOTION = 1e-4
-"""Difference of a simulated coordinate [m, rad] between two versions, within `SIMULATION_SECONDS`,
-above which the change is reported as having an effect. A stand is settled to 1e-5. Chosen, not
-tuned."""
+"""Smallest reported difference of a simulated coordinate [m, rad] between two versions, within
+`SIMULATION_SECONDS`. Smaller differences count as no effect. A stand is settled to 1e-5. Chosen,
+not tuned.
+"""
 
 SIMULATION_SECONDS = 2.0
 """Duration of a simulation of both versions [s], enough for a fall and for servos of some hertz to
@@ -266,8 +269,9 @@ _MAX_SIMULATION_STEPS = 4000
 shorter. Chosen, to bound the time."""
 
 _NUM_SAMPLES = 200
-"""Number of samples of a simulation of `SIMULATION_SECONDS` that are compared: one per 10 ms.
-Chosen, not tuned."""
+"""Number of samples of a simulation of `SIMULATION_SECONDS` that are compared: a sample per 10 ms.
+Chosen, not tuned.
+"""
 
 _MIN_FALL_HEIGHT = 1.0
 """Smallest drop [m] of the CoM at which the new robot is reported as falling through or off the
@@ -289,12 +293,12 @@ SHAPE_WORD: Final = "shape"
 
 @dataclass(frozen=True, eq=False)
 class ElementDifference(Difference):
-    """Equal change in one or more elements, or an element that was added or removed.
+    """Equal change of an attribute in several elements, or an added or removed element.
 
     Attributes:
-        consequences: Displacement of a surface, and effects in a simulation if this is the only
+        consequences: Displacement of a surface, and effects in a simulation if there is no other
             change.
-        places: Place of the first element in both files; None if missing.
+        places: File and line of the first element in both files; None if missing.
     """
 
     consequences: tuple[Diagnostic, ...] = ()
@@ -304,10 +308,9 @@ class ElementDifference(Difference):
 def measure_surface_distance(first_shape: Shape, second_shape: Shape) -> float:
     """Compute the largest distance [m] between the surfaces of two shapes (convex hulls).
 
-    The extents of both shapes along each of `COMPARISON_DIRECTIONS` are compared (support
-    functions). If the
-    extent of a shape is unknown (planes, missing meshes), the distance is 0 for equal kind, pose
-    and size within `SURFACE_ATOL`, otherwise infinite.
+    The extents of both shapes (support functions) are compared along each of
+    `COMPARISON_DIRECTIONS`. If the extent of a shape is unknown (planes, missing meshes), the
+    distance is 0 for equal kind, pose and size within `SURFACE_ATOL`, otherwise infinite.
     """
     first, second = (shape.support(COMPARISON_DIRECTIONS) for shape in (first_shape, second_shape))
     if first is not None and second is not None:
@@ -335,18 +338,22 @@ def match_elements(
     bodies: Mapping[str, str],
     joints: Mapping[str, str],
 ) -> dict[ElementKey, ModelElement]:
-    """Return the new elements under the names of the old elements to which they correspond.
+    """Match the elements of two versions: return the new elements under the old names.
 
     Geoms with equal names correspond. The other geoms of a body are matched in three steps: by
     equal values, by equal shape, and by order. In the last step both geoms must be able to collide,
-    or neither. So a different order in the file is no change. If a geom has no match and its name
-    is taken, it gets an unused number.
+    or neither. So a different order in the file is no change. If a geom has no match and the name
+    is taken, the geom gets an unused number.
 
     Args:
         old: Elements of the old file.
         new: Elements of the new file.
         bodies: {body of the new file: name in the old file}.
         joints: {joint of the new file: name in the old file}.
+
+    Returns:
+        {(tag, name of the corresponding old element): new element}. New elements without a
+        counterpart are included.
     """
     matched: dict[ElementKey, ModelElement] = {}
     new_names: dict[str, str] = {}
@@ -378,8 +385,8 @@ def _list_unnamed_shapes(
 ) -> dict[ElementKey, tuple[list[ElementKey], list[ElementKey]]]:
     """Return {(tag, body): keys of old and of new shapes that cannot be matched by name}.
 
-    These are the shapes without a name, and shapes whose name only one version has. Bodies have the
-    names of the old version; ``bodies`` is {body of the new file: name in the old file}.
+    Such shapes have no name, or have a name that exists in a single version. Bodies have the names
+    of the old version; ``bodies`` is {body of the new file: name in the old file}.
     """
     shapes_by_body: dict[ElementKey, tuple[list[ElementKey], list[ElementKey]]] = {}
     for number, elements in enumerate((old, new)):
@@ -463,9 +470,14 @@ def find_changed_elements(
 ) -> Iterator[ElementDifference]:
     """Yield the changes of elements between two versions, for elements with equal names.
 
-    Elements with an equal change form one difference; each flag, and each element that was added or
-    removed, is a difference of its own. Skipped are geoms that cannot collide in either version,
-    and added or removed joints, actuators, tendons and equalities, which other functions report.
+    Elements with an equal change form a common difference. Each flag, and each element that was
+    added or removed, is a separate difference. Skipped are geoms that cannot collide in either
+    version, and added or removed joints, actuators, tendons and equalities, which other functions
+    report.
+
+    Args:
+        old: Elements of the old version.
+        new: Elements of the new version, under the old names (`match_elements`).
     """
     alike: dict[tuple[Any, ...], list[ElementKey]] = {}
     for key in dict.fromkeys((*old, *new)):
@@ -520,7 +532,7 @@ compared."""
 def find_changed_compiler_settings(old: MjcfFile, new: MjcfFile) -> Iterator[ElementDifference]:
     """Yield a difference for each changed attribute of ``<compiler>`` (`_COMPILER_ATTRIBUTES`).
 
-    These attributes change the meaning of other lines, for example the unit of angles.
+    A compiler setting changes the meaning of other lines, for example the unit of angles.
     """
     for name, word in _COMPILER_ATTRIBUTES.items():
         settings = tuple(getattr(file.spec.compiler, name) for file in (old, new))
@@ -575,7 +587,7 @@ of the values outside the tree, and not by the comparison of elements."""
 def _make_shape_key(old_shape: Shape, new_shape: Shape) -> tuple[object, ...]:
     """Return a key of the change of a shape, which is equal for equal changes.
 
-    The key is kind and size of both shapes if their poses are equal, otherwise both descriptions.
+    The key is kind and size of both shapes if the poses are equal, otherwise both descriptions.
     """
     ends = [(shape.pose.position, shape.pose.rotation) for shape in (old_shape, new_shape)]
     if all(np.array_equal(here, there) for here, there in zip(*ends, strict=True)):
@@ -664,9 +676,9 @@ def _format_value(element: ModelElement | None, word: str, other: ModelElement |
     """Return the value of an attribute for a message.
 
     Args:
-        element: Element of one version; None without such an element.
-        word: Name of the attribute. If it is empty, the result states whether the element exists,
-            or describes its shape.
+        element: Element of a version; None without such an element.
+        word: Name of the attribute. For an empty name, the result states whether the element
+            exists, or describes the shape.
         other: Element of the other version; numbers get as many digits as show the difference.
     """
     if element is None:
@@ -691,8 +703,8 @@ def _format_value(element: ModelElement | None, word: str, other: ModelElement |
 def _to_plain(element: ModelElement | None, word: str) -> object:
     """Return the value of an attribute of an element as data for JSON; None without an element.
 
-    ``word`` is the name of the attribute. If it is empty or `SHAPE_WORD`, the result describes the
-    shape, if there is one.
+    ``word`` is the name of the attribute. For an empty name or `SHAPE_WORD`, the result describes
+    the shape, if any.
     """
     if element is None:
         return None
@@ -707,7 +719,7 @@ def _to_plain(element: ModelElement | None, word: str) -> object:
 
 @dataclass(frozen=True, eq=False)
 class _SimulatedRun:
-    """Result of a simulation.
+    """Recorded motion of a simulated version of a model.
 
     Attributes:
         seconds: Duration [s].
@@ -747,12 +759,13 @@ is reported."""
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPair:
-    """Two MJCFs for simulation.
+    """Compiled models of two versions of an MJCF, for the comparison by simulation.
 
     Attributes:
         old: Model of the old file.
         new: Model of the new file.
-        has_added_floor: Whether a ground was added to both, since neither has one.
+        has_added_floor: Whether the same ground was added to both models, since neither has a
+            ground.
     """
 
     old: mujoco.MjModel
@@ -761,7 +774,7 @@ class SimulatedPair:
 
     @staticmethod
     def from_files(old: MjcfFile, new: MjcfFile) -> SimulatedPair:
-        """Compile two MJCFs for simulation.
+        """Compile two MJCFs for simulation, with an added ground if necessary.
 
         The same ground is added to both models if both robots have a free base, and neither file
         has a geom that is fixed to the world and can collide.
@@ -786,16 +799,16 @@ class SimulatedPair:
     def compute_effects(
         self, *, explained: bool
     ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-        """Simulate both models, and return the effects and the messages.
+        """Simulate both versions; return the differences of the motions as effects and messages.
 
         Args:
             explained: True if the comparison of the files has found a change. If False, effects
                 that rounding errors can cause are left out.
 
         Returns:
-            {quantity: largest difference of a joint coordinate [m, rad]}, and messages. Both are
-            empty if the models have no common joint, or their states have different sizes; if
-            ``explained`` is False, also if the compiled models are equal, the motions agree, or
+            {quantity: largest difference of a joint coordinate [m, rad]}; messages. Both are empty
+            if the models have no common joint, or states of different sizes. If ``explained`` is
+            False, both are also empty if the compiled models are equal, the motions agree, or
             rounding errors can cause the effects.
         """
         old, new = self.old, self.new
@@ -930,7 +943,7 @@ def _find_min_friction(model: mujoco.MjModel, data: mujoco.MjData) -> float | No
 def _compare_runs(
     before: _SimulatedRun, after: _SimulatedRun, where: Mapping[str, Any]
 ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
-    """Compare the recorded motions of two simulations; empty if their states have different sizes.
+    """Compare the recorded motions of two simulations.
 
     Args:
         before: Simulation of the old model.
@@ -938,8 +951,8 @@ def _compare_runs(
         where: Further fields of the message: duration, keyframe, and whether a ground was added.
 
     Returns:
-        {`MOTION_QUANTITY`: largest difference of a coordinate [m, rad]} if it is above
-        `MIN_FELT_MOTION`, and messages.
+        {`MOTION_QUANTITY`: largest difference of a coordinate [m, rad]}, empty up to
+        `MIN_FELT_MOTION`; messages. Both are empty if the states have different sizes.
     """
     if before.qpos.shape != after.qpos.shape:
         return {}, ()

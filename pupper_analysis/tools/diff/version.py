@@ -64,7 +64,7 @@ from pupper_analysis.tools.diff.elements import (
 
 @dataclass(frozen=True, eq=False)
 class Version:
-    """Content of a file.
+    """Content of a URDF or MJCF, prepared for the comparison with another version.
 
     Attributes:
         file: File.
@@ -73,7 +73,7 @@ class Version:
             tendons ...
         elements: Collision shapes of a URDF (`list_collisions`), or elements of an MJCF
             (`list_elements`).
-        bodies: {base or joint: body that it moves}.
+        bodies: {base or joint: name of the base body or of the moved body}.
         sources: Lines of the numbers.
         notes: Assumptions, and content that was left out.
     """
@@ -88,7 +88,7 @@ class Version:
 
 
 def read_version(file: UrdfFile | MjcfFile) -> Version:
-    """Return the joints, bodies and elements of a file, for comparison with another version.
+    """Read the joints, bodies and elements of a file, for comparison with another version.
 
     Raises:
         ModelError: For example, if an MJCF has no joints, or ball joints only.
@@ -99,7 +99,7 @@ def read_version(file: UrdfFile | MjcfFile) -> Version:
 def _read_urdf_version(file: UrdfFile) -> Version:
     """Return the content of a URDF for comparison with another version.
 
-    Mimic joints are independent in the tree; their couplings are in ``Version.extra_values``.
+    Mimic joints are independent in the tree; ``Version.extra_values`` contains the couplings.
     """
     root = without_shapes(file.root)
     mimics = urdf_mimics(root)
@@ -243,7 +243,7 @@ file that the user names."""
 
 @dataclass(frozen=True)
 class VersionedFile:
-    """File, a copy of a file in git, or a robot in memory.
+    """Version of a model as passed by the user: file, copy of a file in git, or object.
 
     Attributes:
         path: Path for reading, or robot in memory.
@@ -258,17 +258,18 @@ class VersionedFile:
     root: Path | None = None
 
     def label(self, place: Place) -> str:
-        """Return ``file:line`` of a place; the file is named as by the user (``REVISION:PATH``).
+        """Format a place as ``file:line``, with the file name as typed (``REVISION:PATH``).
 
-        Elements of a robot in memory have no line; the label is the name of the robot.
+        Elements of a robot in memory have no line: the label is the name of the robot.
         """
         return self.name if is_object(self.path) else self._replace_paths(place.path)
 
     def read(self, read: Callable[[Path | ModelObject | str], _T]) -> _T:
-        """Return the result of ``read`` for this file, its copy from git, or the robot in memory.
+        """Call ``read`` with the path of the file (or the copy from git), or the robot in memory.
 
         Raises:
-            ModelError: If ``read`` raises one; the message names the file as the user passed it.
+            ModelError: If ``read`` raises a ModelError; the message names the file as the user
+                passed the name.
         """
         try:
             return read(self.path)
@@ -288,12 +289,13 @@ class VersionedFile:
 
 @contextmanager
 def open_version(given: str | Path | ModelObject) -> Iterator[VersionedFile]:
-    """Yield a file, a copy of a file in git with all files that it may include, or an object.
+    """Open a version of a model in a ``with`` block; extract a file of a git revision.
 
     Args:
         given: Robot in memory, path, name of a published robot, ``package://NAME/FILE``, or
-            ``REVISION:PATH`` as for ``git show``: relative to the top of the repository, or to the
-            current folder if PATH begins with ``./`` or ``../``.
+            ``REVISION:PATH`` as for ``git show``. PATH is relative to the top of the repository, or
+            to the current folder if PATH begins with ``./`` or ``../``. All files that the model
+            may include are extracted as well.
 
     Raises:
         ModelError: If git is not installed or does not contain the file, with git's message; or if
@@ -326,13 +328,16 @@ def open_version(given: str | Path | ModelObject) -> Iterator[VersionedFile]:
 
 @contextmanager
 def open_revision(revision: str, folder: Path) -> Iterator[Callable[[Path], Path]]:
-    """Yield a function that returns the extracted copy of a file in a revision.
+    """Extract a git revision in a ``with`` block; yield {file: extracted copy} as a function.
 
-    All files that a model may include are extracted.
+    All files that a model may include are extracted to a temporary folder.
 
     Args:
         revision: Revision.
         folder: Folder in the repository.
+
+    Yields:
+        Function that returns the path of the extracted copy of a file in the repository.
 
     Raises:
         ModelError: If git is not installed, the folder is in no repository, or the repository does
@@ -366,13 +371,13 @@ def find_repository_top(folder: Path) -> Path:
 def find_path_in_revision(given: str, revision: str, inside: str) -> str:
     """Return the path of a file in a revision, relative to the top of the repository.
 
-    The repository is that of the current folder; ``..`` and ``.`` in the path are resolved.
+    The repository contains the current folder; ``..`` and ``.`` in the path are resolved.
 
     Args:
         given: Argument of the user, ``REVISION:PATH``, which errors name.
         revision: Revision of git, such as ``HEAD``.
-        inside: PATH in the revision: relative to the top of the repository, or to the current
-            folder if it begins with ``./`` or ``../``.
+        inside: PATH in the revision, relative to the top of the repository. A path that begins with
+            ``./`` or ``../`` is relative to the current folder.
 
     Raises:
         ModelError: If git is not installed, the current folder is in no repository, or the revision
@@ -464,7 +469,7 @@ def _git_answer(given: str, *arguments: str, folder: Path | None = None) -> byte
 
 
 def _git_command(given: str, *arguments: str) -> list[str]:
-    """Return a command line of git; its options disable programs that a repository configures.
+    """Return a command line of git, with options that disable programs of the repository.
 
     Raises:
         ModelError: If git is not installed.
