@@ -28,24 +28,26 @@ from pupper_analysis.models.xml import LFS_POINTER
 from pupper_analysis.tools.usd.prim_limits import check_prim_count
 
 MAX_BYTES: Final = 500_000_000
-"""Upper bound of the size of the opened USD file [bytes]; files that it references are not counted.
-Larger files are refused. Chosen, not tuned."""
+"""Upper bound of the size of the opened USD file [bytes]; referenced files are not counted. Larger
+files are refused. Chosen, not tuned.
+"""
 
 MAX_DEPTH: Final = 500
-"""Upper bound of the nesting depth of brackets in the opened file if it is a text file
-(``#usda``). A deeper file is refused, because it can overflow the stack of USD's parser. Chosen,
-not tuned."""
+"""Upper bound of the nesting depth of brackets in a text file (``#usda``). A deeper file can
+overflow the stack of USD's parser, and is refused. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class UsdFile:
-    """Opened USD file: stage, and prims of its bodies and joints by name.
+    """Opened USD file: stage, and prims of bodies and joints by name.
 
     Attributes:
         path: File.
         stage: `pxr.Usd.Stage`, with all payloads loaded.
-        bodies: {name: prim path} of the rigid bodies. The name is the prim's display name, or its
-            prim name without a display name. If several bodies share a name, the key is the path.
+        bodies: {name: prim path} of the rigid bodies. The name is the prim's display name or,
+            without a display name, the prim name. If several bodies share a name, the key is the
+            path.
         joints: {name: prim path} of the joints. Names are formed as for ``bodies``.
         notes: Notes on parts that were not read.
     """
@@ -66,8 +68,8 @@ class UsdFile:
                 body itself states the mass.
 
         Returns:
-            File and prim; if no element of this kind has the name, the prim of the other kind with
-            this name, or else the file alone.
+            File and prim. If no element of this kind has the name, the prim of the other kind with
+            this name is returned, or else the file without a prim.
         """
         del child
         joints = kind in ("joint", "actuator", "equality")
@@ -100,7 +102,7 @@ class PrimPlaces:
 
 
 def read_usd(path: str | Path) -> UsdFile:
-    """Open a USD file.
+    """Open a USD file, and find the prims of bodies and joints.
 
     Raises:
         ModelError: If the file cannot be opened, is not valid, empty, too large or nested too
@@ -157,7 +159,7 @@ def _import_pxr() -> Any:
 
 
 def _check_file(path: Path) -> None:
-    """Check a file before USD opens it.
+    """Check a file before USD opens the file.
 
     Raises:
         ModelError: If the path is no readable file, or the file is larger than `MAX_BYTES`, empty,

@@ -1,12 +1,12 @@
 """Robot model of a USD file: bodies and joints of UsdPhysics as a tree.
 
 The poses of the bodies at zero joint positions are computed from the joint frames, as in engines
-with reduced coordinates. The transforms of the prims are not used for this: they are a pose of the
-robot at unknown joint positions.
+with reduced coordinates. The transforms of the prims are not used, since the prims describe a pose
+of the robot at unknown joint positions.
 
-Engines compute missing mass properties. They derive CoM and inertia from the collision shapes. If a
-body has no mass property at all, they compute the mass from the shapes and the density of water. In
-this module, the masses of such bodies are unknown.
+Engines compute missing mass properties: CoM and inertia are derived from the collision shapes. For
+a body without any mass property, engines compute the mass from the shapes and the density of water.
+In this module, the masses of such bodies are unknown.
 """
 
 from __future__ import annotations
@@ -96,9 +96,9 @@ NUMBER_ATTRIBUTES: Final[Mapping[str, tuple[NumberAttribute, ...]]] = {
     ),
     "spring": (NumberAttribute("mjc:stiffness"),),
 }
-"""{kind of a joint number, as in `models.attributes`: attributes that may state it}. If several are
-stated, the first attribute is used. For the effort, the smallest value is used, since each value is
-a limit.
+"""{kind of a joint number, as in `models.attributes`: attributes that may state the number}. If
+several attributes are stated, the first is used. For the effort, the smallest value is used, since
+each value is a limit.
 """
 
 
@@ -200,7 +200,8 @@ def _read_freedom(prim: Any) -> tuple[str, int, float, float]:
     """Return kind, axis index (0 to 2), and lower and upper limit of a joint in units of the file.
 
     Missing limits are infinite. A joint that is neither hinge nor slide has axis 0 and infinite
-    limits. A joint of an unknown type is a free joint; the comparison of joints refuses it later.
+    limits. A joint of an unknown type is a free joint, which the comparison of joints refuses
+    later.
     """
     kind = _JOINT_KINDS.get(str(prim.GetTypeName()), FREE_JOINT)
     if kind not in (HINGE_JOINT, SLIDE_JOINT):
@@ -218,7 +219,7 @@ def _read_numbers(
     is_hinge: bool,
     units: StageUnits,
 ) -> dict[str, float]:
-    """Return the numbers of one kind that the attributes of a joint state, in SI units.
+    """Return the numbers of a kind that the attributes of a joint state, in SI units.
 
     Args:
         prim: Prim of the joint.
@@ -306,12 +307,12 @@ class MassOrigin(StrEnum):
     STATED = "stated"
     """Mass, CoM and inertia are stated, or the mass is negative."""
     SHAPES = "shapes"
-    """Mass, CoM or inertia is missing, and engines derive it from the shapes, if there are any. A
-    missing mass is derived from stated masses or densities of the shapes.
+    """Mass, CoM or inertia is missing. If there are shapes, engines derive the missing properties
+    from the shapes. A missing mass is derived from stated masses or densities of the shapes.
     """
     WATER = "water"
-    """The body has no stated mass, and at least one shape has neither a stated mass nor a stated
-    density. Engines use the density of water for such a shape.
+    """The body has no stated mass, and a shape has neither a stated mass nor a stated density.
+    Engines use the density of water for such a shape.
     """
     UNKNOWN = "unknown"
     """The body has neither a mass nor collision shapes."""
@@ -319,7 +320,7 @@ class MassOrigin(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class BodyMass:
-    """Mass properties of a body in a USD file, and their origin.
+    """Mass properties of a body in a USD file, and the origin of the mass.
 
     Attributes:
         inertial: Inertial; None if unknown.
@@ -335,9 +336,9 @@ class BodyMass:
 def read_body_mass(
     body: Any, placement: PrimPlacement, shapes: Sequence[Any], units: StageUnits
 ) -> BodyMass:
-    """Read the mass properties of a body.
+    """Read mass, CoM and inertia of a body of a USD file.
 
-    A negative mass counts as a stated mass, so that the mass is reported.
+    A negative mass counts as a stated mass, so that `audit` reports the mass.
 
     Args:
         body: Body prim.
@@ -346,8 +347,8 @@ def read_body_mass(
         units: Units of the stage.
 
     Returns:
-        Mass properties. The inertial is None unless mass, CoM and inertia are all stated, or the
-        mass is negative.
+        Mass properties, in SI units and the body frame. The inertial is None unless mass, CoM and
+        inertia are all stated, or the mass is negative.
     """
     negative_mass = min(read_number(body, "physics:mass", 0.0), 0.0)
     mass = (_read_positive(body, "physics:mass") or negative_mass) * units.mass
@@ -372,7 +373,7 @@ def read_body_mass(
 
 
 def _has_shape_mass(body: Any, shape: Any) -> bool:
-    """Return True if a shape has a mass, or a density of its own, its material or its body."""
+    """Return True if a shape has a mass, or the shape, material or body states a density."""
     from pxr import UsdShade
 
     material, _ = UsdShade.MaterialBindingAPI(shape).ComputeBoundMaterial("physics")
@@ -415,7 +416,7 @@ class UsdModel(RobotModel):
         file: File.
         edges: {joint: joint data} of all enabled joints between different bodies, or a body and the
             world.
-        body_masses: {body: mass properties and the origin of these}.
+        body_masses: {body: mass properties and origin of the mass}.
         loops: Joints that close loops, or are excluded from the articulation.
         floating: True if no enabled joint of the articulation connects the base to the world.
         mount: Pose of the base in the world, z up [m].
@@ -436,7 +437,7 @@ class UsdModel(RobotModel):
         return self.floating
 
     def locate_parameter(self, attribute: JointAttribute) -> tuple[str, str | None]:
-        """Return the name of a joint parameter for messages, and None as its child element.
+        """Return the name of a joint parameter for messages, and None as the child element.
 
         The name is the kind of the parameter, such as ``damping``, because attribute names differ
         between USD schemas. Prims of a USD have no child elements for parameters.
@@ -459,7 +460,7 @@ class UsdModel(RobotModel):
 
 
 def read_usd_model(file: UsdFile) -> UsdModel:
-    """Read the robot model of a USD file.
+    """Read the robot model of a USD file: tree of links and joints, masses, and gravity.
 
     Raises:
         ModelError: If a frame is sheared or mirrored, an operation of a transform has no value, a
@@ -726,7 +727,7 @@ def _make_free_joint(body: str, pose: Pose) -> Joint:
 
 
 def _read_gravity(file: UsdFile, units: StageUnits) -> Array | None:
-    """Return the gravity in a frame with z up, shape (3,) [m/s^2]; None if no scene states it.
+    """Return the gravity in a frame with z up, shape (3,) [m/s^2]; None if not stated.
 
     The first physics scene with a magnitude of at least 0 determines the gravity. If the scene
     states no direction, gravity points down.
@@ -754,12 +755,12 @@ precision. Chosen, not tuned."""
 
 @dataclass(frozen=True)
 class StageUnits:
-    """Units of length, mass and derived quantities of a USD stage, in SI units.
+    """Factors from the units of a USD stage to SI units, and rotation to an upward z axis.
 
     Attributes:
         length: Length unit [m].
         mass: Mass unit [kg].
-        up: Rotation, shape (3, 3), that maps the stage's vertical axis to z.
+        up: Rotation matrix, shape (3, 3), that maps the stage's vertical axis to z.
     """
 
     length: float
@@ -768,7 +769,7 @@ class StageUnits:
 
     @property
     def force(self) -> float:
-        """Unit of force of the USD stage [N], unit of mass times unit of length per second^2."""
+        """Unit of force of the USD stage [N]: mass unit times length unit per second^2."""
         return self.mass * self.length
 
     @property
@@ -798,14 +799,14 @@ class PrimPlacement:
 
     Attributes:
         pose: Pose in the stage's axes [m].
-        scale: Factors on the prim's own lengths, shape (3,) [m].
+        scale: Factors from the prim's lengths in the file to metres, shape (3,) [m].
     """
 
     pose: Pose
     scale: Array
 
     def make_frame(self, position: Any, rotation: Any) -> Pose:
-        """Return the pose [m] of a frame relative to its prim, from the numbers in the file.
+        """Convert the numbers of a joint frame in the file to a pose relative to the prim [m].
 
         Args:
             position: Position in the file; multiplied by ``scale`` to be in metres. None for 0.
@@ -854,7 +855,7 @@ def read_value(prim: Any, name: str, kind: str) -> Any:
 
 
 def read_number(prim: Any, name: str, default: float = math.nan) -> float:
-    """Return the number of an attribute in the unit of the file; ``default`` without a value."""
+    """Read the number of an attribute, in the unit of the file; ``default`` without a value."""
     value = read_value(prim, name, "number")
     return default if value is None else float(recover_decimals(value))
 
@@ -869,7 +870,7 @@ AXIS_INDICES: Final = {"X": 0, "Y": 1, "Z": 2}
 
 
 def read_axis(prim: Any, name: str, default: str) -> str:
-    """Return the axis that an attribute of a prim names: X, Y or Z.
+    """Read the axis that an attribute of a prim names: X, Y or Z.
 
     Raises:
         ModelError: If the value is not allowed.
@@ -883,10 +884,10 @@ def read_axis(prim: Any, name: str, default: str) -> str:
 
 
 def recover_decimals(value: Any) -> Array:
-    """Return numbers as they were probably typed, in an array of the same shape.
+    """Replace numbers in single precision by the probably typed decimals; same shape.
 
-    A typed 0.18 is stored in single precision as 0.18000000715. A number in single precision is
-    replaced by the shortest decimal that has it as its nearest single-precision number; other
+    A typed 0.18 is stored in single precision as 0.18000000715. Each number that is exactly a
+    single-precision number is replaced by the shortest decimal that rounds to this number. Other
     numbers are unchanged.
     """
     values = np.array(value, dtype=float)
@@ -897,14 +898,14 @@ def recover_decimals(value: Any) -> Array:
 
 
 def make_rotation(quaternion: Any) -> Array:
-    """Return the rotation, shape (3, 3), of a quaternion (w, x, y, z); the identity for zeros."""
+    """Convert a quaternion (w, x, y, z) to a rotation, shape (3, 3); the identity for zeros."""
     values = np.array(quaternion, dtype=float)
     length = float(np.linalg.norm(values))
     return np.eye(3) if length == 0 else rotation_from_quaternion(values / length)
 
 
 def compute_world_matrix(file: UsdFile, prim: Any, cache: Any) -> Any:
-    """Return the transform of a prim to the world of the stage, a USD matrix for row vectors.
+    """Compute the transform of a prim to the world of the stage, a USD matrix for row vectors.
 
     Raises:
         ModelError: If an operation of the transform has no value.

@@ -1,8 +1,8 @@
 """Number of prims that the layers of a USD file describe, counted before USD composes a stage.
 
-A prim may contain two references to another prim, which contains two references to a third one: 30
-such prims in a file of 3 kB describe 2^31 prims. USD composes each prim, and needs 34 s and 0.7 GB
-for 65,000.
+A prim may contain two references to another prim, which contains two references to a third prim. A
+file of 3 kB with 30 such prims describes 2^31 prims. USD composes each prim, and needs 34 s and 0.7
+GB for 65,000.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ refused. Chosen: robots have some thousand prims."""
 
 
 def check_prim_count(path: Path) -> Diagnostic | None:
-    """Return the reason to reject a USD file with too many prims.
+    """Check the number of prims of a USD file before opening, and return the reason for a refusal.
 
     Returns:
         None if the file has at most `MAX_PRIMS` prims, or cannot be opened.
@@ -41,7 +41,7 @@ def check_prim_count(path: Path) -> Diagnostic | None:
 class _PrimCounter:
     """Upper bounds of the number of prims below a path of a layer, each computed once.
 
-    All variants of a prim are counted, not only the selected ones.
+    All variants of a prim are counted, not only the selected variant.
     """
 
     def __init__(self) -> None:
@@ -49,9 +49,10 @@ class _PrimCounter:
         self._layers: dict[str, Any] = {}
 
     def count(self, layer: Any, path: Any) -> int:
-        """Return the number of prims at and below a path of a layer and its sublayers.
+        """Return the number of prims at and below a path of a layer and the sublayers.
 
-        A reference of a prim to itself or to a prim above it counts as zero: USD ignores it.
+        USD ignores a reference of a prim to the prim itself or to an ancestor. Such a reference
+        counts as zero.
         """
         key = (layer.identifier, str(path))
         if key not in self._counts:
@@ -67,8 +68,8 @@ class _PrimCounter:
     def _count_spec(self, layer: Any, spec: Any) -> int:
         """Return the number of prims that a prim specification in a layer can produce.
 
-        Counted are the prim, its children and variants, and the prims that it references, loads as
-        payload, inherits or specialises.
+        The number includes the prim, children, variants, and prims that are referenced, loaded as
+        payload, inherited or specialised.
         """
         from pxr import Sdf
 
@@ -88,7 +89,7 @@ class _PrimCounter:
         return total + sum(self.count(layer, path) for path in inherited)
 
     def _open(self, layer: Any, name: str) -> Any:
-        """Open the USD layer that another layer refers to; None if USD cannot open it."""
+        """Open the USD layer to which another layer refers; None if USD cannot open the layer."""
         from pxr import Sdf, Tf
 
         path = layer.ComputeAbsolutePath(name)

@@ -59,10 +59,10 @@ USD.
 
 @dataclass(frozen=True, eq=False)
 class UsdAsUrdf(PrimPlaces, UrdfFile):
-    """URDF generated from a USD file.
+    """URDF generated from a USD file; findings are located at the prims of the USD file.
 
     Attributes:
-        usd: USD file, whose prims the places refer to.
+        usd: USD file.
     """
 
     usd: UsdFile | None = None
@@ -71,11 +71,11 @@ class UsdAsUrdf(PrimPlaces, UrdfFile):
 def read_as_urdf(path: Path) -> UsdAsUrdf:
     """Convert a USD file to a URDF in memory, with the same links, joints and inertials.
 
-    Shapes are left out. Joints that close loops are left out, and a note reports them. ``unknown``
-    of the result lists the joints whose effort the USD does not state.
+    Shapes are left out. Joints that close loops are left out and reported by a note. ``unknown`` of
+    the result lists the joints whose effort the USD does not state.
 
     Raises:
-        ModelError: If the file cannot be opened or has no readable robot, the tree of its base
+        ModelError: If the file cannot be opened or has no readable robot, the tree of the base
             contains a ball joint or a free joint, or engines would derive a mass property from
             shapes.
         MissingPackageError: If usd-core is not installed.
@@ -140,7 +140,7 @@ def make_urdf_tree(model: UsdModel) -> UrdfTree:
 
 
 def _get_joint_frame(link: Link) -> Pose:
-    """Return the frame of a link in a URDF: at the joint that moves it, otherwise its own pose."""
+    """Return the URDF frame of a link: at the origin of the moving joint, else the link pose."""
     joints = [joint for joint in link.joints if joint.moves]
     return Pose(joints[0].position, link.pose.rotation) if joints else link.pose
 
@@ -193,7 +193,7 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
     usd: UsdFile | None = None
 
     def find_attribute(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
-        """Return the prim of an element as the location of its attributes; None without a prim.
+        """Return the prim of an element as the location of the attributes; None without a prim.
 
         A USD location has no attribute, so ``attributes`` has no effect.
         """
@@ -242,10 +242,10 @@ def read_as_mjcf(path: Path) -> UsdAsMjcf:
 
 
 def list_joints_without(model: UsdModel, kind: str) -> tuple[str, ...]:
-    """Return the names of moving joints for which a USD does not state a parameter.
+    """List the moving joints of a USD file that lack a stated parameter.
 
     Args:
-        model: USD.
+        model: Model of the USD file.
         kind: Parameter: ``effort``, ``damping`` or ``friction``.
     """
     return tuple(
@@ -254,7 +254,7 @@ def list_joints_without(model: UsdModel, kind: str) -> tuple[str, ...]:
 
 
 def make_mjspec(model: UsdModel) -> mujoco.MjSpec:
-    """Write a model as a MuJoCo spec: bodies, joints, inertials, couplings, gravity; no shapes.
+    """Convert a model to a MuJoCo spec: bodies, joints, inertials, couplings, gravity; no shapes.
 
     Raises:
         ModelError: If MuJoCo has no joint of a kind, no constraint for a loop, or refuses an
@@ -293,7 +293,7 @@ def make_mjspec(model: UsdModel) -> mujoco.MjSpec:
 
 
 def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
-    """Add the movable joints of a link to its body in MuJoCo's spec, in the frame of the body.
+    """Add the movable joints of a link to the body in MuJoCo's spec, in the frame of the body.
 
     Raises:
         ModelError: If a joint is free, and the link has a parent.
@@ -320,13 +320,13 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
 
 
 _MAX_RANGE = 1e6
-"""Largest magnitude of a joint limit [rad, m]. It replaces a larger or infinite limit: a range
-in MuJoCo requires two finite limits. Chosen, not tuned.
+"""Largest magnitude of a joint limit [rad, m]. A larger or infinite limit is replaced by this
+value: a range in MuJoCo requires two finite limits. Chosen, not tuned.
 """
 
 
 def _merge_fixed_inertials(model: UsdModel) -> dict[str, Inertial]:
-    """Return the inertials of root and moving bodies, each merged with the bodies fixed to it.
+    """Return the inertials of root and moving bodies, each merged with the fixed bodies.
 
     Bodies without mass are left out. MuJoCo refuses degenerate inertias, for example that of a thin
     rod, even on a body that is fixed to another body.
@@ -443,7 +443,8 @@ def mass_of_water(robot: UsdModel) -> Iterator[CheckFinding]:
 def mass_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
     """Yield a finding for each body that has neither a mass nor collision shapes.
 
-    The severity is NOTE if the body is fixed to another body; otherwise that of the audit rule.
+    The severity is NOTE if the body is fixed to another body, otherwise the severity of the audit
+    rule.
     """
     for name, body_mass in robot.body_masses.items():
         if body_mass.origin is MassOrigin.UNKNOWN:
@@ -455,9 +456,9 @@ def mass_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
 
 
 def inertia_unstated(robot: UsdModel) -> Iterator[CheckFinding]:
-    """Yield a finding for each body whose mass, CoM or inertia is computed from its shapes.
+    """Yield a finding for each body whose mass, CoM or inertia engines derive from shapes.
 
-    The severity is WARNING if only the CoM is missing; otherwise that of the audit rule.
+    The severity is WARNING if only the CoM is missing, otherwise the severity of the audit rule.
     """
     for name, body_mass in robot.body_masses.items():
         if body_mass.origin is MassOrigin.SHAPES:
@@ -504,4 +505,4 @@ CHECKS: Final[Mapping[str, Check]] = {
         joint_numbers_contradict,
     )
 }
-"""{id of an audit rule: function that yields its findings}, for rules of USD files."""
+"""{id of an audit rule: function that yields the findings}, for rules of USD files."""
