@@ -342,19 +342,19 @@ _MEASURING_OPTIONS = (
     "--added-at",
 )
 """Options of the current command that are not repeated in the suggested next command. The next
-command records, fits stands, or is ``walk``. It refuses these options, or specifies other values
-for them.
+command records, fits stands, or is ``walk``. That command refuses the listed options, or specifies
+other values.
 """
 
 
 def _select_next_step(
     result: Fit | StandPlan | Recording | TraceRecording, output: Path | None
 ) -> NextStep | None:
-    """Return the suggested next command; it depends on the type of ``result``.
+    """Return the command to run next, depending on the type of ``result``.
 
-    For example, the next step after a plan is to record it, and after a complete recording to fit
-    it. The result is None after an explained fit with an output folder. In this case `command`
-    suggests a command with the written files.
+    For example, a plan is followed by a recording of the planned stands, and a complete recording
+    by a fit. The result is None after an explained fit with an output folder. In this case
+    `command` suggests a command with the written files.
     """
     from pupper_analysis.tools.fit.record.listen import TraceRecording
     from pupper_analysis.tools.fit.record.recorder import Recording
@@ -435,8 +435,8 @@ def _write_models(
 ) -> tuple[str, ...]:
     """Write a fit of the selected robot ``selection`` to a folder, and return the model paths.
 
-    A fit that does not explain the measurements is written only if ``anyway`` is True. Its
-    intervals are inflated. Otherwise nothing is written, and the result is empty.
+    A fit that does not explain the measurements is written only if ``anyway`` is True, with
+    inflated intervals. Otherwise nothing is written, and the result is empty.
     """
     from pupper_analysis.tools.fit.write import write_fit
 

@@ -1,7 +1,7 @@
 """Documents of fits, plans and recordings.
 
-Inputs are a fit of motions or stands, a plan of stands, or a recording of stands or of a policy;
-outputs are documents that are independent of the output format, with values in printed units.
+Inputs are a fit of motions or stands, a plan of stands, or a recording of stands or of a policy.
+Outputs are documents that are independent of the output format, with values in displayed units.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ def describe_fit(
     details: Iterable[doc.Words],
     extra_blocks: Iterable[doc.Block],
 ) -> doc.Document:
-    """Create the document of a fit.
+    """Create the report of a fit: estimates by kind, plots, verdict, failures and notes.
 
     Args:
         fit: Fit.
         title: Title.
         answer: Key figures of the fit.
-        details: Further statements about the measurements and the agreement with them.
+        details: Further statements about the measurements and the agreement of the model.
         extra_blocks: Plots of the residuals.
     """
     robot_estimates = [
@@ -116,8 +116,8 @@ def _make_estimate_table(
 ) -> doc.Table:
     """Create the table of estimates with intervals, a row per parameter.
 
-    If ``planned`` is True, the table belongs to a plan, before any measurement. It contains the
-    stated values, and the half widths of the predicted intervals. If ``detail`` is True, the short
+    If ``planned`` is True, the table belongs to a plan, before any measurement, and contains the
+    stated values and the half widths of the predicted intervals. If ``detail`` is True, the short
     terminal view omits the table.
     """
     units = {
@@ -152,8 +152,8 @@ def _make_estimate_table(
 def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
     """Create the report of a fit of model parameters to measured motions.
 
-    `build_document` calls this function for a `MotionFit`. All builders get the robot as the second
-    argument; it is not used here.
+    `build_document` calls this function for a `MotionFit`. The second argument, the robot, is part
+    of the common signature and not used.
     """
     error, repeatability = _describe_errors(fit)
     details = (
@@ -169,7 +169,7 @@ def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
 def _describe_errors(fit: MotionFit) -> Iterator[doc.Words]:
     """Yield the texts of RMS prediction error and repeatability of the measurements, in degrees.
 
-    The error is that of held-out samples, or of the fitted samples if none were held out.
+    The error belongs to held-out samples, or to the fitted samples without held-out samples.
     """
     if math.isfinite(fit.held_out):
         yield text(
@@ -210,8 +210,8 @@ def _make_joint_error_plots(fit: MotionFit) -> Iterator[doc.BarPlot]:
 def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
     """Create the report of a fit of model parameters to measured stands.
 
-    `build_document` calls this function for a `StandFit`. All builders get the robot as the second
-    argument; it is not used here.
+    `build_document` calls this function for a `StandFit`. The second argument, the robot, is part
+    of the common signature and not used.
     """
     answer = (_describe_total_mass(fit.total_mass), *_describe_kp_factor(fit))
     details = (
@@ -247,7 +247,7 @@ def _describe_total_mass(mass: Estimate) -> doc.Words:
 
 
 def _describe_com(com: Sequence[Estimate]) -> doc.Words:
-    """Return the text of the CoM of the whole robot [mm]; ``com`` are its components [m]."""
+    """Return the text of the CoM of the whole robot [mm]; ``com`` contains the components [m]."""
     values = {estimate.component: f"{1e3 * estimate.mean:.1f}" for estimate in com}
     halves = {
         f"d{estimate.component}": f"{1e3 * (estimate.high - estimate.mean):.1f}" for estimate in com
@@ -257,10 +257,10 @@ def _describe_com(com: Sequence[Estimate]) -> doc.Words:
 
 
 def _describe_kp_factor(fit: StandFit) -> Iterator[doc.Words]:
-    """Yield the text of the mean factor on kp, if the fit has one.
+    """Yield the text of the mean factor on kp, if the fit estimates kp.
 
-    A second text suggests measurements that would separate kp from the mass. It is yielded if the
-    robot was not weighed, no known mass was added, and the data determine the total mass.
+    A second text suggests measurements that would separate kp from the mass. This text is yielded
+    if the robot was not weighed, no known mass was added, and the data determine the total mass.
     """
     if (factor := fit.kp_factor) is not None:
         values = _format_estimate(factor)
@@ -289,8 +289,8 @@ def _make_stand_residual_plot(fit: StandFit) -> doc.BarPlot:
 def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
     """Create the report of a measurement plan: stands, and predicted interval per parameter.
 
-    `build_document` calls this function for a `StandPlan`. All builders get the robot as the second
-    argument; it is not used here.
+    `build_document` calls this function for a `StandPlan`. The second argument, the robot, is part
+    of the common signature and not used.
     """
     num_determined = sum(estimate.determined is Determined.DATA for estimate in plan.expected)
     expected = _make_estimate_table(
@@ -319,7 +319,7 @@ def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
 
 
 def _describe_known_mass(plan: StandPlan) -> Iterator[doc.Words]:
-    """Yield the text of a plan's known mass [kg], its position [mm] and its number of stands.
+    """Yield the text of a plan's known mass [kg], with position [mm] and number of stands.
 
     Nothing is yielded for a plan without a known mass.
     """
@@ -377,8 +377,8 @@ def _make_stand_table(plan: StandPlan) -> doc.Table:
 def recording_document(recording: Recording, _: Robot | None = None) -> doc.Document:
     """Create the report of a recording of stands: recorded, existing and missing stands.
 
-    `build_document` calls this function for a `Recording`. All builders get the robot as the second
-    argument; it is not used here.
+    `build_document` calls this function for a `Recording`. The second argument, the robot, is part
+    of the common signature and not used.
     """
     counts = {
         "taken": len(recording.recorded_stands),
@@ -409,8 +409,8 @@ def recording_document(recording: Recording, _: Robot | None = None) -> doc.Docu
 def recorded_trace_document(recording: TraceRecording, _: Robot | None = None) -> doc.Document:
     """Create the report of a recorded policy: samples, and signals that were not received.
 
-    `build_document` calls this function for a `TraceRecording`. All builders get the robot as the
-    second argument; it is not used here.
+    `build_document` calls this function for a `TraceRecording`. The second argument, the robot, is
+    part of the common signature and not used.
     """
     summary = text(
         "trace-recorded",

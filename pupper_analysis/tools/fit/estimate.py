@@ -1,7 +1,7 @@
 """Maximum a posteriori estimate of parameters: weighted least squares with a normal prior.
 
 Minimises chi2(x) + z^T P z, with z = (x - stated) / width and P the prior precision, by damped
-Gauss-Newton steps. The result is a normal distribution about the last parameters.
+Gauss-Newton steps. The result is a normal distribution about the last parameter vector.
 """
 
 from __future__ import annotations
@@ -33,29 +33,29 @@ a hundredth of a standard deviation. Chosen, not tuned.
 """
 
 _STALL_RTOL = 0.01
-"""Ratio of the predicted decrease to the cost. If the ratio is smaller, a stalled minimisation ends
-without error, even if the decrease exceeds `_MAX_UNREALISED_DECREASE`. Chosen, not tuned.
+"""Upper bound of the ratio of predicted decrease to cost. Below the bound, a stalled minimisation
+ends without error, even if the decrease exceeds `_MAX_UNREALISED_DECREASE`. Chosen, not tuned.
 """
 
 
 _MIN_DECREASE_RATIO = 0.1
-"""Required ratio of actual to predicted decrease of the cost. A step is accepted if its decrease is
-at least this ratio times the predicted decrease, minus `_MIN_PREDICTED_DECREASE`. Otherwise the
-step is corrected (`_MAX_CORRECTIONS`), or the damping is raised. Chosen, not tuned.
+"""Required ratio of actual to predicted decrease of the cost. A step is accepted if the actual
+decrease is at least this ratio times the predicted decrease, minus `_MIN_PREDICTED_DECREASE`.
+Otherwise the step is corrected (`_MAX_CORRECTIONS`), or the damping is raised. Chosen, not tuned.
 """
 
 _MAX_CORRECTIONS = 2
-"""Maximum number of second-order corrections of an undamped step. A step is corrected if it
-decreases the cost too little. Corrections are useful since the cost has curved valleys: inertia is
+"""Maximum number of second-order corrections of an undamped step. A step that decreases the cost
+too little is corrected. Corrections are useful since the cost has curved valleys: inertia is
 quadratic in large CoM displacements. Without a known added mass, only the ratios of masses and kp
 are determined. Chosen, not tuned.
 """
 
 _MAX_UNREALISED_DECREASE = 1.0
 """Upper bound of the predicted decrease of the cost (chi2 plus prior) at the end of a stalled
-minimisation. A minimisation has stalled if its steps do not achieve the predicted decrease. It ends
-without error if the predicted decrease is below this bound; the last undamped step widens the
-covariance. A decrease of 1 corresponds to one standard deviation. Chosen, not tuned.
+minimisation. A minimisation stalls if no step achieves the predicted decrease. Below the bound, a
+stalled minimisation ends without error, and the last undamped step widens the covariance. A
+decrease of 1 corresponds to a standard deviation. Chosen, not tuned.
 """
 
 _MIN_DAMPING = 1e-3
@@ -158,8 +158,8 @@ class Posterior:
         precision: Inverse of the prior covariance, shape (n, n), in units of the prior widths.
         chi2: Sum of squares of the whitened residuals.
         moved: Deviation of the mean from the stated values, shape (n,), in units of the prior
-            widths. It is expressed in the coordinates of the fit. A fit of stands uses logarithms
-            of masses and kp as coordinates, and a fit of motions uses first moments.
+            widths and in the coordinates of the fit. A fit of stands uses logarithms of masses and
+            kp as coordinates, and a fit of motions uses first moments.
         rows: Number of residuals.
     """
 
@@ -187,7 +187,7 @@ class Posterior:
 
     @property
     def std(self) -> Array:
-        """Posterior standard deviation of each parameter, shape (n,), in its unit."""
+        """Posterior standard deviations, shape (n,), in the parameters' units."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
@@ -207,8 +207,8 @@ class Posterior:
         """Expected value of ``chi2``: number of residuals minus effective number of parameters.
 
         The effective number of parameters is n - trace((P + J)^-1 P), with n parameters, prior
-        precision P and information J of the measurements. It counts the parameters that the
-        measurements determine.
+        precision P and information J of the measurements. This number counts the parameters that
+        the measurements determine.
         """
         n = len(self.mean)
         covariance = np.linalg.inv(self.precision + self.information)
@@ -230,25 +230,25 @@ def estimate_parameters(
 ) -> Posterior:
     """Compute the most probable parameters by damped Gauss-Newton steps (Levenberg-Marquardt).
 
-    A step minimises the linearised cost; entries that would violate a lower bound end at the bound
-    (`_QuadraticCost.compute_step`). The step is accepted if the cost
-    decreases by at least 10 % of the predicted decrease, minus `_MIN_PREDICTED_DECREASE`. Otherwise
-    an undamped step gets up to two second-order corrections, and the step is then repeated with
-    more damping.
+    Step: each step minimises the linearised cost chi2 + prior. Entries that would violate a lower
+    bound end at the bound (`_QuadraticCost.compute_step`).
 
-    The iteration has converged if the predicted decrease of the undamped step is below
-    ``min_decrease``.
+    Acceptance: the cost must decrease by at least 10 % of the predicted decrease, minus
+    `_MIN_PREDICTED_DECREASE`. Otherwise an undamped step gets up to two second-order corrections,
+    and the step is then repeated with more damping.
 
-    The iteration has stalled if no step is accepted up to `_MAX_DAMPING`, if an accepted step
-    decreases the cost by at most ``min_decrease``, or after 60 steps. For example, it stalls if
-    joints stick and slip, since the cost of such a simulation has jumps. A stalled iteration gives
-    a result if the predicted decrease is below 1, or below 1 % of the cost. The covariance of this
-    result is widened by the outer product of the undamped step. If the predicted decrease is
-    larger, the iteration continues from the accepted step, up to 60 steps.
+    Convergence: the predicted decrease of the undamped step is below ``min_decrease``.
 
-    The noise of the residuals may depend on the parameters: encoder noise, times kp, is a noise of
-    torques. The noise is evaluated at the last parameters and not differentiated. Otherwise the
-    minimisation would prefer parameters with large noise.
+    Stall: no step is accepted up to `_MAX_DAMPING`, an accepted step decreases the cost by at most
+    ``min_decrease``, or 60 steps are done. The cause may be jumps of the cost, for example in a
+    simulation of joints that stick and slip. A stalled iteration gives a result if the predicted
+    decrease is below 1, or below 1 % of the cost. The covariance of this result is widened by the
+    outer product of the undamped step. If the predicted decrease is larger, the iteration continues
+    from the accepted step, up to 60 steps.
+
+    Noise: the noise of the residuals may depend on the parameters, for example encoder noise times
+    kp is a noise of torques. The noise is evaluated at the last parameters and not differentiated.
+    Otherwise the minimisation would prefer parameters with large noise.
 
     Args:
         table: Parameters.
@@ -256,12 +256,10 @@ def estimate_parameters(
             linearised, and the parameters at which the noise is evaluated.
         start: Initial guess, shape (n,); the stated values by default.
         lower_bounds: Lower bounds, shape (n,); by default 0 for kinds that are positive.
-        min_decrease: Tolerance of the cost. The iteration has converged if the predicted decrease
-            of the undamped step is smaller. It has stalled if the actual decrease of an accepted
-            step is at most this tolerance.
+        min_decrease: Tolerance of the cost, used for convergence and stall.
 
     Raises:
-        FitError: If the iteration does not converge and gives no result when it stalls. Also if the
+        FitError: If the iteration does not converge, and gives no result after a stall. Also if the
             gradient or the information of the cost is not finite, or the information is not
             positive definite.
     """
@@ -339,8 +337,8 @@ class _QuadraticCost:
         """Return the damped Gauss-Newton step, shape (n,), in units of the prior widths.
 
         Entries that would violate a lower bound end at the bound. The other entries are then solved
-        again. No entry is released from its bound, so that the step need not be the minimum within
-        the bounds. If several entries end at their bounds, the predicted decrease may be negative.
+        again. Entries at a bound are not released, so that the step need not be the minimum within
+        the bounds. If several entries end at bounds, the predicted decrease may be negative.
 
         Args:
             damping: Damping factor [1]. The product of ``damping`` and the diagonal of the
@@ -368,8 +366,8 @@ class _QuadraticCost:
     def make_posterior(self, unrealised_step: Array | None = None) -> Posterior:
         """Return the normal distribution with the parameters ``x`` as the mean.
 
-        The covariance is the inverse of the posterior information. If ``unrealised_step`` is given,
-        its outer product is added.
+        The covariance is the inverse of the posterior information. The outer product of
+        ``unrealised_step``, if given, is added.
 
         Args:
             unrealised_step: Predicted step, shape (n,), in units of the prior widths, that did not

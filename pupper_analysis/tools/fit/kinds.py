@@ -14,4 +14,6 @@ def _is_trace(file: BinaryIO) -> bool:
 
 
 TRACE_KIND: Final = OutputKind("trace", _is_trace, suffixes=(".npz",))
-"""npz file with the arrays of a trace, which ``walk --trace`` reads; a new trace may replace it."""
+"""npz file with the arrays of a trace, which ``walk --trace`` reads. A new trace may replace a file
+of this kind.
+"""

@@ -38,7 +38,7 @@ class ParameterKind:
         width: Smallest default standard deviation, in the kind's unit.
         positive: Whether negative values are impossible.
         factor: Whether errors are multiplicative. If True, a fit of stands estimates the logarithm,
-            so twice the stated value is as probable as half the stated value.
+            so that twice and half the stated value are equally probable.
         common: Prior correlation between two parameters of this kind.
     """
 
@@ -108,9 +108,9 @@ SURROUNDINGS_KINDS = (
     *("slope", "softness", "length", "moment", "deadband", "settling", "load", "added", "place"),
 )
 """Keys of `PARAMETER_KINDS` for the surroundings: ground, leg lengths, dead band and friction of
-the servos, scale and known masses. Results list these parameters last, and they are not written to
-robot files. (The kinds ``offset``, ``delay`` and ``lag`` are not written either, but are listed
-with the robot.)
+the servos, scale and known masses. Results list parameters of the surroundings last. Such
+parameters are not written to robot files. (The kinds ``offset``, ``delay`` and ``lag`` are not
+written either, but are listed with the robot.)
 """
 
 
@@ -120,7 +120,8 @@ class Parameter:
 
     Attributes:
         kind: Key of ``PARAMETER_KINDS``.
-        subject: Link, joint or foot; ``floor``, ``servos`` or ``scale`` for the surroundings.
+        subject: Link, joint or foot to which the value belongs; ``floor``, ``servos`` or ``scale``
+            for the surroundings.
         component: ``x``, ``y`` or ``z``; ``command`` or ``position`` of a lag; empty for a scalar.
         stated: Mean of the prior, in the kind's unit: the value of the model, or the assumed value
             of the surroundings.
@@ -187,7 +188,7 @@ value. Widths outside the bounds are refused. Chosen, not tuned.
 def parse_prior(text: str) -> Prior:
     """Parse ``KIND[:SUBJECT]=WIDTH``, for example ``mass=50%``, ``com:base=5mm`` or ``kp=0``.
 
-    The width is the prior standard deviation. If it has no unit, it is in the unit of the kind.
+    The width is the prior standard deviation. A width without unit is in the unit of the kind.
 
     Raises:
         ConfigurationError: If the argument is no text or does not have this form, the kind or the
@@ -221,7 +222,7 @@ def parse_prior(text: str) -> Prior:
 
 
 def parse_priors(priors: Iterable[Prior | str]) -> list[Prior]:
-    """Return the priors of a list, in which texts are parsed by ``parse_prior``.
+    """Parse the texts in a list of priors by ``parse_prior``; other entries are kept.
 
     Raises:
         ConfigurationError: If a text is not a prior.
@@ -232,18 +233,19 @@ def parse_priors(priors: Iterable[Prior | str]) -> list[Prior]:
 def apply_priors(
     stated: Iterable[tuple[str, str, str, float]], priors: Iterable[Prior] = ()
 ) -> tuple[Parameter, ...]:
-    """Return the parameters of a fit with prior standard deviations (widths).
+    """Create the parameters of a fit with prior standard deviations (widths).
 
-    The width of a parameter is that of the last matching prior. Without a matching prior, it is the
-    default of the kind. A parameter with the width 0 counts as known exactly, and is left out. For
-    example, the prior ``kp=0`` has the width 0. The default width of a mass is relative, so it is 0
-    if the stated mass is 0. Parameters whose width is NaN are left out.
+    The last matching prior determines the width of a parameter. Without a matching prior, the width
+    is the default of the kind. Parameters are left out in two cases:
+
+    - The width is 0: the stated value counts as exact. An example is the prior ``kp=0``. The
+      default width of a mass is relative, so that the width is 0 for a stated mass of 0.
+    - The width is NaN.
 
     Args:
         stated: Kind, subject, component and stated value (in the kind's unit) of each possible
             parameter.
-        priors: Priors that replace the defaults. If several match a parameter, the last one
-            applies.
+        priors: Priors that replace the defaults.
 
     Raises:
         ConfigurationError: If a prior matches no possible parameter.
@@ -278,7 +280,7 @@ def apply_priors(
 
 
 class ParameterTable:
-    """Parameters in the order of a vector, with an index by kind and subject.
+    """Parameters of a fit in the order of a vector, with an index by kind and subject.
 
     Args:
         parameters: Parameters in the order of the vector.
@@ -328,9 +330,10 @@ class ParameterTable:
             components: Components of each subject.
 
         Returns:
-            Two lists of equal length. The first contains the positions of the estimated parameters
-            in the list of all pairs: all components of the first subject, followed by those of the
-            next. The second contains the indices of these parameters in the parameter vector.
+            Two lists of equal length. The first list contains the positions of the estimated
+            parameters in the list of all pairs: all components of the first subject, followed by
+            all components of the next subject. The second list contains the indices of the same
+            parameters in the parameter vector.
         """
         keys = [(kind, subject, component) for subject in subjects for component in components]
         indices = [*map(self._indices.get, keys)]
@@ -357,7 +360,7 @@ class ParameterTable:
     def get_value(
         self, vector: Array, kind: str, subject: str, component: str, default: float
     ) -> float:
-        """Return the value of a parameter, in its unit, from a parameter vector.
+        """Return the value of a parameter from a parameter vector, in the unit of the parameter.
 
         ``kind``, ``subject`` and ``component`` select the `Parameter`. If the parameter is not
         estimated, the result is ``default``.
@@ -389,13 +392,16 @@ class ParameterTable:
         )
 
     def get_values(self, vector: Array, kind: str, subjects: Iterable[str], stated: Array) -> Array:
-        """Return the values of a parameter kind for k joints or links, shape (k,), in its unit.
+        """Return the values of a parameter kind for k joints or links, shape (k,).
+
+        The values are in the unit of the kind. The value of a subject that is not estimated is
+        taken from ``stated``.
 
         Args:
             vector: Parameters, shape (n,).
             kind: Key of ``PARAMETER_KINDS``; a kind without components.
             subjects: Names of k joints or links.
-            stated: Stated values of the subjects, shape (k,); used if a subject is not estimated.
+            stated: Stated values of the subjects, shape (k,).
         """
         pairs = zip(subjects, stated.tolist(), strict=True)
         return np.array(
@@ -413,8 +419,8 @@ def find_moved_link(model: pin.Model, number: int) -> str:
     """Return the URDF link that a Pinocchio joint moves.
 
     If fixed joints connect several links, the result is the first link whose frame coincides with
-    the joint frame. If no frame coincides, it is the first of these links. The order is that of the
-    model's frames.
+    the joint frame. If no frame coincides, the result is the first of the connected links. The
+    order is that of the model's frames.
 
     Args:
         model: Pinocchio model.
@@ -432,7 +438,8 @@ def find_moved_link(model: pin.Model, number: int) -> str:
 def list_bodies(robot: Robot) -> tuple[tuple[str, int], ...]:
     """Return link name and Pinocchio joint index of each moving body that has mass.
 
-    A body consists of all links that are fixed together, and is named by ``find_moved_link``.
+    A body consists of all links that fixed joints connect. The name of a body is the link name that
+    ``find_moved_link`` returns.
     """
     model = robot.structure.model
     return tuple(

@@ -1,8 +1,9 @@
-"""Results of a fit: estimates with intervals, classified by the effect of the measurements.
+"""Results of a fit: estimates with 95 % intervals, classified by the effect of the measurements.
 
-Input is the posterior distribution of the parameters; output is, for each parameter, the mean and
-the 95 % interval in the parameter's unit, and whether data, prior or both determine the estimate:
-the smaller the ratio of posterior to prior variance is, the larger is the effect of the data.
+Input is the posterior distribution of the parameters. Output is an estimate of each parameter, with
+mean and 95 % interval in the parameter's unit. The estimate is classified by the ratio of posterior
+to prior variance. A small ratio means that the data determine the estimate, a ratio near 1 that the
+prior does.
 """
 
 from __future__ import annotations
@@ -27,30 +28,35 @@ class Determined(StrEnum):
     """Classification of an estimate by the ratio of posterior to prior variance."""
 
     DATA = "data"
-    """Ratio below 0.1: the interval is less than a third as wide as the prior's."""
+    """Ratio below 0.1: the interval is less than a third as wide as the interval of the prior."""
     PARTLY = "partly"
-    """Ratio from 0.1 to less than 0.9: measurements and prior both count."""
+    """Ratio from 0.1 to less than 0.9: both measurements and prior affect the estimate."""
     PRIOR = "prior"
     """Ratio of at least 0.9: the measurements hardly narrow the prior."""
 
 
 _MAX_DATA_RATIO = 0.1
-"""Ratio of posterior to prior variance. If it is smaller, the data determine the estimate: the
-interval is narrower than sqrt(0.1), about a third, of the prior's. Chosen, not tuned.
+"""Upper bound (exclusive) of posterior variance / prior variance of an estimate that the data
+determine. The interval of such an estimate is narrower than sqrt(0.1), about a third, of the
+interval of the prior. Chosen, not tuned.
 """
 
 _MIN_PRIOR_RATIO = 0.9
-"""Ratio of posterior to prior variance. If it is at least this value, the prior determines the
-estimate: the interval has at least sqrt(0.9), 95 %, of the prior's width. Chosen, not tuned.
+"""Lower bound (inclusive) of posterior variance / prior variance of an estimate that the prior
+determines. The interval of such an estimate has at least sqrt(0.9), 95 %, of the width of the
+prior's interval. Chosen, not tuned.
 """
 
 
 def classify_determination(variance_ratio: float) -> Determined:
     """Classify whether the data, the prior or both determine an estimate.
 
+    - Ratio below 0.1: the data.
+    - Ratio from 0.1 to less than 0.9: both.
+    - Ratio of at least 0.9: the prior.
+
     Args:
-        variance_ratio: Posterior variance / prior variance of the parameter: below 0.1 the data
-            determine the estimate, from 0.9 on the prior.
+        variance_ratio: Posterior variance / prior variance of the parameter.
     """
     if variance_ratio < _MAX_DATA_RATIO:
         return Determined.DATA
@@ -67,13 +73,15 @@ class Estimate(Result):
         subject: Link, joint or foot; ``floor``, ``servos`` or ``scale`` for the surroundings; robot
             name for the whole robot.
         component: ``x``, ``y`` or ``z``; ``command`` or ``position`` of a lag; empty for a scalar.
-        unit: Unit of the following numbers.
-        stated: Value of the model.
+        unit: Unit of ``stated``, ``mean``, ``std``, ``low`` and ``high``.
+        stated: Mean of the prior: the value of the model files, or the assumed value of the
+            surroundings.
         mean: Most probable value.
         std: Standard deviation.
         low: Lower end of the 95 % interval.
         high: Upper end of the 95 % interval.
-        determined: Origin of the estimate: ``data``, ``partly`` or ``prior``.
+        determined: Whether the measurements (``data``), the prior (``prior``) or both (``partly``)
+            determine the estimate.
     """
 
     name: str
@@ -99,8 +107,8 @@ class Fit(Result):
         estimates: Estimates of all parameters, parameters of the surroundings last.
         failures: Measurements or estimates that contradict the model.
         diagnostics: Notes.
-        kp_over_mass: Mean factor on the stated kp over the factor on the carried mass, the ratio
-            that positions determine; None if kp is not estimated.
+        kp_over_mass: Ratio of (mean estimated kp / stated kp) to (estimated carried mass / stated
+            mass). Measured positions determine the ratio. None if kp is not estimated.
         posterior: Joint distribution of all parameters.
     """
 
@@ -171,14 +179,15 @@ PARAMETER_FIELDS = ("name", "kind", "subject", "component", "unit", "stated")
 def derive_estimate(
     posterior: Posterior, parameter: Parameter, mean: float, gradient: Array
 ) -> Estimate:
-    """Return the estimate of a quantity that depends on the parameters.
+    """Create the estimate of a quantity that depends on the parameters, with a 95 % interval.
 
-    The variance is g^T C g, with the covariance C of the parameters.
+    The variance is g^T C g, with the gradient g of the quantity and the covariance C of the
+    parameters.
 
     Args:
         posterior: Distribution of the parameters.
         parameter: Name, unit and stated value of the quantity; the width is ignored.
-        mean: Most probable value of the quantity, in its unit.
+        mean: Most probable value of the quantity, in the unit of the quantity.
         gradient: Derivative g of the quantity by the parameters, shape (n,).
     """
     scaled_gradient = gradient * np.array([estimated.width for estimated in posterior.parameters])
@@ -195,10 +204,13 @@ def derive_estimate(
 def estimate_kp_over_mass(posterior: Posterior, *, kp_only: bool = False) -> Estimate | None:
     """Estimate the ratio (mean factor on kp) / (factor on the carried mass), dimensionless.
 
-    The factor on kp is the geometric mean of estimated kp / stated kp over the joints. The factor
-    on the mass is (1 + load) (sum of estimated masses) / (sum of their stated values). The load is
-    the force on the feet in excess of the weight of the masses, as a fraction of the weight. A
-    factor without estimated parameters is 1.
+    Measured joint positions determine this ratio.
+
+    - Factor on kp: geometric mean of estimated kp / stated kp over the joints.
+    - Factor on the carried mass: (1 + load) (sum of estimated masses) / (sum of the stated values
+      of these masses). The load is the force on the feet in excess of the weight of the masses, as
+      a fraction of the weight. If no mass is estimated, the ratio of masses is 1. If the load is
+      not estimated, the load is 0.
 
     Args:
         posterior: Distribution of the parameters.
@@ -229,19 +241,21 @@ def estimate_kp_over_mass(posterior: Posterior, *, kp_only: bool = False) -> Est
 class MotionFit(Fit):
     """Parameters of a robot, estimated from logs of motions.
 
+    RMS position errors over several joints count 1 m of a slide as 1 rad.
+
     Attributes:
-        seconds: Total duration of the logs, without logs that were passed to be predicted.
+        seconds: Total duration of the logs, without logs that are only predicted, not fitted.
         held_out: RMS position error in samples that were not fitted; NaN if there are none.
         held_out_before: RMS position error in the same samples, with the parameters of the files.
         fitted: RMS position error in samples that were fitted.
         fitted_before: RMS position error in the same samples, with the parameters of the files.
         repeatability: RMS difference between runs of the same commands, divided by sqrt(2); NaN if
             no two runs have the same commands.
-        by_joint: RMS position error of each joint, in samples that were not fitted if there are
-            any, otherwise in samples that were fitted; NaN without samples.
+        by_joint: RMS position error of each joint in samples that were not fitted. If there are
+            none, in samples that were fitted. NaN without samples.
         encoder_noise: Standard deviation of each joint's encoder noise; 0 for constant readings,
             NaN without samples.
-        slides: Names of the joints that are slides. Errors over all joints count 1 m as 1 rad.
+        slides: Names of the joints that are slides (prismatic).
     """
 
     seconds: float = field(metadata={"unit": "s"})
@@ -256,8 +270,8 @@ class MotionFit(Fit):
 
     @property
     def noise_inflation(self) -> float:
-        """Ratio of RMS position errors in held-out and fitted samples, at least 1.
+        """Ratio of RMS position errors in held-out samples and in fitted samples, at least 1.
 
-        1 without held-out samples.
+        Held-out samples are those that were not fitted. Without such samples, the ratio is 1.
         """
         return max(1.0, self.held_out / self.fitted) if self.held_out > 0 else 1.0

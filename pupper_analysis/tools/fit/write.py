@@ -1,8 +1,9 @@
 """Write a fit to a folder: corrected models, encoder offsets, samples of the posterior and JSON.
 
-Parameters are rounded by their standard deviations; a parameter that hardly changed keeps the
-value of the file. The models are copies of the original files in which only changed values and the
-inertias of changed masses differ. Samples are drawn jointly from the posterior, for `study`.
+Parameter values are rounded according to their standard deviations. A parameter that hardly changed
+keeps the value of the file. The models are copies of the original files: only changed values and
+the inertias of changed masses differ. Random samples of all parameters are drawn jointly from the
+posterior, for the command `study`.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ from pupper_analysis.tools.sync.numbers import (
 )
 
 _UNCHANGED_STDS = 1e-3
-"""Difference between estimate and stated value of a parameter, in standard deviations. Up to this
-difference, the stated value is written instead of the estimate. Chosen, not tuned.
+"""Largest difference (in standard deviations) between an estimate and the stated value for which
+the stated value is written instead of the estimate. Chosen, not tuned.
 """
 
 _EXTRA_DIGITS = 2
@@ -51,7 +52,9 @@ rounding changes a value by at most 0.5 % of the standard deviation."""
 
 _FACTOR_KINDS = ("mass", "kp", "friction", "damping", "armature")
 """Kinds of fitted parameters for which `study` has a variable that is a factor on the model's
-value. Of the other kinds only ``com`` has a variable; the others are not written for `study`."""
+value. Of the other kinds, `study` has a variable for ``com`` only. Parameters without a variable
+are not written for `study`.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +63,8 @@ class FitFiles:
 
     Attributes:
         models: Corrected URDF and MJCF.
-        vector: Rounded parameter values, shape (n,). Masses and kp are at least `_MIN_FACTOR` times
-            the stated value.
+        vector: Rounded parameter values, shape (n,), each in the unit of the parameter. Masses and
+            kp are at least 10 % of the stated value before rounding.
         diagnostics: Notes on changed servo gains and armatures that the files cannot state.
     """
 
@@ -91,12 +94,22 @@ def _round_parameters(vector: Array, posterior: Posterior) -> Array:
 def _collect_numbers(
     robot: Robot, posterior: Posterior, vector: Array
 ) -> tuple[dict[PropertyKey, float | Array], list[Diagnostic]]:
-    """Return {(kind, link or joint): fitted value} to write to the files, and notes.
+    """Collect the fitted values to write to the model files, and notes on omitted values.
 
-    The fitted values ``vector``, shape (n,), are those of the parameters of ``posterior``. Values
-    within `_UNCHANGED_STDS` standard deviations of the value of the model are left out, and so are
-    kinds that no robot file contains, such as encoder offsets. A note names each changed servo gain
-    or armature that the files of this robot cannot state.
+    These values are left out:
+
+    - values within `_UNCHANGED_STDS` standard deviations of the value of the model
+    - parameters of kinds that no robot file contains, such as encoder offsets
+    - servo gains and armatures that the files of this robot cannot state
+
+    Args:
+        robot: Robot, with the values of the files.
+        posterior: Distribution of the parameters.
+        vector: Fitted values of the parameters of ``posterior``, shape (n,).
+
+    Returns:
+        {(kind, link or joint): fitted value}, and a note for each changed servo gain or armature
+        that the files cannot state.
     """
     numbers: dict[PropertyKey, float | Array] = {}
     notes: list[Diagnostic] = []
@@ -131,10 +144,11 @@ def _collect_numbers(
 def _set_com_component(
     numbers: dict[PropertyKey, float | Array], robot: Robot, parameter: Parameter, value: float
 ) -> None:
-    """Set a component of a link's CoM [m] in ``numbers``, the values that the new files get.
+    """Set a component of a link's CoM [m] in ``numbers``, the fitted values to write to the files.
 
-    Components that were not set before are those of the robot's model. The CoM is that of all links
-    that are fixed together, in the frame of their Pinocchio joint.
+    If ``numbers`` does not contain the CoM of the link yet, the other components are the values of
+    the robot's model. The CoM is that of all links that are fixed together, in the frame of the
+    Pinocchio joint that moves the links.
     """
     model = robot.pin_model
     joint = model.frames[model.getFrameId(parameter.subject, pin.FrameType.BODY)].parentJoint
@@ -146,7 +160,10 @@ def _set_com_component(
 def _format_factor_name(parameter: Parameter, value: float) -> str:
     """Return the name of the variable of `study` that changes a fitted parameter.
 
-    Empty if `study` has no such variable, or if it is a factor and ``value`` is 0.
+    The result is empty in two cases:
+
+    - `study` has no variable for this kind of parameter.
+    - The variable is a factor, and ``value`` is 0.
     """
     if parameter.kind == "com":
         return f"com_{parameter.component}:{escape(parameter.subject)}"
@@ -157,23 +174,29 @@ def _format_factor_name(parameter: Parameter, value: float) -> str:
 
 
 NUM_SAMPLES = 512
-"""Default number of random robots that are drawn from the posterior distribution. The standard
-error of their mean is 1/sqrt(512), 4 % of a standard deviation."""
+"""Default number of robots in ``samples.csv``. The parameters of each robot are drawn at random
+from the posterior distribution. The standard error of their mean is 1/sqrt(512), 4 % of a standard
+deviation.
+"""
 
 
 def draw_samples(
     posterior: Posterior, vector: Array, count: int = NUM_SAMPLES, seed: int = 0
 ) -> tuple[tuple[str, ...], Array]:
-    """Draw random robots from the posterior distribution, all parameters of a robot jointly.
+    """Draw random robots from the posterior distribution of a fit, as samples for `study`.
 
-    Parameters drawn independently would give robots that the measurements exclude: measurements
-    determine, for example, the total mass, but hardly how the links share the mass.
+    All parameters of a robot are drawn jointly. Independent draws would give robots that the
+    measurements exclude: measurements determine, for example, the total mass, but hardly the
+    distribution of the mass over the links.
 
-    Robots with a mass or kp of at most 10 % of the written value are drawn again; other factors are
-    clipped at 0. Masses are normal: log-normal masses would bias the total mass (in a fit of v3
-    2.957 instead of 2.787 kg). The deviation of a CoM is multiplied by the ratio of written to
-    drawn mass of the body, if the mass is a parameter, because gravity depends on mass times CoM
-    position.
+    The distribution is modified as follows:
+
+    - A robot with a mass or kp of at most 10 % of the written value is drawn again.
+    - Factors of other kinds (friction, damping, armature) are clipped at 0.
+    - Masses are normally distributed. Log-normal masses would bias the total mass (in a fit of v3
+      2.957 instead of 2.787 kg).
+    - If the mass of a body is a parameter, the CoM deviation of the body is multiplied by written
+      mass / drawn mass, because gravity depends on mass times CoM position.
 
     Args:
         posterior: Distribution of the parameters.
@@ -182,8 +205,8 @@ def draw_samples(
         seed: Seed of the generator.
 
     Returns:
-        Names of k variables of a `study`; and their values, shape (number of robots, k): factors on
-        the values of the corrected model, or displacements of a CoM [m].
+        Names of k variables of `study`, and the values, shape (number of robots, k). A value is a
+        factor on the value of the corrected model, or a displacement of a CoM [m].
     """
     rng, parameters = np.random.default_rng(seed), posterior.parameters
     table = ParameterTable(parameters)
@@ -213,14 +236,19 @@ def draw_samples(
 
 
 _MAX_DRAW_ROUNDS = 100
-"""Upper bound of the rounds in which the requested number of random robots is drawn; a round
-rejects robots by `_MIN_FACTOR`. If the rounds are not enough, fewer samples are returned.
-Chosen, not tuned."""
+"""Upper bound of the rounds in which the requested number of random robots is drawn. A round
+rejects robots by `_MIN_FACTOR`. If the rounds do not suffice, fewer samples are returned. Chosen,
+not tuned.
+"""
 
 _MIN_FACTOR = 0.1
-"""Lower bound of masses and kp, as a fraction. An estimate below this fraction of the stated value
-is raised to the bound before it is written. A robot drawn at random from the fitted distribution is
-rejected if a mass or kp is at most this fraction of the written value. Chosen, not tuned.
+"""Lower bound of masses and kp, as a fraction of a reference value. Two steps use the bound:
+
+- Before an estimate is written, a smaller value is raised to this fraction of the stated value.
+- A robot drawn at random from the fitted distribution is rejected if a mass or kp is at most this
+  fraction of the written value.
+
+Chosen, not tuned.
 """
 
 
@@ -245,9 +273,15 @@ def _format_json(
 ) -> bytes:
     """Return the content of ``fit.json``.
 
-    It contains the paths of the written models, the hashes of the written files, each parameter
-    with its interval and its rounded value (from ``vector``), the covariance, the edits, the notes
-    ``messages``, and ``fit``, if not None.
+    The JSON object contains:
+
+    - paths of the written models, and hashes of the written files
+    - parameters, each with mean, standard deviation, 95 % interval and rounded value (from
+      ``vector``)
+    - covariance of the parameters
+    - edits of the model files
+    - notes ``messages``
+    - ``fit``, if not None
     """
     rows = [
         {name: getattr(parameter, name) for name in PARAMETER_FIELDS}
@@ -283,14 +317,16 @@ def write_fit(
     files: tuple[Path | None, Path | None] | None = None,
     force: bool = False,
 ) -> FitFiles:
-    """Write a fit to a folder: all files or none.
+    """Write a fit to a folder, so that other commands can use the corrected robot.
 
-    The corrected URDF and MJCF are written with the meshes and included files that they need, in
-    the same relative folders. Only the bytes of changed attributes differ from the originals.
-    ``fit.json`` contains all parameters with the covariance. ``offsets.csv``, if offsets are
-    parameters, contains the encoder offsets: measured position minus true position.
-    ``samples.csv``, if `study` can vary a parameter, contains samples of the posterior, with the
-    variable names of `study`.
+    Either all files are written or none:
+
+    - Corrected URDF and MJCF, with the meshes and included files that they need, in the same
+      relative folders. Only the bytes of changed attributes differ from the originals.
+    - ``fit.json``: all parameters with the covariance.
+    - ``offsets.csv``, if encoder offsets are parameters: measured position minus true position.
+    - ``samples.csv``, if `study` can vary a parameter: samples of the posterior, with the variable
+      names of `study`.
 
     Args:
         robot: Robot, with the values of the files.
@@ -298,8 +334,8 @@ def write_fit(
         folder: Output folder, created if necessary.
         fit: Result that is included in ``fit.json``.
         files: URDF and MJCF, if the robot was not loaded from files.
-        force: Whether to replace files that no fit has written, or models that were edited since.
-            Files from which the robot was loaded are never replaced.
+        force: Whether to replace existing files that no fit has written, and models that were
+            edited after an earlier fit. Files from which the robot was loaded are never replaced.
 
     Returns:
         Corrected models, rounded parameter values, and notes on servo gains and armatures that the
@@ -343,7 +379,8 @@ def write_fit(
 def _read_own_hashes(folder: Path) -> dict[str, str]:
     """Return {relative path: hash} of the models that an earlier fit has written to a folder.
 
-    The hashes are in its ``fit.json``; the result is empty if this file cannot be read.
+    The hashes are read from ``fit.json`` in the folder. The result is empty if this file cannot be
+    read or contains no hashes.
     """
     try:
         document = orjson.loads(read_input(folder / "fit.json", MAX_TEXT_BYTES, rewritten=True))

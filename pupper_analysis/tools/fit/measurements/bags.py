@@ -48,8 +48,8 @@ _ROLE_TYPES = {
     "command": (_ARRAY_TYPE, _TRAJECTORY_TYPE, _CONTROLLER_TYPE),
 }
 """{role of a topic: message types}. Topics of these types are selected automatically. The role is
-``state`` for measured and ``command`` for commanded joint positions. If the user selects the topic
-of the commands, its type may also be `_STATE_TYPE`.
+``state`` for measured and ``command`` for commanded joint positions. A topic of commands that the
+user selects may also have the type `_STATE_TYPE`.
 """
 
 _CONTROLLER_FIELDS = {"state": ("feedback", "actual"), "command": ("reference", "desired")}
@@ -85,7 +85,7 @@ def is_bag(path: Path) -> bool:
 def read_bag(
     path: Path, topics: Mapping[str, str], joints: Sequence[str]
 ) -> tuple[Array, dict[str, dict[str, Array]]]:
-    """Read joint positions and commands from a ROS bag, resampled to a common clock.
+    """Read joint positions and commands from an MCAP file or ROS bag, at common sample times.
 
     Args:
         path: Bag.
@@ -132,7 +132,7 @@ def read_bag(
 
 @contextmanager
 def limit_unpacking() -> Iterator[None]:
-    """Let rosbags refuse chunks, messages and files that are too large when unpacked.
+    """Make rosbags refuse data that are too large when unpacked, within a ``with`` block.
 
     The decompression functions of rosbags are replaced while the block runs.
 
@@ -178,15 +178,17 @@ def limit_unpacking() -> Iterator[None]:
 
 
 def limit_decompressor(decompressor: Callable[[], Any]) -> Callable[[bytes], bytes]:
-    """Return a function that unpacks a chunk frame by frame, up to ``MAX_CHUNK_BYTES``.
+    """Create a function that unpacks packed data frame by frame, up to ``MAX_CHUNK_BYTES``.
 
-    A chunk is any packed data here, for example a message. ``decompressor`` creates an object that
-    unpacks one frame. The returned function raises a MeasurementError if the unpacked chunk is
-    larger than ``MAX_CHUNK_BYTES``. It raises a ValueError if a frame is incomplete.
+    The returned function raises a MeasurementError if the unpacked data are larger than
+    ``MAX_CHUNK_BYTES``, and a ValueError if a frame is incomplete.
+
+    Args:
+        decompressor: Function that creates an object for the unpacking of a single frame.
     """
 
     def unpack(data: bytes) -> bytes:
-        """Unpack a chunk of frames; raise an error if it is too large or incomplete."""
+        """Unpack a chunk of frames; raise an error if the chunk is too large or incomplete."""
         parts, size = [], 0
         while data:
             frame = decompressor()
@@ -275,13 +277,13 @@ def _read_series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) 
 
     Args:
         reader: Reader of the bag, already open.
-        chosen: {role: topic}, see `_ROLE_TYPES`.
+        chosen: {role: topic}, with the roles of `_ROLE_TYPES`.
         joints: Joint names of messages without names.
 
     Raises:
         MeasurementError: If the total size of the messages exceeds `MAX_MESSAGE_BYTES`. If a
-            message has no joint names, or has positions whose number differs from that of the
-            names. If a trajectory does not have exactly one point.
+            message has no joint names, or the numbers of positions and names differ. If a
+            trajectory does not have a single point.
     """
     series: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
     used = chosen.values()
@@ -321,7 +323,7 @@ def _get_message_positions(message: Any, connection: Any, role: str) -> Sequence
             the field of a controller's state; the result is empty if this field has no positions.
 
     Raises:
-        MeasurementError: If a trajectory does not have exactly one point.
+        MeasurementError: If a trajectory does not have a single point.
     """
     if connection.msgtype == _STATE_TYPE:
         return message.position  # type: ignore[no-any-return]

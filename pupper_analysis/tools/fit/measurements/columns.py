@@ -32,12 +32,12 @@ _MISSING_CELLS = ("", "nan", "na", "null", "none")
 """Contents of cells without a measurement."""
 
 MAX_CSV_BYTES = 100_000_000
-"""Largest accepted size of a CSV file [bytes]. It corresponds to about 7 minutes of commands and
-positions of twelve joints at 1 kHz, with 9 characters per number. Chosen, not tuned.
+"""Largest accepted size of a CSV file [bytes]. About 7 minutes of commands and positions of twelve
+joints at 1 kHz, with 9 characters per number, have this size. Chosen, not tuned.
 """
 
 _CELL_SEPARATORS = (",", ";", "\t")
-"""Possible separators of cells. The separator of a file is the most frequent of these in the first
+"""Possible separators of cells. The separator of a file is the most frequent separator in the first
 line that is not blank.
 """
 
@@ -70,7 +70,7 @@ class Columns:
         numbers: {name: values in SI units, shape (n,)}; NaN for missing cells.
         words: {name: n texts} of columns that contain texts.
         lines: Line number of each row in the file, shape (n,), counted from 1 at the first line. A
-            cell that contains a line end counts as one line.
+            cell that contains a line end counts as a single line.
     """
 
     source: str
@@ -79,7 +79,7 @@ class Columns:
     lines: tuple[int, ...]
 
     def get_columns(self, prefix: str) -> dict[str, Array]:
-        """Return the numeric columns ``<prefix>.<name>`` as {name: values}.
+        """Select the numeric columns ``<prefix>.<name>`` as {name: values}.
 
         With the prefix ``position``, the column ``position.FL_knee`` has the key ``FL_knee``.
 
@@ -95,7 +95,7 @@ class Columns:
 
 
 def read_columns(path: str | Path, known: Sequence[MeasurementColumn]) -> Columns:
-    """Read a CSV file of measurements.
+    """Read a CSV file of measurements into arrays in SI units.
 
     The first line that is not blank contains the names of the columns. A unit other than the SI
     unit is stated in brackets: ``position.FL_knee [deg]``. Separators are commas, semicolons or

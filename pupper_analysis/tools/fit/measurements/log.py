@@ -41,14 +41,14 @@ not tuned."""
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """Joint commands and measured positions over time.
+    """Recorded motion of a robot: joint commands and measured positions over time.
 
     Attributes:
         source: File.
         time: Sample times, strictly increasing, shape (n,) [s].
         joints: Joints of the columns.
-        command: Commanded positions, shape (n, joints) [rad, m]; NaN if missing. Each command holds
-            from its sample to the next.
+        command: Commanded positions, shape (n, joints) [rad, m]; NaN if missing. A command holds
+            until the next sample.
         position: Measured positions, shape (n, joints) [rad, m]; NaN if missing.
     """
 
@@ -73,13 +73,13 @@ class Log:
         """Index of the last sample before each clock jump.
 
         A jump is a time of more than 0.5 s, and of more than ten median intervals, between two
-        samples. It means that the clock was set, or the log was interrupted.
+        samples. The clock was set at a jump, or the log was interrupted.
         """
         min_jump = max(_MIN_JUMP, 10 * self.interval)
         return [int(index) for index in np.flatnonzero(np.diff(self.time) > min_jump)]
 
     def select_rows(self, rows: slice) -> Log:
-        """Return a log with the samples of a slice of row indices."""
+        """Return a part of the log: the samples of a slice of row indices."""
         return replace(
             self, time=self.time[rows], command=self.command[rows], position=self.position[rows]
         )
@@ -114,7 +114,7 @@ def make_log(
 
     Args:
         source: Source of the columns, for error messages.
-        time: Sample times, shape (n,) [s]; empty if there are none.
+        time: Sample times, shape (n,) [s]; empty without a column of times.
         kinds: {``position`` or ``command``: {joint: values, shape (n,) [rad, m]}}.
         lines: Line number of each sample in the file, shape (n,).
 
@@ -186,21 +186,23 @@ LOG_COLUMNS = (
 def read_log(
     path: str | Path, *, topics: Mapping[str, str] | None = None, joints: Sequence[str] = ()
 ) -> Log:
-    """Read a log from a CSV file, an ``.mcap`` file or a ROS bag.
+    """Read a log of a motion from a CSV file, an ``.mcap`` file or a ROS bag.
 
-    Columns are ``time``, ``position.<joint>`` and ``command.<joint>``; ``velocity.<joint>`` and
-    ``torque.<joint>`` are accepted and ignored. Units are SI units, or stated in brackets:
-    ``time [ms]``, ``position.FL_knee [deg]``. Empty cells are missing values.
+    CSV columns are ``time``, ``position.<joint>`` and ``command.<joint>``; ``velocity.<joint>`` and
+    ``torque.<joint>`` are accepted and ignored. Units are SI units, or stated in brackets: ``time
+    [ms]``, ``position.FL_knee [deg]``. Empty cells are missing values.
 
-    In a bag, states are ``sensor_msgs/JointState`` messages. Commands are
-    ``std_msgs/Float64MultiArray`` messages, or ``trajectory_msgs/JointTrajectory`` messages with
-    one point. They may also be ``JointState`` messages of a topic that ``topics`` names.
-    ``control_msgs/JointTrajectoryControllerState`` messages contain states and commands.
+    Messages in a bag:
 
-    The times of a bag are those in the message headers. If a message lacks this time, the times of
-    recording are used for all messages. The log has the sample times of the joint with the most
-    samples. Positions of other joints are interpolated unless samples are missing, and a command
-    holds until the next command.
+    - States are ``sensor_msgs/JointState`` messages.
+    - Commands are ``std_msgs/Float64MultiArray`` messages, ``trajectory_msgs/JointTrajectory``
+      messages with a single point, or ``JointState`` messages of a topic that ``topics`` names.
+    - ``control_msgs/JointTrajectoryControllerState`` messages contain states and commands.
+
+    The times of a bag are read from the message headers. If a message has no time in the header,
+    the times of recording are used for all messages. The log has the sample times of the joint with
+    the most samples. Positions of other joints are interpolated unless samples are missing, and a
+    command holds until the next command.
 
     Args:
         path: File, or folder of a ROS 2 bag.

@@ -21,13 +21,13 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.measurements.log import Log
 
 _MAX_GAP_RATIO = 1.5
-"""Largest time between two successive samples, in units of the median interval. If the time is
-longer, samples are missing between both. Chosen, not tuned.
+"""Largest time between two successive samples, in units of the median interval. A longer time means
+that samples are missing. Chosen, not tuned.
 """
 
 _MIN_JOINT_RANGE = 2e-3
 """Largest range of positions [rad, m] with which a joint counts as at rest. The bound is three
-encoder steps if these are larger. The constant is also a bound of the standard deviation of
+encoder steps if three steps are larger. The constant also bounds the standard deviation of
 positions: the comparison of units leaves out joints with at most this deviation. Chosen, not tuned.
 """
 
@@ -41,7 +41,7 @@ _DEGREES_PER_RADIAN = 180 / np.pi
 
 _SAME_UNIT_RATIOS = (0.2, 5.0)
 """Bounds of the ratio between the standard deviations of commands and positions. If the ratio is
-outside these bounds, commands and positions have different units, and the log is refused. With
+outside the bounds, commands and positions have different units, and the log is refused. With
 degrees and radians the ratio is about 57.3 or 1/57.3. Chosen, not tuned.
 """
 
@@ -65,30 +65,31 @@ wrong. A delay of a quarter period gives 0, and servos are not slower. Chosen, n
 """
 
 _MIN_OWN_CORRELATION = 0.5
-"""Correlation of the positions and commands of a joint. If it is smaller, the column of positions
-may belong to another joint (`_MIN_OTHER_CORRELATION`). Chosen, not tuned.
+"""Lower bound of the correlation of the positions and commands of a joint. Below the bound, the
+column of positions may belong to another joint (`_MIN_OTHER_CORRELATION`). Chosen, not tuned.
 """
 
 _MIN_OTHER_CORRELATION = 0.9
-"""Correlation of the positions of a joint with the commands of another joint. If it is larger, the
-column of positions is reported as that of the other joint. A second condition is that the
-correlation with the own commands is below `_MIN_OWN_CORRELATION`, since both are high if the
-commands are similar. Chosen, not tuned.
+"""Upper bound of the correlation of the positions of a joint with the commands of another joint.
+Above the bound, the positions are reported as the column of the other joint, if the correlation
+with the joint's own commands is also below `_MIN_OWN_CORRELATION`. The second condition is needed,
+since both correlations are high for similar commands. Chosen, not tuned.
 """
 
 _MAX_INTERVAL_DEVIATION = 0.3
-"""Ratio of the standard deviation to the median of the sampling intervals. If it is larger, the
-intervals are reported as uneven. Measured with a late scheduler: 0.01 to 0.1.
+"""Upper bound of the ratio of the standard deviation to the median of the sampling intervals. Above
+the bound, the intervals are reported as uneven. Measured with a late scheduler: 0.01 to 0.1.
 """
 
 _MAX_INTERVAL = 0.1
-"""Median sampling interval [s] above which a log is refused as too slow. Servos respond faster; a
-step at 2 Hz would have five samples. Chosen, not tuned."""
+"""Largest median sampling interval [s] of a log. A slower log is refused, since servos respond
+faster; a step at 2 Hz would have five samples. Chosen, not tuned.
+"""
 
 
 @check_arguments
 def inspect_log(robot: Robot, log: Log) -> tuple[Diagnostic, ...]:
-    """Check a log for a robot, and return warnings and notes.
+    """Check whether a log suits a robot and a fit; return warnings and notes.
 
     Args:
         robot: Robot.
@@ -162,10 +163,10 @@ def _check_clock(log: Log) -> Iterator[Diagnostic]:
 def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
     """Yield diagnostics on joints whose measured position follows the wrong command.
 
-    The first diagnostic lists joints whose position correlates with the command of another joint,
-    the second lists joints whose position correlates negatively with their own command. A
-    diagnostic without joints is left out. With fewer than ten complete samples there are no
-    diagnostics.
+    The first diagnostic lists joints whose position correlates with the command of another joint.
+    The second diagnostic lists joints whose position correlates negatively with the command of the
+    same joint. A diagnostic without joints is left out. With fewer than ten complete samples there
+    are no diagnostics.
 
     Args:
         robot: Robot.
@@ -202,9 +203,9 @@ def _find_exchanged_joints(robot: Robot, log: Log, moving: list[int]) -> Iterato
 def _find_swapped_columns(robot: Robot, log: Log, moving: list[int]) -> Iterator[Diagnostic]:
     """Yield a diagnostic that lists the joints whose command follows the position.
 
-    The columns of commands and positions of these joints are probably swapped. The diagnostic is a
-    warning if at most half of the moving joints are listed, otherwise an error. Joints with fewer
-    than ten complete samples are left out.
+    The columns of commands and positions of the listed joints are probably swapped. The diagnostic
+    is a warning if at most half of the moving joints are listed, otherwise an error. Joints with
+    fewer than ten complete samples are left out.
 
     A servo supplies the energy that friction dissipates. Therefore the integral of (command -
     position) d position over a motion is positive. With swapped columns this integral is negative,
@@ -288,9 +289,9 @@ def _compute_column_ratio(first: Array, second: Array) -> float | None:
 def find_column_step(column: Array) -> float:
     """Estimate the step (resolution) of a joint's encoder from measured positions.
 
-    The positions are sorted, and the differences of successive positions are computed. The step is
-    the largest number such that all tested differences are multiples of it. The `_MAX_TESTED_STEPS`
-    smallest differences above `_MIN_ENCODER_STEP` are tested. Candidate steps are d / k with the
+    The positions are sorted, and the differences of successive positions are computed. The
+    `_MAX_TESTED_STEPS` smallest differences above `_MIN_ENCODER_STEP` are tested. The step is the
+    largest candidate of which all tested differences are multiples. Candidates are d / k with the
     smallest difference d and k = 1 to `_MAX_PARTS`, not smaller than `_MIN_ENCODER_STEP`.
 
     Args:
@@ -328,8 +329,8 @@ rad.
 
 _MULTIPLE_TOLERANCE = 0.05
 """Tolerance of the ratio ``difference of two readings / encoder step``. The difference counts as a
-multiple of the step if the ratio deviates from a whole number by at most this tolerance. It covers
-rounding in the file. Chosen, not tuned.
+multiple of the step if the ratio deviates from a whole number by at most this tolerance. The
+tolerance covers rounding in the file. Chosen, not tuned.
 """
 
 _MAX_TESTED_STEPS = 50

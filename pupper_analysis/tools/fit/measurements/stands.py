@@ -47,7 +47,7 @@ that the robot moved, and the file is refused. The value exceeds the step of a 1
 
 @dataclass(frozen=True, eq=False)
 class MeasuredStands:
-    """Measured stands at rest, a stand per row; NaN if not measured.
+    """Measured stands at rest: commands and joint positions, a stand per row; NaN if missing.
 
     Attributes:
         source: File, or another source of the stands, for example the name of the robot.
@@ -105,7 +105,7 @@ class MeasuredStands:
         )
 
     def check_readings(self, robot: Robot) -> MeasuredStands:
-        """Check measured stands for a robot, and return them with joints in actuator order.
+        """Check measured stands for a robot; return the stands with joints in actuator order.
 
         Raises:
             UnknownNameError: If the robot lacks a joint, foot or link of the stands.
@@ -164,9 +164,9 @@ class MeasuredStands:
             raise MeasurementError(self.source, finding)
 
     def average_repeats(self) -> MeasuredStands:
-        """Return the measured stands with the commands and positions of repeated readings averaged.
+        """Average the commands and positions of repeated readings of a stand.
 
-        Rows are repeated readings if name, feet in the air, heading, and added masses with their
+        Rows are repeated readings if name, feet in the air, heading, and added masses with
         positions are equal. Missing values are left out of the mean.
 
         Raises:
@@ -201,7 +201,7 @@ class MeasuredStands:
         )
 
     def select_rows(self, rows: Sequence[int]) -> MeasuredStands:
-        """Return the measured stands in some rows, in the order of ``rows``."""
+        """Select measured stands by row index, in the order of ``rows``."""
         chosen = list(rows)
         return replace(
             self,
@@ -224,7 +224,7 @@ the tilt of the base."""
 
 
 def _average_finite(values: Array) -> Array:
-    """Return the mean of the finite values of each column; NaN for a column without any."""
+    """Return the mean of the finite values of each column; NaN for a column without values."""
     counted = np.isfinite(values)
     total = np.where(counted, values, 0.0).sum(axis=0)
     count = counted.sum(axis=0)
@@ -235,12 +235,15 @@ def _average_finite(values: Array) -> Array:
 def read_stands(path: str | Path) -> MeasuredStands:
     """Read stands at rest from a CSV file, a stand per row.
 
-    At least one column ``command.<joint>`` and one ``position.<joint>`` are required. The column
-    ``stand`` is the name of the stand; rows with the same name are repeated readings. The column
-    ``swing`` lists the feet in the air, separated by blanks. The column ``heading`` is the rotation
-    of the robot about the vertical. The column ``added.<link>`` is a known mass on a link. Its
-    position in the link frame is in ``added_x.<link>``, ``added_y.<link>`` and ``added_z.<link>``.
-    These columns are optional.
+    Required columns, for at least a single joint: ``command.<joint>`` and ``position.<joint>``.
+    Optional columns:
+
+    - ``stand``: name of the stand; rows with the same name are repeated readings.
+    - ``swing``: feet in the air, separated by blanks.
+    - ``heading``: rotation of the robot about the vertical.
+    - ``added.<link>``: known mass on a link.
+    - ``added_x.<link>``, ``added_y.<link>``, ``added_z.<link>``: position of the known mass in the
+      link frame.
 
     Units are SI units, or stated in brackets: ``position.FL_knee [deg]``, ``added.base [g]``. Empty
     cells are missing values; an empty heading is 0.
@@ -281,7 +284,7 @@ def read_stands(path: str | Path) -> MeasuredStands:
 
 
 def format_stands(stands: MeasuredStands, *, header: bool = True) -> str:
-    """Return measured or planned stands as CSV text for ``read_stands``, a row per stand.
+    """Format measured or planned stands as CSV text for ``read_stands``, a row per stand.
 
     Units are rad, m and kg. Missing commands and positions are empty cells.
     """
@@ -304,8 +307,8 @@ def _read_loads(table: Columns) -> Iterator[tuple[str, Array]]:
     frame [m]; zeros in a stand without mass.
 
     Raises:
-        MeasurementError: If a mass is negative or lacks a coordinate of its position, or a link has
-            a column of positions and none of masses.
+        MeasurementError: If a mass is negative or lacks a coordinate of the position, or a link has
+            a column of positions and no column of masses.
     """
     axes = ("added_x", "added_y", "added_z")
     for kind in axes:
@@ -324,10 +327,10 @@ def _read_loads(table: Columns) -> Iterator[tuple[str, Array]]:
 
 
 def estimate_encoder_step(stands: MeasuredStands) -> float:
-    """Estimate the resolution of the joint encoders [rad, m].
+    """Estimate the resolution of the joint encoders [rad, m] from measured positions.
 
-    The step of each joint is determined by `find_column_step`. The result is the median over the
-    joints with a step. It is 0 if at most half of the joints have a step.
+    `find_column_step` determines the step of each joint. The result is the median over the joints
+    with a step; 0 if at most half of the joints have a step.
 
     Args:
         stands: Measured stands.

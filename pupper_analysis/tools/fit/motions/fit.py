@@ -50,7 +50,7 @@ motion. Chosen, not tuned.
 _MAX_JOINT_NOISE_RATIO = 10.0
 """Largest accepted ratio of RMS position error to encoder noise of a single joint. If the ratio is
 larger, the fit fails. Measured: clock jitter of a tenth of the sampling interval gives a ratio of
-3. A joint that touches something, or whose column is that of another joint, gives hundreds.
+3. A joint that touches something, or with the column of another joint, gives hundreds.
 """
 
 
@@ -66,10 +66,10 @@ def fit_motion(
 ) -> MotionFit:
     """Estimate a robot's parameters from logs of motions.
 
-    The base of the robot must have been held. MuJoCo simulates the motion under the logged
-    commands. Gauss-Newton steps minimise the difference between simulated and measured positions,
-    with priors about the stated values. The residuals are modelled as autocorrelated noise, which
-    determines the intervals.
+    The base of the robot must have been fixed during the motion. MuJoCo simulates the motion under
+    the logged commands. Gauss-Newton steps minimise the difference between simulated and measured
+    positions, with priors about the stated values. The residuals are modelled as autocorrelated
+    noise, which determines the intervals.
 
     Args:
         robot: Robot. A free base is fixed at the pose in the MJCF.
@@ -159,7 +159,7 @@ def _check_runs(
 def _make_parameters(
     robot: Robot, drive: Servos, log_joints: set[str], priors: Sequence[Prior]
 ) -> ParameterTable:
-    """Create the parameters: joints in the logs, links that these joints move, and delays.
+    """Create the parameters: joints in the logs, moved links, and delays.
 
     The damping kd of the servos is no parameter: an error of kd appears in the estimated damping of
     the joint, since both have the same effect.
@@ -245,7 +245,7 @@ def _report_motions(
 def _inflate_covariance(posterior: Posterior, noise_ratio: float) -> Posterior:
     """Return the distribution for a larger standard deviation of the measurement noise.
 
-    Errors beyond the encoder noise are errors of the model. They shift parameters in unknown
+    Errors beyond the encoder noise are errors of the model, which shift parameters in unknown
     directions. The prior is unchanged.
 
     Args:
@@ -264,9 +264,9 @@ def _inflate_covariance(posterior: Posterior, noise_ratio: float) -> Posterior:
 def _compute_noise_ratios(by_joint: Array, noise: Array) -> tuple[float, Array]:
     """Compute the ratio of position error to encoder noise: median, and value of each joint (nu,).
 
-    A joint with constant readings has a noise of 0. Its error is divided by the median noise of the
-    other joints, or by `_MIN_NOISE_STD` if that is larger, and its ratio is left out of the median.
-    NaN without measurements.
+    A joint with constant readings has a noise of 0. The error of such a joint is divided by the
+    median noise of the other joints, or by `_MIN_NOISE_STD` if no joint has noise. The median
+    leaves out such joints. NaN without measurements.
     """
     has_noise = noise > 0
     typical_noise = float(np.median(noise[has_noise])) if has_noise.any() else _MIN_NOISE_STD
@@ -326,10 +326,10 @@ def _report_notes(
 
 
 _MIN_REPLAY_CORRELATION = 0.95
-"""Correlation of the commands of two runs. If it is larger, both runs count as the same motion. A
-held-out motion does not test the fit if it repeats a fitted motion. A held-out log of this kind is
-refused, and a held-out part of a log is reported. Measured: at least 0.99 in repeated logs, and
-hardly 0.5 in other motions of the same joints.
+"""Upper bound of the correlation of the commands of two different motions. Above the bound, both
+runs count as the same motion. A held-out motion that repeats a fitted motion does not test the fit.
+A held-out log of this kind is refused, and a held-out part of a log is reported. Measured: at least
+0.99 in repeated logs, and hardly 0.5 in other motions of the same joints.
 """
 
 
@@ -366,7 +366,8 @@ def _align_commands(pattern: Array, series: Array) -> tuple[float, float]:
 def _get_middle_half(rows: Array) -> Array:
     """Return the middle half of ``rows``, shape (n, ...), the samples of a log.
 
-    Another log of the same motion contains it even if shifted in time by a quarter of the length.
+    Another log of the same motion contains the middle half even after a time shift by a quarter of
+    the length.
     """
     return rows[len(rows) // 4 : len(rows) - len(rows) // 4]
 
@@ -374,8 +375,8 @@ def _get_middle_half(rows: Array) -> Array:
 def measure_replay(runs: Sequence[LogSegment]) -> float:
     """Compute the largest correlation, from -1 to 1, between held-out and fitted commands.
 
-    Held-out samples are excluded from the fit, to validate it. A correlation near 1 means that the
-    held-out motion repeats a fitted motion. The middle half of the held-out part of each run is
+    Held-out samples are excluded from the fit, to validate the fit. A correlation near 1 means that
+    the held-out motion repeats a fitted motion. The middle half of the held-out part of each run is
     compared with the fitted part of each run, at all time shifts. The correlation of two parts is 0
     if the fitted part is shorter, or the held-out commands are constant. The result is 0 if no run
     has a held-out part.
@@ -391,9 +392,9 @@ def measure_replay(runs: Sequence[LogSegment]) -> float:
 def measure_repeatability(runs: Sequence[LogSegment]) -> float:
     """Compute the RMS error with which joint positions repeat under equal commands [rad, m mixed].
 
-    This is the RMS difference of the positions in two runs, divided by sqrt(2). The middle half of
-    each run is compared with the first earlier run of the same commands, aligned in time. NaN if no
-    commands are repeated.
+    The result is the RMS difference of the positions in two runs, divided by sqrt(2). The middle
+    half of each run is compared with the first earlier run of the same commands, aligned in time.
+    NaN if no commands are repeated.
     """
     differences = []
     for index, run in enumerate(runs):
@@ -423,7 +424,7 @@ def _estimate_encoder_noise(series: Sequence[Array]) -> float:
     encoder step is found, the result is at least step / sqrt(12). NaN without differences.
 
     Args:
-        series: Positions of one joint in each run, shape (n,) [rad, m].
+        series: Positions of a joint in each run, shape (n,) [rad, m].
     """
     steps = np.concatenate([np.abs(np.diff(column, 3)) for column in series])
     steps = steps[np.isfinite(steps)]
@@ -463,7 +464,7 @@ Chosen, not tuned."""
 
 
 class MotionResiduals:
-    """Measured and simulated runs, and the whitened residuals between both.
+    """Residuals between measured and simulated runs, whitened by noise models, for a fit.
 
     Predictions use fine simulation steps; derivatives use coarse steps, since derivatives need many
     times as many simulations.
@@ -490,8 +491,8 @@ class MotionResiduals:
         The residuals are predicted minus measured joint positions, divided by the long-run standard
         deviation of the noise.
 
-        If ``moments`` is the same object as ``noise_point``, the noise is estimated again from
-        these residuals. The derivatives are then evaluated again if none exist, or if the squared
+        If ``moments`` is the same object as ``noise_point``, the noise is estimated again from the
+        new residuals. The derivatives are then evaluated again if none exist, or if the squared
         distance from the point of the last derivatives exceeds `_MAX_DERIVATIVE_DISTANCE`.
         Otherwise noise and derivatives of earlier calls are used.
 
@@ -560,7 +561,7 @@ class MotionResiduals:
                     yield indices, jacobian[:, column], joint, run
 
     def fit(self) -> Posterior:
-        """Estimate the parameters by weighted least squares, and return their distribution.
+        """Estimate the parameters by weighted least squares, and return the distribution.
 
         The residuals of each joint are divided by the long-run standard deviation of the joint's
         noise. The covariance is the sandwich estimate H^-1 (B + P) H^-1, in units of the prior
@@ -606,8 +607,8 @@ are represented by their effect within this time. Chosen, not tuned.
 """
 
 _MIN_NOISE_STD = 1e-6
-"""Lower bound of a noise standard deviation [rad, m]. It keeps the weights finite. It is also a
-tolerance: commands count as constant if their deviations from the mean are at most this value.
+"""Lower bound of a noise standard deviation [rad, m], which keeps the weights finite. Also a
+tolerance: commands count as constant if the deviations from the mean are at most this value.
 Chosen, not tuned.
 """
 
@@ -619,11 +620,12 @@ the noise is assumed to be white. Chosen, not tuned.
 
 @dataclass(frozen=True, eq=False)
 class SeriesNoise:
-    """Autoregressive noise of a joint: e_k = sum_i c_i e_(k-i) + w_k, w white with deviation s.
+    """Autoregressive noise model of a joint's residuals: e_k = sum_i c_i e_(k-i) + w_k.
 
-    Residuals of a motion are correlated in time: a resting encoder repeats the same value, and
-    errors of the model last. A sum over many samples is as uncertain as a sum of independent
-    samples with the long-run standard deviation s / (1 - sum c).
+    w is white noise with the standard deviation s. Residuals of a motion are correlated in time: a
+    resting encoder repeats the same value, and errors of the model last. A sum over many samples is
+    as uncertain as a sum of independent samples with the long-run standard deviation s / (1 - sum
+    c).
 
     Attributes:
         coefficients: Coefficients c, shape (lags,).
@@ -650,7 +652,7 @@ class SeriesNoise:
         """Fit autoregressive noise to some residual series by the Yule-Walker equations.
 
         The equations give a stable filter. White noise is returned if the samples are too few, or
-        their RMS is at most ``_MIN_NOISE_STD``.
+        the RMS is at most ``_MIN_NOISE_STD``.
 
         Args:
             series: Residuals of a joint in each run, shape (n,) [rad, m]; NaN if missing.
@@ -682,8 +684,8 @@ class SeriesNoise:
     def propagate_weights(self, weights: Array) -> Array:
         """Return a factor B of the covariance B^T B of m weighted sums of n noise samples.
 
-        The noise is filtered white noise. Its weighted sums are equal to sums of the white noise,
-        with weights that are filtered backwards in time.
+        The noise is filtered white noise. Weighted sums of the noise are equal to sums of the white
+        noise, with weights that are filtered backwards in time.
 
         Args:
             weights: Weights of the samples in each sum, shape (n, m).
@@ -696,7 +698,7 @@ class SeriesNoise:
 
 
 def compute_rms(series: Iterable[Array]) -> float:
-    """Return the root mean square of all finite values in several arrays, in their unit.
+    """Compute the root mean square of all finite values in several arrays, in the same unit.
 
     NaN if there are no finite values.
     """
@@ -729,14 +731,13 @@ def differentiate_motion(
 ) -> Mapping[int, tuple[IntArray, Array]]:
     """Compute the derivatives of predicted joint positions by the parameters of a fit.
 
-    The parameters are in first-moment coordinates (`MomentCoordinates`). In these, the CoM c of a
-    body with an estimated mass m is replaced by c0 + (m / m0) (c - c0), with the stated values c0
-    and m0.
+    The parameters are first-moment coordinates (`MomentCoordinates`): the CoM c of a body with an
+    estimated mass m is replaced by c0 + (m / m0) (c - c0), with the stated values c0 and m0.
 
     Joints that affect each other form a group. In each group, the finite-difference steps are along
     the eigenvectors of the information matrix, scaled by the uncertainties. Parameters of different
-    groups are changed in the same simulation. Steps along single parameters are not used, since
-    they made the intervals a quarter too narrow. A common factor on kp, friction and masses has no
+    groups are changed in the same simulation. Steps along single parameters are not used, since the
+    intervals were then a quarter too narrow. A common factor on kp, friction and masses has no
     effect on the motion, but the errors of single steps add up to a false effect of this factor.
 
     Args:
@@ -787,8 +788,9 @@ def _make_steps(columns: list[int], information: Array | None) -> Array:
     """Return finite-difference steps of the k parameters with indices ``columns``, shape (k, k).
 
     Each row is a step, in units of the prior standard deviations. Without ``information`` (inverse
-    covariance in these units), each step changes a single parameter. Otherwise each step is along
-    an eigenvector of ``information``, and is `_DIFFERENCE_STEP` posterior standard deviations long.
+    covariance, in the same units), each step changes a single parameter. Otherwise each step is
+    along an eigenvector of ``information``, and is `_DIFFERENCE_STEP` posterior standard deviations
+    long.
     """
     if information is None:
         return _INITIAL_DIFFERENCE_STEP * np.eye(len(columns))

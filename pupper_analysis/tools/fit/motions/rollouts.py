@@ -36,10 +36,10 @@ DELAY_PARAMETERS = (
     ("delay", SERVOS_SUBJECT, "", 0.0),
     *(("lag", SERVOS_SUBJECT, p, 0.0) for p in ("command", "position")),
 )
-"""Estimated delays [s], common to all servos. They are: the delay of commands, including their lag;
-the time constant of a first-order lag of commands; the time constant of a first-order lag of
-positions. A slow motor has both lags, and a bus delays only commands. Each entry contains fields of
-a `Parameter`: kind, subject, component and stated value. The stated value, 0 s, is the mean of the
+"""Estimated delays [s], common to all servos. In this order: delay of commands, including the lag;
+time constant of a first-order lag of commands; time constant of a first-order lag of positions. A
+slow motor has both lags, and a bus delays only commands. Each entry contains fields of a
+`Parameter`: kind, subject, component and stated value. The stated value, 0 s, is the mean of the
 prior.
 """
 
@@ -60,13 +60,13 @@ _MAX_STEPS_PER_SAMPLE = 20
 """Upper bound of the default number of simulation steps per sample. Chosen, not tuned."""
 
 _SOLVER_TOLERANCE = 1e-11
-"""Tolerance of MuJoCo's CG solver (``mjOption.tolerance``, dimensionless). It is small since the
-solver's error in dry friction would appear in finite differences. Models with equality constraints
-keep their own solver and tolerance. Chosen, not tuned.
+"""Tolerance of MuJoCo's CG solver (``mjOption.tolerance``, dimensionless). The tolerance is small
+since the solver's error in dry friction would appear in finite differences. The solver and the
+tolerance of models with equality constraints are not changed. Chosen, not tuned.
 """
 
 _MAX_BATCH_SIZE = 8
-"""Largest number of simulations whose states are in memory at the same time. The states of one
+"""Largest number of simulations whose states are in memory at the same time. The states of a single
 simulation need 25 MB for a minute of twelve joints. Chosen, not tuned.
 """
 
@@ -82,11 +82,11 @@ class LogSegment:
     Attributes:
         time: Sample times from the start of the run, shape (n,) [s].
         position: Measured positions, shape (n, nu) [rad, m]; NaN if missing.
-        command: Commands, each from its sample to the next, shape (n, nu) [rad, m]. Joints without
-            measurements in this part have a constant resting position.
+        command: Commands, shape (n, nu) [rad, m]; a command holds until the next sample. Joints
+            without measurements in this part have a constant resting position.
         start: Encoder positions [rad, m] and velocities [rad/s, m/s] at the start, shape (2, nu).
-        counts: Whether a position is fitted, shape (n, nu).
-        held_out: Whether a position is predicted instead, shape (n, nu).
+        counts: True for positions that are fitted, shape (n, nu).
+        held_out: True for positions that are only predicted, shape (n, nu).
     """
 
     time: Array
@@ -129,8 +129,8 @@ def split_runs(log: Log, rest: Array, hold_out: float) -> Iterator[LogSegment]:
 def _fill_commands(command: Array) -> Array:
     """Return commands, shape (n, nu) [rad, m], in which missing commands (NaN) are replaced.
 
-    A missing command is replaced by the previous command of the joint. At the start it is replaced
-    by the joint's first command. A joint without commands keeps NaN.
+    A missing command is replaced by the previous command of the joint. A missing command at the
+    start is replaced by the joint's first command. A joint without commands keeps NaN.
     """
     filled = command.copy()
     for column in filled.T:
@@ -162,7 +162,7 @@ def _fit_initial_state(time: Array, position: Array) -> Array:
 
 
 class Simulator:
-    """Simulator of runs of a robot whose base is held, for parameter vectors.
+    """Simulator that predicts the logged motion of a robot with a fixed base, for a fit.
 
     Servo law: tau = kp (command(t - delay) - encoder) - kd velocity. A command holds until the next
     sample. The encoder position is the joint position plus an offset. A part of the delay may be a
@@ -213,7 +213,7 @@ class Simulator:
     def _compute_joint_inertia(self) -> Array:
         """Return 1 / (M^-1)_jj of each joint in the home posture, shape (nu,) [kg m^2].
 
-        M is the mass matrix: this element is the inertia that a torque of the joint alone
+        M is the mass matrix. The result is the inertia that a torque of this joint alone
         accelerates.
         """
         model, data = self.bodies.model, mujoco.MjData(self.bodies.model)
@@ -224,7 +224,7 @@ class Simulator:
         return np.asarray(1 / np.diag(np.linalg.inv(mass))[self._dofs])
 
     def with_steps(self, steps: int) -> Simulator:
-        """Return a simulator of the same robot with a number of simulation steps per sample."""
+        """Create a simulator of the same robot with another number of steps per sample."""
         interval = self._model.opt.timestep * self.steps
         return Simulator(self.robot, self.drive, self.table, interval, steps)
 
@@ -290,7 +290,7 @@ class Simulator:
         return np.array(positions)
 
     def _get_joint_values(self, vector: Array, kind: str, stated: Array) -> Array:
-        """Return the values of a parameter kind for all joints, shape (nu,), in its unit.
+        """Return the values of a parameter kind for all joints, shape (nu,), in the kind's unit.
 
         Estimated values are taken from the parameter ``vector``, shape (n,). Values of joints
         without an estimated parameter are taken from ``stated``, shape (nu,).
@@ -305,19 +305,19 @@ class Simulator:
         return self.table.get_value(vector, "lag" if part else "delay", SERVOS_SUBJECT, part, 0.0)
 
     def replace_lag_derivatives(self, vector: Array, indices: IntArray, jacobians: Array) -> None:
-        """Compute the derivative with respect to the position lag from those of other parameters.
+        """Replace the derivative by the position lag by other derivatives, in place.
 
         To second order, a first-order lag of positions with time constant T is equivalent to a
         damping of -kp T and an armature of kp T^2. Let D be the derivative by the damping of a
-        joint, and A the derivative by its armature. The derivative by T is the sum of -kp D + 2 kp
-        T A over the joints. This formula gives equivalent parameters equal derivatives, without
-        finite-difference errors between them. Nothing changes unless damping and armature are
-        estimated for each joint that has a parameter.
+        joint, and A the derivative by the armature of the joint. The derivative by T is the sum of
+        -kp D + 2 kp T A over the joints. This formula gives equivalent parameters equal
+        derivatives, without finite-difference errors. Nothing changes unless damping and armature
+        are estimated for each joint that has a parameter.
 
         Args:
             vector: Parameters, shape (n,).
             indices: Indices of k parameters, shape (k,).
-            jacobians: Derivatives by these parameters, shape (samples, joints, k); changed in
+            jacobians: Derivatives by the k parameters, shape (samples, joints, k); changed in
                 place.
         """
         kp, lag = (
@@ -378,7 +378,7 @@ def _average_commands(time: Array, command: Array, edges: Array) -> Array:
 
     Args:
         time: Times from which the commands hold, shape (n,) [s].
-        command: Commands, shape (n, nu) [rad, m]; each holds until the next one.
+        command: Commands, shape (n, nu) [rad, m]; a command holds until the next time.
         edges: Boundaries of the intervals, shape (k,) [s].
     """
     boundaries = np.concatenate([[time[0] - 1.0], time, [time[-1] + 1.0]])
@@ -408,9 +408,9 @@ def _apply_lag(command: Array, lag: float) -> Array:
 class MovingBodies:
     """Bodies that a robot's joints move, each merged with the bodies fixed to it.
 
-    The name of a body is the URDF link of its joint. The CoM is expressed in the frame of the
+    The name of a body is the URDF link below the joint. The CoM is expressed in the frame of the
     Pinocchio joint, which is called link frame here. If a mass is changed, the rotational inertia
-    about the CoM changes in proportion. It does not depend on the CoM position.
+    about the CoM changes in proportion. The rotational inertia does not depend on the CoM position.
 
     Args:
         robot: Robot with a fixed base.
@@ -449,7 +449,7 @@ class MovingBodies:
         )
 
     def _merge_fixed_bodies(self, body: int) -> None:
-        """Add the inertias of all bodies that are fixed to a body to that body's inertia.
+        """Add the inertias of all bodies that are fixed to a body to the inertia of this body.
 
         The fixed bodies then have no mass. Nothing changes without such bodies.
         """
@@ -500,14 +500,17 @@ class MovingBodies:
             model.body_ipos[body] = self._to_link[joint].actInv(com)
 
     def find_independent_groups(self, table: ParameterTable) -> list[tuple[list[int], list[int]]]:
-        """Return groups of joints that do not affect each other, with the parameters of each group.
+        """Group the joints that affect each other, with the parameters of each group.
 
-        The base is held. Therefore the joints of each branch of the tree at the base form a group.
+        The base is fixed. Therefore the joints of each branch of the tree at the base form a group.
         Models with equality constraints or tendons have a single group.
 
+        Args:
+            table: Parameters of the fit.
+
         Returns:
-            (Indices of the joints, indices of the parameters of these joints and their links) of
-            each group.
+            For each group: indices of the joints, and indices of the parameters of the group's
+            joints and links.
         """
         model = self.model
         roots = [_find_root_body(model, int(body)) for body in self._bodies]
@@ -546,7 +549,7 @@ def _find_root_body(model: mujoco.MjModel, body: int) -> int:
 def _compute_link_frames(
     robot: Robot, model: mujoco.MjModel, bodies: NDArray[np.int64]
 ) -> Iterator[pin.SE3]:
-    """Yield the pose [m] of the MuJoCo body of each joint in the frame of its Pinocchio joint.
+    """Yield the pose [m] of the MuJoCo body of each joint in the frame of the Pinocchio joint.
 
     ``bodies`` are the ids of the bodies, shape (nu,), in actuator order.
     """
@@ -589,11 +592,12 @@ class MomentCoordinates:
     this error was 20 standard deviations.
 
     A CoM c is replaced by c0 + (m / m0) (c - c0), with the stated values c0 and m0. This coordinate
-    is a length, is equal to c at the stated mass, and is linear in moment and mass. Its prior is
-    the prior of c.
+    is a length, is equal to c at the stated mass, and is linear in moment and mass. The prior of
+    the coordinate is the prior of c.
 
     If the delay and the lag of commands are both estimated, the delay is replaced by the delay
-    minus the lag. The difference and the lag are not negative, and motions determine their sum.
+    minus the lag. The difference and the lag are not negative, and motions determine the sum of
+    both.
 
     Args:
         table: Parameters.
@@ -628,9 +632,9 @@ class MomentCoordinates:
         """Convert first-moment coordinates, shape (n,), to physical parameters, shape (n,).
 
         The inverse of `from_parameters`. A CoM component of a body with an estimated mass m is c =
-        c0 + (m0 / m) (coordinate - c0), with the stated values c0 and m0; m is at least
-        `MIN_MASS_FRACTION` m0 here. The delay is its coordinate plus the lag of commands, if both
-        are estimated. Other parameters are equal to their coordinates.
+        c0 + (m0 / m) (coordinate - c0), with the stated values c0 and m0. In this formula, m is at
+        least `MIN_MASS_FRACTION` m0. The delay is the delay coordinate plus the lag of commands, if
+        both are estimated. Other parameters are equal to the coordinates.
         """
         vector = moments.copy()
         deviation = moments[self._coms] - self._stated_com
@@ -653,10 +657,10 @@ class MomentCoordinates:
         return moments
 
     def differentiate_parameters(self, moments: Array) -> Array:
-        """Return the derivative of `to_parameters`, shape (n, n).
+        """Compute the Jacobian of `to_parameters`, shape (n, n).
 
-        That function converts the coordinates of the fit (first moments, see `from_parameters`) to
-        physical parameters.
+        `to_parameters` converts first-moment coordinates, the coordinates of the fit, to physical
+        parameters.
 
         Args:
             moments: Coordinates of the fit at which the derivative is evaluated, shape (n,).

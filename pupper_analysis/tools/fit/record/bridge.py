@@ -1,7 +1,7 @@
-"""Connections to a robot: interface, and selection by name.
+"""Connections to a robot for recordings: interface, and selection by name.
 
-A recording needs a `Bridge`, which commands and measures joint positions in actuator order, and an
-`Operator`, who sets the robot down and lifts feet. `open_bridge` returns both for a name.
+A recording needs a `Bridge`, which commands and measures joint positions in actuator order. It also
+needs an `Operator`, who sets the robot down and lifts feet. `open_bridge` returns both for a name.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from pupper_analysis.tools.fit.stands.plan import PlannedStand
 
 ENTRY_POINT_GROUP = "pupper_analysis.bridges"
 """Name of the entry point group with which other packages add bridges (connections to robots). An
-entry point is a function with two arguments: the robot, and the text after the colon in
-``NAME:ARGUMENTS``. It returns a `Bridge` and an `Operator`.
+entry point is a function that returns a `Bridge` and an `Operator`. The function has two arguments:
+the robot, and the text after the colon in ``NAME:ARGUMENTS``.
 """
 
 
 class Operator(Protocol):
-    """Person beside the robot who sets it up for each stand of a recording."""
+    """Person beside the robot who prepares the robot for each stand of a recording."""
 
     def prepare(
         self, stand: PlannedStand, loads: Mapping[str, Array], instructions: Sequence[str]
@@ -35,7 +35,7 @@ class Operator(Protocol):
         """Let the operator lift, turn and load the robot for a stand.
 
         Args:
-            stand: Stand to be set up.
+            stand: Stand for which the robot is prepared.
             loads: {link: mass [kg] and position (x, y, z) [m] of a known load, shape (4,)}.
             instructions: Steps for the operator, as text.
 
@@ -48,7 +48,7 @@ class Operator(Protocol):
     ) -> tuple[str, ...] | Diagnostic | None:
         """Return the feet in the air, as the operator reports.
 
-        If the operator skips the stand, return the reason, or None if no reason is known.
+        If the operator skips the stand, the result is the reason, or None if no reason is known.
 
         Args:
             feet: All feet of the robot.
@@ -72,8 +72,8 @@ class Bridge(Protocol):
     def read(self) -> tuple[float, Array]:
         """Return the time of the measurement [s], and joint positions, shape (nu,) [rad, m].
 
-        The time is on the clock of ``now``. The joints are in actuator order; NaN without a
-        measurement.
+        The time is on the clock of ``now``. The joints are in actuator order. A position without a
+        measurement is NaN.
         """
 
     def send(self, command: Array) -> None:
@@ -108,13 +108,16 @@ def open_bridge(name: str, robot: Robot) -> tuple[Bridge, Operator]:
 
 
 def open_connection(name: str, robot: Robot, builtin: Mapping[str, str], group: str) -> Any:
-    """Call the function that opens a connection to a robot, and return its result.
+    """Open a connection to a robot by name: call the function that the name selects.
 
     Args:
         name: ``NAME`` or ``NAME:ARGUMENTS``.
         robot: Robot, with the values of the files.
         builtin: {name: ``module:function``} of this package.
         group: Group of the entry points of other packages.
+
+    Returns:
+        Result of the function: for example a `Bridge` and an `Operator`.
 
     Raises:
         ConfigurationError: If there is no connection of this name. The function that opens the

@@ -1,7 +1,7 @@
 """Record observations and actions of a running policy as a trace, which ``walk --trace`` reads.
 
-A `Listener` collects messages while the controller of the robot runs. `assemble_trace` makes a row
-per action of these messages, and `record_policy` writes the rows as npz.
+A `Listener` collects messages while the controller of the robot runs. `assemble_trace` creates a
+row per action from these messages. `record_policy` writes the rows as npz.
 """
 
 from __future__ import annotations
@@ -23,19 +23,22 @@ from pupper_analysis.tools.fit.kinds import TRACE_KIND
 from pupper_analysis.tools.fit.record.bridge import open_connection
 
 Series = Mapping[str, Sequence[tuple[float, Array]]]
-"""{signal: (time of reception [s], values)}; the signals are arrays of a trace."""
+"""Received messages: {signal: [(time of reception [s], values), ...]}."""
 
 SIGNALS = ("positions", "velocities", "targets", "commands", "angular_velocity", "quaternion")
-"""Optional signals of a trace, see `pupper_analysis.tools.walk.trace`."""
+"""Optional signals of a trace, as keys of `Series`. Units are those of
+`pupper_analysis.tools.walk.trace`.
+"""
 
 MIN_ACTIONS = 20
-"""Smallest number of observations, of actions and of rows of a trace; with fewer, no trace is
-written. Chosen, not tuned."""
+"""Smallest number of observations, of actions, and of rows of a trace. With a smaller number, no
+trace is written. Chosen, not tuned.
+"""
 
 LISTENERS_GROUP = "pupper_analysis.listeners"
 """Name of the entry point group with which other packages add listeners. An entry point is a
-function with two arguments: the robot, and the text after the colon in ``NAME:ARGUMENTS``. It
-returns a `Listener`.
+function that returns a `Listener`. The function has two arguments: the robot, and the text after
+the colon in ``NAME:ARGUMENTS``.
 """
 
 _BUILTIN_LISTENERS = {"ros2": "pupper_analysis.tools.fit.record.ros:open_ros_listener"}
@@ -43,15 +46,17 @@ _BUILTIN_LISTENERS = {"ros2": "pupper_analysis.tools.fit.record.ros:open_ros_lis
 
 
 class Listener(Protocol):
-    """Connection to a robot that receives messages of its running controller."""
+    """Connection to a robot that receives messages of the running controller."""
 
     def listen(self, seconds: float) -> Series:
-        """Return the messages of a duration [s].
+        """Receive messages for a duration [s], and return the values with the times of reception.
 
-        Signals are ``observations``, ``actions``, and those of `SIGNALS`. Positions, velocities and
-        targets are in actuator order [rad, rad/s]. Commands are the forward and left velocity [m/s]
-        and the turning rate [rad/s]. The angular velocity is in the base frame [rad/s]. The
-        quaternion is (w, x, y, z).
+        The signals are ``observations``, ``actions``, and the following optional signals:
+
+        - ``positions``, ``velocities`` and ``targets``: in actuator order [rad, rad/s]
+        - ``commands``: forward and left velocity [m/s], turning rate [rad/s]
+        - ``angular_velocity``: in the base frame [rad/s]
+        - ``quaternion``: (w, x, y, z)
         """
 
 
@@ -63,9 +68,10 @@ class TraceRecording(Result):
         name: Robot name.
         file: Output file.
         samples: Number of recorded actions.
-        period: Median time between the observations of successive recorded actions.
-        signals: Signals of the robot in the trace.
-        missing: Signals that were not received; `walk` does not check terms that need them.
+        period: Median time between successive rows of the trace.
+        signals: Optional signals in the trace, for example positions or velocity commands.
+        missing: Optional signals that were not received; `walk` does not check observation terms
+            that need these signals.
         findings: Note on actions that were left out, if any.
     """
 
@@ -130,13 +136,14 @@ def _open_listener(name: str, robot: Robot) -> Listener:
 
 
 def assemble_trace(series: Series, source: str) -> tuple[dict[str, Array], int]:
-    """Return the arrays of a trace with a row per action, and the number of omitted actions.
+    """Assemble the arrays of a trace, with a row per action, from received messages.
 
     An action belongs to the observation that is nearest in time. A row contains the last message of
-    each signal up to this observation. If several actions belong to the same observation, only the
-    nearest is recorded; of equally near actions, the earlier one. An action is also left out if a
-    signal was first received after the observation. A signal without messages has no array in the
-    trace.
+    each signal up to this observation. A signal without messages has no array in the trace. An
+    action is left out in two cases:
+
+    - Another action is nearer to the same observation, or is equally near and earlier.
+    - A signal was first received after the observation.
 
     Args:
         series: Messages.

@@ -1,10 +1,10 @@
 """Record planned stands with a robot: ramp, wait for rest, average and write positions.
 
 Each stand is approached twice: with commands beyond the planned commands, and with commands short
-of them. Dry friction acts with opposite signs in both approaches. Therefore it hardly changes the
-mean of both positions at rest. Typed positions are read once.
+of the planned commands. Dry friction acts with opposite signs in both approaches, and hardly
+changes the mean of both positions at rest. Typed positions are read once.
 
-The last command is sent again when the recording ends, for whatever reason. Each row is written
+When the recording ends, for whatever reason, the last command is sent again. Each row is written
 before the next stand begins. Stands that are already in the file are not recorded again.
 """
 
@@ -44,8 +44,9 @@ from pupper_analysis.tools.fit.record.bridge import Bridge, Operator
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, compute_com_std
 
 MAX_JOINT_SPEED = 0.5
-"""Upper bound of the commanded joint speed [rad/s, m/s] between stands. Two adjacent stands of a
-plan are then about two seconds apart. Chosen, not tuned."""
+"""Upper bound of the commanded joint speed [rad/s, m/s] between stands. With this speed, a robot
+moves from one stand of a plan to the next in about two seconds. Chosen, not tuned.
+"""
 
 _COMMAND_INTERVAL = 0.02
 """Time [s] between two commands of a ramp. Chosen, not tuned."""
@@ -61,32 +62,34 @@ means a servo without torque, and the recording ends. Chosen, not tuned.
 """
 
 _MIN_COMMANDED_TRAVEL = 0.25
-"""Commanded travel [rad, m] of a joint from one stand to the next. If it is larger, the response of
-the joint is checked (`_MIN_TRAVEL_RATIO`). Chosen, not tuned.
+"""Lower bound of the commanded travel [rad, m] of a joint from one stand to the next, above which
+the response of the joint is checked (`_MIN_TRAVEL_RATIO`). Chosen, not tuned.
 """
 
 _MIN_TRAVEL_RATIO = 0.25
-"""Ratio of measured to commanded travel of a joint from one stand to the next. If it is smaller,
-the servo does not follow, and the recording ends. Positions are compared after the robot was
-lifted, because feet that stick to the ground can limit a working joint to 0.1 of its travel.
-Chosen, not tuned.
+"""Lower bound of (measured travel / commanded travel) of a joint from one stand to the next. Below
+the bound, the servo does not follow, and the recording ends. Positions are compared after the robot
+was lifted. Otherwise, feet that stick to the ground can limit the travel of a working joint to 0.1
+of the commanded travel. Chosen, not tuned.
 """
 
 _LIVE_TRAVEL_RATIO = 0.6
-"""Ratio of measured to commanded travel of a joint whose commanded travel exceeds
-`_MIN_COMMANDED_TRAVEL`. If the ratio is larger, the servo counts as working at that time, since
-gravity and other servos do not move a joint that far. If the servo fails later, rows recorded since
-that time are withdrawn. Chosen, not tuned.
+"""Lower bound of (measured travel / commanded travel) of a joint whose servo certainly works. The
+bound applies to commanded travels above `_MIN_COMMANDED_TRAVEL`: gravity and other servos do not
+move a joint that far. If the servo fails later, the rows recorded since that time are withdrawn.
+Chosen, not tuned.
 """
 
 _REST_RANGE = 1e-3
-"""Range of a joint position [rad, m] within `_REST_WINDOW`. The robot counts as at rest if the
-range of each joint is smaller. Chosen, not tuned.
+"""Upper bound of the range (largest minus smallest value) of a joint position [rad, m] within
+`_REST_WINDOW`. If the range of each joint is below the bound, the robot counts as at rest. Chosen,
+not tuned.
 """
 
 _REST_WINDOW = 1.0
-"""Duration [s] of the most recent measurements. Their range decides whether the robot is at rest
-(`_REST_RANGE`), and their mean is the measured joint position. Chosen, not tuned.
+"""Duration [s] of the most recent measurements, of which range and mean are computed. The range
+decides whether the robot is at rest (`_REST_RANGE`). The mean is the measured joint position.
+Chosen, not tuned.
 """
 
 LEAD_RATIOS = (1.3, 0.7)
@@ -98,15 +101,16 @@ both readings.
 
 _RETURN_SECONDS = 2.0
 """Shortest duration [s] of the ramp back to the planned command after an approach (`LEAD_RATIOS`).
-The joints follow so slow a ramp without oscillation. Chosen, not tuned.
+The joints follow this slow ramp without oscillation. Chosen, not tuned.
 """
 
 _REST_TIMEOUT = 20.0
 """Time [s] after which a stand that does not come to rest is skipped. Chosen, not tuned."""
 
 _MIN_COM_MARGIN_RATIO = 0.02
-"""Smallest accepted CoM margin of a planned stand, as a fraction of the nominal height. It is
-computed with the masses of the files. A plan with a smaller margin is refused. Chosen, not tuned.
+"""Smallest accepted CoM margin of a planned stand, as a fraction of the nominal height. The margin
+is computed with the masses of the model files and the known masses of the stand. A plan with a
+smaller margin is refused. Chosen, not tuned.
 """
 
 
@@ -117,13 +121,13 @@ class Recording(Result):
     Attributes:
         name: Robot name.
         file: Output file.
-        recorded_stands: Stands that were recorded now.
-        existing_stands: Stands that were in the file before.
-        missing_stands: Stands that are still missing.
-        friction_angles: {joint: half the difference [rad, m] of its positions at rest after a
-            larger and after a smaller command, median of the stands recorded now}. Times the
-            stiffness of the servo, it is an estimate of the dry friction. Empty if positions are
-            typed, or no stand was recorded now.
+        recorded_stands: Names of the stands that were recorded now.
+        existing_stands: Names of the stands that were in the file before.
+        missing_stands: Names of the stands that are still missing.
+        friction_angles: {joint: half the difference of the positions at rest after a larger and
+            after a smaller command, median over the stands recorded now [rad, m]}. The product with
+            the servo stiffness is an estimate of the dry friction. Empty if positions are typed, or
+            no stand was recorded now.
         findings: Reasons for skipped stands, for withdrawn rows, or for an early end of the
             recording.
     """
@@ -147,7 +151,7 @@ class _RecordingEndedError(Exception):
 
     Args:
         finding: Reason.
-        rows: Number of reliable rows, counted from the first row of this recording; None for all.
+        rows: Number of the first rows of this recording that are reliable; None if all rows are.
     """
 
     def __init__(self, finding: Diagnostic, rows: int | None = None) -> None:
@@ -162,23 +166,24 @@ class _StandSkippedError(_RecordingEndedError):
 def record_stands(
     robot: Robot, plan: str | Path, output: str | Path, bridge: Bridge, operator: Operator
 ) -> Recording:
-    """Move a robot to the stands of a plan, and append a row of measurements per stand to a file.
+    """Record the stands of a plan: move the robot to each stand, and append a row to a file.
 
     Args:
         robot: Robot, with the values of the files.
         plan: File of ``write_plan``.
         output: Output file. Stands named in this file are not recorded again.
-        bridge: Connection to the robot.
-        operator: Person who lifts the robot, and observes the loaded feet.
+        bridge: Connection to the robot; closed at the end of the recording.
+        operator: Person who lifts the robot and reports the feet in the air.
 
     Raises:
         ConfigurationError: If the output is the plan itself, or the command of a joint without
             limits is missing.
         MeasurementError: If the plan or the output cannot be read, or the output belongs to another
-            plan; or, before anything moves, if a command is missing or exceeds the joint limits, or
-            a stand is not balanced with the file's masses.
+            plan. Also, before the robot moves, if a command is missing or exceeds the joint limits,
+            or a stand is not balanced with the masses of the model.
         OutputError: If the output cannot be written, or another recording writes to the file.
         UnknownNameError: If the plan names a joint, foot or link that the robot lacks.
+        ModelError: If the model with a known load cannot be built.
     """
     path = Path(output)
     if path.exists() and Path(plan).exists() and path.samefile(plan):
@@ -189,7 +194,7 @@ def record_stands(
 
 @contextmanager
 def _lock_output(path: Path) -> Iterator[None]:
-    """Prevent other recordings from writing to the same file.
+    """Lock an output file, so that no other recording writes to the file at the same time.
 
     Raises:
         OutputError: If another recording writes to the file, or the lock file cannot be created.
@@ -218,11 +223,12 @@ def _record_missing_stands(
 
     Raises:
         MeasurementError: If the plan or the output cannot be read, or the output belongs to another
-            plan; or, before anything moves, if a command is missing or exceeds the joint limits, or
-            a stand is not balanced with the file's masses.
+            plan. Also, before the robot moves, if a command is missing or exceeds the joint limits,
+            or a stand is not balanced with the masses of the model.
         ConfigurationError: If the command of a joint without limits is missing.
         OutputError: If the output cannot be written.
         UnknownNameError: If the plan names a joint, foot or link that the robot lacks.
+        ModelError: If the model with a known load cannot be built.
     """
     planned = read_stands(plan).order_joints(robot)
     check_writable(path, RECORD_KIND)
@@ -277,12 +283,12 @@ def _record_missing_stands(
 
 
 class _RecordingSession:
-    """Recording of stands: moves the robot from stand to stand, and reads its positions at rest.
+    """Recording of stands: moves the robot from stand to stand, and reads joint positions at rest.
 
     Args:
         robot: Robot, with the values of the files.
         bridge: Connection to the robot.
-        operator: Person who sets the robot up.
+        operator: Person who prepares the robot for each stand.
     """
 
     def __init__(self, robot: Robot, bridge: Bridge, operator: Operator) -> None:
@@ -294,10 +300,10 @@ class _RecordingSession:
         self._half_differences: list[Array] = []
 
     def compute_friction_angles(self, num_stands: int) -> FrozenDict[str, float]:
-        """Return {joint: median of |half the difference of both readings| [rad, m]}.
+        """Return {joint: median of |half the difference of both readings of a stand| [rad, m]}.
 
-        The median is over the first ``num_stands`` recorded stands; empty if no stand was read
-        twice.
+        The median is over the first ``num_stands`` recorded stands. The result is empty if no stand
+        was read twice.
         """
         differences = self._half_differences[:num_stands]
         if not differences:
@@ -306,7 +312,7 @@ class _RecordingSession:
         return FrozenDict(zip(self._robot.joint_names, medians, strict=True))
 
     def hold_position(self) -> None:
-        """Send the last command of a ramp again; nothing before a ramp, or without ramps."""
+        """Send the last command of a ramp again; without such a command, do nothing."""
         if self._command is not None:
             self._bridge.send(self._command)
 
@@ -319,14 +325,14 @@ class _RecordingSession:
     ) -> tuple[Array, Sequence[str]]:
         """Move the robot to a stand, and return joint positions at rest and the feet in the air.
 
-        Positions are averaged at rest, after approaches from both sides (`LEAD_RATIOS`). Positions
-        of a bridge without ramps (typed positions) are read once.
+        Positions at rest are averaged over approaches from both sides (`LEAD_RATIOS`). Positions of
+        a bridge without ramps (typed positions) are read once.
 
         Args:
             stand: Planned stand.
             loads: {link: mass [kg] and position (x, y, z) [m] of a known load, shape (4,)}.
             instructions: Steps for the operator, as text.
-            rows: Number of rows recorded now, before this stand.
+            rows: Number of rows that this recording has written before this stand.
 
         Returns:
             Joint positions, shape (nu,) [rad, m], in actuator order; names of the feet in the air.
@@ -360,20 +366,21 @@ class _RecordingSession:
     def _check_travel(
         self, stand: PlannedStand, commanded_travel: Array, travel: Array, rows: int
     ) -> None:
-        """Check that each joint followed its command from the previous stand to this one.
+        """Check that each joint followed the command from the previous stand to this stand.
 
         For each servo that worked (`_LIVE_TRAVEL_RATIO`), ``rows`` is stored. If the servo stops
         later, only this number of rows is kept.
 
         Args:
-            stand: Stand, which the robot has reached; it was lifted and set down there.
+            stand: Stand that the robot has reached. The robot was lifted and set down there.
             commanded_travel: Differences of the commands of both stands, shape (nu,) [rad, m].
             travel: Differences of the measured joint positions, shape (nu,) [rad, m].
-            rows: Number of rows recorded now, before this stand.
+            rows: Number of rows that this recording has written before this stand.
 
         Raises:
-            _RecordingEndedError: If a joint moved by less than `_MIN_TRAVEL_RATIO` of its commanded
-                travel, which was larger than `_MIN_COMMANDED_TRAVEL`.
+            _RecordingEndedError: If the commanded travel of a joint was above
+                `_MIN_COMMANDED_TRAVEL`, and the joint moved by less than `_MIN_TRAVEL_RATIO` of the
+                commanded travel.
         """
         is_commanded = np.abs(commanded_travel) > _MIN_COMMANDED_TRAVEL
         ratio = np.divide(travel, commanded_travel, out=np.ones(self._robot.nu), where=is_commanded)
@@ -385,7 +392,7 @@ class _RecordingSession:
     def _make_tracking_error(
         self, stand: PlannedStand, joint: int, error: float
     ) -> _RecordingEndedError:
-        """Return the end of the recording by a servo that does not follow.
+        """Create the error that ends the recording because a servo does not follow.
 
         Args:
             stand: Stand to which the robot moves.
@@ -409,12 +416,13 @@ class _RecordingSession:
         The commands of the approaches are clipped to the joint limits.
 
         Args:
-            stand: Stand, which the robot has reached.
+            stand: Stand that the robot has reached.
             target: Commands of the stand, shape (nu,) [rad, m].
-            rest: Joint positions at rest with these commands, shape (nu,) [rad, m].
+            rest: Joint positions at rest with the commands ``target``, shape (nu,) [rad, m].
 
         Returns:
-            Mean positions, and half the difference (first minus second), shape (nu,) [rad, m] each.
+            Mean positions, and half the difference (first minus second approach), shape (nu,) [rad,
+            m] each.
 
         Raises:
             _StandSkippedError: If the robot does not come to rest.
@@ -470,10 +478,10 @@ class _RecordingSession:
             self._check_tracking(stand)
 
     def _check_tracking(self, stand: PlannedStand) -> None:
-        """Check that all servos are near their commands, and that the operator does not stop.
+        """Check that all servos are near the commands, and that the operator does not stop.
 
         Raises:
-            _RecordingEndedError: If a position differs from its command by more than
+            _RecordingEndedError: If a position differs from the command by more than
                 `_MAX_TRACKING_ERROR`, positions are lost, or the operator stops the recording.
         """
         assert self._command is not None
@@ -506,10 +514,10 @@ class _RecordingSession:
             self._bridge.wait(_COMMAND_INTERVAL)
 
     def _average_at_rest(self, stand: PlannedStand) -> Array:
-        """Return the mean joint positions, shape (nu,) [rad, m], once the robot is at rest.
+        """Wait until the robot is at rest, and return mean joint positions, shape (nu,) [rad, m].
 
-        The mean is over the last `_REST_WINDOW`, within which each position changes by less than
-        `_REST_RANGE`.
+        The mean is over the last `_REST_WINDOW`. The robot is at rest if each position changes by
+        less than `_REST_RANGE` within this time.
 
         Raises:
             _StandSkippedError: If the robot is not at rest within `_REST_TIMEOUT`.
@@ -567,11 +575,14 @@ def _list_instructions(
 
 
 def _check_plan(robot: Robot, planned: MeasuredStands) -> Iterator[float]:
-    """Check all stands of a plan with the model's masses, and yield the CoM margin [m] of each.
+    """Check all stands of a plan with the model's masses, and yield the CoM margins [m].
 
     Raises:
         MeasurementError: If a command exceeds the joint limits, or a stand is not balanced.
-        ConfigurationError: If the command of a joint without limits is missing.
+        ConfigurationError: If the command of a joint without limits is missing, or the mass or the
+            place of a known load is invalid.
+        UnknownNameError: If the robot lacks the link of a known load.
+        ModelError: If the model with a known load cannot be built.
     """
     # An empty command is beyond any finite limit.
     planned.check_limits(robot, np.nan_to_num(planned.command, nan=np.inf))
@@ -616,8 +627,8 @@ def _read_recorded_names(path: Path, planned: MeasuredStands) -> set[str]:
     """Return the names of the recorded stands of a file; empty if there is no file.
 
     Raises:
-        MeasurementError: If the file cannot be read, or has a stand that is not planned, or that
-            has other joints or commands.
+        MeasurementError: If the file cannot be read, contains a stand that is not planned, or has
+            other joints or commands than the plan.
     """
     if not path.exists():
         return set()
@@ -674,7 +685,7 @@ def _append_row(
 
 
 def _truncate_file(path: Path, size: int) -> None:
-    """Truncate a file to a length [bytes]; delete it if the length is 0."""
+    """Truncate a file to a length [bytes]. If the length is 0, delete the file."""
     if not size:
         path.unlink()
         return

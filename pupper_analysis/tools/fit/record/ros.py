@@ -2,10 +2,11 @@
 
 ``JointState`` messages contain ``name`` and ``position`` [rad, m] of some or all joints, in any
 order. The controller accepts ``std_msgs/Float64MultiArray`` with ``data`` in the joint order of the
-controller, which is actuator order unless ``ros2:order=a,b,c`` states another.
+controller. The order is the actuator order, unless ``ros2:order=a,b,c`` states another.
 
-`RosListener` records a running policy: observations and actions, which the controller publishes as
-``Float32MultiArray`` or ``Float64MultiArray``, with joint states, IMU and velocity commands.
+`RosListener` records a running policy: joint states, IMU, velocity commands, observations and
+actions. The controller publishes observations and actions as ``Float32MultiArray`` or
+``Float64MultiArray``.
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ _SPIN_INTERVAL = 0.02
 """Time [s] between two checks for messages while the bridge is opened. Chosen, not tuned."""
 
 _DISCOVERY_TIMEOUT = 5.0
-"""Time limit [s] for opening the bridge. After this time, opening fails if a joint has no position,
-or if no node subscribes to the commands. ROS nodes on the same machine discover each other within
-0.1 to 1 s. Chosen, not tuned.
+"""Time limit [s] for opening the bridge. Opening fails if a joint has no position at this time, or
+if no node subscribes to the commands. ROS nodes on the same machine discover each other within 0.1
+to 1 s. Chosen, not tuned.
 """
 
 
@@ -102,18 +103,18 @@ class RosBridge(WallClock):
                 self._positions[name], self._reception_times[name] = float(value), self.now()
 
     def read(self) -> tuple[float, Array]:
-        """Return the last received joint positions and the oldest of their reception times.
+        """Return the last received joint positions and the oldest time of reception.
 
         Returns:
-            Time on the clock of ``now`` [s], -inf if a joint was never received; joint positions in
-            actuator order, shape (nu,) [rad, m], NaN if never received.
+            1. Time on the clock of ``now`` [s]; -inf if no position of a joint was received.
+            2. Joint positions in actuator order, shape (nu,) [rad, m]; NaN if not received.
         """
         self._ros.spin_once(self._node, timeout_sec=0.0)
         positions = [self._positions.get(name, math.nan) for name in self._robot.joint_names]
         return min(self._reception_times.values()), np.array(positions)
 
     def wait(self, seconds: float) -> None:
-        """Wait for a duration [s], and process ROS messages meanwhile."""
+        """Wait for a duration [s], and process ROS messages during this time."""
         end = self.now() + seconds
         while (remaining := end - self.now()) > 0:
             self._ros.spin_once(self._node, timeout_sec=remaining)
@@ -179,19 +180,18 @@ _ARRAY_SIGNALS = {"observation": "observations", "action": "actions", "target": 
 
 
 class RosListener(WallClock):
-    """Subscriptions to the topics of a running policy.
+    """Listener that subscribes to the ROS 2 topics of a running policy.
 
     Args:
         robot: Robot.
         ros: Module ``rclpy`` with the modules ``qos`` and ``signals``.
         messages: {class name: message class}.
         topics: {key of `LISTENED_TOPICS`: topic}.
-        order: Joints of the controller, in the order of its commanded positions; actuator order by
+        order: Joints in the order of the commanded positions of the controller; actuator order by
             default.
 
     Raises:
-        ConfigurationError: If ``order`` lacks a joint of the robot, or contains another joint or a
-            joint twice.
+        ConfigurationError: If ``order`` does not contain each joint of the robot exactly once.
     """
 
     def __init__(
@@ -245,9 +245,9 @@ class RosListener(WallClock):
         self._append(signal, values)
 
     def _receive_state(self, message: Any) -> None:
-        """Update joint positions and velocities, and append them to their signals.
+        """Update joint positions and velocities from a message, and append both to the signals.
 
-        Units are rad and rad/s, or m and m/s. A signal gets its first values when the values of all
+        Units are rad and rad/s, or m and m/s. A signal gets the first values when the values of all
         joints have been received.
         """
         for kind, state in self._state.items():
@@ -269,7 +269,7 @@ class RosListener(WallClock):
         self._append("commands", (message.linear.x, message.linear.y, message.angular.z))
 
     def listen(self, seconds: float) -> dict[str, list[tuple[float, Array]]]:
-        """Return the messages of ``seconds`` [s], then destroy the ROS node.
+        """Receive messages for ``seconds`` [s], destroy the ROS node, and return the messages.
 
         Returns:
             {signal: [(time of reception [s], values), ...]}, with the signals and units of

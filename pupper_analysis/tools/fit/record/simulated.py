@@ -1,8 +1,8 @@
 """Simulated robot with perturbed masses, servos and encoders, to try a plan without hardware.
 
 `SimulatedRobot` is both the bridge and the operator of a recording. Masses, CoM positions, encoder
-offsets and kp are drawn at random from a seed; commands are simulated in MuJoCo, and positions are
-rounded to the encoder step. Known masses are attached by building the model again.
+offsets and kp are drawn at random from a seed. Commands are simulated in MuJoCo, and positions are
+rounded to the encoder step. To attach known masses, the model is built again.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from pupper_analysis.tools.study.parameters import scale_robot
 
 MASS_LOG_STD, COM_STD, OFFSET_STD, KP_LOG_STD = 0.1, 0.006, math.radians(1.0), 0.07
 """Standard deviations of the perturbations of the simulated robot. In this order: logarithm of the
-mass of each body, CoM components [m], encoder offsets [rad, m], logarithm of kp. The last value is
-used twice: for a factor on the kp of each servo, and for a common factor. Chosen, not tuned.
+mass of each body, CoM components [m], encoder offsets [rad, m], logarithm of kp. The last value has
+two uses: a factor on the kp of each servo, and a common factor on all kp. Chosen, not tuned.
 """
 
 _ENCODER_STEP = 2 * math.pi / 2**14
@@ -45,26 +45,26 @@ _MAX_FOOT_FRICTION = (1e-3, 2e-4)
 rubber feet. Chosen, not tuned."""
 
 _MIN_LOAD_RATIO = 0.005
-"""Ratio of the normal force on a foot to the weight of the robot. The weight does not include
-attached known masses. If the ratio is smaller, `SimulatedRobot.feet_up` reports the foot as in the
-air. Chosen, not tuned.
+"""Lower bound of (normal force on a foot / weight of the robot) of a foot that carries load.
+`SimulatedRobot.feet_up` reports a foot below the bound as in the air. The weight does not include
+attached known masses. Chosen, not tuned.
 """
 
 
 class SimulatedRobot:
-    """Robot in MuJoCo with perturbed parameters, and a simulated operator.
+    """Robot in MuJoCo with perturbed parameters: both the bridge and the operator of a recording.
 
     Args:
         robot: Robot, with the values of the files.
         seed: Seed of the perturbations.
-        kp: Stated servo stiffness of all joints [N m/rad, N/m]; the files' by default.
+        kp: Stated servo stiffness of all joints [N m/rad, N/m]; the values of the files by default.
 
     Attributes:
         robot: Robot with the true masses and CoM positions.
         total_mass: True mass [kg], without known masses.
         kp: True stiffness, shape (nu,) [N m/rad, N/m].
         offset: Encoder offsets, shape (nu,) [rad, m].
-        sent: All commands, shape (nu,) [rad, m] each.
+        sent: All commands that were sent, shape (nu,) [rad, m] each.
     """
 
     ramps = True
@@ -141,9 +141,10 @@ class SimulatedRobot:
     ) -> bool:
         """Attach known loads, and set the robot just above the ground in the commanded posture.
 
+        The base is rotated such that the stance feet are on level ground.
+
         Args:
-            stand: Stand to be set up. The base is rotated such that the stance feet are on level
-                ground.
+            stand: Stand for which the robot is prepared.
             loads: {link: mass [kg] and position (x, y, z) [m] of a known load, shape (4,)}.
             instructions: Steps for an operator; ignored.
 
@@ -157,9 +158,11 @@ class SimulatedRobot:
     def _place_on_feet(self, swing: Sequence[str]) -> None:
         """Reset the simulation to the commanded posture, at rest, `_DROP_HEIGHT` above the ground.
 
+        The base is rotated such that the feet other than ``swing`` are on level ground
+        (`compute_level_base`).
+
         Args:
-            swing: Feet in the air. The base is rotated such that the other feet are on level ground
-                (`compute_level_base`).
+            swing: Names of the feet in the air.
         """
         robot, joints = self._loaded, self.sent[-1] - self.offset
         contact_points = [
@@ -179,10 +182,12 @@ class SimulatedRobot:
         feet: Sequence[str],
         planned: Sequence[str],  # noqa: ARG002 - evaluates the contacts
     ) -> tuple[str, ...] | Diagnostic:
-        """Return the feet with hardly any normal force (`_MIN_LOAD_RATIO`) in the simulation.
+        """Return the names of the feet with hardly any normal force in the simulation.
 
-        If the robot has contacts other than its feet, or if fewer than three feet carry load, the
-        result is a diagnostic: the reason for skipping the stand.
+        The result is a diagnostic, the reason for skipping the stand, in two cases:
+
+        - The robot has contacts other than the contacts of the feet.
+        - Fewer than three feet carry load.
 
         Args:
             feet: All feet of the robot.

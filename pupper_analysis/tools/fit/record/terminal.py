@@ -1,6 +1,6 @@
-"""Operator at a terminal, and a bridge with typed positions.
+"""Operator at a terminal, and a bridge with joint positions that a person types.
 
-Prompts appear at the terminal; the operator confirms stands, and types feet in the air or joint
+Prompts appear at the terminal. The operator confirms stands, and types feet in the air or joint
 positions. Both classes need no software of the robot.
 """
 
@@ -95,7 +95,11 @@ class TypedBridge(WallClock):
         ]
 
     def read(self) -> tuple[float, Array]:
-        """Prompt for the joint positions in deg or mm; return time [s], positions [rad, m]."""
+        """Prompt for the joint positions in deg or mm.
+
+        Returns:
+            Time [s]; joint positions in actuator order, shape (nu,) [rad, m].
+        """
         positions = [
             click.prompt(f"  position of {name} ({unit})", type=float, err=True) / scale
             for name, scale, unit in self._joints
@@ -114,7 +118,8 @@ class TypedBridge(WallClock):
 def open_typed(robot: Robot, _: str) -> tuple[TypedBridge, Terminal]:
     """Open a bridge with joint positions that a person types, and an operator at the terminal.
 
-    The second argument is required by `open_bridge`, and ignored.
+    The second argument (``ARGUMENTS`` of ``NAME:ARGUMENTS``) is ignored: `open_bridge` passes two
+    arguments.
 
     Returns:
         Bridge; operator.

@@ -1,8 +1,9 @@
 """Residual equations of measured stands at rest, as functions of the parameters.
 
-`StandEquations` has the equations of all stands. Each stand also has unknowns of its own (base tilt
-and height, contact forces), which are eliminated. The result is `LinearisedResiduals`: sums over
-the whitened residuals and their derivatives by the parameters.
+`StandEquations` contains the equations of all stands. Base tilt, base height and contact forces are
+further unknowns, which differ in each stand. These own unknowns of a stand are eliminated. The
+result is `LinearisedResiduals`: sums over the whitened residuals and the derivatives by the
+parameters.
 """
 
 from __future__ import annotations
@@ -25,13 +26,13 @@ from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
 from pupper_analysis.tools.fit.parameters import AXES, PARAMETER_KINDS, ParameterTable, list_bodies
 
 _TILT_HEIGHT_INDICES = [3, 4, 2]
-"""Indices in qvel of a stand's base unknowns: rotations about the base x and y axes, and height.
-The other base coordinates (horizontal position, yaw) are free: the measurements do not depend on
-them."""
+"""Indices in qvel of the base unknowns of a stand: rotations about the base x and y axes, and
+height. The measurements do not depend on the other base coordinates (horizontal position, yaw).
+"""
 
 _LAST_MOTION_FRACTION = 0.75
 """Standard deviation of six terms in the moments on all feet, as a fraction of `StandNoise.moment`.
-Each term belongs to one base motion (translation or rotation) that may precede rest, and acts on
+Each term belongs to one base motion (translation or rotation) that may precede rest. A term acts on
 all feet together. About half of the variance of the moments is independent for each foot. Measured
 on v3 set down in MuJoCo: with this value the whitened residuals of robots with exact parameters
 have unit variance.
@@ -39,8 +40,8 @@ have unit variance.
 
 _RANK_RTOL = 1e-6
 """Relative tolerance of the singular values of the Jacobian of the contact points by the joints. A
-singular value counts as 0 if its ratio to the largest is smaller. The corresponding joint motions
-do not move the feet. Chosen, not tuned.
+singular value counts as 0 if its ratio to the largest singular value is below the tolerance. The
+corresponding joint motions do not move the feet. Chosen, not tuned.
 """
 
 _VELOCITY_ATOL = 1e-9
@@ -49,21 +50,23 @@ by the largest rotation. The bound prevents a division by zero. Chosen, not tune
 """
 
 _BALANCE_STD_RATIO = 1e-5
-"""Standard deviation of the balance equations of the base. It is a fraction of the weight for
-forces, and of weight times height for moments. The value is small, because a robot at rest obeys
-statics. It is not 0, because the weighted least squares divide by it. Chosen, not tuned.
+"""Standard deviation of the balance equations of the base, as a fraction of the weight for forces,
+and of weight times height for moments. The value is small, because a robot at rest obeys statics.
+The value is not 0, because the weighted least squares divide by the standard deviation. Chosen, not
+tuned.
 """
 
 _TORQUE_STD_RATIO = 1e-4
 """Assumed standard deviation of the difference between servo torque and kp times servo error, as a
-fraction of robot weight times `Robot.stand_height`. Together with dry friction, it weights the
-torque equation of a joint in the least squares. A leg joint carries about a tenth of weight times
-height, so this value is about a thousandth of the joint torque. Chosen, not tuned.
+fraction of robot weight times `Robot.stand_height`. This standard deviation and the dry friction
+weight the torque equation of a joint in the least squares. A leg joint carries about a tenth of
+weight times height, so this value is about a thousandth of the joint torque. Chosen, not tuned.
 """
 
 _UNKNOWN_TORQUE_STD_RATIO = 1e3
 """Standard deviation of the torque of a joint without a usable command, as a fraction of weight
-times height. It is so large that this torque has no effect on the fit. Chosen, not tuned."""
+times height. The value is so large that this torque has no effect on the fit. Chosen, not tuned.
+"""
 
 _MIN_SIGN_BAND = 1e-3
 """Lower bound of the sign band [rad, m]: the servo error over which the sign of friction changes
@@ -82,21 +85,21 @@ _HELD_FRICTION_STD = 0.45
 """Standard deviation of the friction torque of a joint that dry friction holds, as a fraction of
 dead band times kp. This product is the friction torque at the edge of the dead band. The standard
 deviation is multiplied by b / sqrt(e^2 + b^2), with the servo error e and the sign band b
-(`_SIGN_BAND_RATIO`), because a large error determines the sign of the friction. Derived from joints
-of Go1 and MEVIUS, whose friction has any value up to the limit.
+(`_SIGN_BAND_RATIO`). The reason: a large error determines the sign of the friction. Derived from
+joints of Go1 and MEVIUS, whose friction has any value up to the limit.
 """
 
 
 @dataclass(frozen=True)
 class StandNoise:
-    """Noise levels in a stand: encoders, contact moments, ground, friction.
+    """Noise levels in a stand at rest: encoders, contact moments, ground and friction.
 
     Attributes:
-        encoder: Standard deviation of a joint position [rad, m].
+        encoder: Standard deviation of the encoder noise of a joint position [rad, m].
         moment: Standard deviation of (moment about an axis / normal force) at a contact point [m].
             The moment is due to friction of a foot that turned or rolled on the ground.
-        flatness: Standard deviation of the height of the ground under a contact point [m]; it
-            includes errors of the link lengths.
+        flatness: Standard deviation of the height of the ground under a contact point [m],
+            including the effect of errors of the link lengths.
         friction: Bound of the random dry friction of a joint, as a factor on the stated friction.
             The random friction has a uniform distribution.
     """
@@ -109,12 +112,12 @@ class StandNoise:
 
 @dataclass(frozen=True, eq=False)
 class StandReading:
-    """Measurements of a stand; NaN if not measured. See ``MeasuredStands``.
+    """Measurements of one stand at rest; see ``MeasuredStands`` for all stands.
 
     Attributes:
-        command: Commanded joint positions, shape (nu,) [rad, m].
+        command: Commanded joint positions, shape (nu,) [rad, m]; NaN if unknown.
         position: Measured joint positions, shape (nu,) [rad, m].
-        points: Names of the contact points of the feet that carry.
+        points: Names of the contact points of the feet that carry load.
         heading: Rotation of the robot about the vertical [rad].
         added: {link: known mass on the link [kg] and position in the link frame [m], shape (4,)};
             only links with a mass.
@@ -128,9 +131,9 @@ class StandReading:
 
 
 def make_readings(robot: Robot, stands: MeasuredStands) -> Iterator[StandReading]:
-    """Yield the measurements of each stand, in the order of the rows.
+    """Yield the measurements of each stand, in the order of the rows of ``stands``.
 
-    All contact points of a foot carry load, unless the foot is in ``swing``.
+    All contact points of a foot carry load, unless the foot is in ``stands.swing``.
 
     Args:
         robot: Robot.
@@ -152,31 +155,32 @@ def make_readings(robot: Robot, stands: MeasuredStands) -> Iterator[StandReading
 
 
 _MIN_FORCE_SIGNAL = 1.0
-"""Bound of (singular value [1/N] times robot weight [N]) in the elimination of a stand's own
-unknowns: contact forces, base tilt and base height. A combination of these unknowns is eliminated
-from the whitened equations if the product is larger. At the bound, a force equal to the weight
-changes the residuals by one standard deviation. Smaller singular values belong, for example, to
-distributions of the force within a sole. Chosen, not tuned.
+"""Lower bound of (singular value [1/N] times robot weight [N]) in the elimination of the own
+unknowns of a stand: contact forces, base tilt and base height. A combination of these unknowns is
+eliminated from the whitened equations if the product is above the bound. At the bound, a force
+equal to the weight changes the residuals by one standard deviation. Smaller singular values belong,
+for example, to distributions of the force within a sole. Chosen, not tuned.
 """
 
 _MIN_READING_INFORMATION = 1e-4
-"""Lower bound of the information (1 / variance) about the error of a joint reading, relative to 1 /
-(encoder noise)^2. The information is that of all other readings. The bound prevents a division by
-zero in `StandRows.find_contradictions`. Chosen, not tuned.
+"""Lower bound of the information (1 / variance) that all other readings provide about the error of
+a joint reading, relative to 1 / (encoder noise)^2. The bound prevents a division by zero in
+`StandRows.find_contradictions`. Chosen, not tuned.
 """
 
 
 class StandRows:
-    """Residuals of a stand, with derivatives, at given parameters and own unknowns.
+    """Residuals of a stand and derivatives, for given parameters, base pose and contact forces.
 
-    The own unknowns are the rotations of the base about its x and y axes, the base height, and
-    three force components on each of p contact points, in the axes of the ground.
+    The own unknowns of a stand are the rotations of the base about its x and y axes, the base
+    height, and the three force components at each of the p contact points. Forces are in the axes
+    of the ground.
 
     Args:
         table: Parameters.
         values: Values of the robot and the surroundings for the parameters.
         reading: Measurements.
-        laws: {contact point: law of the penetration}.
+        laws: {contact point: law of the penetration under a normal force}.
         base: Base quaternion (w, x, y, z) and height [m], shape (5,).
         forces: Forces on the contact points in the axes of the ground, shape (p, 3) [N].
         noise: Noise of the measurements.
@@ -186,11 +190,13 @@ class StandRows:
         config: Configuration of the robot.
         jacobians: Jacobians of the contact points, shape (p, 3, nv).
         kp: Servo stiffness, shape (nu,) [N m/rad, N/m].
-        residual: Residuals, shape (m,): nv equations of balance, then one for each contact point.
+        residual: Residuals, shape (m,), m = nv + p: nv equations of balance [N, N m], then the
+            height equation of each contact point [m].
         by_x: Derivative of the residuals by the n parameters, shape (m, n).
         by_own: Derivative of the residuals by the own unknowns, shape (m, 3 + 3 p).
         by_noise: Derivative of the residuals by noise that acts on several rows, shape (m, nu + 3 p
-            + 6): encoders, moments on contact points, last motions of the base.
+            + 6). The columns are nu encoder errors, 3 p moments at the contact points, and 6 base
+            motions before rest.
         deviation: Standard deviations of the noise that acts on single rows, shape (m,).
     """
 
@@ -264,7 +270,7 @@ class StandRows:
         self.set_noise(noise)
 
     def set_noise(self, noise: StandNoise) -> None:
-        """Set the noise levels that determine the covariance, not the values, of the residuals."""
+        """Set the noise levels, which affect the covariance of the residuals, not the values."""
         normal_forces, height = np.maximum(self._forces[:, 2], 0.0), self._robot.stand_height
         moment_std = math.sqrt(0.5) * noise.moment * np.repeat(normal_forces, 3)
         last_std = np.full(6, _LAST_MOTION_FRACTION * noise.moment)
@@ -292,14 +298,14 @@ class StandRows:
     def eliminate_own_unknowns(self) -> tuple[LinearisedResiduals, Array]:
         """Eliminate base tilt, base height and contact forces from the equations of a stand.
 
-        The residuals are whitened, and projected onto combinations that these unknowns of the stand
-        do not affect.
+        The residuals are whitened, and projected onto combinations that these unknowns do not
+        affect. The parameters remain as the only unknowns.
 
         Returns:
-            Sums (`LinearisedResiduals`) of the projected residuals, with the parameters as the only
-            unknowns; and the Gauss-Newton step of the unknowns of the stand, shape (3 + 3 p,), for
-            p contact points: rotations about the base x and y axes [rad], base height [m],
-            forces [N].
+            1. Sums (`LinearisedResiduals`) over the projected residuals and the derivatives by the
+            parameters.
+            2. Gauss-Newton step of the eliminated unknowns, shape (3 + 3 p,), for p contact points:
+            rotations about the base x and y axes [rad], base height [m], forces [N].
         """
         projected, log_noise, step = self._project_out_unknowns(
             np.column_stack([self.residual, self.by_x])
@@ -309,16 +315,20 @@ class StandRows:
         ), step
 
     def _project_out_unknowns(self, columns: Array) -> tuple[Array, float, Array]:
-        """Whiten columns by the noise, and eliminate the stand's own unknowns by projection.
+        """Whiten columns by the noise, and eliminate the own unknowns of the stand by projection.
 
-        The own unknowns of a stand are base tilt, base height and contact forces. The first column
-        of ``columns``, shape (m, n), contains the residuals.
+        The own unknowns of a stand are base tilt, base height and contact forces. With the
+        covariance C, the projection P and the derivative B by the own unknowns, det(P' C P) =
+        det(C) det(B' C^-1 B) / det(B' B). The last factor does not depend on the noise and is left
+        out of the log determinant.
+
+        Args:
+            columns: Columns to project, shape (m, n). The first column contains the residuals.
 
         Returns:
-            Projected columns; log determinant of the noise covariance of the projected residuals;
-            and Gauss-Newton step of the own unknowns. With the covariance C, the projection P and
-            the derivative B by the unknowns, det(P' C P) = det(C) det(B' C^-1 B) / det(B' B); the
-            last factor does not depend on the noise and is left out.
+            1. Projected columns.
+            2. Log determinant of the noise covariance of the projected residuals.
+            3. Gauss-Newton step of the own unknowns, shape (3 + 3 p,).
         """
         factor, n = np.linalg.cholesky(self._compute_covariance()), columns.shape[1]
         whitened = np.linalg.solve(factor, np.column_stack([columns, self.by_own]))
@@ -340,15 +350,17 @@ class StandRows:
             error = -d^T r / w,    standard deviation = 1 / sqrt(w),
             w = d^T d - d^T A C A^T d, at least `_MIN_READING_INFORMATION` / (encoder noise)^2
 
-        r are the whitened residuals: divided by their noise, and projected so that they do not
-        depend on base tilt, base height and contact forces of the stand. d is the derivative of r
-        by the error of the joint position, A the derivative of r by the parameters.
+        - r: whitened residuals (divided by the noise), projected so that base tilt, base height and
+          contact forces of the stand have no effect
+        - d: derivative of r by the error of the joint position
+        - A: derivative of r by the parameters
 
         Args:
             covariance: Covariance C of the parameters, shape (n, n).
 
         Returns:
-            Errors, shape (nu,) [rad, m], and their standard deviations, shape (nu,) [rad, m].
+            Errors, shape (nu,) [rad, m], and the standard deviations of the errors, shape (nu,)
+            [rad, m].
         """
         columns = [self.residual, self.by_x, self.by_noise[:, : self._robot.nu]]
         projected = self._project_out_unknowns(np.column_stack(columns))[0]
@@ -383,12 +395,16 @@ class StandRows:
             np.add.at(rows.T, columns, derivatives.T[positions])
 
     def _fill_balance(self) -> None:
-        """Fill in the residual of S tau - g + passive + sum J_p^T w_p - load = 0, with derivatives.
+        """Fill in the residual of the static balance and the derivatives.
 
-        This is the static balance. The vector tau contains the torques of the servos and of
-        one-sided friction (``settling``). S maps these torques to generalised forces. g is gravity,
-        and w_p the force and moment on contact point p. load is the force on the feet in excess of
-        the weight of the masses.
+            S tau - g + passive + sum J_p^T w_p - load = 0
+
+        - tau: torques of the servos and of one-sided friction (``settling``)
+        - S: matrix that maps these torques to generalised forces
+        - g: generalised forces of gravity
+        - passive: generalised passive forces of the joints
+        - w_p: force and moment at contact point p
+        - load: force on the feet in excess of the weight of the masses
         """
         values, nv, nu, forces = self._values, self._robot.nv, self._robot.nu, self._forces
         num_points = len(forces)
@@ -442,12 +458,12 @@ class StandRows:
         self.residual[:nv] = residual
 
     def _compute_last_motions(self) -> Array:
-        """Return the rotation rates of the feet in six base motions, shape (p, 3, 6), for p points.
+        """Compute the rotation rates of p contact points in six base motions, shape (p, 3, 6).
 
-        Each motion is a translation or rotation of the base. The contact points are fixed as far as
-        the joints permit. The rates of a motion are divided by the largest absolute rate of a foot,
-        and have no unit. Friction on a foot at rest acts against its last motion, which is a
-        combination of these six motions.
+        Friction on a foot at rest acts against the last motion before rest. The last motion is a
+        combination of six base motions: translations and rotations. The contact points are fixed as
+        far as the joints permit. The rates of a base motion are divided by the largest absolute
+        rate, and have no unit.
         """
         nv, twists = self._robot.nv, self._twists
         contact_jacobian = self.jacobians.reshape(-1, nv)
@@ -491,7 +507,7 @@ class StandRows:
     ) -> None:
         """Multiply rows of commanded joints by (noise kp) / kp, base rows by (noise mass) / mass.
 
-        The noise is computed with a constant kp and mass (``StandValues.noise_kp``,
+        The noise is computed with a constant kp and a constant mass (``StandValues.noise_kp``,
         ``noise_mass``). Without the factors, small estimates of kp and masses would decrease the
         residuals, but not the noise. The derivatives of the factors by kp and masses are added to
         ``by_x``. All arrays have a row per balance equation and are changed in place.
@@ -543,15 +559,15 @@ def _compute_sign_band(deadband: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class KnownMass:
-    """Known mass that was attached to a link.
+    """Known mass that was attached to a link during a stand.
 
     Attributes:
-        link: Link.
+        link: Name of the link.
         number: Index of the joint that moves the link, in the model of the robot's ``structure``.
         stated: Stated mass [kg].
         mass: Estimated mass [kg].
         place: Estimated position in the joint frame, shape (3,) [m].
-        turn: Axes of the link in the joint frame, shape (3, 3).
+        turn: Rotation matrix from the link frame to the joint frame, shape (3, 3).
     """
 
     link: str
@@ -568,27 +584,30 @@ class StandValues:
 
     Attributes:
         vector: Parameters, shape (n,).
-        robot: Robot, with masses, CoMs and leg lengths of the parameters in the Pinocchio model.
+        robot: Robot whose Pinocchio model has the masses, CoMs and leg lengths of the parameters.
         bodies: Link, joint index in ``structure.model``, mass [kg] and CoM in the joint frame,
             shape (3,) [m], of each body.
         kp: Servo stiffness, shape (nu,) [N m/rad, N/m].
         offset: Encoder offsets, shape (nu,) [rad, m].
         softness: {foot: factor on the penetration}.
-        moment: {foot: moment over normal force, shape (3,) [m]}.
+        moment: {foot: contact moment / normal force, shape (3,) [m]}.
         last_links: {contact point: vector from the axis of the leg's last joint to the point, shape
             (3,) [m], in the frame of the contact}.
         gravity: Gravity in the axes of the ground, shape (3,) [m/s^2].
         gravity_by_slope: Derivatives of ``gravity`` by the slope of the ground along x and y, shape
             (2, 3) [m/s^2]. The slope is the sine of its angle.
-        deadband: Servo error without torque [rad, m]; negative for friction against the load.
+        deadband: Servo error below which a servo gives no torque [rad, m]; negative for friction
+            against the load.
         settling: {link with a known mass: one-sided friction as a fraction of ``friction``}.
         unweighed_load: Load on the feet in excess of the weight of the masses, as a fraction of the
             weight of ``mass``.
         gravity_norm: Norm of gravity [m/s^2].
         mass: Mass of the whole robot, without known masses [kg].
-        noise_mass: Mass with which the noise is scaled [kg].
-        noise_kp: Stiffness with which the noise is scaled, shape (nu,) [N m/rad, N/m].
-        noise_deadband: Dead band within which the friction of joints is noise [rad, m].
+        noise_mass: Robot mass that scales the noise, constant during a minimisation [kg].
+        noise_kp: Servo stiffness that scales the noise, constant during a minimisation, shape (nu,)
+            [N m/rad, N/m].
+        noise_deadband: Servo error [rad, m] up to which dry friction may hold a joint with a random
+            torque.
         friction: Stated or default dry friction, shape (nu,) [N m, N].
         loads: Known masses that are attached.
     """
@@ -615,9 +634,10 @@ class StandValues:
     loads: tuple[KnownMass, ...] = ()
 
     def for_reading(self, reading: StandReading, table: ParameterTable) -> StandValues:
-        """Return these values for a stand: known masses are attached, and gravity is rotated.
+        """Return a copy for one stand, with the known masses and the heading of the stand.
 
-        Gravity is expressed in axes that are rotated by the heading of the stand.
+        Known masses are added to the Pinocchio model. Gravity is expressed in axes that are rotated
+        by the heading of the stand.
 
         Args:
             reading: Measurements of the stand.
@@ -654,8 +674,8 @@ class StandValues:
 def _compute_last_link(robot: Robot, point: str) -> Array:
     """Return the vector, shape (3,) [m], from the axis of a leg's last joint to a contact point.
 
-    The vector is perpendicular to the axis, and expressed in the frame of the contact; zeros if no
-    joint moves the point.
+    The vector is perpendicular to the axis, and expressed in the frame of the contact. The result
+    is zero if no joint moves the point.
     """
     config, joints = Configuration(robot, robot.neutral()), leg_joints(robot, point)
     if not joints:
@@ -668,19 +688,19 @@ def _compute_last_link(robot: Robot, point: str) -> Array:
 
 
 def compute_level_base(robot: Robot, joints: Array, points: Sequence[str]) -> Array:
-    """Compute the base pose with the feet on the ground: quaternion (w, x, y, z) and height [m].
+    """Compute the base pose at which the feet are on the ground: orientation and height.
 
-    The base is rotated such that the plane z = a x + b y + c through the contact points (least
-    squares) is level and at height 0. A contact point is here the centre of the sphere, lowered by
-    the radius along the base z axis.
+    A plane z = a x + b y + c is fitted to the contact points by least squares. The base pose makes
+    this plane level, at height 0. A contact point is here the centre of the contact sphere, lowered
+    by the radius along the base z axis.
 
     Args:
         robot: Robot.
         joints: Joint positions, shape (nu,) [rad, m].
-        points: Contact points that carry load.
+        points: Names of the contact points that carry load.
 
     Returns:
-        Quaternion and height of the base in the world frame, shape (5,).
+        Quaternion (w, x, y, z) and height [m] of the base in the world frame, shape (5,).
     """
     positions = Configuration(robot, robot.make_qpos(joints)).foot_centres(points)
     positions[:, 2] -= [robot.contact_radius[point] for point in points]
@@ -693,7 +713,7 @@ def compute_level_base(robot: Robot, joints: Array, points: Sequence[str]) -> Ar
 
 
 class GravityRegressor:
-    """Generalised forces of gravity as a linear function of masses and first moments.
+    """Regressor of gravity: generalised forces as a linear function of masses and first moments.
 
     A first moment is mass times CoM.
 
@@ -709,7 +729,7 @@ class GravityRegressor:
     def evaluate(
         self, config: Configuration, values: StandValues
     ) -> tuple[Array, Array, Array, Array]:
-        """Compute the generalised forces that balance gravity, g(q), and their derivatives.
+        """Compute the generalised forces g(q) that balance gravity, and the derivatives of g.
 
         Args:
             config: Configuration of the robot.
@@ -749,20 +769,24 @@ in each evaluation. Chosen, not tuned."""
 
 
 class StandEquations:
-    """Equations of balance and contact of all stands.
+    """Equations of balance and contact of all stands, for the estimation of the parameters.
 
-    The unknowns are the parameters, which are common to all stands, and the own unknowns of each
-    stand. The own unknowns are the base tilt (2), the base height (1), and the forces on the
-    contact points (3 each). The equations of a stand are
+    The parameters are common to all stands. Each stand also has own unknowns: base tilt (2), base
+    height (1), and forces on the contact points (3 each). The equations of a stand are
 
         S tau - g(q; masses, CoM) + passive + sum J_p^T w_p - load = 0    (nv)
         z_p(q) - r_p + softness depth(f_p) = 0                            (1 per contact point)
 
-    with q = position - offset, and the force f_p and the moment in w_p. The torque is tau = kp
-    (command - position - dead band), plus the one-sided friction ``settling`` if a known mass is
-    attached. The dead band has the smoothed sign of the servo error. Encoder noise acts on q and on
-    tau. The own unknowns of each stand are eliminated: only those combinations of its equations
-    remain that depend on no contact force and no motion of the base.
+    - q: measured position - offset
+    - tau: servo torque, kp (command - position - dead band). The dead band has the smoothed sign of
+      the servo error. If a known mass is attached, the one-sided friction ``settling`` is added.
+    - S: matrix that maps joint torques to generalised forces
+    - w_p: force f_p and moment at contact point p
+    - load: force on the feet in excess of the weight of the masses
+    - z_p, r_p: height and radius of the contact sphere; depth: penetration [m]
+
+    Encoder noise acts on q and on tau. The own unknowns of each stand are eliminated: the remaining
+    combinations of the equations depend on no contact force and no motion of the base.
 
     Args:
         robot: Robot, with the values of the files.
@@ -773,7 +797,8 @@ class StandEquations:
         noise: Noise of the measurements; may be replaced.
 
     Attributes:
-        noise_deadband: Dead band within which the friction of joints is noise [rad, m]; 0 at first.
+        noise_deadband: Servo error [rad, m] up to which dry friction may hold a joint with a random
+            torque; 0 at first.
     """
 
     def __init__(
@@ -809,8 +834,8 @@ class StandEquations:
 
         Args:
             x: Parameters, shape (n,), each in its unit.
-            noise_point: ``x`` itself, to store the solved unknowns as the next initial guess; any
-                other array for a trial, after which the previous unknowns are restored.
+            noise_point: The same array object as ``x``, to store the solved unknowns as the next
+                initial guess. With any other array, the previous unknowns are restored at the end.
             evaluations: Newton steps of the own unknowns.
 
         Returns:
@@ -831,9 +856,9 @@ class StandEquations:
     def set_noise_point(self, x: Array) -> None:
         """Set servo stiffness, mass and dead band that scale the noise, from a parameter vector.
 
-        Until the first call, the noise is scaled by the stated stiffness and mass, and by the
-        initial ``noise_deadband``. The values are constant during a minimisation. Otherwise the
-        minimisation would prefer parameters with large noise.
+        These values are constant during a minimisation. Otherwise the minimisation would prefer
+        parameters with large noise. Until the first call, the noise is scaled by the stated
+        stiffness and mass, and by the initial ``noise_deadband``.
 
         Args:
             x: Parameters, shape (n,).
@@ -848,9 +873,8 @@ class StandEquations:
     ) -> LinearisedResiduals:
         """Linearise the whitened residuals of a stand with respect to the parameters.
 
-        Base tilt, base height and contact forces are the own unknowns of a stand. They are computed
-        by Newton steps, stored, and eliminated. The returned sums are evaluated at the start of the
-        last step.
+        Base tilt, base height and contact forces of the stand are computed by Newton steps, stored,
+        and eliminated. The returned sums are evaluated at the start of the last step.
 
         Args:
             stand: Index of the stand.
@@ -863,16 +887,15 @@ class StandEquations:
         return linearised
 
     def evaluate_rows(self, x: Array) -> list[StandRows]:
-        """Evaluate the residuals of every stand and the derivatives at parameters x, shape (n,).
+        """Evaluate the residuals of every stand, with derivatives, at parameters x, shape (n,).
 
-        The own unknowns of a stand (tilt and height of the base, contact forces) keep their current
-        values.
+        Base tilt, base height and contact forces of a stand keep their stored values.
         """
         values = self._make_values(x)
         return [self._evaluate_stand(stand, values) for stand in range(len(self._readings))]
 
     def _evaluate_stand(self, stand: int, values: StandValues) -> StandRows:
-        """Evaluate the residuals of a stand, at its current base pose and contact forces."""
+        """Evaluate the residuals of a stand, at the stored base pose and contact forces."""
         (base, forces), reading = self._unknowns[stand], self._readings[stand]
         return StandRows(
             self.table,
@@ -960,15 +983,16 @@ class StandEquations:
         return compute_level_base(robot, reading.position, points), forces
 
     def compute_informations(self, x: Array) -> list[Array]:
-        """Return the Fisher information about the parameters that each stand provides.
+        """Compute the Fisher information about the parameters that each stand provides.
 
-        The stored unknowns of the stands are updated.
+        The stored base poses and contact forces of the stands are updated.
 
         Args:
             x: Parameters, shape (n,).
 
         Returns:
-            For each stand, shape (n, n); dimensionless, in units of the prior widths.
+            Information matrix of each stand, shape (n, n); dimensionless, in units of the prior
+            widths.
         """
         values, width = self._make_values(x), self.table.width
         informations = [
@@ -977,9 +1001,10 @@ class StandEquations:
         return [width[:, None] * information * width for information in informations]
 
     def sum_normal_forces(self, stand: int) -> dict[str, float]:
-        """Return {foot: total normal force [N] on the contact points} of the loaded feet.
+        """Return {foot: total normal force [N]} of the feet that carry load in a stand.
 
-        The forces are the stored unknowns of the stand.
+        The force of a foot is the sum over the contact points, from the stored solution of the
+        stand.
 
         Args:
             stand: Index of the stand.
@@ -999,8 +1024,7 @@ class StandEquations:
         Args:
             stand: Index of the measured stand.
             x: Parameters, shape (n,), each in its unit.
-            offsets: Standard deviation of each joint's encoder offset, shape (nu,) [rad, m], as
-                part of the standard deviation of the height.
+            offsets: Standard deviation of each joint's encoder offset, shape (nu,) [rad, m].
 
         Returns:
             {foot: height above the ground and standard deviation [m]}. The standard deviation
@@ -1025,8 +1049,8 @@ class StandEquations:
     def compute_rms_residuals(self, x: Array) -> list[float]:
         """Return the root mean square of the whitened residuals of each stand; 1 is expected.
 
-        The own unknowns of the stands (base tilt, base height, contact forces) are updated, and
-        eliminated from the residuals. A stand without residuals has the value 0.
+        Base tilt, base height and contact forces of each stand are updated, and eliminated from the
+        residuals. A stand without residuals has the value 0.
 
         Args:
             x: Parameters, shape (n,).
@@ -1055,10 +1079,12 @@ class StandEquations:
         return errors, stds
 
     def _apply_step(self, stand: int, step: Array) -> None:
-        """Add a step to the stored unknowns of a stand.
+        """Add a step to the stored base pose and contact forces of a stand.
 
-        The step, shape (3 + 3 p,), contains the base tilt about x and y [rad], the base height [m]
-        and the forces at p contact points [N].
+        Args:
+            stand: Index of the stand.
+            step: Base tilt about x and y [rad], base height [m], and forces at p contact points
+                [N], shape (3 + 3 p,).
         """
         base, forces = self._unknowns[stand]
         half_x, half_y = step[:2] / 2

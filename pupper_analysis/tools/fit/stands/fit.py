@@ -1,8 +1,8 @@
 """Fit of stands at rest: masses, CoM positions, encoder offsets, servo stiffness and leg lengths.
 
-Inputs are commands and positions of the joints in several stands. Outputs are estimates with
-intervals, and failures if the model does not explain the measurements. `StandEquations` has the
-residuals, `estimate_parameters` the iteration.
+Inputs are commands and positions of the joints in several stands. Outputs are estimates with 95 %
+intervals, and failures if the model does not explain the measurements. `StandEquations` computes
+the residuals, `estimate_parameters` minimises them.
 """
 
 from __future__ import annotations
@@ -59,15 +59,15 @@ from pupper_analysis.tools.fit.stands.wiring import find_wiring
 
 @dataclass(frozen=True)
 class JointResidual(Result):
-    """Error of a measured joint position in a stand, and its significance.
+    """Error of a measured joint position in a stand, to find readings that contradict the others.
 
     Attributes:
         stand: Stand name.
         joint: Joint name.
         residual: Measured position minus the position that agrees best with all other readings.
-        deviations: The same difference, in standard deviations of the uncertainty (noise and
-            parameters).
-        unit: Unit of ``residual``: rad, or m of a slide.
+        deviations: ``residual`` divided by the standard deviation, which includes noise and the
+            uncertainty of the parameters.
+        unit: Unit of ``residual``: rad, or m for a slide.
     """
 
     stand: str
@@ -86,14 +86,14 @@ class StandFit(Fit):
         total_mass: Mass of the whole robot.
         com: Centre of mass of the whole robot (x, y, z) in the base frame, at the nominal joint
             positions of the file.
-        kp_factor: Geometric mean of the ratios of estimated to stated kp; None if no kp is
-            estimated, because kp is known or no servo was commanded.
-        weight: Mass of the whole robot on a scale; None if not weighed.
-        residuals: RMS residual of each stand, in standard deviations.
-        joint_residuals: Residual of each joint in each stand, the largest number of standard
-            deviations first.
-        noise: Noise levels, assumed or estimated: standard deviations; ``friction`` is the bound of
-            the random dry friction as a factor on the stated dry friction.
+        kp_factor: Geometric mean of estimated kp / stated kp over the joints. None if no kp is
+            estimated: kp is known, or no servo was commanded.
+        weight: Mass of the whole robot that a scale showed; None if not weighed.
+        residuals: RMS residual of each stand, in standard deviations of the noise.
+        joint_residuals: Error of each measured joint position in each stand, sorted by the number
+            of standard deviations, the largest first.
+        noise: Noise levels, assumed or estimated, as standard deviations. Exception: ``friction``
+            is the bound of the random dry friction, as a factor on the stated dry friction.
     """
 
     stands: int
@@ -112,8 +112,8 @@ def _list_joint_residuals(
     """Return the error of each joint position in each stand [rad, m], most significant first.
 
     The error is the measured position minus the position that agrees best with all other
-    measurements; significance is the absolute ratio to the standard deviation. ``known`` is the
-    distribution of the parameters.
+    measurements. The significance is the absolute ratio of error to standard deviation. ``known``
+    is the distribution of the parameters.
     """
     deviation, std = equations.find_contradictions(known)
     units = {joint: joint_unit(robot, joint) for joint in stands.joints}
@@ -143,8 +143,8 @@ def _estimate_total_mass(robot: Robot, posterior: Posterior) -> Estimate:
 def estimate_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
     """Yield the estimates of x, y, z of the robot's CoM [m], in the base frame.
 
-    Joints are at the positions ``robot.nominal``. Body i has mass m_i, CoM
-    c_i in the body frame, and pose R_i, p_i. With M = sum m_i and x_i = R_i c_i + p_i:
+    Joints are at the positions ``robot.nominal``. Body i has mass m_i, CoM c_i in the body frame,
+    and pose R_i, p_i in the base frame. With M = sum m_i and x_i = R_i c_i + p_i:
 
         com = sum m_i x_i / M
         d com / d m_i = (x_i - com) / M
@@ -183,21 +183,24 @@ def estimate_com(robot: Robot, posterior: Posterior) -> Iterator[Estimate]:
 def check_scale(
     robot: Robot, posterior: Posterior, weight: float | None = None, *, level: bool = True
 ) -> Iterator[Diagnostic]:
-    """Yield a failure if mean kp, total mass and load are jointly improbable, given the file.
+    """Yield a failure if mean kp, total mass and load are jointly improbable, given the files.
 
-    The load is the force on the feet in excess of the weight of the masses, as a fraction of this
-    weight. Positions determine the ratio of kp to mass; the weight determines both. An error of the
-    weight shifts all parameters a little, and no parameter by itself is far from the stated value.
-    Therefore the mean of log kp, the logarithm of the total mass and the load are tested jointly,
-    as far as they are estimated. The load is left out if a known mass was added in some stands:
-    `check_surroundings` then tests it.
+    Measured joint positions determine the ratio of kp to mass. The weight on a scale determines
+    both. A wrong weight changes all parameters a little, so no single parameter is far from the
+    stated value. Therefore these quantities are tested jointly, if they are estimated:
+
+    - mean of log kp
+    - logarithm of the total mass
+    - load: force on the feet in excess of the weight of the masses, as a fraction of this weight
+
+    The load is not tested if ``level`` is False, or if a known mass was added in some stands:
+    `check_surroundings` then tests the load.
 
     Args:
         robot: Robot.
         posterior: Distribution of the parameters.
         weight: Mass of the whole robot on a scale [kg], for the message; None if not weighed.
-        level: Whether the ground is level. Otherwise the load is not tested, since a slope changes
-            it.
+        level: Whether the ground is level. A slope changes the load.
     """
     from scipy import stats  # slow to import
 
@@ -236,21 +239,23 @@ def _compute_surprise(
 ) -> tuple[float, int, Array]:
     """Compute a chi2 test of whether parameter combinations changed more than the prior allows.
 
-    If the prior is right, the change d of the estimates has the covariance S = prior covariance
-    minus posterior covariance, and d^T S^-1 d follows a chi2 distribution. Several weak deviations
-    are tested jointly in this way.
+    Let d be the change of the estimates from the prior mean, and S = prior covariance minus
+    posterior covariance. If the prior is right, d has the covariance S, and d^T S^-1 d follows a
+    chi2 distribution. Several weak deviations are tested jointly in this way. S is restricted to
+    directions whose variance the measurements reduce by more than the fraction
+    `_MIN_VARIANCE_REDUCTION`.
 
     Args:
         posterior: Distribution of the parameters.
         combinations: Linear combinations, shape (k, n), of the parameters / prior widths.
-        expected_ratio: Standard deviation of an expected change over the prior standard deviation.
-            Below 1, the test is stricter than the prior, for example for leg lengths, whose prior
-            allows any leg.
+        expected_ratio: Standard deviation of an expected change / prior standard deviation. With a
+            value below 1, the test is stricter than the prior. An example are leg lengths, whose
+            prior permits other leg variants.
 
     Returns:
-        chi2; its degrees of freedom (number of directions whose variance the measurements reduce by
-        more than `_MIN_VARIANCE_REDUCTION`; S is restricted to these); and prior covariance times
-        S^-1 d, shape (k,), the change without the shrinkage by the prior.
+        1. chi2.
+        2. Degrees of freedom of chi2: the number of directions that remain in S.
+        3. Prior covariance times S^-1 d, shape (k,): the change without the shrinkage by the prior.
     """
     width = np.array([parameter.width for parameter in posterior.parameters])
     prior_covariance = combinations @ np.linalg.inv(posterior.precision) @ combinations.T
@@ -268,14 +273,17 @@ def _compute_surprise(
 
 
 def _report_unmodelled_effects(posterior: Posterior, friction_error: float) -> Iterator[Diagnostic]:
-    """Yield notes on a dead band of the servos and on a load, which no file can state.
+    """Yield notes on a dead band of the servos and on a load, which no model file can state.
 
-    Left out are estimates whose 95 % interval contains 0, and a load without a known mass.
+    Left out are:
+
+    - estimates whose 95 % interval contains 0
+    - a dead band whose 95 % interval is not above ``friction_error``: dry friction may be the cause
+    - a load, if no stand has a known mass
 
     Args:
         posterior: Distribution of the parameters.
-        friction_error: Mean dry friction divided by the mean kp [rad, m]. A dead band of the servos
-            is reported if its 95 % interval lies above this value: a smaller one may be friction.
+        friction_error: Mean dry friction divided by the mean kp [rad, m].
     """
     loaded = "added" in posterior.kinds
     for index, parameter in enumerate(posterior.parameters):
@@ -290,21 +298,22 @@ def _report_unmodelled_effects(posterior: Posterior, friction_error: float) -> I
 
 
 _SURPRISE_PROBABILITY = 0.0027
-"""Probability, if the priors are right, of a chi2 at least as large as the observed value. If it is
-at most this value, the deviation is reported. It is the probability of three standard deviations.
-Chosen, not tuned.
+"""Upper bound of the probability of a deviation that is reported: the probability, if the priors
+are right, of a chi2 at least as large as the observed value. The bound is the probability of three
+standard deviations. Chosen, not tuned.
 """
 
 _MIN_VARIANCE_REDUCTION = 0.02
 """Lower bound of 1 - posterior variance / prior variance, in tests whether an estimate is too far
-from its prior. Combinations of parameters with a smaller value are not tested, because the
-measurements hardly determine them. For a single parameter, a smaller value is replaced by this
-bound. Chosen, not tuned."""
+from the prior. Combinations of parameters with a smaller value are not tested, because the
+measurements hardly determine them. For a single parameter, a smaller value is replaced by the
+bound. Chosen, not tuned.
+"""
 
 _MIN_NAMED_STDS = 2.0
-"""Deviation of a foot's parameter from its prior, in standard deviations. If it is at least this
-value, the error message names the foot. The foot with the largest deviation is always named.
-Chosen, not tuned.
+"""Lower bound of the deviation of a foot's parameter from the prior, in standard deviations, from
+which the message names the foot. The foot with the largest deviation is always named. Chosen, not
+tuned.
 """
 
 _MAX_FLATNESS_RATIO = 5.0
@@ -319,8 +328,8 @@ applies. Chosen, not tuned."""
 
 _MAX_PARAMETER_STDS = 4.5
 """Largest accepted deviation of a parameter or a reading, in standard deviations. A larger
-deviation is a failure. Derived: the probability that any of a hundred normal numbers exceeds 4.5 is
-below 1e-3.
+deviation is a failure. Derived: with a probability below 1e-3, any of a hundred normally
+distributed numbers exceeds 4.5 standard deviations.
 """
 
 _CHECKED_SURROUNDINGS = ("slope", "softness", "length", "load")
@@ -328,13 +337,14 @@ _CHECKED_SURROUNDINGS = ("slope", "softness", "length", "load")
 of the legs, and the load that the scale did not show."""
 
 _NONZERO_KINDS, _ZERO_RTOL = ("mass", "kp"), 0.01
-"""Kinds whose values are never zero. An estimate below ``_ZERO_RTOL`` of the stated value counts as
-zero, and is a failure. ``_ZERO_RTOL`` and its square are also lower bounds of divisors [N m/rad]
-and [rad]. Chosen, not tuned."""
+"""``_NONZERO_KINDS`` are the kinds whose values are never zero. An estimate below ``_ZERO_RTOL`` of
+the stated value counts as zero, and is a failure. ``_ZERO_RTOL`` and its square are also lower
+bounds of divisors [N m/rad] and [rad]. Chosen, not tuned.
+"""
 
 _RESIDUALS_PROBABILITY = 1e-3
-"""Probability (chi2 test) that noise alone causes residuals of at least the observed size. If it is
-smaller, the fit fails. Chosen, not tuned.
+"""Lower bound of the probability (chi2 test) that noise alone causes residuals of at least the
+observed size. With a smaller probability, the fit fails. Chosen, not tuned.
 """
 
 
@@ -345,12 +355,12 @@ def check_residuals(
 
     The tests, in order:
 
-    1. chi2 of all residuals;
-    2. estimated unevenness of the ground, divided by the expected unevenness;
-    3. estimated dry friction (random plus one-sided), divided by the expected friction;
-    4. change of each parameter of the robot from the stated value, or a mass or kp of nearly 0 (one
-       failure for all);
-    5. surroundings (`check_surroundings`).
+    1. chi2 of all residuals
+    2. estimated unevenness of the ground / expected unevenness
+    3. estimated dry friction (random plus one-sided) / expected friction
+    4. change of each parameter of the robot from the stated value, or a mass or kp of nearly 0; one
+    failure names all such parameters
+    5. parameters of the surroundings (`check_surroundings`)
 
     Args:
         posterior: Distribution of the parameters.
@@ -394,20 +404,22 @@ def check_residuals(
 
 
 def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Iterator[Diagnostic]:
-    """Yield failures if estimates of ground, leg lengths or load are improbable.
+    """Yield failures if estimates of ground, leg lengths or load are improbable, given the priors.
 
-    Tested are the slope of the ground [rad], the softness of the ground (the factor on the
-    penetration that the MJCF gives), the lengths of the legs, and the load on the feet in excess of
-    the masses. All parameters of a kind are tested jointly, by a chi2 test of the changes. The test
-    uses the priors; lengths with the default prior are tested with the smaller `_LENGTH_STD`. The
-    load is tested only if a known mass was added in some stands, since only such a mass can
-    contradict the weight on the scale.
+    These kinds of parameters are tested, by a chi2 test of all parameters of a kind together:
+
+    - slope of the ground
+    - softness of the ground: factor on the penetration that the MJCF gives
+    - lengths of the legs; with the default prior, the smaller standard deviation `_LENGTH_STD` is
+      used
+    - load on the feet in excess of the weight of the masses; only if a known mass was added in some
+      stands, because only such a mass can contradict the weight on the scale
 
     Args:
         posterior: Distribution of the parameters.
-        flatness_ratio: Estimated over expected unevenness of the ground, at most 1. The square
-            scales chi2 of the softness: sinking feet have the same effect as uneven ground, and a
-            small estimate of the unevenness from few stands would exaggerate the softness.
+        flatness_ratio: Estimated / expected unevenness of the ground, at most 1. The square scales
+            chi2 of the softness: sinking feet have the same effect as uneven ground. A small
+            estimate of the unevenness from few stands would exaggerate the softness.
     """
     from scipy import stats  # slow to import
 
@@ -450,9 +462,10 @@ def check_surroundings(posterior: Posterior, flatness_ratio: float = 1.0) -> Ite
 
 
 _LENGTH_STD = 0.005
-"""Expected standard deviation of the length factor of a leg's last link in the test for surprising
-estimates: 0.5 %, for parts that are made from the same file. The prior of the
-estimate is wider, so that the legs of another variant can be fitted. Chosen, not tuned."""
+"""Expected standard deviation of the length factor of a leg's last link, in the test for improbable
+estimates: 0.5 %, for parts that are made from the same file. The prior of the estimate is wider, so
+that the legs of another variant can be fitted. Chosen, not tuned.
+"""
 
 SCALE_RTOL = 0.002
 """Standard deviation of a mass on a scale, as a fraction of the mass. Chosen, not tuned."""
@@ -462,24 +475,29 @@ KNOWN_MASS_FRACTION = 0.15
 the robot's mass: 480 g on Pupper v3. Measured: with 200 g alone, kp is determined to 12 to 14 %."""
 
 _DEFAULT_ENCODER_STD = 2e-4
-"""Standard deviation [rad, m] of a joint position if the readings show no encoder step: that of a
-noisy 14-bit encoder (step 3.8e-4 rad). Chosen, not tuned."""
+"""Standard deviation [rad, m] of a joint position if the readings show no encoder step: the value
+of a noisy 14-bit encoder (step 3.8e-4 rad). Chosen, not tuned.
+"""
 
 
 _DEFAULT_FRICTION_RATIO = 5e-3
-"""Dry friction of a joint that replaces a missing value, and mean dry friction to which implausible
-values are scaled, divided by weight times height. Files that state plausible values have 0.24 %
-(Pupper v3) to 0.66 % (Go1, B1)."""
+"""Dry friction of a joint divided by weight times height. The value replaces a missing friction. It
+is also the mean to which implausible frictions are scaled. Files that state plausible values have
+0.24 % (Pupper v3) to 0.66 % (Go1, B1).
+"""
 
 _MIN_FRICTION_RATIO = 2e-3
-"""Mean dry friction of the joints, stated or default, divided by weight times height, up to which
-the values count as implausible and are scaled up to `_DEFAULT_FRICTION_RATIO`. Chosen above the
-ratios of 0.03 to 0.09 % in files of Spot, HyQReal2 and Pegasus that contain the 0.2 N m of Go1."""
+"""Lower bound of plausible dry friction: mean over the joints, stated or default, divided by weight
+times height. Frictions with a mean up to the bound are scaled up to `_DEFAULT_FRICTION_RATIO`.
+Chosen above the ratios of 0.03 to 0.09 % in files of Spot, HyQReal2 and Pegasus that contain the
+0.2 N m of Go1.
+"""
 
 _MAX_PULL_RATIO = 0.02
-"""Largest computed pull of a foot on the ground, as a fraction of the weight, that is accepted for
-a foot that the measurements list as carrying. A larger pull is an error: the foot was probably in
-the air. Chosen, not tuned."""
+"""Largest accepted pull of a foot on the ground, as a fraction of the weight, for a foot that the
+measurements list as carrying load. A larger computed pull is an error: the foot was probably in the
+air. Chosen, not tuned.
+"""
 
 
 @check_arguments
@@ -492,18 +510,22 @@ def fit_stands(
     kp: ArrayLike | None = None,
     encoder: float | None = None,
 ) -> StandFit:
-    """Estimate a robot's parameters from stands at rest.
+    """Estimate a robot's parameters from stands at rest, in which compliant servos measure torque.
 
-    A compliant servo measures torque: tau = kp (command - position). The parameters are masses and
-    CoM positions of all moving bodies, encoder offsets, kp, and lengths of the legs' last links;
-    and of the surroundings for example slope and softness of the ground (``list_parameters``). The
-    equations are defined by ``StandEquations``; the priors are normal distributions about the
-    stated values (``parameters.PARAMETER_KINDS``), for masses and kp of the logarithm. The
-    unevenness of the ground, the moments on feet and the random part of dry friction are estimated
-    by maximum evidence, with a prior about the expected values.
+    The servo torque is tau = kp (command - position). The estimated parameters are:
 
-    Stands with contradictory data, for example a carrying foot that would have to pull, are left
-    out with a note: one by one, at most a quarter.
+    - masses and CoM positions of all moving bodies
+    - encoder offsets, servo stiffness kp, and lengths of the legs' last links
+    - surroundings, for example slope and softness of the ground (``list_parameters``)
+
+    ``StandEquations`` defines the equations. The priors are normal distributions about the stated
+    values (``parameters.PARAMETER_KINDS``). Priors of masses and kp are normal distributions of the
+    logarithm. Three noise levels are estimated by maximum evidence, with a prior about the expected
+    values: unevenness of the ground, moments on the feet, and the random part of dry friction.
+
+    Stands with contradictory data are left out one by one, with a note. An example is a foot that
+    is listed as carrying, but would have to pull on the ground. If more than a quarter of the
+    stands is contradictory, the fit fails.
 
     Args:
         robot: Robot with a free base and feet.
@@ -515,9 +537,9 @@ def fit_stands(
             default.
 
     Raises:
-        MeasurementError: If the measurements cannot be used or do not belong to this robot: for
-            example too few stands, a robot that moves, missing positions, or too many contradictory
-            stands.
+        MeasurementError: If the measurements cannot be used or do not belong to this robot.
+            Examples are too few stands, a robot that moves, missing positions, or too many
+            contradictory stands.
         UnknownNameError: If the measurements name a joint, foot or link that the robot lacks.
         ConfigurationError: If a prior, kp, the weight or the encoder noise is invalid, the base is
             fixed, or the robot has closed loops, couplings, welds or grips.
@@ -570,17 +592,22 @@ _UNRELATED_TO_WIRING = (
     "known-mass-contradicts-the-scale",
     "ground-slopes",
 )
-"""Codes of failures that a wrong assignment or sign of joints (exchanged plugs) does not cause. If
-there are no other failures and no excluded stands, the fit does not search for such a mistake."""
+"""Codes of failures that wrong wiring (exchanged plugs, or a wrong sign of a joint) does not cause.
+If there are no other failures and no excluded stands, the fit does not search for wrong wiring.
+"""
 
 
 def _fit_without_contradictions(
     fit: Callable[[MeasuredStands], StandFit], stands: MeasuredStands
 ) -> tuple[StandFit, list[int]]:
-    """Fit measured stands; leave out, one by one, stands with contradictory foot contacts.
+    """Fit measured stands. Leave out, one by one, the stands with contradictory foot contacts.
 
-    In such a stand a foot that is listed as in the air would be below the ground, or the ground
+    In such a stand, a foot that is listed as in the air would be below the ground, or the ground
     would pull a foot. All rows with the name of the stand are left out.
+
+    Args:
+        fit: Function that fits stands.
+        stands: Measured stands.
 
     Returns:
         Fit of the other stands, and the rows that were left out.
@@ -613,13 +640,14 @@ def _fit_without_contradictions(
 
 
 _CONTRADICTION_CODES = ("foot-in-the-air-touches", "foot-would-pull")
-"""Codes of the errors of ``_check_foot_loads``, each of which contradicts the row of a single
-stand."""
+"""Codes of the errors of ``_check_foot_loads``. Each error contradicts the row of a single stand.
+"""
 
 _MAX_EXCLUDED_FRACTION = 0.25
-"""Largest number of stands, relative to the number of rows, that are left out of a fit because of a
-contradiction (`_CONTRADICTION_CODES`). With more, the fit fails: so many contradictions have a
-common cause. Chosen, not tuned."""
+"""Largest number of stands, relative to the number of rows, that a fit leaves out because of a
+contradiction (`_CONTRADICTION_CODES`). With more contradictory stands, the fit fails, because so
+many contradictions have a common cause. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -628,7 +656,7 @@ class _StandProblem:
 
     Attributes:
         robot: Robot.
-        stands: Stands, repeated readings averaged.
+        stands: Stands, with the mean of repeated readings.
         stiffness: Stated kp, shape (nu,) [N m/rad, N/m].
         friction: Dry friction, shape (nu,) [N m, N], with a default for joints without a stated
             value.
@@ -654,7 +682,7 @@ class _StandProblem:
         kp: ArrayLike | None,
         encoder: float | None,
     ) -> _StandProblem:
-        """Prepare the fit of measured stands: check them, and list parameters and expected noise.
+        """Prepare the fit of measured stands: check the stands, list parameters and expected noise.
 
         Args:
             robot: Robot with a free base and feet.
@@ -685,7 +713,7 @@ class _StandProblem:
     def friction_error(self) -> float:
         """Expected mean dry friction divided by the mean kp [rad, m], over the joints with a servo.
 
-        At this difference between command and position, the servo torque equals the friction.
+        At this difference between command and position, the servo torque equals the dry friction.
         """
         has_servo = self.stiffness > 0
         mean_error = self.friction[has_servo].sum() / max(
@@ -698,8 +726,8 @@ class _StandProblem:
         """Factor on the dry friction of the joints (``friction``); 1 if the values are plausible.
 
         The values are implausible if the mean is at most ``_MIN_FRICTION_RATIO`` times weight times
-        height. The factor then raises the mean to ``_DEFAULT_FRICTION_RATIO`` times weight times
-        height.
+        height. In this case the factor raises the mean to ``_DEFAULT_FRICTION_RATIO`` times weight
+        times height.
         """
         ratio = float(self.friction.mean()) / (self.robot.weight * self.robot.stand_height)
         return 1.0 if ratio > _MIN_FRICTION_RATIO else _DEFAULT_FRICTION_RATIO / ratio
@@ -727,10 +755,10 @@ class _StandProblem:
         return StandEquations(robot, used_stands, table, kp, self.friction, self.noise), notes
 
     def solve(self) -> StandFit:
-        """Estimate the parameters of the stands: with the expected, then with the estimated noise.
+        """Estimate the parameters with the expected noise, and again with the estimated noise.
 
-        The noise is estimated again (up to `_MAX_FRICTION_PASSES` times) while the dead band
-        changes by more than its standard deviation.
+        While the dead band changes by at least a standard deviation, the noise is estimated again.
+        At most `_MAX_FRICTION_PASSES` estimates are made.
 
         Raises:
             FitError: If the iteration does not converge.
@@ -803,17 +831,22 @@ class _StandProblem:
     ) -> Iterator[Diagnostic]:
         """Yield a failure if a single wrong reading is more probable than the estimated noise.
 
-        A wrong reading increases the estimated noise, which then hides the reading. Two
-        explanations are compared by the evidence: the estimated noise; or noise at most as large as
-        expected, together with a wrong reading of one joint in one stand, whose error is normal
-        with ``_OUTLIER_STD``. The reading must also deviate by more than `_MAX_PARAMETER_STDS`.
+        A wrong reading increases the estimated noise, and large noise hides the reading. Two
+        explanations are compared by the evidence:
+
+        - the estimated noise
+        - noise at most as large as expected, and a wrong reading of one joint in one stand. The
+          error of the reading has a normal distribution with the standard deviation
+          ``_OUTLIER_STD``.
+
+        A failure also requires that the reading deviates by more than `_MAX_PARAMETER_STDS`.
         Nothing is yielded if the fit with the smaller noise fails. The noise and the parameters of
         ``equations`` are changed.
 
         Args:
             equations: Equations of the stands.
             noise: Estimated noise levels.
-            log_evidence: Log evidence with these levels.
+            log_evidence: Log evidence with the estimated noise levels.
             fit_with_noise: Function that returns posterior and log evidence for noise levels.
         """
         expected = vars(replace(self.noise, friction=self.friction_ratio))
@@ -842,8 +875,9 @@ _OUTLIER_STD = 0.3
 servo. Chosen, not tuned."""
 
 _MAX_FRICTION_PASSES = 5
-"""Upper bound of the repeated fits, in which the noise of friction follows from the dead band of
-the previous fit. Chosen, not tuned: two to four are usually sufficient."""
+"""Upper bound of the number of repeated fits. In each fit, the noise of friction follows from the
+dead band of the previous fit. Chosen, not tuned: two to four are usually sufficient.
+"""
 
 
 def _estimate_from_stands(
@@ -853,11 +887,16 @@ def _estimate_from_stands(
     scale_residual: Callable[[Array], LinearisedResiduals],
     start: Array | None,
 ) -> Posterior:
-    """Return the distribution of the parameters after measured stands at rest.
+    """Estimate the distribution of the parameters, given measured stands at rest.
 
-    The most probable parameters are searched in ``LogCoordinates``, from the parameters ``start``,
-    shape (n,), or from the stated parameters. ``scale_residual`` maps parameters to the residual of
-    the weighed mass.
+    The most probable parameters are searched in ``LogCoordinates``.
+
+    Args:
+        robot: Robot.
+        stands: Measured stands.
+        equations: Equations of the stands.
+        scale_residual: Function that maps parameters to the residual of the weighed mass.
+        start: Initial parameters, shape (n,); the stated parameters if None.
 
     Raises:
         FitError: If the search fails.
@@ -891,23 +930,24 @@ def _estimate_from_stands(
 
 
 _MIN_DECREASE = 2e-3
-"""Predicted decrease of the cost below which the iteration has converged. It corresponds to a step
-of sqrt(2e-3), about a twentieth of a standard deviation. Smaller predicted decreases are not
-realised, because the weak dependence of the noise on contact forces is not differentiated."""
+"""Predicted decrease of the cost below which the iteration has converged. The value corresponds to
+a step of sqrt(2e-3), about a twentieth of a standard deviation. Smaller predicted decreases are not
+realised, because the weak dependence of the noise on contact forces is not differentiated.
+"""
 
 
 def predict_noise(
     robot: Robot, stands: MeasuredStands, encoder: float | None
 ) -> tuple[StandNoise, Array]:
-    """Return the expected noise, and the dry friction of the joints, shape (nu,) [N m, N].
+    """Return the expected noise of stands, and the dry friction of the joints.
 
     A joint without dry friction in the model gets a default, a fraction of weight times height.
 
     Args:
         robot: Robot.
         stands: Stands, from whose positions the encoder step is estimated.
-        encoder: Standard deviation of a joint position [rad, m]. If None, it is derived from the
-            encoder step, or is a default if no step is found.
+        encoder: Standard deviation of a joint position [rad, m]. If None, derived from the encoder
+            step; a default if no step is found.
 
     Returns:
         Expected noise; dry friction of the joints, shape (nu,) [N m, N].
@@ -925,9 +965,10 @@ def predict_noise(
 def list_parameters(
     robot: Robot, stands: MeasuredStands, kp: Array
 ) -> Iterator[tuple[str, str, str, float]]:
-    """Yield (kind, subject, component, stated value in SI units) of the possible parameters.
+    """Yield (kind, subject, component, stated value) of the parameters that stands can estimate.
 
-    The subject is that of a `Parameter`, for example the name of a link, joint or foot.
+    Stated values are in SI units. The subject is that of a `Parameter`, for example the name of a
+    link, joint or foot.
 
     Args:
         robot: Robot.
@@ -960,8 +1001,8 @@ def list_parameters(
 def list_inertials(robot: Robot) -> Iterator[tuple[str, str, str, float]]:
     """Yield (kind, link, axis, stated value) of the masses [kg] and CoM coordinates [m] of bodies.
 
-    A body consists of all links that are fixed together (`list_bodies`). Coordinates are those in
-    the frame of the Pinocchio joint. The axis of a mass is "".
+    A body consists of all links that fixed joints connect (`list_bodies`). CoM coordinates are in
+    the frame of the Pinocchio joint. The axis of a mass is an empty text.
     """
     for link, number in list_bodies(robot):
         inertia = robot.structure.model.inertias[number]
@@ -973,16 +1014,18 @@ def list_inertials(robot: Robot) -> Iterator[tuple[str, str, str, float]]:
 def get_stated_stiffness(
     robot: Robot, source: str, commanded: NDArray[np.bool_], kp: ArrayLike | None
 ) -> Array:
-    """Return the stated servo stiffness, shape (nu,) [N m/rad, N/m]; 0 without a servo.
+    """Return the stated servo stiffness kp, shape (nu,) [N m/rad, N/m]; 0 without a servo.
 
     Args:
         robot: Robot.
         source: Source of the commands, for error messages.
-        commanded: Joints that have commands, shape (nu,).
-        kp: Stiffness that replaces the files' [N m/rad, N/m].
+        commanded: Whether a joint has commands, shape (nu,).
+        kp: Stiffness that replaces the values of the model files [N m/rad, N/m]; None for the
+            model.
 
     Raises:
-        MeasurementError: If a joint has commands, but no file states its kp, and ``kp`` is None.
+        MeasurementError: If ``kp`` is None, and no model file states the kp of a joint with
+            commands.
         ConfigurationError: If ``kp`` is invalid.
         ModelError: If ``kp`` is passed, and a joint has no motor.
     """
@@ -1006,9 +1049,10 @@ of command and position then does not determine the joint torque, and the comman
 Chosen, not tuned."""
 
 LIMIT_MARGIN_STDS = 3.0
-"""Distance of a joint from a position limit, in standard deviations of the encoder offset. Planned
-stands keep this distance; in measured stands, a joint within it (plus `_STOP_MARGIN`) may be at a
-stop, and its command is not used. Chosen, not tuned."""
+"""Required distance of a joint from a position limit, in standard deviations of the encoder offset.
+Planned stands keep this distance. In measured stands, a joint within this distance (plus
+`_STOP_MARGIN`) may be at a mechanical stop, and the command is not used. Chosen, not tuned.
+"""
 
 
 def _get_encoder_offsets(
@@ -1016,8 +1060,8 @@ def _get_encoder_offsets(
 ) -> tuple[Array, Array]:
     """Return mean and standard deviation of the encoder offsets, shape (nu,) [rad, m] each.
 
-    The values are those of the posterior; without a posterior, those of the prior; 0 for an offset
-    that is not estimated.
+    The values are taken from the posterior, or from the prior if the posterior is None. Mean and
+    standard deviation of an offset that is not estimated are 0.
     """
     mean, std = (
         (table.stated, table.width) if posterior is None else (posterior.mean, posterior.std)
@@ -1030,12 +1074,22 @@ def _get_encoder_offsets(
 def _drop_uninformative_commands(
     robot: Robot, stands: MeasuredStands, kp: Array, offsets: Array, offset_std: Array
 ) -> tuple[MeasuredStands, tuple[Diagnostic, ...]]:
-    """Return stands without the commands that do not determine a torque, and notes.
+    """Return stands without the commands that do not determine a torque, and notes on them.
 
-    Omitted are commands of joints that may rest on a stop (near a limit, within the uncertainty of
-    the encoder offsets), and of motors at the torque limit, where the servo error may have any
-    size. The notes report the omissions, or that there are no commands. ``kp`` [N m/rad, N/m],
-    ``offsets`` [rad, m] and ``offset_std`` [rad, m] have the shape (nu,).
+    These commands are replaced by NaN:
+
+    - commands of joints that may rest on a stop (near a limit, within the uncertainty of the
+      encoder offsets)
+    - commands of motors at the torque limit, where the servo error may have any size
+
+    If there are no commands, a note reports this.
+
+    Args:
+        robot: Robot.
+        stands: Measured stands.
+        kp: Servo stiffness, shape (nu,) [N m/rad, N/m].
+        offsets: Encoder offsets, shape (nu,) [rad, m].
+        offset_std: Standard deviations of the encoder offsets, shape (nu,) [rad, m].
     """
     commanded, position = np.isfinite(stands.command), stands.position - offsets
     servo_error, margin = (
@@ -1063,8 +1117,8 @@ _COMMAND_NOTES = {True: "stands-at-stops", False: "stands-with-full-torque"}
 the motor is at the torque limit."""
 
 _FULL_TORQUE_RATIO = 0.98
-"""Ratio of torque to torque limit of a motor. If it is larger, the motor counts as saturated, and
-its command is not used. Chosen, not tuned.
+"""Upper bound of (torque / torque limit) of a motor whose command is used. Above the bound, the
+motor counts as saturated. Chosen, not tuned.
 """
 
 
@@ -1073,8 +1127,8 @@ def _make_scale_residual(
 ) -> Callable[[Array], LinearisedResiduals]:
     """Return a function that linearises the residual (total mass - ``weight`` [kg]) / std.
 
-    std is the relative error `SCALE_RTOL` times ``weight``. The argument of the function is a
-    parameter vector, shape (n,). Without a weight there is no residual.
+    The standard deviation std is `SCALE_RTOL` times ``weight``. The argument of the function is a
+    parameter vector, shape (n,). If ``weight`` is None, the function returns no residual.
     """
     mass_gradient = np.array([float(parameter.kind == "mass") for parameter in table])
     # Mass of bodies that are not estimated.
@@ -1096,9 +1150,10 @@ def _make_scale_residual(
 _MAX_DEPTH_STDS = 1.0
 """Upper bound of the depth below the ground of a foot that the measurements list as in the air, in
 standard deviations of the foot's height. The height of the lowest contact point is computed from
-the measured joint positions; a larger depth is an error, as list and positions contradict each
-other. The bound is not 0, since a foot of v3 in the air may sag to within a millimetre of the
-ground. Chosen, not tuned."""
+the measured joint positions. A larger depth is an error, because the list contradicts the
+positions. The bound is not 0, because a foot of v3 in the air may sag to within a millimetre of the
+ground. Chosen, not tuned.
+"""
 
 
 def _check_foot_loads(
@@ -1109,13 +1164,19 @@ def _check_foot_loads(
 ) -> None:
     """Check that no carrying foot has to pull, and no foot in the air is below the ground.
 
-    The tolerances are `_MAX_PULL_RATIO` and `_MAX_DEPTH_STDS`. The parameters are those of
-    ``posterior``; without a posterior, the stated parameters, with the prior of the encoder
-    offsets. Base poses and contact forces are those that ``equations`` has stored.
+    The tolerances are `_MAX_PULL_RATIO` and `_MAX_DEPTH_STDS`. Base poses and contact forces are
+    those that ``equations`` has stored.
+
+    Args:
+        robot: Robot.
+        stands: Measured stands.
+        equations: Equations of the stands.
+        posterior: Distribution of the parameters. If None, the stated parameters are used, with the
+            prior of the encoder offsets.
 
     Raises:
         MeasurementError: For the foot in the air that is the deepest (in standard deviations) below
-            the ground; without such a foot, for the carrying foot with the largest pull.
+            the ground. Without such a foot, for the carrying foot with the largest pull.
     """
     table = equations.table
     mean = table.stated if posterior is None else posterior.mean
@@ -1156,14 +1217,15 @@ def _check_foot_loads(
 class LogCoordinates:
     """Coordinates in which masses and kp are logarithms, so that the priors are normal.
 
-    Stands determine the ratio of kp to mass. With normal priors, a robot with all kp and masses too
-    small would be more probable than one with all too large. The reason: if twelve kp that differ
-    by a tenth are halved, their differences are halved as well. The most probable robot was then 13
-    % too light. With logarithms, a factor and its inverse are equally probable.
+    Stands determine the ratio of kp to mass. With logarithms, a factor on all kp and masses and the
+    inverse factor are equally probable. With normal priors, a robot with too small kp and masses
+    would be more probable than a robot with too large ones. The reason: if twelve kp that differ by
+    a tenth are halved, the differences are halved as well. With such priors, the most probable
+    robot was 13 % too light.
 
-    The coordinate is y = x0 + x0 log(x / x0), with the stated value x0: y has the parameter's
-    unit, and agrees with x to first order about x0, so that the prior width is unchanged. For other
-    kinds of parameters, y = x.
+    The coordinate is y = x0 + x0 log(x / x0), with the stated value x0. The coordinate has the
+    parameter's unit, and agrees with x to first order about x0, so that the prior width is
+    unchanged. For other kinds of parameters, y = x.
 
     Args:
         table: Parameters.
@@ -1225,10 +1287,10 @@ class LogCoordinates:
         return replace(linearised, information=information, gradient=rates * linearised.gradient)
 
     def transform_posterior(self, posterior: Posterior) -> Posterior:
-        """Convert a distribution of the fit's coordinates y to one of the physical parameters x.
+        """Convert a distribution of the fit's coordinates y to a distribution of the parameters x.
 
         `to_parameters` converts y to x. Covariance and prior widths are scaled by dx/dy at the
-        mean. A mean mass of twice the stated mass thus has twice the prior width.
+        mean. For example, an estimated mass of twice the stated mass gets twice the prior width.
         """
         rates = self.compute_rates(posterior.mean)
         return replace(
@@ -1252,7 +1314,8 @@ tuned."""
 
 _MIN_FLATNESS = 1e-4
 """Lower bound [m] of the estimated unevenness of the ground. Simulated ground is flatter, but the
-penetration of feet is modelled to about this accuracy only. Chosen, not tuned."""
+accuracy of the penetration model of the feet has about this size. Chosen, not tuned.
+"""
 
 _MIN_MOMENT = 1e-4
 """Lower bound [m] of the estimated noise of foot moments: moment on a contact point, divided by the
@@ -1282,9 +1345,10 @@ def scale_common_widths(
     """Scale the prior widths of foot moments and of one-sided joint friction with the noise levels.
 
     Parameters of the kind ``moment`` are the part of the moments on a foot that is equal in all
-    stands; ``settling`` is the one-sided part of the dry friction in stands with a known mass. The
-    prior widths are multiplied by the ratio of estimated to expected random noise. For ``settling``
-    the factor is at least 1, because random noise does not show one-sided friction.
+    stands. Parameters of the kind ``settling`` are the one-sided part of the dry friction in stands
+    with a known mass. The prior widths are multiplied by the ratio of estimated to expected random
+    noise. For ``settling`` the factor is at least 1, because random noise does not show one-sided
+    friction.
 
     Args:
         table: Parameters.
@@ -1303,9 +1367,10 @@ def estimate_noise(
 ) -> StandNoise:
     """Estimate the noise of measured stands: contact moments, uneven ground and dry friction.
 
-    The estimated noise levels maximise the probability of the measurements, with the parameters
-    integrated out, times a log-normal prior about the expected levels (Nelder-Mead simplex, at most
-    `_MAX_EVALUATIONS`). Each level has a lower bound. The encoder noise is not estimated.
+    The noise levels maximise the evidence: the probability of the measurements, with the parameters
+    integrated out. The evidence is multiplied by a log-normal prior about the expected levels. The
+    search is a Nelder-Mead simplex with at most `_MAX_EVALUATIONS` evaluations. Each level has a
+    lower bound. The encoder noise is not estimated.
 
     Args:
         equations: Equations of the stands, with the expected noise.

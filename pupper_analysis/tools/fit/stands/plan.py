@@ -1,7 +1,7 @@
 """Plan of stands: choose the stands whose measurements determine the parameters best.
 
 Candidates are random stands that are reachable, balanced and held by the servos (`RandomStands`).
-`choose_stands` selects a D-optimal subset.
+`choose_stands` selects a D-optimal subset: the determinant of the information is largest.
 """
 
 from __future__ import annotations
@@ -63,12 +63,12 @@ class PlannedStand(Result):
 
     Attributes:
         name: Stand name.
-        swing: Feet in the air.
+        swing: Names of the feet in the air.
         command: Command of each joint's servo.
         utilisation: Largest ratio of motor torque to torque limit; None if no motor has a limit.
         heading: Rotation of the robot about the vertical. The heading changes the effect of the
-            ground's slope, and not that of a CoM.
-        added: Known mass that is attached.
+            ground's slope, but not the effect of the CoM, so that both can be estimated.
+        added: Known mass that is attached; 0 for none.
     """
 
     name: str
@@ -81,13 +81,13 @@ class PlannedStand(Result):
 
 @dataclass(frozen=True, eq=False)
 class StandPlan(Result):
-    """Planned stands, and the intervals expected after the measurement.
+    """Planned stands, and the intervals of the parameters that are expected after the measurement.
 
     Attributes:
         name: Robot name.
         stands: Stands.
         expected: Parameters with the stated values and the expected intervals.
-        candidates: Number of candidates from which the stands were chosen.
+        candidates: Number of random stands from which the stands were chosen.
         place: Link and position of the known mass; None if there is none.
         slides: Names of the joints that are slides.
     """
@@ -111,24 +111,30 @@ def plan_stands(
     added_at: FramePoint | None = None,
     seed: int = 0,
 ) -> StandPlan:
-    """Choose the stands whose measurement determines the parameters best (D-optimal design).
+    """Choose the stands whose measurement determines the parameters of a robot best.
 
-    The candidates are random stands; ``choose_stands`` maximises the determinant of the information
-    greedily, then by exchanges. Candidates are reachable, balanced and within 60 % of the known
-    torque limits; the servos hold them with feed-forward for the file's masses. They are free of
-    self-collision if the nominal stand is. If possible at most a third of the stands has a foot in
-    the air. About half of the candidates has a heading of 180 deg. If there is a known mass, about
-    half of the candidates carries this mass.
+    The design is D-optimal: ``choose_stands`` maximises the determinant of the information, first
+    greedily, then by exchanges. The candidates are random stands with these properties:
+
+    - reachable and balanced
+    - held by the servos, with feed-forward torques for the masses of the model
+    - within 60 % of the known torque limits
+    - free of self-collision, if the nominal stand is free of self-collision
+    - heading of 180 deg in about half of the candidates, otherwise 0
+    - known mass, if there is one, on about half of the candidates
+
+    If possible, at most a third of the chosen stands has a foot in the air.
 
     Args:
         robot: Robot with a free base and feet.
         count: Number of stands.
         priors: Prior standard deviations: ``mass=50%``, ``com:base=5mm``, ``kp=0`` (kp is exact).
-        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
-        added: Known mass [kg], 0 for none; by default 15 % of the robot's mass, rounded to two
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's by default.
+        added: Known mass [kg], 0 for none. Default: 15 % of the robot's mass, rounded to two
             significant digits.
         added_at: Position of the known mass in the frame of the base, or of a link, site, body or
-            geom [m]; by default above the origin of the base, at the height of its highest point.
+            geom [m]. Default: above the origin of the base, at the height of the highest point of
+            the base.
         seed: Seed of the random stands.
 
     Raises:
@@ -191,8 +197,8 @@ def _draw_candidates(
 ) -> list[_Candidate]:
     """Draw the random stands from which the stands of a plan are chosen.
 
-    Every second stand has a heading of 180 deg, the others have 0. If there is a known mass, it is
-    on the stands of the second half.
+    Every second stand has a heading of 180 deg, the other stands have a heading of 0. If there is a
+    known mass, the robot carries this mass in the second half of the stands.
 
     Args:
         robot: Robot without the known mass.
@@ -274,8 +280,9 @@ def _compute_base_top(robot: Robot) -> float:
 
 
 _STANDS_PER_LIFTED_FOOT = 3
-"""Number of planned stands per stand with a foot in the air: at most a third has one, since a
-person must watch the feet in such stands. Chosen, not tuned."""
+"""Lower bound of (number of planned stands / number of stands with a foot in the air). A person
+must watch the feet in stands with a foot in the air. Chosen, not tuned.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,8 +303,8 @@ class _Candidate:
     def sort_key(self) -> tuple[float, int, float, float]:
         """Known mass [kg], number of swing feet, heading [rad] and base height [m] of a stand.
 
-        Stands of a plan are sorted by this key, so that the operator changes mass, feet and heading
-        rarely.
+        Stands of a plan are sorted by this key, so that the operator seldom changes the known mass,
+        the swing feet and the heading.
         """
         stand = self.planned
         return stand.added, len(stand.swing), stand.heading, self.height
@@ -306,7 +313,7 @@ class _Candidate:
 def _make_candidate(
     robot: Robot, stand: Stand, sagged: SteadyState, kp: Array, heading: float, added: float
 ) -> _Candidate:
-    """Create a candidate: a stand in the steady state on its servos, with their commands.
+    """Create a candidate from a stand in the steady state on the servos, with the servo commands.
 
     Args:
         robot: Robot.
@@ -337,10 +344,11 @@ def choose_stands(
     is_rare: Sequence[bool] = (),
     max_rare: int = 0,
 ) -> tuple[int, ...]:
-    """Choose measurements that maximise the determinant of the total information.
+    """Choose stands that maximise the determinant of the total information (D-optimal design).
 
-    Greedy selection, followed by single exchanges (Fedorov's algorithm) until no exchange improves
-    the determinant, or for five rounds. (V. V. Fedorov, Theory of Optimal Experiments, 1972.)
+    1. Greedy selection: the measurement with the largest gain is added until ``count`` is reached.
+    2. Single exchanges (Fedorov's algorithm), until no exchange improves the determinant, at most
+    five rounds (V. V. Fedorov, Theory of Optimal Experiments, 1972).
 
     Args:
         informations: Information of each measurement, shape (n, n).
@@ -404,8 +412,8 @@ def _make_measured_stands(
 ) -> MeasuredStands:
     """Return planned stands as measured stands, with NaN as the measured joint positions [rad, m].
 
-    Stands with an added mass [kg] have the mass at the offset [m] of ``tool`` in the frame of its
-    link. Without ``tool``, added masses are left out.
+    An added mass [kg] is at the offset [m] of ``tool``, in the frame of the link of ``tool``. If
+    ``tool`` is None, added masses are left out.
     """
     command = np.array([list(stand.command.values()) for stand in planned])
     loads = {}
@@ -426,7 +434,7 @@ def _make_measured_stands(
 
 @check_arguments
 def write_plan(plan: StandPlan, path: str | Path, *, force: bool = False) -> None:
-    """Write a plan as CSV for ``read_stands``; the positions are empty until measured.
+    """Write a plan as a CSV file for ``read_stands``. The measured positions are empty.
 
     Args:
         plan: Plan.
@@ -449,9 +457,10 @@ _TRIES_PER_STAND = 8
 four tasks has a stand."""
 
 _MAX_FAILED_TRIES = 24
-"""Number of random stand tasks after which the search ends if none of them gave a stand. The
-range of the random values shrinks after each failure (`_SHRINK_FACTOR`), by then to 2 %: nearly the
-default stand. Chosen, not tuned."""
+"""Number of random stand tasks after which the search ends if none of the tasks gave a stand. Each
+failure shrinks the range of the random values (`_SHRINK_FACTOR`). After this number of failures,
+the range is 2 %: nearly the default stand. Chosen, not tuned.
+"""
 
 _SHRINK_FACTOR, _GROW_FACTOR = 0.85, 1.2
 """Factors on the range of the random values, after a refused and after an accepted stand. The range
@@ -490,8 +499,9 @@ deg displaces the knees of v3 by about this distance."""
 
 _CLEARANCE_FRACTION = 0.5
 """Clearance between links that planned stands require, as a fraction of the clearance in the
-nominal stand, if the product is less than `_MIN_CLEARANCE`: thighs may be close to the body.
-Chosen, not tuned."""
+nominal stand. The fraction applies if the product is less than `_MIN_CLEARANCE`: thighs may be
+close to the body. Chosen, not tuned.
+"""
 
 _COM_MARGIN_RATIO = 0.05
 """Lower bound of the CoM margin that planned stands require, as a fraction of the base height in
@@ -499,18 +509,22 @@ the default stand. Chosen, not tuned."""
 
 
 class RandomStands:
-    """Generator of random stands that the servos hold.
+    """Generator of random stands that the servos hold, as candidates for a plan of measurements.
 
-    Stands are reachable, balanced, and within 60 % of the known torque limits. They are free of
-    self-collision if the nominal stand is. The distance of a joint from its limits is at least
-    three standard deviations of an encoder offset, since a joint may rest on a stop unnoticed. The
-    CoM margin is at least one standard deviation of the horizontal CoM position, and at least 5 %
-    of the height. If this margin is not reachable, 5 % of the height is sufficient.
+    The stands have these properties:
+
+    - reachable, balanced, and within 60 % of the known torque limits
+    - free of self-collision, if the nominal stand is free of self-collision
+    - distance of each joint from the limits at least three standard deviations of an encoder
+      offset, because a joint at a stop cannot be detected
+    - CoM margin at least one standard deviation of the horizontal CoM position, and at least 5 % of
+      the base height in the default stand. If this margin is not reachable, 5 % of the height is
+      sufficient.
 
     Args:
         robot: Robot with a free base and feet.
         rng: Random generator.
-        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's own by default.
+        kp: Servo stiffness [N m/rad, N/m], scalar or shape (nu,); the model's by default.
         priors: Priors of the robot's parameters.
 
     Raises:
@@ -542,7 +556,7 @@ class RandomStands:
                 (`_TRIES_PER_STAND`, `_MAX_FAILED_TRIES`).
 
         Returns:
-            Pairs of a stand and the steady state to which the stand sags on the servos.
+            Pairs of a stand and the steady state of this stand on the compliant servos.
         """
         stands: list[tuple[Stand, SteadyState]] = []
         for num_tries in range(_TRIES_PER_STAND * count):
@@ -558,7 +572,10 @@ class RandomStands:
         return stands
 
     def explain_shortage(self, requested: int) -> Diagnostic:
-        """Return the most frequent reason of refused tasks, for ``requested`` stands."""
+        """Return the most frequent reason for which random stand tasks were refused.
+
+        ``requested`` is the number of stands that were requested, for the message.
+        """
         code = max(self._refusal_counts, key=lambda code_name: self._refusal_counts[code_name])
         if code == "too-few-in-reach":
             offset_margin = Quantity(self._joint_margin, "rad")
@@ -572,7 +589,7 @@ class RandomStands:
     def _draw_task(self) -> StandTask:
         """Draw a stand task with random height, roll, pitch and foot positions.
 
-        If the robot has more than three feet, one of them may be lifted.
+        If the robot has more than three feet, a random foot may be in the air.
         """
         rng, height, feet = self._rng, self._robot.stand_height, list(self._robot.feet)
         swing = {}
@@ -599,11 +616,13 @@ class RandomStands:
         )
 
     def _solve_task(self, task: StandTask) -> tuple[Stand, SteadyState] | None:
-        """Return the stand of a task and its steady state with feed-forward, or None.
+        """Return the stand of a task and the steady state with feed-forward torques, or None.
 
-        The result is None, and the reason is counted, if there is no stand (also with the smaller
-        CoM margin), if the servos do not hold the robot on the same feet, or if a motor exceeds
-        `_MAX_UTILISATION` of its limit.
+        The result is None, and the reason is counted, in these cases:
+
+        - There is no stand, also with the smaller CoM margin.
+        - The servos do not hold the robot on the same feet.
+        - A motor exceeds `_MAX_UTILISATION` of the torque limit.
         """
         robot, smaller_margin = self._robot, _COM_MARGIN_RATIO * self._robot.stand_height
         try:
@@ -632,8 +651,8 @@ class RandomStands:
 def _compute_sag(robot: Robot, kp: ArrayLike | None) -> float:
     """Return the height [m] that the base loses in the nominal stand without feed-forward.
 
-    ``kp`` is the servo stiffness [N m/rad, N/m]; the model's if None. At least 0; 0 if the stand
-    cannot be solved or has no equilibrium on its servos.
+    The result is at least 0. It is 0 if the stand cannot be solved or has no equilibrium on the
+    servos. ``kp`` is the servo stiffness [N m/rad, N/m]; the model's if None.
     """
     try:
         stand = solve_stand(robot, explain=False)
@@ -646,8 +665,10 @@ def _compute_clearance(robot: Robot) -> float | None:
     """Return the clearance [m] between links that planned stands must keep.
 
     The result is `_CLEARANCE_FRACTION` of the clearance in the nominal stand, and at most
-    `_MIN_CLEARANCE`. None if the nominal stand cannot be solved, for example since links overlap,
-    or has no link pairs.
+    `_MIN_CLEARANCE`. The result is None in two cases:
+
+    - The nominal stand cannot be solved, for example because links overlap.
+    - The nominal stand has no link pairs.
     """
     try:
         clearance = solve_stand(robot, StandTask(self_clearance=0.0), explain=False).self_clearance
@@ -659,7 +680,7 @@ def _compute_clearance(robot: Robot) -> float | None:
 
 
 def _get_offset_std(robot: Robot, priors: Sequence[Prior]) -> float:
-    """Return the largest prior standard deviation of an encoder offset [rad, m], 0 if known.
+    """Return the largest prior standard deviation of an encoder offset [rad, m]; 0 if known.
 
     Raises:
         ConfigurationError: If a prior of an encoder offset matches no joint.
@@ -670,11 +691,11 @@ def _get_offset_std(robot: Robot, priors: Sequence[Prior]) -> float:
 
 
 def compute_com_std(robot: Robot, priors: Sequence[Prior]) -> float:
-    """Compute the standard deviation [m] of the robot's CoM before any measurement.
+    """Compute the standard deviation [m] of the robot's CoM position before any measurement.
 
-    The deviation follows from the priors of link masses and CoM positions, with the joints at their
-    nominal positions; links without a prior in ``priors`` have the default. The result is the
-    larger value of the x and the y component in the base frame.
+    The standard deviation follows from the priors of link masses and CoM positions. Joints are at
+    the nominal positions. Links without a prior in ``priors`` have the default prior. The result is
+    the larger of the standard deviations of x and y, in the base frame.
 
     Args:
         robot: Robot.

@@ -1,8 +1,9 @@
 """Search for wrong wiring: servos that are exchanged, or rotate in the opposite direction.
 
-A `Wiring` assigns the measured columns to joints, with signs. `find_wiring` ranks wirings with a
-single error by the evidence of the measurements, fits the most probable ones, and returns the first
-with which the model explains the stands.
+A `Wiring` assigns the measured columns to joints, with signs. `find_wiring` examines wirings that
+differ from the given assignment by one error. The wirings are ranked by the evidence of the
+measurements, and the most probable ones are fitted. The result is the first wiring with which the
+model explains the stands.
 """
 
 from __future__ import annotations
@@ -22,13 +23,16 @@ from pupper_analysis.tools.fit.measurements.stands import MIN_STANDS, MeasuredSt
 from pupper_analysis.tools.fit.result import Fit
 
 _MAX_WEIGHED_WIRINGS = 12
-"""Maximum number of wirings that are ranked by the evidence of all stands, if only some stands are
-doubted. A robot with four legs of three joints has 84 wirings with one error. Chosen, not tuned."""
+"""Upper bound of the number of wirings that are ranked by the evidence of all stands, if only some
+stands contradict the given wiring. A robot with four legs of three joints has 84 wirings with one
+error. Chosen, not tuned.
+"""
 
 _MAX_FITTED_WIRINGS = 3
-"""Maximum number of wirings (assignments of measured columns to joints, with signs) that are
-fitted, since a fit is slow. Usually the true wiring is ranked first, or second if an encoder offset
-is large as well."""
+"""Upper bound of the number of wirings (assignments of measured columns to joints, with signs) that
+are fitted, because a fit is slow. Usually the true wiring is ranked first, or second if an encoder
+offset is large as well.
+"""
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,7 @@ class Wiring:
     """Assignment of measured columns to joints, with signs, for robots with exchanged plugs.
 
     Attributes:
-        order: Column from which each joint's values are taken, shape (nu,).
+        order: Index of the measured column from which each joint's values are taken, shape (nu,).
         signs: 1, or -1 for a joint that rotates in the opposite direction, shape (nu,).
         found: Message that describes the wiring.
     """
@@ -48,7 +52,7 @@ class Wiring:
     def apply(self, stands: MeasuredStands) -> MeasuredStands:
         """Return measured stands with permuted and negated columns, as this wiring specifies.
 
-        These are the columns of commands and positions, with joints in actuator order.
+        The columns are those of commands and positions, with joints in actuator order.
         """
         order, signs = list(self.order), np.array(self.signs)
         return replace(
@@ -59,9 +63,10 @@ class Wiring:
 
 
 def generate_wirings(robot: Robot) -> Iterator[Wiring]:
-    """Yield wirings with one error: a wrong sign, two exchanged joints, or two exchanged legs.
+    """Yield wirings with one error, as candidates for the search of wrong wiring.
 
-    Legs are exchanged if they have the same number of joints, more than one, and none in common.
+    An error is a joint with the wrong sign, two exchanged joints, or two exchanged legs. Two legs
+    can be exchanged if they have no joint in common and the same number of joints, more than one.
     """
     names, identity, positive = robot.joint_names, tuple(range(robot.nu)), (1.0,) * robot.nu
     for joint, name in enumerate(names):
@@ -85,7 +90,7 @@ def generate_wirings(robot: Robot) -> Iterator[Wiring]:
 def _exchange_entries(
     order: tuple[int, ...], first: list[int], second: list[int]
 ) -> tuple[int, ...]:
-    """Return ``order`` with its entries at the indices ``first`` and ``second`` exchanged."""
+    """Return ``order`` with the entries at the indices ``first`` and ``second`` exchanged."""
     exchanged = list(order)
     for first_entry, second_entry in zip(first, second, strict=True):
         exchanged[first_entry], exchanged[second_entry] = (
@@ -104,19 +109,23 @@ def find_wiring(
 ) -> Wiring | None:
     """Find the wiring (assignment and signs of the joints) with which the model explains stands.
 
-    Candidates differ from the present wiring by one error (`generate_wirings`), and are ranked by
-    the log evidence of the measurements, linearised about the stated values. Of those more probable
-    than the present wiring, the three most probable are fitted.
+    The search has these steps:
+
+    1. Candidates are wirings that differ from the present wiring by one error (`generate_wirings`).
+    2. The candidates are ranked by the log evidence of the measurements, linearised about the
+    stated values.
+    3. The three most probable candidates are fitted, if they are more probable than the present
+    wiring.
 
     Args:
         robot: Robot.
         stands: Stands, joints in actuator order.
         evidence: Function that returns the log evidence of stands.
         fit: Function that fits stands.
-        doubted: Rows of stands that contradict the present wiring, if it explains the others. If
-            given, the wirings are first ranked by these stands alone (with others, up to
-            `MIN_STANDS`). Only the best `_MAX_WEIGHED_WIRINGS` are then ranked by all stands, which
-            is faster.
+        doubted: Rows of stands that contradict the present wiring, if the wiring explains the other
+            stands. If given, the candidates are first ranked by these stands alone (with other
+            stands, up to `MIN_STANDS`). Only the best `_MAX_WEIGHED_WIRINGS` candidates are then
+            ranked by all stands, which is faster.
 
     Returns:
         First fitted wiring whose fit has no failures; None without such a wiring.
