@@ -13,11 +13,13 @@ from pupper_analysis.base.errors import PupperAnalysisError
 
 
 class DisplayError(PupperAnalysisError):
-    """No window or no picture can be drawn here; the message states the alternative."""
+    """No window can be opened or no picture drawn here; the message states the alternative."""
 
 
 def check_display() -> None:
-    """Check that a window can be opened; otherwise MuJoCo's viewer would end the interpreter.
+    """Check that a window can be opened, before MuJoCo's viewer starts.
+
+    Without a display, the viewer would end the Python interpreter.
 
     Raises:
         DisplayError: If no window can be opened.

@@ -1,9 +1,10 @@
 """Documents: the content of a result as text, tables and plots, independent of the output format.
 
 The builder of a result's type (``documents``) creates a ``Document``. The renderers (terminal, HTML
-page, Markdown, PNG) render the document. Texts come from the catalogue by key, in English and
-Simplified Chinese. No text contains markup: names in model files may hold any characters, so each
-renderer escapes all texts. A ``Plot`` contains axes and values; the renderer chooses the style.
+page, Markdown, PNG) render the document. Texts are stored in the catalogue by key, in English and
+Simplified Chinese. No text contains markup. Names in model files may contain any characters, so
+each renderer escapes all texts. A ``Plot`` contains axes and values; the renderer chooses the
+style.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ SEVERITY_MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE
 
 
 def text(key: str, **values: object) -> Text:
-    """Create a text in both languages from the catalogue.
+    """Create a text in English and Chinese from an entry of the catalogue.
 
     The Chinese text is formed on access to ``Text.zh``.
 
@@ -61,8 +62,8 @@ def text(key: str, **values: object) -> Text:
 def word(name: str) -> Text | Name:
     """Return the entry of a key in ``terms.toml``, in both languages.
 
-    A string without an entry, such as the name of a joint, is returned as a `Name`, which is shown
-    untranslated.
+    A string without an entry, such as the name of a joint, is returned as a `Name`. A `Name` is
+    shown untranslated.
     """
     return text(name) if is_term(name) else Name(name)
 
@@ -88,12 +89,12 @@ def join_words(parts: Iterable[Words], comma: str = "comma") -> Text:
 
 
 def _select_short_form(value: object) -> object:
-    """Return the short form of a text that has one; any other value unchanged."""
+    """Return the short form of a text, if there is one. Other values are returned unchanged."""
     return value.short if isinstance(value, Text) and value.short else value
 
 
 def get_english(words: Words) -> str:
-    """Return the English text of a translated text, or an untranslated name as it is."""
+    """Return the English form of a translated text, or the string of an untranslated name."""
     return words.en if isinstance(words, Text) else words.text
 
 
@@ -113,7 +114,7 @@ def _fill_short(template: str, values: Mapping[str, object]) -> str:
 
 
 def _select_string(value: object, language: str) -> object:
-    """Return the string of a `Text` or `Name` in a language; any other value unchanged."""
+    """Return the string of a `Text` or `Name` in a language, or any other value unchanged."""
     if isinstance(value, Text):
         return getattr(value, language)
     return value.text if isinstance(value, Name) else value
@@ -143,11 +144,11 @@ class Series:
         x: Horizontal coordinates, shape (n,), in the unit of the axis.
         y: Vertical coordinates, shape (n,), in the unit of the axis. Points that are not finite are
             omitted.
-        points: True to draw a marker at each point.
+        points: Whether to draw a marker at each point.
         note: Short result beside the name in the legend; None if absent.
         marked_index: Index, in ``x`` and ``y``, of the point with the larger marker; None if no
             point is marked. Without effect if ``points`` is False.
-        reference: True for a line with which the other lines are compared.
+        reference: Whether the other lines are compared with this line.
     """
 
     name: Words
@@ -182,7 +183,8 @@ class Plot:
 
     Attributes:
         title: Title of the plot.
-        detail: False. Other blocks may be details; terminals show no plots at all.
+        detail: Always False. Other blocks of a document may be details, which the short terminal
+            view omits. Terminals show no plots.
     """
 
     kind: ClassVar[str] = "plot"
@@ -225,12 +227,12 @@ class BarPlot(Plot):
 
 @dataclass(frozen=True)
 class Text:
-    """Text of the report in both languages; see ``text``.
+    """Text of a report in English and Chinese; ``text`` creates one from the catalogue.
 
     Attributes:
         en: English text.
-        chinese: Simplified Chinese text, or a function that creates it. The function is called on
-            access to ``zh``, so English output does not wait for it.
+        chinese: Simplified Chinese text, or a function that creates the text. The function is
+            called on access to ``zh``, so English output does not need the time.
         mark: Emphasis: ``"good"``, ``"bad"``, ``"warn"``, ``"quiet"`` (less weight) or empty.
         short: Short English form, for the short answer on a terminal; empty if there is none.
     """
@@ -251,11 +253,11 @@ class Text:
 
 
 def diagnostic_text(diagnostic: Diagnostic, mark: str = "") -> Text:
-    """Convert a diagnostic to a text in both languages.
+    """Convert a diagnostic to a text in English and Chinese.
 
     Args:
         diagnostic: Diagnostic.
-        mark: Emphasis, as in ``Text``.
+        mark: Emphasis, one of the values of ``Text.mark``.
     """
     short = getattr(diagnostic, "short", "")  # a phrase has none
     return Text(diagnostic.text("en"), lambda: diagnostic.text("zh"), mark, short)
@@ -361,9 +363,11 @@ class FilePlace:
     """Place in a file.
 
     Attributes:
-        place: File name and line number, or a text that the file has no such element.
+        place: File name and line number, or the statement that the file does not contain the
+            element.
         line: Content of the line.
-        path: Path and line number in the form that editors open; empty if there is no such place.
+        path: Path and line number in the form that editors open; empty if the file does not contain
+            the element.
     """
 
     place: Words
@@ -481,12 +485,12 @@ Block = Table | Lines | FileFinding | Listing | Plot | SceneView
 class NextStep:
     """Proposed next command after a result, without the argument for the robot.
 
-    The command line adds the robot. It also adds the typed options that the next command has too.
+    The command line adds the robot, and those typed options that the next command also accepts.
 
     Attributes:
         command: Name of the command.
         words: Further arguments and options, such as ``("--kp", "10")``.
-        robot_typed: True if the next command gets the robot as the user typed it. False if
+        robot_typed: True if the next command gets the robot argument that the user typed. False if
             ``words`` contain the files of the robot.
         omitted: Options that the user typed and the next command does not get, such as
             ``"--command"``.
@@ -502,10 +506,14 @@ class NextStep:
 class Document:
     """Content of a result.
 
-    The first three lines of a printed document are the answer. Line 1 is the verdict with the
-    requested number, which is the first failure or finding. Line 2 is the limit or the cause, which
-    is the second failure or finding. Line 3 is the next command. Further failures and findings are
-    warnings that change the meaning of the verdict. All other statements are details.
+    The first three lines of a printed document are the answer:
+
+    - Line 1 is the verdict with the requested number: the first failure or finding.
+    - Line 2 is the limit or the cause: the second failure or finding.
+    - Line 3 is the next command.
+
+    Further failures and findings are warnings that change the meaning of the verdict. All other
+    statements are details.
 
     Attributes:
         kind: Kind of result, such as an analysis or a stance.
@@ -516,7 +524,7 @@ class Document:
         warned: True if the mark of the verdict is a warning instead of good or bad.
         failures: Reasons against the verdict.
         findings: Requested number, limit or cause, and warnings.
-        details: Further statements; a terminal prints them with -v only.
+        details: Further statements; a terminal prints these statements with -v only.
         brief: True if verdict and key figures are the answer. A terminal then prints tables and
             notes with -v only.
         notes: Assumptions, findings and omissions.
@@ -578,7 +586,7 @@ def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1
 
 
 def pair_cells(first: float, second: float, form: str) -> tuple[Number, Number]:
-    """Create the cells of two compared numbers, with as many digits as show their difference.
+    """Create the cells of two compared numbers, with enough digits to show the difference.
 
     Args:
         first: Number, in the displayed unit.

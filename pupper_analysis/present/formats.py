@@ -1,7 +1,7 @@
 """Findings in machine-readable formats: GitHub annotations, JUnit XML and SARIF.
 
-Input are ``Annotation`` objects; each writer returns a string. `escape_control` also serves the
-other renderers.
+Inputs are ``Annotation`` objects. Each writer returns a string. The other renderers also use
+`escape_control`.
 
 Sources: OASIS, "Static Analysis Results Interchange Format (SARIF) Version 2.1.0"; GitHub
 documentation, "SARIF support for code scanning".
@@ -59,15 +59,15 @@ class Annotation:
 
     Attributes:
         level: ``error``, ``warning`` or ``notice``.
-        title: Name of the subject. ``kind``, file and title together identify the annotation. They
-            do not change if the line or a number in the message changes.
+        title: Name of the subject. ``kind``, file and title together identify the annotation. The
+            identity does not depend on the line or on numbers in the message.
         message: A single sentence.
         place: ``file:line``, ``file:<element>``, ``file``, or None.
         rule: Identifier of the kind of finding; the title is used if empty.
         about: Short description of the rule; ``kind`` is used if empty.
         known: True if a baseline contains the annotation; None without a baseline.
         diagnostic: The finding as code and values; None if there is no such form.
-        fixes: Changes that remove the finding: one if unique, else several candidates.
+        fixes: Changes that remove the finding: one change, or several alternatives.
     """
 
     level: str
@@ -82,7 +82,7 @@ class Annotation:
 
     @property
     def kind(self) -> str:
-        """Identifier of the rule, which is ``rule``, or ``title`` if ``rule`` is empty."""
+        """Identifier of the rule: ``rule``, or ``title`` if ``rule`` is empty."""
         return self.rule or self.title
 
     @property
@@ -95,10 +95,10 @@ class Annotation:
 
 
 def relative_to_checkout(file: str | Path) -> str:
-    """Return the path of a file relative to the checkout, with ``/``.
+    """Return the path of a file relative to the checkout, with ``/`` as separator.
 
-    The checkout is $GITHUB_WORKSPACE, or the current folder if the variable is not set or empty.
-    The path is absolute if the file is outside.
+    The checkout is $GITHUB_WORKSPACE. If the variable is not set or empty, the checkout is the
+    current folder. The path of a file outside the checkout is absolute.
     """
     root = Path(os.environ.get("GITHUB_WORKSPACE") or Path.cwd())
     path = Path(os.path.abspath(file))  # noqa: PTH100  (a link is the file that is in the checkout)
@@ -133,8 +133,8 @@ def _make_results(
 ) -> Iterator[dict[str, Any]]:
     """Create the SARIF result of each annotation.
 
-    The fingerprint does not depend on the line. It depends on kind, file and title, and on the
-    number of earlier annotations with the same kind, file and title.
+    The fingerprint depends on kind, file and title, and on the number of earlier annotations with
+    the same kind, file and title. The fingerprint does not depend on the line.
 
     Args:
         annotations: Annotations.
@@ -199,18 +199,18 @@ def _escape_brackets(text: str) -> str:
 def _make_location(file: str, line: int | None) -> dict[str, Any]:
     """Create the place of a SARIF location: {"artifactLocation": ..., "region": ...}.
 
-    Without a line number the place is in line 1.
-
-    GitHub shows no result without a line. Special characters of a relative path are
-    percent-encoded, for example the colon: the reference must not begin with a scheme such as "C:".
+    Without a line number the place is line 1, because GitHub shows no result without a line.
+    Special characters of a relative path are percent-encoded. An example is the colon: the
+    reference must not begin with a scheme such as "C:".
     """
     uri = Path(file).as_uri() if Path(file).is_absolute() else quote(os.fsencode(file))
     return {"artifactLocation": {"uri": uri}, "region": {"startLine": line or 1}}
 
 
 _HIDDEN_CATEGORIES = ("Cc", "Cf", "Cs", "Zl", "Zp")
-"""Unicode categories of the characters that `escape_control` replaces: controls, formats such as
-text directions, surrogates, line and paragraph separators."""
+"""Unicode categories of the characters that `escape_control` replaces: control characters, formats
+such as text directions, surrogates, line and paragraph separators.
+"""
 
 
 def escape_control(text: str) -> str:
@@ -253,7 +253,7 @@ def write_github(annotations: Iterable[Annotation]) -> str:
 def _escape_data(text: str) -> str:
     """Escape the message of a GitHub workflow command, a line that GitHub shows beside a file.
 
-    Line ends and "%" have escapes that GitHub defines; other control characters become visible text
+    GitHub defines escapes for line ends and "%". Other control characters become visible text
     (`escape_control`).
     """
     message = text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
@@ -268,13 +268,13 @@ def _escape_property(text: str) -> str:
 def write_junit(annotations: Iterable[Annotation], suite_name: str = "pupper-analysis") -> str:
     """Convert annotations to JUnit XML, with a test case per annotation.
 
-    Annotations of level notice, and annotations that a baseline contains, pass. Without annotations
-    there is a single case, which passes.
+    A test case passes if the level of the annotation is notice, or if a baseline contains the
+    annotation. Without annotations there is a single test case, which passes.
 
     Args:
         annotations: Annotations.
         suite_name: Name of the test suite: the command and the files. CI servers show the results
-            of several commands under their suite names.
+            of several commands under the names of the suites.
     """
     listed = list(annotations) or [Annotation("notice", "nothing found", "")]
     failing = [annotation.level != "notice" and not annotation.known for annotation in listed]

@@ -33,8 +33,9 @@ VERDICT_SIGNS = {"good": "✅", "bad": "❌", "warn": "⚠️"}
 """{mark of a verdict: sign before the verdict}."""
 
 MAX_COMMENT_LENGTH = 60_000
-"""Largest number of characters of a comment, without the remark that it was shortened. GitHub
-accepts 65,536; the rest is left for text that the caller adds."""
+"""Largest number of characters of a comment, without the remark that the text was shortened. GitHub
+accepts 65,536; the rest is available for text that the caller adds.
+"""
 
 _MARKUP_PATTERN = re.compile(r"([\\`*_\[\]<>#|~&$])|^(\s*(?:[-+]|\d+[.)])(?=\s))")
 """Characters that can begin or end markup (group 1), and list markers at the start (group 2)."""
@@ -47,17 +48,17 @@ would convert the text around the position to a mention, reference, link or emoj
 """
 
 _WORD_JOINER = "\u2060"
-"""Zero-width character that is inserted into texts such as ``@name`` and ``#12``. It prevents
-GitHub from converting these texts to a mention of a user or to a link to an issue.
+"""Zero-width character that is inserted into texts such as ``@name`` and ``#12``. With the
+character, GitHub does not convert these texts to a mention of a user or to a link to an issue.
 """
 
 
 def write_markdown(report: Report) -> str:
-    """Return a report as Markdown: overview, and documents.
+    """Return a report as Markdown: the overview, and the documents.
 
-    The blocks of the documents are omitted if the report has an overview. If the text exceeds
-    `MAX_COMMENT_LENGTH`, all blocks are omitted, the rest is cut to this length and a remark
-    follows.
+    If the report has an overview, the blocks of the documents are omitted. If the text exceeds
+    `MAX_COMMENT_LENGTH`, all blocks are omitted. The remaining text is cut to this length, and a
+    remark follows.
     """
     parts = [part for block in report.overview for part in _write_block(block)]
     for document in report.documents:
@@ -79,7 +80,7 @@ def fold_lines(title: str, lines: Iterable[str]) -> str:
 
 
 def _write_document(document: Document, *, whole: bool) -> list[str]:
-    """Return the Markdown sections of a document; its blocks only if ``whole``."""
+    """Return the Markdown sections of a document. If ``whole`` is False, blocks are omitted."""
     sign = VERDICT_SIGNS.get(document.mark, "")
     verdict = "" if document.verdict is None else f"{_escape_words(document.verdict)} "
     title = f"### {f'{sign} ' if sign else ''}{verdict}{_escape_words(document.title)}"

@@ -1,7 +1,7 @@
 """Program that draws a MuJoCo model without a window: ``python -P offscreen.py FOLDER``.
 
-`pictures` starts this program in a process of its own, because MuJoCo selects OpenGL during the
-import, and an OpenGL driver may end the process. The folder contains ``model.mjb`` and
+`pictures` starts this program in a separate process, for two reasons. MuJoCo selects OpenGL during
+the import, and an OpenGL driver may end the process. The folder contains ``model.mjb`` and
 ``views.npz``; the program writes ``frames.npy``. Only MuJoCo and NumPy are imported.
 """
 
@@ -21,10 +21,16 @@ robot, such as Go1, is visible in front of a file's dark floor."""
 def draw_frames(folder: Path) -> None:
     """Draw the configurations of ``views.npz`` in a folder, and write the images to the folder.
 
-    ``model.mjb`` contains the MuJoCo model. ``views.npz`` contains ``qpos``, shape (n, nq), of this
-    model; ``cameras``, shape (n, 6): looked-at point [m], distance [m], azimuth and elevation [deg]
-    in MuJoCo's convention; ``size``: width and height [pixel]; ``shadows``. The images are written
-    to ``frames.npy``, shape (n, height, width, 3), 8 bits per colour.
+    - ``model.mjb``: MuJoCo model
+    - ``views.npz``, ``qpos``: configurations of this model, shape (n, nq)
+    - ``views.npz``, ``cameras``: looked-at point [m], distance [m], azimuth and elevation [deg] in
+      MuJoCo's convention, shape (n, 6)
+    - ``views.npz``, ``size``: width and height [pixel]
+    - ``views.npz``, ``shadows``: whether to draw shadows and reflections
+    - ``frames.npy`` (output): images, shape (n, height, width, 3), 8 bits per colour
+
+    Args:
+        folder: Folder of these files.
     """
     model = mujoco.MjModel.from_binary_path(str(folder / "model.mjb"))
     with np.load(folder / "views.npz") as views:

@@ -1,7 +1,7 @@
 """Pictures and animations of robots by MuJoCo's renderer: ``show`` and ``animate`` of results.
 
-A process of its own draws the frames (`offscreen`), so that a missing OpenGL ends no notebook. A
-type of results registers its view with ``@make_view.register``.
+A separate process draws the frames (`offscreen`), so that a missing OpenGL ends no notebook. The
+view of a type of results is registered with ``@make_view.register``.
 """
 
 from __future__ import annotations
@@ -50,15 +50,17 @@ AZIMUTH, ELEVATION = 135.0, -20.0
 """Direction of the camera in MuJoCo's convention [deg]: from the front right, from above."""
 
 _VIEW_MARGIN = 1.15
-"""Ratio between the distance of the camera and the least distance at which the sphere around the
-robot fits into the vertical field of view. Chosen, not tuned."""
+"""Distance of the camera, as a multiple of the least distance at which the sphere around the robot
+fits into the vertical field of view. Chosen, not tuned.
+"""
 
 _MIN_RADIUS = 0.01
 """Smallest radius of the sphere around a robot [m], for robots without geoms. Chosen, not tuned."""
 
 _TURN_SECONDS, _FRAMES_PER_SECOND = 4.0, 10
-"""Duration [s] of the camera's turn around a posture, and frames per second of animations. The
-configurations of a verification have a distance of 0.1 s. Chosen, not tuned."""
+"""Duration [s] of a turn of the camera around a posture, and frames per second of animations. The
+configurations of a verification have a time step of 0.1 s. Chosen, not tuned.
+"""
 
 _MAX_FRAMES = 600
 """Largest number of frames of an animation of a motion: 300 MB in memory for `ANIMATION_SIZE`.
@@ -107,14 +109,14 @@ class Animation:
         """Write the animation as ``.gif``, or as ``.mp4`` with the package ``imageio[ffmpeg]``.
 
         Args:
-            path: File; its suffix selects the format.
-            force: Replace a file that this function did not write.
+            path: File. The suffix selects the format.
+            force: Whether to replace a file that this function did not write.
 
         Raises:
             ConfigurationError: If the suffix is neither ``.gif`` nor ``.mp4``.
             MissingPackageError: If an MP4 is requested, and ``imageio[ffmpeg]`` is not installed.
-            OutputError: If the file cannot be written, or exists, was not written by this function,
-                and ``force`` is False.
+            OutputError: If the file cannot be written. Also if ``force`` is False, and the file
+                exists and was not written by this function.
         """
         target = Path(path)
         writers = {".gif": self._to_gif, ".mp4": self._to_mp4}
@@ -175,14 +177,14 @@ def show_result(
     azimuth: float = AZIMUTH,
     elevation: float = ELEVATION,
 ) -> Image.Image | None:
-    """Show the last configuration of a result in MuJoCo's viewer, or return a picture of it.
+    """Show the last configuration of a result in MuJoCo's viewer, or return a picture.
 
-    The viewer is used if a window can be opened and no notebook runs. The viewer simulates the
-    robot until the window is closed, and None is returned.
+    The viewer is used if a window can be opened and the code does not run in a notebook. The viewer
+    simulates the robot until the window is closed. The result is then None.
 
     Args:
         result: Result.
-        robot: Robot of the result, if the result does not reference it.
+        robot: Robot of the result, if the result does not contain the robot.
         size: Width and height of the picture [pixel].
         azimuth: Azimuth of the picture's camera [deg], in MuJoCo's convention.
         elevation: Elevation of the picture's camera [deg], in MuJoCo's convention.
@@ -216,13 +218,15 @@ def animate_result(
     """Draw an animation of a result's motion.
 
     For a result with a single configuration, the camera turns around the robot once. Of a motion
-    with more than `_MAX_FRAMES` configurations, every second, third ... configuration is drawn.
+    with more than `_MAX_FRAMES` configurations, only every second, third etc. configuration is
+    drawn.
 
     Args:
         result: Result.
-        robot: Robot of the result, if the result does not reference it.
+        robot: Robot of the result, if the result does not contain the robot.
         size: Width and height [pixel].
-        azimuth: Azimuth of the camera [deg], in MuJoCo's convention; at the start of a turn.
+        azimuth: Azimuth of the camera [deg], in MuJoCo's convention; the initial azimuth if the
+            camera turns.
         elevation: Elevation of the camera [deg], in MuJoCo's convention.
 
     Raises:
@@ -250,20 +254,20 @@ def animate_result(
 def make_view(result: Any, robot: Robot | None = None) -> MotionView:
     """Return the view of a result: the robot and the configurations that a picture shows.
 
-    The view of a simulated stand contains the recorded motion, the views of the other types of this
-    module a single configuration at time 0.
+    The view of a simulated stand contains the recorded motion. The views of the other types of this
+    module contain a single configuration at time 0.
 
     Args:
         result: `Configuration`, `SolvedPosture`, `Stand`, `StandVerification`, or a result of a
             type that a tool has registered.
-        robot: Robot of the result. Default: the robot that the result references.
+        robot: Robot of the result. Default: the robot that the result contains.
 
     Returns:
         Robot on its ground, times (n,) [s], and configurations (n, nq) in MuJoCo's coordinates.
 
     Raises:
-        ConfigurationError: If the type has no pictures, or neither ``robot`` nor the result
-            specifies the robot; also if a stand belongs to another robot.
+        ConfigurationError: If the type has no pictures, neither ``robot`` nor the result specifies
+            the robot, or a stand belongs to another robot.
     """
     del robot
     kind = type(result).__name__
@@ -382,7 +386,7 @@ def _make_cameras(robot: Robot, qpos: Array, azimuths: Array, elevation: float) 
 def draw_views(
     robot: Robot, qpos: Array, cameras: Array, size: Sequence[int], *, shadows: bool
 ) -> Pixels:
-    """Draw configurations with MuJoCo's renderer, in a process of its own.
+    """Draw configurations with MuJoCo's renderer, in a separate process.
 
     Args:
         robot: Robot on its ground.
@@ -390,8 +394,8 @@ def draw_views(
         cameras: Cameras, shape (n, 6): looked-at point [m], distance [m], azimuth and elevation
             [deg] in MuJoCo's convention.
         size: Width and height [pixel].
-        shadows: Draw shadows and reflections; a frame then takes six times as long without a
-            graphics card.
+        shadows: Whether to draw shadows and reflections. Without a graphics card, a frame then
+            takes six times as long.
 
     Returns:
         Pixels, shape (n, height, width, 3).
@@ -423,7 +427,10 @@ def draw_views(
 
 
 def _list_drivers() -> tuple[str, ...]:
-    """Return the values of MUJOCO_GL to try: the user's only, if set; "" for the default."""
+    """Return the values of MUJOCO_GL to try; "" is MuJoCo's default.
+
+    If the user has set MUJOCO_GL, only this value is tried.
+    """
     requested = os.environ.get("MUJOCO_GL", "")
     if requested:
         return (requested,)
@@ -432,10 +439,10 @@ def _list_drivers() -> tuple[str, ...]:
 
 
 def _run_drawing(folder: Path, driver: str) -> str | None:
-    """Draw the views stored in a folder, in another process; return the reason of a failure.
+    """Draw the views stored in a folder, in another process, and return the reason of a failure.
 
-    None if the frames were written. ``driver`` is the value of MUJOCO_GL, which selects MuJoCo's
-    rendering backend.
+    The result is None if the frames were written. ``driver`` is the value of MUJOCO_GL, which
+    selects MuJoCo's rendering backend.
     """
     environment = {**os.environ, "MUJOCO_GL": driver}
     program = Path(__file__).with_name("offscreen.py")

@@ -1,9 +1,10 @@
 """Plots of results in figures of ``pyplot``, for notebooks: ``Result.plot`` calls `plot_result`.
 
-A result type with a plot registers a function (``@draw_result.register``) in the module that
-contains the builder of its document; stands, postures, their statics and their verification are
-registered in ``present.stand_plots``. Other results are drawn by the plots of their documents.
-Matplotlib is imported at the first plot.
+The plot of a result type is a function that is registered with ``@draw_result.register``. The
+function is in the module that contains the builder of the document. The module
+``present.stand_plots`` contains the functions for stands, postures, their statics and their
+verification. For other results, the plots of the document are drawn. Matplotlib is imported at the
+first plot.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SCREEN_DPI = 100
-"""Resolution of figures in notebooks [1/inch]: 700 pixels for the width of a page. Chosen."""
+"""Resolution of figures in notebooks [1/inch]: 700 pixels for the width of a page. Chosen, not
+tuned.
+"""
 
 
 def plot_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:

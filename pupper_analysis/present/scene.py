@@ -1,8 +1,8 @@
 """Visible content of a robot in a stand: shapes, joints, contact forces, centre of mass, ground.
 
-``describe_scene`` evaluates everything but the shapes, ``collect_visible_shapes`` the shapes. The
-page's viewer (``html/write``), the live page (``live/scene``) and the figures of poses
-(``figures/pose``) draw the results, each in a different style.
+``collect_visible_shapes`` evaluates the shapes, ``describe_scene`` everything else. The page's
+viewer (``html/write``), the live page (``live/scene``) and the figures of poses (``figures/pose``)
+draw the results, each in a different style.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ NUM_VISIBLE_GROUPS = 3
 
 _MAX_GRID_CELLS = 512
 """Number of cells along the longest side of a mesh in the first, finest grid of `_simplify_mesh`.
-Vertices in the same cell are merged. Each further grid has 3/4 as many cells per side. Chosen, not
-tuned."""
+Vertices in the same cell are merged. Each further grid has 3/4 of the cells per side. Chosen, not
+tuned.
+"""
 _MIN_MESH_FACES = 100
-"""Number of triangles up to which a mesh is not reduced, however many meshes a robot has. Chosen,
-not tuned."""
+"""Largest number of triangles of a mesh that is never reduced. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ class StandingScene:
         com_projection: Vertical projection of the centre of mass on the plane fitted to the contact
             points, shape (3,) [m].
         com_inside: True if the CoM margin of the stand is not negative.
-        joints: Axes and loads, in actuator order.
+        joints: Joint axes and motor loads, in actuator order.
         contacts: Contact forces; empty if loads are not shown.
     """
 
@@ -189,8 +189,9 @@ def evaluate_plane_height(points: Array, place: Array) -> float:
     """Evaluate the height of the least-squares plane through points.
 
     Args:
-        points: Shape (n, 3) [m]. With fewer than three, the minimum-norm solution is used.
-        place: x and y, shape (2,) or longer [m].
+        points: Points, shape (n, 3) [m]. For fewer than three points, the plane is the minimum-norm
+            solution.
+        place: x and y [m] at which the height is evaluated, shape (2,) or longer.
 
     Returns:
         z [m].
@@ -221,8 +222,8 @@ def compute_polygon_corners(points: Array) -> Array:
     """Compute the corners of the support polygon, shape (m, 3) [m], from contact positions.
 
     ``points``, shape (n, 3) [m], and the corners are expressed in the world frame. Each corner has
-    the height of the point nearest in x and y. Points on one line give the two end points, equal
-    points a single corner.
+    the height of the point nearest in x and y. Points on one line give the two end points. Equal
+    points give a single corner.
     """
     hull = shapely.MultiPoint(points[:, :2]).convex_hull
     wide = hull.geom_type == "Polygon"  # not a line or a point
@@ -277,9 +278,9 @@ def collect_visible_shapes(
 
     Args:
         model: MuJoCo model of the robot.
-        max_faces: Approximate upper bound of the triangles of all meshes. If the meshes have more,
-            each mesh is reduced by about the same factor, but a mesh with up to `_MIN_MESH_FACES`
-            stays as it is.
+        max_faces: Approximate upper bound of the triangles of all meshes. If the meshes have more
+            triangles, each mesh is reduced by about the same factor. A mesh with up to
+            `_MIN_MESH_FACES` triangles is not reduced.
 
     Returns:
         Shapes, and {index of a mesh: mesh}.
@@ -314,8 +315,9 @@ def select_visible_geoms(model: mujoco.MjModel) -> list[int]:
 def _simplify_mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
     """Reduce the triangles of a mesh to the fraction ``share`` or fewer, by vertex clustering.
 
-    Grids become coarser until the number of triangles is small enough. The result may have up to
-    `_MIN_MESH_FACES` triangles, and more if the coarsest grid leaves more.
+    Grids become coarser until the number of triangles is small enough. A result with up to
+    `_MIN_MESH_FACES` triangles is always small enough. If the coarsest grid leaves more triangles,
+    the result has more.
     """
     simplified = get_mesh(model, mesh)
     max_faces, cells = max(int(share * len(simplified.faces)), _MIN_MESH_FACES), _MAX_GRID_CELLS

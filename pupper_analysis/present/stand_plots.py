@@ -27,8 +27,8 @@ _ROW_HEIGHT = 0.22
 def draw_stand(stand: Stand, robot: Robot | None = None) -> tuple[Axes, ...]:
     """Draw skeleton, contact forces, CoM and support polygon of a stand, in two panels.
 
-    The views are oblique and from above. A stand without feet, the posture of a robot with a fixed
-    base, is drawn without forces.
+    The views are oblique and from above. If no foot carries load, for example on a robot with a
+    fixed base, the joints and links are drawn without forces.
 
     Raises:
         ConfigurationError: If the robot is missing, or is not the robot of the stand.
@@ -48,7 +48,9 @@ def draw_stand(stand: Stand, robot: Robot | None = None) -> tuple[Axes, ...]:
 
 @draw_result.register(SolvedPosture)
 def draw_posture(posture: SolvedPosture, robot: Robot | None = None) -> tuple[Axes, ...]:
-    """Draw the stand of a posture, or else the skeleton of the posture without forces.
+    """Draw a posture: as a stand with contact forces, or as joints and links without forces.
+
+    The posture is drawn as a stand if feet carry load.
 
     Raises:
         ConfigurationError: If the robot is missing, or is not the robot of the posture's stand.
@@ -78,7 +80,7 @@ def draw_verification(run: StandVerification, _: Robot | None = None) -> tuple[A
 def draw_equilibrium(statics: Equilibrium, _: Robot | None = None) -> tuple[Axes, ...]:
     """Draw the motor torques [N m, N] as bars, one row per joint, and return the single axes.
 
-    Beside each bar is the utilisation of the motor, if its torque limit is known.
+    If the torque limit of a motor is known, the utilisation of the motor is beside the bar.
     """
     axes = make_axes("Static motor torques", 1.0 + _ROW_HEIGHT * len(statics.joint_names))
     torques = statics.joint_torques.tolist()

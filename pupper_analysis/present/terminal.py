@@ -2,9 +2,10 @@
 
 The short view omits blocks marked as detail, and the tables and notes of a brief document. A
 document begins with up to three lines: verdict, limit or cause, and the next command. A last line
-counts the omitted findings, tables and notes. In a table that is too wide, columns of sentences are
-wrapped; if the table is still too wide, the table is printed in parts that repeat the first column.
-Names and numbers are never cut.
+counts the omitted findings, tables and notes.
+
+In a table that is too wide, columns of sentences are wrapped. If the table is still too wide, the
+table is printed in parts that repeat the first column. Names and numbers are never cut.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ from pupper_analysis.present.formats import escape_control
 
 MAX_ANSWER_WIDTH = 104
 """Maximum width [characters] of the line of joined messages in a short answer. The first message is
-always printed. If a message exceeds the width, this message and all later messages are not printed
-but counted. Chosen, not tuned.
+always printed. If a message exceeds the width, this message and all later messages are only
+counted. Chosen, not tuned.
 """
 
 MAX_SHORT_FINDINGS = 8
@@ -76,15 +77,15 @@ class _PrintedLine(NamedTuple):
 
 _COMMAND_PATTERN = re.compile(r"(?<!\S):(?=:)|#(?=#\[)")
 """Start of a command to a CI service: ``::error::`` at the start of a line or after a space, and
-``##[error]`` anywhere.
-
-Source: actions/runner, ActionCommand.TryParseV2 and TryParse."""
+``##[error]`` at any place. Source: actions/runner, ActionCommand.TryParseV2 and TryParse.
+"""
 
 
 def _escape_line(text: str) -> str:
     """Escape characters that a terminal or a CI system would interpret.
 
-    These are control characters, and the first character of a command to the CI system.
+    The escaped characters are control characters, and the first character of a command to the CI
+    system.
     """
     return _COMMAND_PATTERN.sub(lambda match: f"\\x{ord(match[0]):02x}", escape_control(text))
 
@@ -110,16 +111,17 @@ def print_report(
     next_command: str = "",
     hidden_notes: int = 0,
 ) -> None:
-    """Print the documents of a report, and then its overview.
+    """Print the documents of a report, and then the overview.
 
-    If the report has an overview and ``everything`` is false, only a summary of each document is
-    printed (`print_summary`). The last line of the report then names the option ``-v``, if a
-    document contains tables, findings or other blocks.
+    If the report has an overview and ``everything`` is False, only a summary of each document is
+    printed (`print_summary`). If a document contains tables, findings or other blocks, the last
+    line of the report then names the option ``-v``.
 
     Args:
         out: Console.
         report: Report.
-        everything: Print all documents in full, with details and all notes (option ``-v``).
+        everything: Whether to print all documents in full, with details and all notes (option
+            ``-v``).
         next_command: Command line to run after the report; empty for none.
         hidden_notes: Number of notes on the robot that the caller does not print. A report with a
             single, not summarised document states the number; other reports ignore it.
@@ -158,7 +160,8 @@ def print_document(
     Args:
         out: Console.
         document: Document.
-        everything: Also print details, all notes, and the blocks that are omitted by default.
+        everything: Whether to print also details, all notes, and the blocks that are omitted by
+            default.
         next_command: Command line to run next, printed below the key figures; empty for none.
         hidden_notes: Number of notes on the robot that the caller does not print.
     """
@@ -208,9 +211,9 @@ def _is_left_out(document: Document, block: Block, place: int) -> bool:
 def print_head(out: Console, document: Document, *, everything: bool = False) -> None:
     """Print a document's verdict, title, failures and findings.
 
-    The first failure or finding is on the line of the verdict. With ``everything``, details follow.
-    Otherwise, the messages are printed in their short form, and the second and further messages are
-    joined into one line (`_join_short_messages`).
+    The first failure or finding is on the line of the verdict. If ``everything`` is True, details
+    follow. Otherwise, the messages are printed in the short form. The second and further messages
+    are then joined into one line (`_join_short_messages`).
     """
     short = not everything
     messages = [*document.failures, *document.findings, *(document.details if everything else ())]
@@ -266,8 +269,8 @@ def print_notes(out: Console, notes: Sequence[Words], *, everything: bool = Fals
     Args:
         out: Console.
         notes: Notes, the most important first.
-        everything: Print all notes. Otherwise print at most `MAX_SHORT_NOTES` lines: the first
-            notes, and the number of omitted notes.
+        everything: Whether to print all notes. If False, at most `MAX_SHORT_NOTES` lines are
+            printed: the first notes, and the number of omitted notes.
     """
     shown = notes
     if not everything and len(notes) > MAX_SHORT_NOTES:
@@ -318,7 +321,7 @@ def _make_table_lines(table: Table, view: _ViewOptions) -> list[_PrintedLine]:
 
 @_make_lines.register
 def _make_finding_lines(block: FileFinding, view: _ViewOptions) -> list[_PrintedLine]:
-    """Return the title, places and notes of a finding; quoted lines only with ``everything``."""
+    """Return the title, places and notes of a finding. The short view omits quoted lines."""
     head = Text(f"{view.place}. ")
     if block.tag is not None:
         head.append(f"{_to_plain_text(block.tag)} ", MARK_STYLES.get(block.tag.mark, "cyan"))
@@ -387,14 +390,14 @@ def _get_short_form(words: Words) -> str:
 
 
 def _style_words(words: Words, *, short: bool = False) -> Text:
-    """Return a text for the terminal, in the style of its emphasis (``mark``).
+    """Return a text for the terminal, in the style of the emphasis (``mark``).
 
     If the text begins with a word in capitals, such as HOLDS, only this word is styled. Otherwise
     only a text with the mark ``"quiet"`` is styled.
 
     Args:
         words: Text.
-        short: True for the short form of the text, if it has one.
+        short: Whether to use the short form of the text, if there is one.
     """
     plain = _get_short_form(words) if short else _to_plain_text(words)
     style = MARK_STYLES.get(words.mark, "")
@@ -424,19 +427,18 @@ MARK_STYLES = {
 
 
 _HEADER_RULE_BOX = "    \n    \n ── \n" + "    \n" * 5
-"""Characters of a table's lines, as rich's ``Box`` expects them: one line below the header."""
+"""Characters of a table's lines, in the format of rich's ``Box``: one line below the header."""
 
 
 class _PrintedColumn(NamedTuple):
-    """Column as it is printed.
+    """Column in the form in which the column is printed.
 
     Attributes:
         head: Header with unit.
         cells: Text of each row.
         left: True if the column is left-aligned.
-        width: Width of the column [characters]: the largest of three values. These are the longest
-            cell, the longest word of the header, and the header's width but at most
-            `_MIN_HEADER_WIDTH`.
+        width: Width of the column [characters], the largest of three values: the longest cell, the
+            longest word of the header, and the width of the header (at most `_MIN_HEADER_WIDTH`).
         least: Smallest width to which the column may be wrapped [characters]; equal to ``width`` if
             the column is not wrapped.
     """
@@ -469,7 +471,7 @@ def _lay_out_table(out: Console, table: Table, chosen: Sequence[int]) -> list[Te
 
 
 def _measure_column(table: Table, index: int, *, wraps: bool) -> _PrintedColumn:
-    """Format a column of a table, and compute its widths [characters] with and without wrapping.
+    """Format a column of a table, and compute the widths [characters] with and without wrapping.
 
     Sentences are wrapped only if ``wraps`` is True.
     """

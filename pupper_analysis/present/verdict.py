@@ -1,6 +1,6 @@
 """Text of a verdict, for terminals and pages.
 
-Input is a ``Verdict``; output are clauses, sorted by importance, in both languages, and the
+Input is a ``Verdict``. Outputs are clauses in both languages, sorted by importance, and the
 document of a result whose answer is the verdict.
 """
 
@@ -56,7 +56,7 @@ servos, the message contains only their number. Chosen, not tuned.
 
 @dataclass(frozen=True)
 class Clause:
-    """Statement of a verdict.
+    """Statement of a verdict: a reason for or against the stand.
 
     Attributes:
         good: True if the statement supports the stand.
@@ -71,14 +71,15 @@ class Clause:
 
 
 def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
-    """Return the statements of a verdict, without repetitions.
+    """Return the statements of a verdict, without repetitions, in the order in which to show them.
 
-    Statements that agree with the verdict come first. In a bad verdict, the causes (`_CAUSES`)
-    follow directly after the first statement. A remark about an impossible mass or inertia is the
-    first statement of a bad verdict, because no simulation of such a file has a meaning. The
-    statements about the simulation of the published file from a keyframe precede the statements
-    about the prepared robot in two cases: the file's own actuators fail, or the prepared robot
-    stands, but not as predicted.
+    - Statements that agree with the verdict come first.
+    - In a bad verdict, the causes (`_CAUSES`) follow directly after the first statement.
+    - A remark about an impossible mass or inertia is the first statement of a bad verdict, because
+      no simulation of such a file has a meaning.
+    - Statements about the simulation of the published file from a keyframe precede the statements
+      about the prepared robot in two cases. In the first, the file's own actuators fail. In the
+      second, the prepared robot stands, but not as predicted.
     """
     run_clauses = tuple(make_keyframe_run_clauses(verdict.keyframe_run))
     published_clauses = tuple(make_published_clauses(verdict.published))
@@ -127,8 +128,9 @@ _DECIDING_REMARKS = {
     VerdictCode.LIMITS_UNKNOWN: "torque-limits-unknown",
     VerdictCode.MASSES_UNKNOWN: "link-masses-unknown",
 }
-"""{code of a verdict: code of the remark that is the reason for it}. This remark precedes the
-statements on simulations."""
+"""{code of a verdict: code of the remark that is the reason for the verdict}. This remark precedes
+the statements on simulations.
+"""
 
 _VERDICT_WORDS = {
     Question.STANDS: ("HOLDS", "FAILS"),
@@ -185,9 +187,9 @@ def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
 def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text, ...]]:
     """Divide a verdict's lines into lines of the short answer and further lines.
 
-    The short answer contains statements against the stand, warnings, assumptions, and the codes of
-    `_LEADING_CODES`, good or bad. A statement about the simulation from a keyframe is omitted if it
-    supports the stand.
+    The short answer contains statements against the stand, warnings and assumptions. Statements
+    with the codes of `_LEADING_CODES` are always in the short answer. A statement about the
+    simulation from a keyframe is omitted if the statement supports the stand.
 
     Returns:
         Lines of the short answer; further lines.
@@ -210,9 +212,9 @@ def split_verdict_lines(verdict: Verdict) -> tuple[tuple[Text, ...], tuple[Text,
 
 
 def report_refused_file(verdict: Verdict) -> tuple[Text, ...]:
-    """Return the warning that MuJoCo refuses the published file, since meshes are missing.
+    """Return the warning that MuJoCo refuses the published file because meshes are missing.
 
-    Empty if no meshes are missing, or if there is no run from a keyframe.
+    The result is empty if no meshes are missing, or if there is no simulation from a keyframe.
     """
     run = verdict.keyframe_run
     if run is None or not run.missing:
@@ -222,8 +224,8 @@ def report_refused_file(verdict: Verdict) -> tuple[Text, ...]:
 
 
 _MIN_STATED_CLEARANCE = 1e-3
-"""Bound of the robot's height above the ground at reset [m]. Above the bound, the message about the
-simulation from a keyframe states the height. Chosen, not tuned.
+"""Lower bound of the robot's height above the ground at reset [m], above which the message about
+the simulation from a keyframe states the height. Chosen, not tuned.
 """
 
 _DETAIL_CODE = "own-run"
@@ -231,7 +233,7 @@ _DETAIL_CODE = "own-run"
 if it is favourable."""
 
 _LEADING_CODES = ("servos-given",)
-"""Codes of the statements that the short form of a verdict contains even if they support the stand.
+"""Codes of the statements that the short answer contains even if the statements support the stand.
 The only code is that of the statement "the user passed the servo gains".
 """
 
@@ -271,9 +273,9 @@ def judged_document(
 ) -> Document:
     """Create the document of a result whose answer is a verdict.
 
-    The short answer has four parts: the verdict with the first text of ``answer``; ``limit``; the
-    warnings and assumptions that change the meaning of the verdict; and the other texts of
-    ``answer``. In a bad verdict the reasons precede these texts. A terminal prints the other
+    The short answer has four parts, which the reasons precede in a bad verdict. The parts are the
+    verdict with the first text of ``answer``, ``limit``, the warnings and assumptions that change
+    the meaning of the verdict, and the other texts of ``answer``. A terminal prints the other
     statements and the tables with -v only.
 
     Args:
@@ -283,13 +285,14 @@ def judged_document(
         answer: At least one text: first the number that the user requested, such as the largest
             payload, then further numbers.
         details: Further statements.
-        failures: Reasons against the result, in addition to the reasons of the verdict.
-            ``failures`` and ``causes`` are ignored if the verdict is good.
-        word: Verdict in one or two words. Default: the word of the judge's verdict.
+        failures: Reasons against the result, in addition to the reasons of the verdict. Ignored if
+            the verdict is good.
+        word: Verdict in one or two words. Default: the word of ``judged.verdict``.
         limit: Cause that limits the first number of ``answer``, or a second number that belongs to
             the first, such as the base height. None without such a text.
-        limits: Several texts of the kind of ``limit``. Ignored if ``limit`` is not None.
-        causes: Causes of a bad verdict, which follow its first reason.
+        limits: Texts like ``limit``, if there are several. Ignored if ``limit`` is not None.
+        causes: Causes of a bad verdict, which follow the first reason. Ignored if the verdict is
+            good.
         leading: Reasons that precede all other reasons and the number. Ignored if the verdict is
             good.
         number_first: True if the number precedes the reasons even in a bad verdict. An example is a
@@ -330,13 +333,13 @@ def verdict_word(verdict: Verdict) -> Text:
 def qualify_verdict_word(key: str, converted: str) -> Text:
     """Return the display word of a verdict, with a restriction if one model was converted.
 
-    If one model was converted from the other model, their agreement proves nothing. In this case
-    the text of a good verdict also states that both models come from the same file.
+    If one model was converted from the other model, the agreement of both models proves nothing.
+    The text of a good verdict then also states that both models come from the same file.
 
     Args:
         key: Key of the word in the catalogue of texts, for example "HOLDS".
         converted: Model that was converted from the other model, ``urdf`` or ``mjcf``; empty if
-            neither was.
+            none was converted.
     """
     word = text(key)
     good = converted and key not in ("FAILS", "FAILED", "DISAGREES", "UNKNOWN")
@@ -394,9 +397,10 @@ def make_keyframe_run_clauses(keyframe_run: OwnRun | None) -> Iterator[Clause]:
 
 
 def make_replaced_clauses(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
-    """Yield a statement on servos of the file that were replaced, as they cannot hold a position.
+    """Yield a statement on servos of the file that were replaced.
 
-    Without replaced servos there is no statement.
+    Servos are replaced if they cannot hold a position. Without replaced servos there is no
+    statement.
     """
     if replaced:
         joints = [servo.joint for servo in replaced]
@@ -452,7 +456,7 @@ def _select_stated_failures(verdict: Verdict) -> tuple[Diagnostic, ...]:
     """Return the failures of the simulation with feed-forward that the verdict states.
 
     If the robot stands in MuJoCo, but URDF and MJCF describe different robots, only this difference
-    is stated. It is the cause of the deviations of torques and forces.
+    is stated. The difference is the cause of the deviations of torques and forces.
     """
     failures = join_ground_touches(verdict.failures)
     causes = tuple(failure for failure in failures if failure.code == TWO_ROBOTS_CODE)
@@ -464,9 +468,9 @@ _TOUCH_CODE = "body-touches-ground"
 
 
 def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
-    """Replace several failures of bodies that touch the ground by one, with the earliest time.
+    """Replace several failures "body touches the ground" by one failure with the earliest time.
 
-    Failures of bodies that touch the step, plane or bar of a foot or hand stay as they are.
+    Failures of bodies that touch the step, plane or bar of a foot or hand are unchanged.
     """
     failures = tuple(failures)
     touches = [one for one in failures if one.code == _TOUCH_CODE and not one.values.get("surface")]
@@ -489,7 +493,7 @@ def make_published_clauses(published: Published | None) -> Iterator[Clause]:
 
     The first statement is on the worst of these simulations: a collapse, or the deviations in
     torque, joint position [rad, m] and CoM height [m]. If no simulation deviates, this statement is
-    omitted. Each cause is a further statement. There are none if ``published`` is None.
+    omitted. Each cause is a further statement. If ``published`` is None, nothing is yielded.
     """
     if published is None:
         return
@@ -528,8 +532,8 @@ _CAUSES = (
     "motors-overloaded",
 )
 """Codes of statements that explain a bad verdict. These statements follow directly after the first
-statement, in the order in which the verdict contains them. So a range in the file that limits
-motors precedes the overloaded motors.
+statement, in the order of the verdict. For example, a range in the file that limits motors precedes
+the overloaded motors.
 """
 
 _CAUSE_MESSAGES = {
@@ -584,8 +588,8 @@ def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
     """Yield up to two clauses: on motors that exceed their limits, and on the doubling time [s].
 
     The doubling time is the time in which a deviation of an unstable stance from equilibrium
-    doubles. Its clause is omitted if the time is infinite, or if the stance was simulated with
-    feed-forward.
+    doubles. The clause on this time is omitted if the time is infinite, or if the stance was
+    simulated with feed-forward.
     """
     if verdict.overloaded_motors:
         yield Clause(
@@ -604,8 +608,8 @@ def _make_limit_clauses(verdict: Verdict) -> Iterator[Clause]:
 def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
     """Yield a clause on creep: slow motion of a standing robot at the end of the simulation.
 
-    The clause is a warning if the creep exceeds a bound (``is_notable``). No clause if the creep
-    was not measured, or if the robot collapses.
+    If the creep exceeds a bound (``is_notable``), the clause is a warning. Nothing is yielded if
+    the creep was not measured, or if the robot collapses.
     """
     creep = verdict.creep
     if creep is None or verdict.with_feedforward is Ending.COLLAPSES:
@@ -623,10 +627,14 @@ def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
 def select_step_after_failure(verdict: Verdict, otherwise: NextStep) -> NextStep:
     """Return the command to run after a failure: `crosscheck` if the files may explain the failure.
 
-    The files may explain the failure in three cases. The files describe two different robots; the
-    robot or the published file does not stand as predicted; or a difference of the files is the
-    cause of a deviation. If the robot has only one file, the command in these cases is `audit`. In
-    other cases ``otherwise`` is returned.
+    The files may explain the failure in three cases:
+
+    - The files describe two different robots.
+    - The robot or the published file does not stand as predicted.
+    - A difference of the files is the cause of a deviation.
+
+    If one model was converted from the other, the command in these cases is `audit`. In other cases
+    ``otherwise`` is returned.
     """
     differs = verdict.code in (VerdictCode.DIFFERS_AS_PUBLISHED, VerdictCode.DISAGREES)
     two_robots = any(failure.code == TWO_ROBOTS_CODE for failure in verdict.failures)
@@ -637,9 +645,9 @@ def select_step_after_failure(verdict: Verdict, otherwise: NextStep) -> NextStep
 
 
 def make_servo_clause(servos: ServosUsed, *, good: bool) -> Clause:
-    """Create the statement that a result depends on added servos, with their range of gains.
+    """Create the statement that a result depends on added servos, with the range of the gains.
 
-    The joints of the servos are named if there are at most `MAX_NAMED_JOINTS` servos. ``good`` is
+    If there are at most `MAX_NAMED_JOINTS` servos, the joints of the servos are named. ``good`` is
     True if the statement supports the stand.
     """
     few = servos.made if len(servos.made) <= MAX_NAMED_JOINTS else ()

@@ -32,9 +32,9 @@ NO_COLUMNS: Mapping[doc.Column, Any] = MappingProxyType({})
 """Empty default of the argument ``more`` of `torque_table`: the table has no further columns."""
 
 WARNING_UTILISATION, FULL_UTILISATION = 0.9, 1.0
-"""Motor utilisations [1] at which the mark of a cell changes. Above the first value, the cell is
-marked as a warning; above the second value, as bad. At 1 the effort limit is reached; 0.9 is
-chosen, not tuned.
+"""Motor utilisations (torque / effort limit) at which the mark of a cell changes. Above
+``WARNING_UTILISATION`` the cell is marked as a warning, above ``FULL_UTILISATION`` as bad. At 1 the
+motor reaches the effort limit. The value 0.9 is chosen, not tuned.
 """
 
 
@@ -45,7 +45,7 @@ def utilisation_cell(share: float, limit: float) -> doc.Number:
 
     Args:
         share: |torque| / limit.
-        limit: Effort limit [N m], of a slide [N].
+        limit: Effort limit [N m]; of a slide [N].
     """
     if limit == 0 or not (math.isfinite(share) and math.isfinite(limit)):
         return doc.number_cell(None, "")
@@ -66,8 +66,8 @@ def limit_cell(limit: float, form: str = "g") -> doc.Cell:
 def mass_text(mass: float) -> doc.Words:
     """Format the largest payload mass [kg], rounded down to 0.01 kg.
 
-    Rounding up would print a mass that cannot be carried. NaN is formatted as "unknown", infinity
-    as "no limit".
+    A mass that is rounded up might be too heavy for the robot. NaN is formatted as "unknown",
+    infinity as "no limit".
     """
     if math.isnan(mass):
         return text("limit-unknown")
@@ -77,15 +77,19 @@ def mass_text(mass: float) -> doc.Words:
 
 
 def round_mass_down(mass: float) -> float:
-    """Round a mass [kg] above 0 down to two significant digits: the rounded mass also holds."""
+    """Round a payload mass [kg] above 0 down to two significant digits.
+
+    A robot that carries the mass also carries the rounded mass.
+    """
     step = 10.0 ** (math.floor(math.log10(mass)) - 1)
     return _floor(mass / step) * step
 
 
 def _floor(number: float) -> int:
-    """Round a positive number down; numbers up to 1e-12 below an integer give this integer.
+    """Round a positive number down, with a tolerance for rounding errors.
 
-    Products such as 100 * 0.57 are a rounding error below 57.
+    A number below an integer by at most a fraction 1e-12 gives this integer. Products such as 100 *
+    0.57 are a rounding error below 57.
     """
     return math.floor(number * (1 + 1e-12))
 
@@ -121,8 +125,7 @@ def load_blocks(
         min_max_torque: Equilibrium with the smallest peak utilisation.
         verification: Simulation with feed-forward.
         limits: Effort limits, shape (nu,) [N m, N].
-        origins: Origin of each joint's limit: the attribute of a file that states the limit; None
-            for a joint without limit.
+        origins: Attribute and file that state each joint's limit; None for a joint without limit.
         units: Unit of each joint position, shape (nu,): rad, or m for a slide.
         more: Further columns, {column: values of shape (nu,)}.
     """
@@ -151,7 +154,7 @@ def load_blocks(
 
 
 def get_display_scales(units: Iterable[str]) -> NDArray[np.float64]:
-    """Return the factors, shape (nu,), from joint positions [rad, m] to printed ones [deg, mm].
+    """Return the factors, shape (nu,), from joint positions [rad, m] to displayed ones [deg, mm].
 
     Args:
         units: Units of the positions, rad or m, shape (nu,).
@@ -184,7 +187,7 @@ def torque_table(
 
     Args:
         statics: Static equilibrium.
-        limits: Effort limits, shape (nu,) [N m, of slides N].
+        limits: Effort limits, shape (nu,) [N m; of slides N].
         more: Further columns, {column: values of shape (nu,)}.
     """
     rows: list[tuple[doc.Cell, ...]] = [
@@ -213,7 +216,8 @@ def torque_table(
 def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
     """Return a text that lists the attributes and files (origins) that state torque limits.
 
-    The most frequent origin is first. Several origins are listed with their numbers of joints.
+    The most frequent origin is first. If there are several origins, the text contains the number of
+    joints of each.
 
     Args:
         origins: Statement of each joint's limit; None for a joint without limit.
@@ -293,8 +297,8 @@ def contact_table(statics: GravityCompensation) -> doc.Table:
 def _make_contact_table(statics: GravityCompensation, verification: StandVerification) -> doc.Table:
     """Create the table of contact forces [N], with notes below the table.
 
-    The notes state the centre of pressure of each foot [m], if feet have several contact points,
-    and the moment of each weld [N m] or the force of each grip [N].
+    The notes state the moment of each weld [N m] or the force of each grip [N]. If feet have
+    several contact points, the notes also state the centre of pressure of each foot [m].
     """
     flat = len(statics.foot_loads) < len(statics.contact_forces)
     notes = [

@@ -1,11 +1,13 @@
 """Selection of the builder that creates the document of a result.
 
 A builder is a function that is registered for the type of a result (``@build_document.register``).
-It is in the module ``document`` of the tool that computes the result. A result of the core has its
-builder in the tool that shows the result: a ``Comparison``, for example, in ``tools/crosscheck``.
-The module is imported when a result of the type is shown for the first time. So an audit does not
-import the stance solver. If a result has no builder, its document lists all fields with their
-meanings.
+The builder is in the module ``document`` of the tool that computes the result. The builder of a
+result of the core is in the tool that shows the result: a ``Comparison``, for example, in
+``tools/crosscheck``.
+
+The module is imported when a result of the type is shown for the first time. For example, an audit
+does not import the stance solver. If a result has no builder, the document lists all fields with
+their meanings.
 """
 
 from __future__ import annotations
@@ -40,19 +42,23 @@ from pupper_analysis.present.document import (
 from pupper_analysis.robot.robot import Robot
 
 MAX_SHOWN_ENTRIES = 24
-"""Largest number of entries of a list, mapping or array that a cell shows. Chosen, not tuned: the
-joints of a humanoid without hands."""
+"""Largest number of entries of a list, mapping or array that a cell shows. Chosen, not tuned:
+enough for the joints of a humanoid without hands.
+"""
 
 MAX_CELL_LENGTH = 600
-"""Largest number of characters of a value in a table cell; a longer list or array is replaced by
-its size or shape. Chosen, not tuned."""
+"""Largest number of characters of a value in a table cell. The cell of a longer list or array
+contains the size or shape instead. Chosen, not tuned.
+"""
 
 
 def value_cell(value: object) -> Cell:
     """Create a table cell with the value of a result's field, numbers with six digits.
 
-    A list, mapping or array with more than `MAX_SHOWN_ENTRIES` entries is replaced by its size or
-    shape. The same applies if its text has more than `MAX_CELL_LENGTH` characters.
+    The cell contains the size or shape instead of a list, mapping or array in two cases:
+
+    - The value has more than `MAX_SHOWN_ENTRIES` entries.
+    - The text of the value has more than `MAX_CELL_LENGTH` characters.
     """
     if hasattr(value, "phrase"):  # such as the description of a stand task
         return diagnostic_text(value.phrase())
@@ -63,11 +69,11 @@ def value_cell(value: object) -> Cell:
 
 
 def _write_value(value: object) -> str:
-    """Return the text of a value, with all entries of lists, mappings and arrays that are short.
+    """Return the text of a value, with all entries of short lists, mappings and arrays.
 
-    A container is short if it has up to `MAX_SHOWN_ENTRIES` entries; a short array also has at most
-    two dimensions. Other containers are replaced by their size or shape. Nested containers and
-    results are written in the same way, floats with six digits.
+    A list, mapping or array is short if the number of entries is at most `MAX_SHOWN_ENTRIES`. A
+    short array also has at most two dimensions. Other containers are replaced by their size or
+    shape. Nested containers and results are written in the same way, floats with six digits.
     """
     if isinstance(value, str) and not isinstance(value, Enum):
         return value
@@ -113,16 +119,17 @@ def make_fields_document(result: Result) -> doc.Document:
 
 
 _PACKAGE_NAME = "pupper_analysis"
-"""Name of the top package. A module ``document`` with the builder of a result is searched in the
-package of the result's class and in its parent packages. The search ends below the top package.
+"""Name of the top package. The builder of a result is searched in the modules ``document`` of the
+package of the result's class and of the parent packages. The search ends below the top package.
 """
 
 
 @singledispatch
 def build_document(result: object, _: Robot | None = None) -> Document:
-    """Create the document of a result; for a type without a builder, a list of the fields.
+    """Create the document of a result. Without a registered builder, the document lists the fields.
 
-    The module of the builder must have been imported; `make_document` does so.
+    The module of the builder must have been imported. `make_document` imports the module and calls
+    this function.
 
     Args:
         result: Result.
@@ -174,11 +181,11 @@ def build_report(
 ) -> Report:
     """Create the documents of several results, and the blocks that compare the results.
 
-    Results are compared if there are several, all of one type.
+    Results are compared if there are at least two results, all of the same type.
 
     Args:
         results: (name, result) pairs. The name is used if the document has no title.
-        robots: Available robots, which are assigned to results by name.
+        robots: Robots of the results. A robot belongs to the results with the name of the robot.
         overview: Further blocks, which come first.
     """
     known = {robot.name: robot for robot in robots}
@@ -206,9 +213,12 @@ def _make_title(documents: Sequence[Document]) -> Words:
 def load_builder(kind: type) -> None:
     """Import the module that registers the builder of a result type's document, if there is one.
 
-    For the type, and then for each base class, a module ``document`` is searched in the package of
-    the class and in the parent packages below ``pupper_analysis``. If there is none, the modules
-    ``document`` of the tools of this package are searched for a registration of the class.
+    The search has two steps, first for the type and then for each base class:
+
+    1. A module ``document`` is searched in the package of the class, and in the parent packages
+    below ``pupper_analysis``.
+    2. If there is none, the modules ``document`` of the tools of this package are searched for a
+    registration of the class.
     """
     for base in kind.__mro__:
         package = getattr(sys.modules.get(base.__module__), "__package__", None) or ""

@@ -1,6 +1,6 @@
 """Origin of a report's numbers: model files with line numbers, and pages of the documentation.
 
-Inputs are a robot, or a place ``file:line`` that a result contains; outputs are sentences and the
+Inputs are a robot, or a place ``file:line`` that a result contains. Outputs are sentences and the
 quoted lines of the file.
 """
 
@@ -50,9 +50,9 @@ def files_text(robot: Robot | None) -> Text:
 
 
 def is_urdf_changed(robot: Robot) -> bool:
-    """Return True if the text of a robot's URDF differs from its file, or the file is unreadable.
+    """Return True if the text of a robot's URDF differs from the file, or the file is unreadable.
 
-    Return False for a URDF that was converted from an MJCF, which has no file.
+    A URDF that was converted from an MJCF has no file. The result is False for such a URDF.
     """
     if robot.description.converted == "urdf":
         return False

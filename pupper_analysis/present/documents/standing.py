@@ -55,11 +55,11 @@ def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
 
 
 def ground_text(depths: Iterable[float]) -> Text:
-    """Return a sentence that states for which ground a stand was solved: soft or rigid.
+    """Return a sentence on the ground for which a stand was solved: soft or rigid.
 
     Args:
-        depths: Penetrations of the feet into MuJoCo's soft ground, for which the stand is
-            compensated [m]; all zero for rigid ground.
+        depths: Penetrations of the feet into MuJoCo's soft ground [m], which the stand compensates;
+            all zero for rigid ground.
     """
     deepest = max(depths, default=0.0)
     if not deepest:
@@ -75,9 +75,8 @@ def ground_word(depths: Iterable[float], run: StandVerification | None = None) -
 
     Args:
         depths: Penetrations of the feet into MuJoCo's soft ground [m]; all zero for rigid ground.
-        run: Simulation with feed-forward. For rigid ground, the text also contains the height that
-            the base loses in this simulation, if the robot does not collapse and the loss is
-            positive.
+        run: Simulation with feed-forward. For rigid ground, the text also contains the height loss
+            of the base in this simulation, if the robot does not collapse and the loss is positive.
     """
     if max(depths, default=0.0):
         return text("on-simulated-ground")
@@ -145,10 +144,10 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
 
 
 def _format_mean_loss(run: StandVerification, task: float) -> doc.Words:
-    """Format the mean height loss [mm] in the last second of a run; ``task`` is a height [m].
+    """Format the mean height loss [mm] in the last second of a run.
 
-    ``run.height_loss`` is a mean over an earlier second: the last second before the nudge, which is
-    the velocity disturbance that tests stability.
+    The property ``run.height_loss`` is the mean over another second: the last second before the
+    velocity disturbance that tests stability. ``task`` is the requested height [m].
     """
     last = run.time > run.time[-1] - MEASURING_TIME
     loss = task - float(np.mean(run.height[last]))

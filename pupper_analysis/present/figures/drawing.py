@@ -1,7 +1,7 @@
-"""Plots as PNG files with Matplotlib, from the marks of the page's SVG; shared parts of figures.
+"""Plots as PNG files with Matplotlib, from the SVG elements of the HTML page; parts of figures.
 
-``html.plots`` converts a plot to lines, points and words in CSS pixels; this module draws them in
-panels of a Matplotlib figure, so that page and PNG show the same plot.
+``html.plots`` converts a plot to lines, points and words in CSS pixels. This module draws these
+elements in panels of a Matplotlib figure, so that page and PNG show the same plot.
 """
 
 from __future__ import annotations
@@ -77,7 +77,9 @@ _CLASS_DASHES = {"s1": (0, (8, 3)), "s2": (0, (2, 3)), "s3": (0, (12, 3, 2, 3)),
            "s5": (0, (1, 2)), "limit": (0, (3, 2))}  # fmt: skip
 """{class of the HTML report's style sheet: line style of a mark in Matplotlib}."""
 _CLASS_WIDTHS = {"limit": 1.6, "other": 2.0}
-"""{class of the HTML report's style sheet: line width of a mark [pt]}, if not the default."""
+"""{class of the HTML report's style sheet: line width of a mark [pt]}. Other classes have the
+default width.
+"""
 _TEXT_ALIGNMENTS = {"start": "left", "middle": "center", "end": "right"}
 """{text anchor of SVG: horizontal alignment of Matplotlib}."""
 
@@ -224,19 +226,20 @@ def _write_words(mark: Mark, axes: Axes, size: float) -> None:
 def _collect_legend(drawing: Drawing) -> dict[str, str]:
     """Return {text: class of the style sheet} of a legend.
 
-    The last entry is the drawing's note, if there is one. Its class is empty.
+    If the drawing has a note, the note is the last entry, with an empty class.
     """
     entries = {get_english(words): kind for words, kind in drawing.legend}
     return entries if drawing.note is None else {**entries, get_english(drawing.note): ""}
 
 
 _LEGEND_LETTER_WIDTH, _LEGEND_SYMBOL_WIDTH = 0.6, 4.0
-"""Mean width of a letter of a legend, and of a symbol with its gaps, in parts of the font size
-(measured with DejaVu Sans). They decide whether two entries fit side by side."""
+"""Mean width of a letter of a legend, and width of a symbol with the gaps, as fractions of the font
+size (measured with DejaVu Sans). The widths decide whether two entries fit side by side.
+"""
 
 
 def _count_legend_columns(drawing: Drawing, size: float) -> int:
-    """Return 2 if two columns of a legend fit into the width of its panel, otherwise 1.
+    """Return 2 if two columns of a legend fit into the width of the panel, otherwise 1.
 
     Args:
         drawing: Plot with the legend.
@@ -319,13 +322,13 @@ def save_figure(figure: Figure, path: str | Path, *, force: bool = False) -> Non
     """Write a figure as a PNG file atomically, and create a missing folder.
 
     Args:
-        figure: The figure.
-        path: The file.
-        force: True to replace an existing file of any kind, except an input of the run. False: of
-            existing files that are not empty, only a picture of this package may be replaced.
+        figure: Figure.
+        path: PNG file.
+        force: Whether to replace an existing file of any kind, except an input of the run. If
+            False, only an empty file or a picture of this package is replaced.
 
     Raises:
-        OutputError: If the file cannot be written, or if it exists and must not be replaced.
+        OutputError: If the file cannot be written, or if the file exists and must not be replaced.
     """
     from pupper_analysis import __version__
 

@@ -50,8 +50,9 @@ class Skeleton:
             then the contact point of the foot. If the foot has a contact sphere, the last point is
             the centre of the sphere.
         boxes: Corners of the boxes of the base, shape (n, 8, 3). The boxes are the box geoms of the
-            base. If the base has no box geom, they are the bounding boxes of its geoms. Corner 4 i
-            + 2 j + k has the signs i, j, k along the edges (0: negative side, 1: positive side).
+            base. Without box geoms, the boxes are the bounding boxes of all geoms of the base.
+            Corner 4 i + 2 j + k has the signs i, j, k along the edges (0: negative side, 1:
+            positive side).
     """
 
     legs: dict[str, Array]
@@ -60,7 +61,8 @@ class Skeleton:
     def points(self) -> Array:
         """Return all points of the skeleton, shape (n, 3) [m], expressed in the world frame.
 
-        The corners of the base's boxes come first, then the points of the legs.
+        The first points are the corners of the boxes of the base, followed by the points of the
+        legs.
         """
         return np.concatenate([self.boxes.reshape(-1, 3), *self.legs.values()])
 
@@ -109,7 +111,8 @@ def _list_joint_positions(
 def hull_corners(points: Iterable[Array]) -> Array:
     """Compute the corners of the convex hull of points in the x-y plane, shape (n, 2) [m].
 
-    If the hull has an area, the last corner repeats the first.
+    If the hull is a polygon, the last corner is equal to the first. Points on a line give the two
+    end points, equal points one corner.
 
     Args:
         points: Points, shape (2,) or (3,) [m]; z is ignored.
@@ -194,7 +197,7 @@ def make_pose_figure(
     statics: GravityCompensation,
     create: Callable[..., Figure] = Figure,
 ) -> Figure:
-    """Draw a stand with its contact forces in a new figure: oblique view, and view from above.
+    """Draw a stand with contact forces in a new figure: oblique view, and view from above.
 
     Both panels show legs, base, contact forces, centre of mass and support polygon.
 
@@ -202,7 +205,8 @@ def make_pose_figure(
         robot: Robot.
         stand: Stand.
         statics: Static equilibrium.
-        create: Creates an empty figure: ``Figure``, or ``pyplot.figure`` for notebooks.
+        create: Function that creates an empty figure: ``Figure``, or ``pyplot.figure`` for
+            notebooks.
     """
     lines, seen = compute_skeleton(robot, stand.qpos), describe_scene(robot, stand, statics)
     title, height = f"{robot.name}: stance", 0.6 * drawing.PAGE_WIDTH
@@ -280,7 +284,7 @@ def _list_links(robot: Robot, qpos: ArrayLike) -> list[Array]:
     """Return the lines between successive joints of a robot, each of shape (2, 3) [m].
 
     The first point of a line is the joint nearer to the base, or the base frame. A chain ends at
-    the frame of its last body. Of several joints of a body, the first is used.
+    the frame of the last body. If a body has several joints, the first joint is used.
     """
     model, data = robot.mj_model, robot.compute_kinematics(qpos)
     base = model.body(robot.mj_base).id
@@ -396,7 +400,7 @@ def _measure_support(seen: StandingScene) -> float:
 
 
 def _draw_scale(axes: Axes, seen: StandingScene) -> None:
-    """Draw a scale bar (one of `_SCALE_LENGTHS`) with its length in mm, below the view from above.
+    """Draw a scale bar (one of `_SCALE_LENGTHS`), labelled in mm, below the view from above.
 
     The lower limit of the y axis is moved to make space for the bar.
     """
@@ -413,5 +417,6 @@ def _draw_scale(axes: Axes, seen: StandingScene) -> None:
 
 
 _SCALE_LENGTHS = (0.001, 0.01, 0.05, 0.1, 0.2, 0.5, 1.0)
-"""Possible lengths of the scale bar [m]: the longest that is at most 0.6 times the size of the
-support polygon is drawn, otherwise the shortest. Chosen, not tuned."""
+"""Possible lengths of the scale bar [m]. The longest length up to 0.6 times the size of the support
+polygon is drawn. If all lengths are longer, the shortest is drawn. Chosen, not tuned.
+"""

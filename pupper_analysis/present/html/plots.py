@@ -1,7 +1,8 @@
 """Plots as inline SVG: lines and bars, with values at the mouse pointer.
 
-A mark is a dictionary that the template writes as an SVG element. ``tag`` is the element's name,
-``words`` a displayed text, ``points`` positions of shape (n, 2) with an entry of ``labels`` each.
+A mark is a dictionary that the template writes as an SVG element. ``tag`` is the name of the
+element, ``words`` a displayed text, ``points`` positions of shape (n, 2). ``labels`` contains a
+text for each position.
 """
 
 from __future__ import annotations
@@ -38,8 +39,9 @@ LEFT_MARGIN, RIGHT_MARGIN, TOP_MARGIN, BOTTOM_MARGIN = 78.0, 14.0, 12.0, 44.0
 """Margins of a line plot for ticks and axis names [CSS pixels]."""
 
 MAX_LINE_POINTS = 160
-"""Largest number of points of a line, in addition to the marked point: one per four pixels of the
-plot's width, about the accuracy of a mouse pointer. Chosen, not tuned."""
+"""Largest number of points of a line, in addition to the marked point. This is one point per four
+pixels of the plot's width, about the accuracy of a mouse pointer. Chosen, not tuned.
+"""
 
 LETTER_WIDTH, MAX_BAR_NAME_LENGTH = 7.0, 28
 """Approximate width of a letter [CSS pixels], and the largest number of letters of the untranslated
@@ -49,8 +51,9 @@ DOT_RADIUS, MARKED_DOT_RADIUS = 3.5, 6.0
 """Radius of a point [CSS pixels], and of the marked point of a series."""
 
 NUM_SERIES_STYLES = 6
-"""Number of series styles in the style sheet (``s0`` ...), with different colours and dashes. The
-styles of further series repeat from the first."""
+"""Number of series styles in the style sheet (``s0`` ...), with different colours and dashes.
+Further series use the same styles again, from the first.
+"""
 
 
 @dataclass(frozen=True)
@@ -86,8 +89,8 @@ def draw_svg(plot: Plot) -> Drawing:
 
 
 _MIN_HEIGHT_RATIO = 1e-3
-"""Smallest range of the vertical axis, divided by the largest value [1]. A smaller range is
-extended to this value, because tick labels have six digits and would be equal.
+"""Lower bound of the range of the vertical axis, divided by the largest value [1]. A smaller range
+is extended to the bound. Otherwise the tick labels, with six digits, would be equal.
 """
 
 
@@ -154,9 +157,9 @@ def _draw_line_plot(plot: LinePlot) -> Drawing:
 
 
 _ROUNDING_RATIO = 1e-9
-"""Bound [1] of the magnitude of a negative value, divided by the largest value or limit. Up to the
-bound, the value is a rounding error, and the bar plot shows only the positive side. Above the
-bound, the plot shows both sides. Chosen, not tuned.
+"""Upper bound [1] of the magnitude of a negative value, divided by the largest value or limit, that
+counts as a rounding error. Up to the bound, the bar plot shows only the positive side, above the
+bound both sides. Chosen, not tuned.
 """
 
 
@@ -165,8 +168,8 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
     """Convert a bar plot to a drawing: a row per bar, with name, value, limit and marker.
 
     The width is `PLOT_WIDTH` [CSS pixels]; the height depends on the number of bars. The axis
-    extends to the largest magnitude of a value or limit. It extends in both directions if a value
-    is negative.
+    extends to the largest magnitude of a value or limit. If a value is negative, the axis extends
+    in both directions.
     """
     axis, bars = plot.axis, plot.bars
     shown = [_shorten_name(bar.name) for bar in bars]
@@ -211,9 +214,9 @@ def _draw_bar_plot(plot: BarPlot) -> Drawing:
 
 
 def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
-    """Return the legend of lines: (name, class of the style sheet) of each.
+    """Return the legend of lines: (name, class of the style sheet) of each line.
 
-    The name contains the note of the series, if there is one.
+    If a series has a note, the name contains the note.
     """
     return tuple(
         (
@@ -225,7 +228,7 @@ def draw_legend(series: Sequence[Series]) -> tuple[tuple[Words, str], ...]:
 
 
 def _count_letters(words: Words) -> int:
-    """Return the number of letters of words, in the longer language."""
+    """Return the number of letters of a text in the longer of both languages, or of a name."""
     return max(len(words.en), len(words.zh)) if isinstance(words, Text) else len(str(words.text))
 
 
@@ -239,8 +242,8 @@ def _shorten_name(words: Words) -> Words:
 def _select_drawn_points(points: Array, marked_index: int | None) -> NDArray[np.intp]:
     """Return the indices of the drawn points of a line, among ``points`` of shape (n, 2).
 
-    Drawn are the finite points, thinned to `MAX_LINE_POINTS` including the first and the last, and
-    the marked point ``marked_index`` if finite.
+    The drawn points are the finite points, thinned to `MAX_LINE_POINTS` including the first and the
+    last. The marked point ``marked_index`` is also drawn, if finite.
     """
     finite = np.flatnonzero(np.isfinite(points).all(axis=1))
     if len(finite) <= MAX_LINE_POINTS:
@@ -262,7 +265,7 @@ def _compute_range(values: Array, margin: float) -> tuple[float, float]:
 def draw_grid(
     across: Mapping[float, float], up: Mapping[float, float], wide: float, tall: float
 ) -> list[Mark]:
-    """Create the SVG marks of vertical and horizontal grid lines, with their values.
+    """Create the SVG marks of vertical and horizontal grid lines, each with the value.
 
     All lengths are in user units of the SVG (CSS pixels); y points down.
 

@@ -68,8 +68,9 @@ if TYPE_CHECKING:
     import jinja2
 
 MAX_FACES = 12_000
-"""Approximate upper bound of the triangles of all meshes of a robot: about 150 kB of the file, so
-that a report of six robots is below 3 MB."""
+"""Approximate upper bound of the triangles of all meshes of a robot. The triangles need about 150
+kB of the file, so that a report of six robots is below 3 MB.
+"""
 
 MAX_FRAMES = 80
 """Largest number of configurations of a motion, about the resolution of the slider. Chosen, not
@@ -82,8 +83,8 @@ def serialise_scene(scene: object) -> dict[str, Any] | None:
 
     Returns:
         Robot, motions, contacts and ground; lengths in m, forces in N. Contacts, ground and CoM are
-        expressed in the world frame, shapes and joint axes in the frames of their bodies. None if
-        the scene contains nothing to show.
+        expressed in the world frame. Shapes and joint axes are expressed in the frames of the
+        bodies. None if the scene contains nothing to show.
 
     Raises:
         TypeError: If there is no implementation for this type of scene.
@@ -136,8 +137,8 @@ def _serialise_motion(scene: MotionScene) -> dict[str, Any]:
     """Convert the scene of a moving robot to JSON data, {key: value}, for the viewer of a page.
 
     The data are those of `_serialise_robot`, and a level ground at height 0 below the first pose of
-    the base, which must be free.
-    Lengths are in m. Contacts, support polygon, steps and CoM are empty.
+    the base. The base must be free. Lengths are in m. Contacts, support polygon, steps and CoM are
+    empty.
     """
     robot, qpos = scene.robot, scene.motions[0].qpos[0]
     axes = describe_joint_axes(Configuration(robot, qpos), qpos[-robot.nu :], None)
@@ -182,8 +183,8 @@ def _serialise_robot(
 def _pack_motion(robot: Robot, data: mujoco.MjData, motion: Motion) -> dict[str, Any]:
     """Convert a motion to JSON data: body poses at up to `MAX_FRAMES` finite configurations.
 
-    The result is that of `pack_poses`. ``data`` is changed: its kinematics are evaluated at each
-    configuration.
+    The result is that of `pack_poses`. The kinematics in ``data`` are evaluated at each
+    configuration, which changes ``data``.
     """
     finite = np.isfinite(motion.qpos).all(axis=1)
     most = np.linspace(0, finite.sum() - 1, min(int(finite.sum()), MAX_FRAMES)).round()
@@ -206,9 +207,10 @@ def pack_poses(name: Text, time: Array, poses: Array) -> dict[str, Any]:
             (n, bodies, 7).
 
     Returns:
-        {key: value}: name in both languages (``en``, ``zh``), times (``time``) [s], the largest
-        absolute coordinate, at least 1e-3 (``reach``) [m], and the integers (``frames``): per body
-        x, y, z in units of ``reach`` / 32767, then the quaternion in units of 1 / 32767.
+        {key: value}. ``en`` and ``zh`` are the name in both languages, ``time`` the times [s], and
+        ``reach`` the largest absolute coordinate [m], at least 1e-3. ``frames`` contains the
+        integers: for each body x, y, z in units of ``reach`` / 32767, then the quaternion in units
+        of 1 / 32767.
     """
     values = poses.copy()
     reach = max(float(np.abs(values[..., :3]).max()), 1e-3)
@@ -225,7 +227,7 @@ def pack_poses(name: Text, time: Array, poses: Array) -> dict[str, Any]:
 def round_values(values: ArrayLike) -> list[Any]:
     """Round an array of any shape to five decimals, and convert the array to nested lists.
 
-    For lengths in metres five decimals are 0.01 mm, which suffices for a view.
+    For lengths in metres, five decimals are 0.01 mm, sufficient for a view.
     """
     return np.round(np.asarray(values), 5).tolist()  # type: ignore[no-any-return]
 
@@ -269,8 +271,8 @@ def _serialise_joint(one: JointAxis, motion: str) -> dict[str, Any]:
     """Convert a joint to JSON data, {key: value}, for the viewer of a page.
 
     The data are name, index of the body (without the world), anchor [m] and axis in the body frame,
-    type of motion (``motion``), position [rad, m], and motor torque and effort limit [N m, N] or
-    None.
+    type of motion (``motion``), and position [rad, m]. Motor torque and effort limit [N m, N] are
+    None if unknown or not shown.
     """
     return {
         "name": escape_control(one.name),
@@ -335,8 +337,9 @@ def _pack_mesh(mesh: Mesh) -> dict[str, Any]:
 _VIEWER_PACKAGE = "meshcat"
 """Python package from which the script of the 3-D view, three.js, is read."""
 _EXPORT_MARKER = "THREE:()=>"
-"""Text in the script ``main.min.js`` that shows that the script exports three.js. Without it, the
-script is not used."""
+"""Text in the script ``main.min.js`` that shows that the script exports three.js. A script without
+this text is not used.
+"""
 
 
 @dataclass(frozen=True)
@@ -355,8 +358,10 @@ class ViewerLibrary:
 def load_viewer_library() -> ViewerLibrary | None:
     """Load three.js, the script of the 3-D view, from the installed package MeshCat.
 
-    None if the package is not installed or unreadable, or if its script does not export three.js
-    (does not contain `_EXPORT_MARKER`).
+    The result is None in two cases:
+
+    - The package is not installed or unreadable.
+    - The script does not export three.js: it does not contain `_EXPORT_MARKER`.
     """
     package = find_spec(_VIEWER_PACKAGE)  # which does not import it
     if package is None or package.origin is None:
@@ -410,13 +415,15 @@ def write_report(
     """Write results as a single HTML file, which needs no network and no other file.
 
     Args:
-        results: A result, several, or {name: result}. Results with a builder, such as analyses,
-            stances and studies (``study_outcome``), have specific pages; of other results the
-            fields are listed.
+        results: A result, several results, or {name: result}. Results with a builder, such as
+            analyses, stances and studies (``study_outcome``), have specific pages. For other
+            results, the page lists the fields.
         path: File; ``-`` is standard output.
-        robots: Robots of the results, for 3-D views; assigned by name.
-        language: Initial language, ``"en"`` or ``"zh"``. The page can switch.
-        force: Also replace an existing file that is not a page of this package.
+        robots: Robots of the results, for 3-D views. A robot belongs to the results with the name
+            of the robot.
+        language: Initial language of the page, ``"en"`` or ``"zh"``. The reader can switch the
+            language.
+        force: Whether to replace an existing file that is not a page of this package.
 
     Raises:
         ConfigurationError: If there is no result, an object is not a result, the language is
@@ -504,8 +511,8 @@ def _draw_document(document: Document, scenes: list[dict[str, Any]]) -> Document
 def _draw_block(block: Block, scenes: list[dict[str, Any]]) -> Any:
     """Convert a block, a part of a document, for the HTML template; plots become SVG.
 
-    The data of a 3-D view are appended to ``scenes``. A view without a scene becomes a remark.
-    None if the scene contains nothing to show. Other blocks are unchanged.
+    The data of a 3-D view are appended to ``scenes``. A view without a scene becomes a remark. If
+    the scene contains nothing to show, the result is None. Other blocks are unchanged.
     """
     if isinstance(block, Plot):
         return draw_svg(block)
@@ -524,7 +531,7 @@ def _draw_block(block: Block, scenes: list[dict[str, Any]]) -> Any:
 def _collect_script_words() -> dict[str, dict[str, str]]:
     """Return {language: {key: word}} of the words that the page's scripts display.
 
-    These are, for example, names of quantities and of joint motions in the 3-D view.
+    Examples are names of quantities and of joint motions in the 3-D view.
     """
     word_keys = {
         "no_library": "view-without-three-js",
