@@ -1,1 +1,1 @@
-"""Make the missing model of a robot with one file: an MJCF from a URDF, or a URDF from an MJCF."""
+"""Make the missing model of a robot: an MJCF from a URDF, or a URDF from an MJCF."""

@@ -1,8 +1,8 @@
 """Specification of a robot by files, for scripts, command lines and studies.
 
 `RobotFiles` stores the arguments of ``load_robot``: names of a URDF or an MJCF, and options.
-`FileSource` provides the loaded robot to pages and studies. No engine is imported before a robot is
-loaded, so that ``--help`` is fast.
+`FileSource` provides the loaded robot to pages and studies. Pinocchio and MuJoCo are not imported
+before a robot is loaded, so that ``--help`` is fast.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from pupper_analysis.robot.robot import Robot
 
 _MODEL_OPTIONS = ("urdf", "mjcf")
-"""Options of ``load_robot`` that name files."""
+"""Options of ``load_robot`` whose value is a file name."""
 
 
 @dataclass(frozen=True)
 class RobotFiles:
-    """Files of a robot, with the options for loading.
+    """Arguments of ``load_robot`` from which a robot can be loaded repeatedly.
 
     Attributes:
         models: Names of the files: a URDF, an MJCF, or both.
-        options: Other arguments of ``load_robot``.
+        options: Keyword arguments of ``load_robot``.
     """
 
     models: tuple[str, ...]
@@ -38,7 +38,12 @@ class RobotFiles:
     def from_arguments(*models: str, **options: Any) -> RobotFiles:
         """Create the specification of a robot from arguments of ``load_robot``.
 
-        File names become absolute paths; the files are not read.
+        File names, also names of installed descriptions, become absolute paths. The files are not
+        read.
+
+        Args:
+            *models: Names of a URDF, an MJCF, or both.
+            **options: Keyword arguments of ``load_robot``.
 
         Raises:
             ModelError: If an installed description is not found.
@@ -78,17 +83,20 @@ class RobotFiles:
         return load_robot(*self.models, **self.options, **more)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return {option: value} for TOML or JSON: ``models`` (file names) and loading options."""
+        """Return the specification as {option: value} for TOML or JSON.
+
+        The key ``models`` contains the file names; the other keys are loading options.
+        """
         return {**({"models": list(self.models)} if self.models else {}), **self.options}
 
 
 @dataclass(frozen=True, eq=False)
 class FileSource:
-    """Source of a robot from files, for pages and studies; can be pickled.
+    """Loaded robot with the files that specify the robot, for pages and studies; can be pickled.
 
     Attributes:
-        files: Files of the robot.
-        loaded: Robot.
+        files: Files of the robot, with the options for loading.
+        loaded: Robot that was loaded from the files.
     """
 
     files: RobotFiles
@@ -96,11 +104,11 @@ class FileSource:
 
     @property
     def scales(self) -> Mapping[str, float]:
-        """Scale factors of the robot's dimensions, empty because a robot of files has none."""
+        """Scale factors of the robot's dimensions [1]; empty: a robot of files cannot be scaled."""
         return {}
 
     def robot(self, scales: Mapping[str, float]) -> Robot:
-        """Return the loaded robot.
+        """Return the loaded robot; scale factors are refused.
 
         Args:
             scales: {dimension: factor}; must be empty, since a robot of files cannot be scaled.
@@ -114,5 +122,8 @@ class FileSource:
         return self.loaded
 
     def to_dict(self) -> dict[str, Any]:
-        """Return {option: value} for a study file (TOML): ``models`` and the loading options."""
+        """Return the specification of the robot for a study file (TOML): {option: value}.
+
+        The key ``models`` contains the file names; the other keys are loading options.
+        """
         return self.files.to_dict()

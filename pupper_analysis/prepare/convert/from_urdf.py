@@ -1,8 +1,8 @@
 """Convert a URDF to an MJCF: bodies, joints, inertias and shapes.
 
 Input is a validated URDF; output is the XML of an MJCF with a fixed or free base, as
-`ConvertedMjcf`. Ground, servos and feet (and the free base of a robot that is loaded) are added by
-the passes of the preparation.
+`ConvertedMjcf`. Ground, servos and feet are added later, by the passes of the preparation. If a
+robot is loaded, these passes also free the base.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ COLLISION_CLASS: Final = "collision"
 
 @dataclass(frozen=True, eq=False)
 class MjcfXml:
-    """MJCF that is made from a URDF.
+    """XML of an MJCF that is made from a URDF, with methods to add elements.
 
     Attributes:
         root: Element ``<mujoco>``.
@@ -95,8 +95,11 @@ class MjcfXml:
     def create_empty(name: str) -> MjcfXml:
         """Create an empty MJCF with the conventions of a URDF.
 
-        ``name`` is the name of the model. Euler angles are about fixed axes, and a body without
-        ``<inertial>`` has no mass.
+        Angles are in radians; Euler angles are about fixed axes. A body without ``<inertial>`` has
+        no mass. The default classes of visual and collision geoms are defined.
+
+        Args:
+            name: Name of the model.
         """
         root = etree.Element("mujoco", {"model": name})
         add_element(root, "compiler", angle="radian", eulerseq="XYZ", inertiafromgeom="false")
@@ -149,7 +152,7 @@ class MjcfXml:
 
         Args:
             follower: Name of the dependent joint, whose position is q.
-            leader: Name of the driving joint.
+            leader: Name of the driving joint, whose position is q_leader.
             multiplier: Multiplier, as number or text.
             offset: Offset [rad, m], as number or text.
         """
@@ -172,8 +175,8 @@ def format_xml_value(number: AttributeValue) -> str:
 class UrdfBodies:
     """Converter from the links of a URDF to the bodies of an MJCF.
 
-    Angles are unchanged: with ``eulerseq="XYZ"`` (fixed axes), ``euler`` of an MJCF equals
-    ``rpy`` of a URDF.
+    Angles are unchanged: with ``eulerseq="XYZ"`` (fixed axes), ``euler`` of an MJCF equals ``rpy``
+    of a URDF.
 
     Attributes:
         urdf: URDF.
@@ -182,9 +185,9 @@ class UrdfBodies:
         armature: {joint: rotor inertia [kg m^2]}.
         notes: Notes on parts that an MJCF cannot express, or that were left out.
         materials: {name: rgba} of the used materials.
-        mimics: {joint: (leader, multiplier, offset)} as text.
+        mimics: {joint: (leader, multiplier, offset)} as text; the joint follows the leader.
         efforts: {joint: effort limit [N m or N]} as text, for joints with a limit and without
-        coupling.
+            coupling.
         root: Name of the base link.
         frames: Names of all links.
     """
@@ -456,24 +459,24 @@ def _add_mjcf_inertial(body: etree._Element, inertial: etree._Element) -> None:
 
 
 MIN_FREE_BASE_LIMBS = 2
-"""Smallest number of moving joints at the base of a converted robot with a free base. With fewer,
-the base is fixed by default, as in ``load_robot``.
-"""
+"""Lower bound of the number of moving joints at the base of a URDF with which the converted robot
+gets a free base by default. With fewer, the base is fixed, as in ``load_robot``."""
 
 
 @dataclass(frozen=True)
 class MjcfOptions:
-    """Options of a conversion, for values that a URDF does not contain.
+    """Options of the conversion of a URDF to an MJCF.
 
     Attributes:
         feet: Links of the feet, or {foot: link}; None: feet are detected.
         fixed_base: True for a fixed base, False for a free base. None: the base is free if it
             floats in the URDF, or has at least two limbs.
-        armature: {joint: rotor inertia [kg m^2]}.
+        armature: {joint: rotor inertia [kg m^2]}, which a URDF does not contain; None: no rotor
+            inertia.
         repair_inertia: True to repair invalid inertials, and to give mass to moving links without
-            mass.
+            mass. False to refuse such a URDF.
         copy_meshes: True to copy all meshes to a folder beside the MJCF.
-        defer_visuals: True to convert visual meshes later; see `DeferredMeshes`.
+        defer_visuals: True to convert visual meshes later (`DeferredMeshes`).
     """
 
     feet: Feet | None = None
@@ -486,7 +489,7 @@ class MjcfOptions:
 
 @dataclass(frozen=True)
 class ConvertedMjcf:
-    """Links, shapes and couplings of a URDF as an MJCF, before the preparation.
+    """MJCF that was converted from a URDF, before the preparation: links, shapes and couplings.
 
     Attributes:
         urdf: URDF with the repaired inertials.
@@ -515,8 +518,9 @@ class ConvertedMjcf:
         Args:
             urdf: URDF.
             output: Path of the new MJCF, which is not written.
-            options: Options.
-            free: True for a free base; None: free if the robot has enough limbs.
+            options: Options. ``fixed_base`` and ``feet`` are not used here.
+            free: True for a free base, False for a fixed base. None: the base is free if it floats
+                in the URDF, or has at least `MIN_FREE_BASE_LIMBS` limbs.
 
         Raises:
             ModelError: If no joint moves, or the URDF cannot be converted.
@@ -563,11 +567,14 @@ class ConvertedMjcf:
         return replace(mjcf_of_text(self.urdf.path, draft.text, assets), of_urdf=True)
 
     def make_import(self) -> UrdfImport:
-        """Return the URDF as MuJoCo's own importer can read it, without visual shapes.
+        """Return the URDF for MuJoCo's own importer, without visual shapes.
 
-        Some elements are changed as in the converted MJCF. An invalid inertial, which MuJoCo would
-        refuse, is moved to a link that is fixed to its link. So are the collision shapes of a link
-        without inertial. Shapes whose mesh is missing or cannot be used are omitted.
+        Some elements are changed as in the converted MJCF:
+
+        * An invalid inertial, which MuJoCo would refuse, is moved to a link that is fixed to its
+          link, or is repaired.
+        * Collision shapes of a link without inertial are moved to the link that carries this link.
+        * Shapes whose mesh is missing or cannot be used are omitted.
         """
         tree, assets = self.bodies.tree.copy(), dict[str, bytes]()
         for link in tree.links.values():

@@ -1,8 +1,9 @@
 """Load a robot from a URDF, an MJCF, or both.
 
-Inputs are file names, or robots in memory, and options. `read_pair` reads the files. If there is
-one file, the other model is converted from it in memory (`ModelPair`). `load_robot` then runs the
-passes of the preparation (`prepare.passes`), and returns a `Robot` with notes on all changes.
+Inputs are file names, or robots in memory, and options. `read_pair` reads the files. If there is a
+single file, the other model is converted from this file in memory (`ModelPair`). `load_robot` then
+runs the passes of the preparation (`prepare.passes`), and returns a `Robot` with notes on all
+changes.
 """
 
 from __future__ import annotations
@@ -37,20 +38,20 @@ _URDF_NOTE_CODES = (
     "fixed-base-stands",
     "root-link-left-out",
 )
-"""Codes of notes about content that the URDF lacks. They are omitted if the URDF was converted from
-the MJCF."""
+"""Codes of notes about content that a URDF lacks. The notes are omitted if the URDF was converted
+from the MJCF: the user has no URDF."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModelPair:
-    """Both models of a robot.
+    """URDF and MJCF of a robot; the model without a file is converted from the other.
 
     Attributes:
         urdf: URDF.
         mjcf: MJCF.
-        converted: ``"urdf"`` or ``"mjcf"`` if this model was made from the other; empty if both
-            have files.
-        imported: URDF as MuJoCo's own importer can read it; None if there is an MJCF file.
+        converted: ``"urdf"`` or ``"mjcf"`` if this model was converted from the other model; empty
+            if both have files.
+        imported: URDF for MuJoCo's own importer; None if there is an MJCF file.
     """
 
     urdf: UrdfFile
@@ -60,16 +61,16 @@ class ModelPair:
 
     @staticmethod
     def from_file(file: UrdfFile | MjcfFile, *, defer_visuals: bool = False) -> ModelPair:
-        """Convert a URDF to an MJCF, or an MJCF to a URDF, in memory; return both.
+        """Convert a URDF to an MJCF, or an MJCF to a URDF, in memory; return both models.
 
         Args:
             file: URDF or MJCF.
             defer_visuals: True to convert the visual meshes of a URDF later, when the robot is
-                first used; see `make_robot`.
+                first simulated or drawn (`make_robot`).
 
         Raises:
-            ModelError: If the other format cannot represent the robot, for example because no
-                joint moves.
+            ModelError: If the other format cannot represent the robot, for example because no joint
+                moves.
         """
         if isinstance(file, UrdfFile):
             urdf, mjcf, imported = convert_urdf_in_memory(file, defer_visuals=defer_visuals)
@@ -77,7 +78,7 @@ class ModelPair:
         return ModelPair(_convert_mjcf_in_memory(file), file, "urdf")
 
     def add_conversion_note(self, robot: Robot) -> Robot:
-        """Return a robot with a note that one of its models was converted from the other.
+        """Return a robot with a note that the URDF or MJCF was converted from the other model.
 
         The format of the converted model is stored in ``description.converted``. The robot is
         returned unchanged if both models were read from files.
@@ -122,17 +123,17 @@ def read_pair(
     xacro_args: Mapping[str, str] | None = None,
     defer_visuals: bool = False,
 ) -> ModelPair:
-    """Read the files of a robot, and convert the missing model from the other model.
+    """Read the files of a robot, and convert a missing URDF or MJCF from the other model.
 
     Args:
-        *models: A URDF, an MJCF, or one of each, in any order: paths, XML texts or objects.
+        *models: A URDF, an MJCF, or both, in any order: paths, XML texts or objects.
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
-        take: ``"urdf"`` or ``"mjcf"``: if two files are given, use only the file of this format.
-        body: Root body or any other body of the robot, for an MJCF with several robots. By default
-        the robot is detected, if there is no URDF.
-        packages: {ROS package: its folder}, for ``package://`` paths of the URDF and ``$(find)`` of
-            a xacro file.
+        take: ``"urdf"`` or ``"mjcf"``: use only the file of this format, and ignore the other file.
+        body: Root body or any other body of the robot, for an MJCF with several robots. None: the
+            robot is detected if there is no URDF.
+        packages: {ROS package: folder}, for ``package://`` paths of the URDF and ``$(find)`` of a
+            xacro file.
         xacro_args: {argument of the xacro file: value}; other arguments have default values.
         defer_visuals: True to convert the visual meshes of a URDF file later, in the preparation.
 
@@ -142,7 +143,7 @@ def read_pair(
             ``xacro_args`` are given without a xacro file, or if a model is neither a name nor a
             path.
         ModelError: If a file cannot be read, the other format cannot represent the robot, or the
-            MJCF has several robots or none (see `with_one_robot`).
+            MJCF has several robots or none (`with_one_robot`).
         UnknownNameError: If the MJCF has no such body.
     """
     for name, folder in (packages or {}).items():
@@ -197,7 +198,7 @@ def _pair_files(
     folders: Mapping[str, Path],
     defer_visuals: bool,
 ) -> ModelPair:
-    """Read the files of keyword arguments; convert one if the URDF or MJCF is missing.
+    """Read the files of keyword arguments; convert a model if the URDF or MJCF is missing.
 
     Args:
         files: Files that were read from positional arguments; extended in place.
@@ -206,7 +207,7 @@ def _pair_files(
         mjcf: Path of the MJCF.
         take: ``"urdf"`` or ``"mjcf"``: if two files are given, use only the file of this format.
         body: Root body of the robot in an MJCF with several robots.
-        folders: {ROS package: its folder}.
+        folders: {ROS package: folder}.
         defer_visuals: True to convert the visual meshes of a URDF later.
 
     Raises:
@@ -261,38 +262,40 @@ def load_robot(
 ) -> Robot:
     """Load a robot from a URDF, an MJCF or both, as published.
 
-    Missing parts are added in memory, and reported in ``notes``: a missing model is made from
-    the other model, joints with different names are matched, joints of only one file are held at
-    zero, and a floor, a free base and position servos are added. If the robot does not stand in
-    a keyframe of the MJCF, a stand is searched.
+    The files need not describe a robot that can stand. What is missing is added in memory, and
+    reported in ``notes``:
+
+    * A missing URDF or MJCF is converted from the other model.
+    * Joints with different names are matched. Joints of a single file are held at zero.
+    * A floor, a free base and position servos are added.
+    * If the robot stands in no keyframe of the MJCF, a stand is searched.
 
     Errors in the files are raised here. Servos and visual meshes are made when first needed, for
     example by the first access to ``mj_model``, ``description`` or ``notes``. Access to
-    ``pin_model``, joint names or feet does not need them. Mesh files are read again when visual
+    ``pin_model``, joint names or feet does not trigger this. Mesh files are read again when visual
     meshes are made.
 
     Args:
-        *models: Path of a URDF or an MJCF, or of both, in any order; a name in MuJoCo Menagerie
-            or ``robot_descriptions``; ``package://NAME/FILE``; or a robot in memory: its
-            XML text, ``mujoco.MjSpec``, ``mujoco.MjModel``, ``yourdfpy.URDF``,
-            ``pin.RobotWrapper``, or ``pin.Model`` with or without its ``pin.GeometryModel`` of
-            collision shapes. Objects are not modified. ``pa.load_robot`` also accepts the name of
-            a variant, such as ``"v3"``.
+        *models: Path of a URDF or an MJCF, or of both, in any order; a name in MuJoCo Menagerie or
+            ``robot_descriptions``; ``package://NAME/FILE``; or a robot in memory: XML text,
+            ``mujoco.MjSpec``, ``mujoco.MjModel``, ``yourdfpy.URDF``, ``pin.RobotWrapper``, or
+            ``pin.Model`` with or without a ``pin.GeometryModel`` of collision shapes. Objects are
+            not modified. ``pa.load_robot`` also accepts the name of a variant, such as ``"v3"``.
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
-        take: ``"urdf"`` or ``"mjcf"``: if two files are given, use only the file of this format.
+        take: ``"urdf"`` or ``"mjcf"``: use only the file of this format, and ignore the other file.
         body: Root body or any other body of the robot, for an MJCF with several robots.
         feet: Frames of the feet, or {foot: frame}. A frame is a link of the URDF; a geom, site or
-            body of the MJCF; or a pair of both. By default feet are detected: they are the
-            collision geoms at the ends of the lowest limbs. The pose for this is the keyframe with
-            the most such limbs, or joint positions of zero. An empty list means no feet.
+            body of the MJCF; or a pair of both. By default feet are detected: the collision geoms
+            at the ends of the lowest limbs. The pose for this is the keyframe with the most such
+            limbs, or joint positions of zero. An empty list means no feet.
         fixed_base: Fix the base in the world, at the pose in the MJCF.
         name: Name of the robot; by default the name in the MJCF.
         joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
-        keyframe: Keyframe of the MJCF to start from; by default ``home``, or another in which
-            the robot stands.
-        packages: {ROS package: its folder}, for ``package://`` paths of the URDF and ``$(find)`` of
-            a xacro file.
+        keyframe: Keyframe of the MJCF to start from; by default ``home``, or another in which the
+            robot stands.
+        packages: {ROS package: folder}, for ``package://`` paths of the URDF and ``$(find)`` of a
+            xacro file.
         xacro_args: {argument of the xacro file: value}; other arguments have default values.
         as_is: True to add no servos, motors and contact exclusions, and to keep the solver and the
             contacts of all shapes. Soles are then not replaced by balls.
@@ -302,7 +305,7 @@ def load_robot(
             cannot be converted is not reported. Without effect if ``feet`` is given.
 
     Returns:
-        Robot; ``robot.description.converted`` is the format of a model that was made.
+        Robot; ``robot.description.converted`` is the format of a converted model.
 
     Raises:
         ConfigurationError: If an argument is invalid: for example, of the wrong type, no file, two

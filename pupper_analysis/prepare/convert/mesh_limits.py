@@ -28,7 +28,8 @@ MAX_MESH_PARTS: Final = 10_000
 robot has dozens."""
 
 _MAX_INDICES: Final = 6 * MAX_MESH_VERTICES
-"""Maximum number of vertex indices of a glTF file. Derived from two triangles per vertex."""
+"""Maximum number of vertex indices of a glTF file; files with more indices are rejected. Derived
+from two triangles per vertex."""
 
 _GLB_HEADER: Final = struct.Struct("<4sIIII")
 """Format of the header of a glTF binary: magic number, version, length of the file; length and type
@@ -37,9 +38,16 @@ of the first chunk, which is JSON.
 
 
 def check_gltf(data: bytes) -> Diagnostic | None:
-    """Return the reason to refuse a glTF binary with too many vertices; None if it is accepted.
+    """Check if a glTF binary describes too many vertices to be read.
 
-    Vertices and indices of all primitives are counted, and all elements of accessors without data.
+    Counted are the vertices and indices of all primitives, and all elements of accessors without
+    data. A shared accessor is counted once per primitive.
+
+    Args:
+        data: Content of the file (.glb).
+
+    Returns:
+        Reason to refuse the file; None if the file is accepted.
     """
     size = int(_GLB_HEADER.unpack_from(data)[3])
     document = json.loads(data[_GLB_HEADER.size : _GLB_HEADER.size + size])
@@ -100,10 +108,17 @@ class _ColladaScene:
 
 
 def check_collada(data: bytes) -> Diagnostic | None:
-    """Return the reason to refuse a COLLADA file with too many parts or too much text.
+    """Check if a COLLADA file describes too many parts, or shapes with too much text, to be read.
 
-    None if it is accepted. The limits apply to the sum over all scenes, in which each instance of a
-    node or shape counts. The text of the shapes may have up to twice `MAX_MESH_BYTES` characters.
+    The limits apply to the sum over all scenes, in which each instance of a node or shape counts.
+    There may be `MAX_MESH_PARTS` parts. The text of the shapes may have up to twice
+    `MAX_MESH_BYTES` characters.
+
+    Args:
+        data: Content of the file (.dae).
+
+    Returns:
+        Reason to refuse the file; None if the file is accepted.
     """
     parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True)
     root = etree.fromstring(data, parser)

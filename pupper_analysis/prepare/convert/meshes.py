@@ -1,8 +1,8 @@
 """Mesh files of a URDF for an MJCF, converted to OBJ if MuJoCo cannot read the format.
 
-Inputs are the paths of a URDF's meshes. Outputs are mesh files, one per input file and scale, and
-the names by which the MJCF refers to these files. The conversion of visual meshes can be deferred
-(`DeferredMeshes`). Files that cannot be read are omitted and reported.
+Inputs are the paths of a URDF's meshes. Outputs are mesh files, and the names by which the MJCF
+refers to the files. There is a name for each file and scale. The conversion of visual meshes can be
+deferred (`DeferredMeshes`). Files that cannot be read are omitted and reported.
 """
 
 from __future__ import annotations
@@ -38,12 +38,17 @@ _PACKAGE_PREFIX = "package://"
 
 
 class MeshFiles:
-    """Meshes of a new MJCF; each file occurs once per scale.
+    """Collection of the meshes of a new MJCF, converted from the mesh files of a URDF.
+
+    Each file occurs once per scale. Meshes are registered (`register_mesh`), and then added to the
+    MJCF (`write`).
 
     Attributes:
+        urdf: URDF.
+        output: Path of the MJCF.
         copied: True to copy all meshes to a folder beside the MJCF.
         made: {path in the MJCF: content} of the mesh files to be written: converted or copied.
-        defers: True to convert meshes that are only visual later; see `DeferredMeshes`.
+        defers: True to convert meshes that are only visual later (`DeferredMeshes`).
     """
 
     def __init__(
@@ -65,7 +70,7 @@ class MeshFiles:
 
     @property
     def notes(self) -> list[Diagnostic]:
-        """Notes on all meshes that were left out of the MJCF, one note per reason."""
+        """Notes on all meshes that were left out of the MJCF, a note per reason."""
         return [
             diagnose("meshes-left", files=files, why=why, package=self._package_of(why, files))
             for why, files in self._left.items()
@@ -88,7 +93,7 @@ class MeshFiles:
 
     @property
     def lost_collision_meshes(self) -> list[Diagnostic]:
-        """Notes on the collision meshes that were left out of the MJCF, one note per reason."""
+        """Notes on the collision meshes that were left out of the MJCF, a note per reason."""
         return [
             diagnose("collision-meshes-lost", files=files, why=why)
             for why, files in self._lost.items()
@@ -102,13 +107,18 @@ class MeshFiles:
         return diagnose("meshes-missing", files=files, packages=packages) if files else None
 
     def register_mesh(self, mesh: etree._Element, *, touches: bool) -> str | None:
-        """Register a ``<mesh>`` of the URDF, and return its name in the MJCF.
+        """Register a ``<mesh>`` of the URDF for the MJCF, and return the mesh name in the MJCF.
 
-        None if the mesh is left out, for example because its file is missing.
+        The file is read. Unless the conversion is deferred, MuJoCo compiles the mesh as a test. A
+        flat mesh is registered as a surface without volume.
 
         Args:
-            mesh: The element.
+            mesh: Element ``<mesh>``.
             touches: True for a collision mesh. MuJoCo computes the convex hull of such a mesh.
+
+        Returns:
+            Name of the mesh. None if the mesh is left out: the file is missing, cannot be read or
+            converted, or MuJoCo refuses the mesh. `notes` report the reason.
         """
         file = str(mesh.get("filename"))
         scale = mesh.get("scale") or "1 1 1"
@@ -154,14 +164,15 @@ class MeshFiles:
         return self._names[path, scale]
 
     def file_of(self, mesh: etree._Element, assets: dict[str, bytes]) -> str | None:
-        """Return the file name that MuJoCo reads for a collision ``<mesh>`` of the URDF.
+        """Return the file name under which MuJoCo reads a collision ``<mesh>`` of the URDF.
 
         Args:
-            mesh: The element.
+            mesh: Element ``<mesh>``.
             assets: Receives {name: content} of converted meshes.
 
         Returns:
-            File name; None if the mesh is left out.
+            File name: a key of ``assets`` for a converted mesh, otherwise a path. None if the mesh
+                is left out.
         """
         if self.register_mesh(mesh, touches=True) is None:
             return None
@@ -181,11 +192,13 @@ class MeshFiles:
     ) -> None:
         """Add the registered meshes to the ``<asset>`` of an MJCF.
 
+        File names are relative to the folder of the MJCF. If ``assets`` is given, no file is
+        written: then converted meshes are keys of ``assets``, and other file names are absolute.
+
         Args:
-            asset: The element.
+            asset: Element ``<asset>``; extended in place.
             used: Names of the required meshes; None: all.
-            assets: Receives {name: content} of the converted meshes if no file is written; all
-                other paths are then absolute.
+            assets: Receives {name: content} of the converted meshes; None if files are written.
         """
         for (path, scale), name in self._names.items():
             if used is not None and name not in used:
@@ -213,7 +226,7 @@ class MeshFiles:
 
     @property
     def deferred(self) -> DeferredMeshes | None:
-        """Visual meshes whose conversion was deferred; None if there are none."""
+        """Visual meshes whose conversion was deferred; None if no conversion was deferred."""
         files = {self._names[key]: file for key, file in self._deferred.items()}
         return DeferredMeshes(files) if files else None
 
@@ -299,7 +312,7 @@ class _DeferredFile:
 
 
 class DeferredMeshes:
-    """Visual meshes of a URDF whose conversion takes seconds, and is deferred.
+    """Visual meshes of a URDF whose conversion takes seconds, and is therefore deferred.
 
     In the MJCF, a tetrahedron represents each mesh until `insert` is called.
     """
@@ -310,10 +323,14 @@ class DeferredMeshes:
     def insert(self, spec: mujoco.MjSpec) -> list[Diagnostic]:
         """Convert the deferred meshes, and insert them into a spec, in place.
 
-        Meshes that cannot be converted, or that MuJoCo refuses, are removed with their geoms.
+        The meshes replace the tetrahedra of the same names. Meshes that cannot be converted, or
+        that MuJoCo refuses, are removed with their geoms.
+
+        Args:
+            spec: Spec of the MJCF.
 
         Returns:
-            Notes on the meshes that were removed, one per reason.
+            Notes on the removed meshes, a note per reason.
         """
         removed: dict[Diagnostic, list[str]] = {}
         assets = dict(spec.assets)
@@ -359,7 +376,7 @@ class DeferredMeshes:
 def _describe_left_visuals(left: Mapping[Diagnostic, Sequence[str]]) -> list[Diagnostic]:
     """Describe visual meshes that cannot be converted: {reason: files}.
 
-    These notes have a code of their own, since visual meshes have no effect on a simulation.
+    The notes have a separate code, since visual meshes have no effect on a simulation.
     """
     return [diagnose("visual-meshes-left", files=files, why=why) for why, files in left.items()]
 
@@ -409,7 +426,8 @@ def _extract_message(error: ValueError) -> str:
 
 
 MUJOCO_MESH_SUFFIXES: Final = (".stl", ".obj")
-"""Suffixes of the common mesh formats that MuJoCo reads (MuJoCo's own ``.msh`` is not accepted)."""
+"""Suffixes of the mesh formats that MuJoCo reads without a conversion. MuJoCo's own ``.msh`` is not
+accepted."""
 
 _CONVERTIBLE_SUFFIXES: Final = (".dae", ".glb", ".off", ".ply")
 """Suffixes of the mesh formats that are converted; no archives, whose content is unbounded."""
@@ -420,7 +438,7 @@ the number of vertices is bounded by the size of the file."""
 
 
 class UnreadableError(Exception):
-    """Mesh file that cannot be used.
+    """Error of a mesh file that cannot be used.
 
     Attributes:
         reason: Reason, equal for files with the same problem.
@@ -433,6 +451,9 @@ class UnreadableError(Exception):
 
 def convert_to_obj(path: Path) -> bytes:
     """Convert a mesh file to the text of an OBJ file, with all parts merged.
+
+    Args:
+        path: Mesh file in a format that MuJoCo cannot read: .dae, .glb, .off or .ply.
 
     Raises:
         UnreadableError: If the format is not supported, or the file is too large or broken.
@@ -473,11 +494,13 @@ def _convert_content(data: bytes, ending: str) -> bytes:
 
 
 def format_obj(vertices: Array, faces: IntArray, name: str | None) -> bytes:
-    """Return the content of an OBJ file, byte for byte that of trimesh, in a third of the time.
+    """Format a triangle mesh as the content of an OBJ file.
+
+    The result is equal to that of trimesh, byte for byte, in a third of the time.
 
     Args:
         vertices: Positions, shape (n, 3) [m]; written with eight decimals.
-        faces: Triangles, shape (m, 3), as row numbers of the vertices.
+        faces: Triangles, shape (m, 3), as row indices of ``vertices``, from 0.
         name: Name of the object; None for an object without name.
     """
     title = "" if name is None else f"\no {name}\n"

@@ -1,9 +1,9 @@
-"""Make the inertials of a URDF valid for MuJoCo: move them to fixed neighbours, or repair them.
+"""Make the inertials of a URDF valid for MuJoCo: move to fixed neighbours, or repair.
 
 Input is a URDF with inertials that MuJoCo refuses, for example because the principal moments
-violate A + B >= C. An invalid inertial is first added to the inertial of a link to which fixed
-joints connect it. This changes no motion. If no sum is valid, the nearest valid moments replace the
-invalid moments (`find_nearest_moments`).
+violate the triangle inequality A + B >= C. An invalid inertial is first added to the inertial of a
+link to which fixed joints connect the link. This changes no motion. If no sum is valid, the nearest
+valid moments replace the invalid moments (`find_nearest_moments`).
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ from pupper_analysis.models.urdf_tree import UrdfTree, origin_of, set_origin
 from pupper_analysis.models.xml import NUM_DIGITS, parse_text, to_text
 
 WORLD_LINK: Final = "world"
-"""Name of a root link that is the world itself, as in MuJoCo's own importer."""
+"""Name of a root link of a URDF that is the world itself. MuJoCo's own importer treats the name in
+the same way."""
 
 _TRIANGLE_RTOL: Final = 1e-12
 """Relative tolerance with which principal moments count as satisfying A + B >= C: rounding of the
 eigenvalues."""
 
 _MIN_INERTIA: Final = 1e-14
-"""Lower bound of the principal moments [kg m^2] of a valid inertial with mass. Chosen as ten times
-MuJoCo's bound."""
+"""Lower bound of the principal moments of inertia [kg m^2] of a valid inertial with mass. Chosen as
+ten times MuJoCo's bound."""
 
 ADDED_MASS: Final = 1e-3
-"""Mass [kg] that a moving link gets if neither this link nor a link fixed to it has a mass. MuJoCo
-would refuse such a link; helper links of exporters often have no mass. Chosen, not tuned.
-"""
+"""Mass [kg] of a moving link that has no mass in the URDF, if no link fixed to this link has a
+mass. MuJoCo would refuse such a link; helper links of exporters often have no mass. Chosen, not
+tuned."""
 
 _GYRATION_RADIUS: Final = 0.01
-"""Radius of gyration [m] that is assumed for a link with mass and without inertia. Chosen as that
-of a ball with a radius of 16 mm. With a much smaller value, a small torque would move the link too
-fast for a time step of 2 ms.
-"""
+"""Radius of gyration [m] of a repaired link that has no positive moment of inertia in the URDF.
+Chosen as that of a ball with a radius of 16 mm. With a much smaller value, a small torque would
+move the link too fast for a time step of 2 ms."""
 
 _TRIANGLE_MARGIN: Final = 1e-6
 """Relative margin with which repaired principal moments satisfy the triangle inequality A + B >= C.
@@ -84,7 +84,7 @@ class Repair(Result):
 
 @dataclass(frozen=True, eq=False)
 class LinkBodies:
-    """Links of a URDF as bodies of an MJCF.
+    """Links of a URDF, with the information which links move in the converted MJCF.
 
     Attributes:
         tree: Links, changed in place.
@@ -96,33 +96,33 @@ class LinkBodies:
 
     @property
     def names(self) -> list[str]:
-        """Names of all links that become bodies, parents first, without the world."""
+        """Names of the links that become MJCF bodies, parents first, without the world link."""
         base = self.tree.base.name
         return [name for name in self.tree.subtree(base) if name != base or base != WORLD_LINK]
 
     def parent(self, body: str) -> str | None:
-        """Return the name of a body's parent; None for the base, and for a child of the world."""
+        """Return the name of the parent body; None for the base, and below the world link."""
         above = self.tree.parent(body)
         return None if above == self.tree.base.name == WORLD_LINK else above
 
     def can_move(self, body: str) -> bool:
-        """Return True if a body can move relative to its parent, or is a free base."""
+        """Return True if a body can move relative to the parent body, or is a free base."""
         joint = self.tree.parent_joints.get(body)
         return self.free if joint is None else not joint.is_fixed
 
     def inertia(self, body: str) -> pin.Inertia | None:
-        """Return the spatial inertia of a body at the origin of its link frame, in link axes.
+        """Return the spatial inertia of a body, or None if the URDF link has no ``<inertial>``.
 
-        None if the URDF link has no ``<inertial>``.
+        The inertia is about the origin of the link frame, expressed in link axes [kg, m, kg m^2].
         """
         return self.tree.links[body].inertia
 
     def is_carried(self, body: str) -> bool:
-        """Return True if a body is fixed to a parent body."""
+        """Return True if a body is fixed to its parent body, and the parent is not the world."""
         return not self.can_move(body) and self.parent(body) is not None
 
     def fixed_group(self, body: str) -> Iterator[tuple[str, pin.SE3]]:
-        """Yield (name, pose) for a body, and for all bodies fixed to it, nearest first.
+        """Yield (name, pose) for a body, and for all bodies fixed to this body, nearest first.
 
         The pose is that of the frame of ``body``, expressed in the frame of the yielded body. The
         nearest body is that with the fewest fixed joints in between.
@@ -145,21 +145,27 @@ class LinkBodies:
 def repair_inertials(
     urdf: UrdfFile, bodies: LinkBodies, *, repair: bool
 ) -> tuple[list[Diagnostic], list[Repair]]:
-    """Make the inertials of a URDF valid for MuJoCo, in place: move or repair them.
+    """Make the inertials of a URDF valid for MuJoCo, in place, by a move or a repair.
 
-    An inertial of zeros is removed. An invalid inertial is added to the inertial of a link to which
-    fixed joints connect it, directly or through other links; this changes no motion. If no sum is
-    valid, an inertial with positive mass is repaired. An invalid inertial without positive mass
-    remains if its body does not move, or if a body with mass is fixed to its body.
+    Invalid inertials are treated as follows:
+
+    1. An inertial of zeros is removed.
+    2. An invalid inertial is added to the inertial of a link to which fixed joints connect the
+       link, directly or through other links. This changes no motion.
+    3. If no such sum is valid and the mass is positive, the moments become the nearest valid
+       moments.
+    4. A moving body without mass gets `ADDED_MASS`, if no body fixed to this body has a mass.
+
+    Other invalid inertials without positive mass remain: their body does not move, or a body with
+    mass is fixed to their body.
 
     Args:
         urdf: URDF as read.
         bodies: Bodies of the URDF.
-        repair: True to repair. Moments become the nearest valid moments. A moving body gets
-            `ADDED_MASS` if neither this body nor a body fixed to it has a mass.
+        repair: True to apply steps 3 and 4; False to raise an error instead.
 
     Returns:
-        Notes on moved inertials, and repairs.
+        Notes on moved inertials (step 2), and repairs (steps 3 and 4).
 
     Raises:
         ModelError: If a repair is necessary, and ``repair`` is False.
@@ -190,9 +196,12 @@ def repair_inertials(
 
 
 def write_repairs(urdf: UrdfFile, bodies: LinkBodies, repairs: list[Repair]) -> UrdfFile:
-    """Return a copy of a URDF with the repaired inertials of the converted MJCF.
+    """Return a copy of a URDF that contains the repaired inertials.
 
-    The URDF itself is returned if there are no repairs.
+    Args:
+        urdf: URDF as read.
+        bodies: Bodies with the repaired inertials.
+        repairs: Repairs; without repairs, ``urdf`` itself is returned.
     """
     if not repairs:
         return urdf
@@ -206,7 +215,8 @@ def write_repairs(urdf: UrdfFile, bodies: LinkBodies, repairs: list[Repair]) -> 
 def is_valid_inertia(inertia: pin.Inertia) -> bool:
     """Return True if MuJoCo accepts a spatial inertia.
 
-    The mass is positive and the principal moments are valid; or both mass and moments are zero.
+    This is so in two cases: the mass is positive, and the principal moments are positive and
+    satisfy A + B >= C; or mass and moments are zero.
     """
     if inertia.mass <= 0:
         return inertia.mass == 0 and not np.array(inertia.inertia).any()
@@ -217,11 +227,14 @@ def is_valid_inertia(inertia: pin.Inertia) -> bool:
 def find_nearest_moments(moments: Array, mass: float) -> Array:
     """Return the valid principal moments, shape (3,) [kg m^2], nearest to invalid moments.
 
-    First, negative moments become zero. The condition is A + B >= C for the largest moment C; its
-    violation is distributed in equal parts on all three moments (projection on a half-space). Then
-    each moment is raised to at least 10 `_MIN_INERTIA`. If no moment exceeds `_MIN_INERTIA`, the
-    moments are those of the radius of gyration `_GYRATION_RADIUS`. MuJoCo's ``balanceinertia`` uses
-    the mean of the moments instead, which is a larger change.
+    1. Negative moments become zero.
+    2. If no moment exceeds `_MIN_INERTIA`, all moments become m r^2, with the radius of gyration r,
+       `_GYRATION_RADIUS`.
+    3. Otherwise, a violation of A + B >= C is distributed in equal parts on all three moments
+       (projection on a half-space).
+    4. Each moment is raised to at least 10 `_MIN_INERTIA`.
+
+    MuJoCo's ``balanceinertia`` uses the mean of the moments instead, which is a larger change.
 
     Args:
         moments: Principal moments, shape (3,) [kg m^2], the largest last.
@@ -335,10 +348,10 @@ def _to_triple(values: Array) -> tuple[float, float, float]:
 
 
 def move_massless_shapes(bodies: LinkBodies) -> list[str]:
-    """Move the collision shapes of fixed bodies without inertial to the body that carries them.
+    """Move the collision shapes of fixed bodies without inertial to an ancestor body, in place.
 
-    The carrying body is the nearest ancestor that has an inertial, moves, or is the base. The
-    compliance of MuJoCo's ground depends on the inertia of a shape's body: the sphere of a massless
+    The ancestor is the nearest body above that has an inertial, moves, or is the base. Reason: the
+    compliance of MuJoCo's ground depends on the inertia of a shape's body. The sphere of a massless
     toe body sinks 25 times as far as the same sphere in the body of the foot. MuJoCo's own importer
     also merges both bodies.
 

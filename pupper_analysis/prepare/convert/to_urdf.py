@@ -1,7 +1,7 @@
 """Convert an MJCF, as compiled by MuJoCo, to a URDF; select a robot of an MJCF with several.
 
 Input is an MJCF; output is a `ConvertedUrdf` with links, shapes and mimic joints. A link frame of
-the URDF is at the last joint of the body, because a joint of a URDF moves about the origin of its
+the URDF is at the last joint of the body, because a joint of a URDF moves about the origin of the
 child link. Elements that a URDF cannot contain are reported.
 """
 
@@ -53,18 +53,19 @@ has none. Chosen, not tuned."""
 class UrdfLinks:
     """Converter from the bodies and joints of a MuJoCo model to links and joints of a URDF.
 
-    A joint of a URDF moves about the origin of its child link. The frame of a link is therefore
-    at the last joint of the body, with the axes of the body.
+    A joint of a URDF moves about the origin of the child link. The frame of a link is therefore at
+    the last joint of the body, with the axes of the body.
 
     Attributes:
         file: MJCF.
         model: Compiled model.
-        tree: URDF.
+        tree: URDF; links and joints are added in place.
         shapes: Converter of the shapes.
-        fix_balls: True to fix a ball joint at its reference position, if the body has no other
+        fix_balls: True to fix a ball joint at the reference position, if the body has no other
             joint. False to refuse ball joints.
         left: Notes on parts that a URDF cannot express.
         links: {body id: (name of the link, pose of the body's frame in the link's frame)}.
+        unlimited: Number of joints without a finite effort limit.
     """
 
     file: MjcfFile
@@ -81,13 +82,17 @@ class UrdfLinks:
         self.unlimited = 0
 
     def add(self, base: int) -> None:
-        """Convert a body and all its descendants to links and joints of the URDF.
+        """Convert a body and all descendants to links and joints of the URDF.
+
+        A link ``world`` is added above the base in two cases: the base has joints other than a free
+        joint, or the base is fixed away from the world's origin.
 
         Args:
             base: Id of the base body.
 
         Raises:
-            ModelError: If a body has a ball joint (see `fix_balls`), or a descendant a free joint.
+            ModelError: If a descendant has a free joint, or a body has a ball joint that is not
+                fixed (`fix_balls`).
         """
         model = self.model
         name = self._make_link_name(base)
@@ -205,7 +210,8 @@ class UrdfLinks:
     def add_sites(self) -> None:
         """Add a link without mass for each named site of a converted body.
 
-        A site with the name of a link is left out, with a note.
+        The link is fixed to the link of the body. A site with the name of a link is left out, with
+        a note.
         """
         model = self.model
         for site in range(model.nsite):
@@ -246,13 +252,13 @@ class UrdfLinks:
 
 @dataclass(frozen=True)
 class ConvertedUrdf:
-    """Links, shapes and couplings of an MJCF as a URDF.
+    """URDF that was converted from an MJCF: links, shapes and couplings, with notes.
 
     Attributes:
         source: File name of the MJCF.
         model: Compiled model of the MJCF.
         tree: URDF.
-        bodies: Ids of the bodies that are links.
+        bodies: Ids of the bodies that became links.
         notes: Notes on assumptions.
         left: Notes on parts that a URDF cannot express.
     """
@@ -271,7 +277,8 @@ class ConvertedUrdf:
         Args:
             file: MJCF.
             output: Path of the URDF; mesh paths are relative to the folder of this path.
-            fix_balls: True to fix ball joints at their reference positions; False to refuse them.
+            fix_balls: True to fix ball joints at the reference positions; False to refuse ball
+                joints.
 
         Raises:
             ModelError: If a URDF cannot represent the robot, or if the MJCF has several robots or
@@ -308,9 +315,10 @@ def _set_zero_inertial(link: UrdfLink) -> None:
 
 
 def _add_couplings(tree: UrdfTree, model: mujoco.MjModel) -> list[Diagnostic]:
-    """Add a <mimic> for each linear joint equality that is active; return notes on the others.
+    """Add a <mimic> for each active linear joint equality; return notes on other equalities.
 
-    A joint gets at most one <mimic>. Other equalities, such as loops, have no equivalent in a URDF.
+    A joint gets at most a single <mimic>. Other equalities, such as loops, have no equivalent in a
+    URDF.
     """
     left, joints = [], tree.joints
     for index in range(model.neq):
@@ -336,7 +344,8 @@ def _add_couplings(tree: UrdfTree, model: mujoco.MjModel) -> list[Diagnostic]:
 
 
 ShapeGeometry = tuple[str, dict[str, str], pin.SE3]
-"""Shape of a URDF: tag, attributes, and pose expressed in the frame of the MJCF body."""
+"""Geometry of a URDF shape: tag, such as ``box``; attributes of the tag; and pose of the shape,
+expressed in the frame of the MJCF body."""
 
 _NUM_VISIBLE_GROUPS = 3
 """Number of geom groups that MuJoCo's viewer shows by default: groups 0, 1 and 2. The geoms of
@@ -345,7 +354,7 @@ these groups become visual shapes; so do geoms of other groups that do not colli
 
 
 class UrdfShapes:
-    """Converter of the shapes of links.
+    """Converter from geoms of a MuJoCo model to shapes of URDF links.
 
     Attributes:
         model: Compiled model.
@@ -379,10 +388,11 @@ class UrdfShapes:
         """Add the geoms of a body to a ``<link>`` as collision shapes, visual shapes, or both.
 
         A geom that collides becomes a collision shape. A geom becomes a visual shape if it does not
-        collide, or if MuJoCo's viewer shows its group by default.
+        collide, or if MuJoCo's viewer shows the group of the geom by default. Geoms that a URDF
+        cannot express are left out, with a note.
 
         Args:
-            link: Element of the link.
+            link: Element of the link; extended in place.
             body: Id of the body.
             inside: Pose of the body's frame in the link's frame.
         """
@@ -477,13 +487,23 @@ def _find_mesh_path(file: MjcfFile, mesh: mujoco.MjsMesh) -> Path | None:
 
 
 def find_root_body(file: MjcfFile, model: mujoco.MjModel) -> int:
-    """Find the robot in a model: return the id of its base body, or 0 if the base is the world.
+    """Find the robot in a model: return the id of the base body, or 0 if the base is the world.
 
-    The base body is the body with the free joint, or the root if there is none. A root is a child
-    of the world with joints in its subtree. A root whose only joint is a free joint is an object;
-    it is ignored if there are other roots. If exactly one root has a free base, it is chosen; the
-    others may be doors or drawers. If <connect> or <weld> couples the roots, they are one robot,
-    whose base is the world (0): for example, a linkage with two fixed pivots.
+    A root is a child of the world with joints in the subtree. The rules apply in this order:
+
+    1. A root whose only joint is a free joint is an object, not a robot. An object is ignored if
+       there are other roots.
+    2. If exactly one root has a free base, the root is the robot. Other roots may be doors or
+       drawers.
+    3. If ``<connect>`` or ``<weld>`` couples all roots, the roots are a single robot whose base is
+       the world (0): for example, a linkage with two fixed pivots.
+    4. A single remaining root is the robot.
+
+    The base is the body of the root that has the free joint; without a free joint, the root.
+
+    Args:
+        file: MJCF, for errors.
+        model: Compiled model of the MJCF.
 
     Raises:
         ModelError: If there are several robots, or none.
@@ -514,7 +534,7 @@ def find_root_body(file: MjcfFile, model: mujoco.MjModel) -> int:
 
 
 def _are_coupled(model: mujoco.MjModel, roots: Sequence[int]) -> bool:
-    """Return True if active <connect> and <weld> equalities join all root bodies into one group."""
+    """Return True if active <connect> and <weld> equalities join all root bodies."""
     groups = {root: {root} for root in roots}
     for equality in range(model.neq):
         is_body = model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_BODY.value
@@ -531,14 +551,15 @@ def _are_coupled(model: mujoco.MjModel, roots: Sequence[int]) -> bool:
 
 
 def with_one_robot(file: MjcfFile, body: str | None = None) -> MjcfFile:
-    """Return an MJCF without the other robots and moving objects of a scene.
+    """Return an MJCF with a single robot: remove the other robots and moving objects of a scene.
 
-    The other moving bodies are removed, with their joints, actuators, sensors, couplings and
-    keyframe values. Bodies fixed in the world remain.
+    Joints, actuators, sensors, couplings and keyframe values of the removed bodies are removed,
+    too. Bodies fixed in the world remain. The same MJCF is returned if no other body moves.
 
     Args:
         file: MJCF; not modified.
-        body: Root body of the robot, or any body of the robot; None: see `find_root_body`.
+        body: Root body of the robot, or any body of the robot; None to detect the robot
+            (`find_root_body`).
 
     Raises:
         ModelError: If there are several robots, or none, and ``body`` is None; if the robot of the
