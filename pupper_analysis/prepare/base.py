@@ -27,37 +27,40 @@ from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.matching.match import limbs_on_the_world
 
 _GROUND_ATOL = 1e-6
-"""Tolerance [m] of the height of a base frame above the lowest point of the limb ends. Up to this
-height the frame counts as at ground level. The tolerance covers rounding of a wheel's height and
-radius. Chosen, not tuned.
-"""
+"""Tolerance [m] with which the frame of a free base counts as at ground level. The frame is at
+ground level if the height above the lowest point of the limb ends is at most this value. The
+tolerance covers rounding of a wheel's height and radius. Chosen, not tuned."""
 
 _MIN_LEVEL_COSINE = 0.7
-"""Lower bound of the cosine of the base tilt [1], about 45 deg. Below the bound, a note reports the
-tilt, and the origin of the base frame is not moved upward. The tilt is that in the keyframe `home`,
-else in the first keyframe, else in the initial state. Chosen, not tuned.
-"""
+"""Lower bound of the cosine of the base tilt [1], about 45 deg. If the cosine is below the bound,
+`place_base_frame` does not raise the base frame, and a note reports the tilt. The tilt refers to
+the keyframe `home`, else in the first keyframe, else in the initial state. Chosen, not tuned."""
 
 
 def free_base(
     urdf: UrdfFile, spec: mujoco.MjSpec, source: Path
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
-    """Add a free joint to the base of a robot with two or more limbs, if it has none; return notes.
+    """Add a free joint to the base of a legged robot that the MJCF fixes to the world.
 
-    If the base moves by several slides and hinges, or by a ball joint, and the URDF lacks these
-    joints, the free joint replaces them, and all keyframes are deleted (``join_free_base``).
+    The base is the child body of the world with the most joints in its subtree. The base gets a
+    free joint if it has no joint, and if at least two limbs (subtrees with joints) are attached to
+    the base.
+
+    Some MJCFs move the base by several slides and hinges, or by a ball joint. If the URDF lacks
+    these joints, the free joint replaces them, and all keyframes are deleted (`join_free_base`).
 
     Args:
         urdf: URDF.
         spec: Spec of the MJCF; modified in place.
-        source: File of the MJCF.
+        source: File of the MJCF, for errors.
 
     Returns:
-        The spec, and a note about the change. There is no note without a change. A base with other
-        joints of its own is not changed.
+        The same spec, and a list with a note about the change. The list is empty if nothing
+        changed: the spec has a free joint, the base has other joints, or the base has fewer than
+        two limbs.
 
     Raises:
-        ModelError: If two or more limbs are fixed to the world without a base body: MuJoCo fuses
+        ModelError: If two or more limbs are fixed to the world without a base body. MuJoCo fuses
             the root link of a URDF with the world, and the mass of this link is lost.
     """
     stated = set(urdf.tree.joints)
@@ -80,7 +83,10 @@ def free_base(
 
 
 def _yield_limbs(base: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
-    """Yield the bodies with joints whose parent is the base, or is fixed to the base."""
+    """Yield the first body of each limb: a body with joints that is attached to the base.
+
+    The parent of such a body is the base, or a body that is fixed to the base.
+    """
     for body in base.bodies:
         if list(body.joints):
             yield body
@@ -89,9 +95,9 @@ def _yield_limbs(base: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
 
 
 def remove_free_joint_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
-    """Set the dry friction of free joints to 0 in a spec, in place; return a note per joint.
+    """Set the dry friction of the free joints of a spec to 0, in place; return a note per joint.
 
-    This friction would hold a falling robot.
+    Reason: dry friction of a free joint would hold a falling robot in the air.
     """
     notes = []
     for joint in spec.joints:
@@ -110,23 +116,29 @@ def place_base_frame(
 ) -> list[Diagnostic]:
     """Raise the frame of a free base to the base's CoM height, if the frame is at ground level.
 
-    Reason: roll, pitch and height of a stand refer to the base frame with z up. The frame is at
-    ground level if no geom of a limb's last body is below it. The CoM is that of the base and the
-    bodies fixed to it. The frame is not raised if there is no free joint, if the frame is tilted,
-    if the base is in a ``<frame>`` of the MJCF, or if the limbs do not hang below the CoM. A tilt
-    of more than 45 deg is reported in a note. It is that in the keyframe `home`, else in the first
-    keyframe; if no keyframe has a free base, it is that in the initial state.
+    Reason: height, roll and pitch of a stand refer to the base frame, with z up. The frame is at
+    ground level if no geom of the last body of a limb is below the frame. The CoM is that of the
+    base and of the bodies fixed to it. All parts of the robot keep the same positions in the world.
+
+    The frame is not raised in the following cases:
+
+    * The spec has no free joint, or the base is in a ``<frame>`` element of the MJCF.
+    * The z axis of the base is not vertical in the initial state.
+    * The base is tilted by more than 45 deg at the start. A note reports this tilt. The start is
+      the keyframe `home`, else the first keyframe. Without a keyframe that contains a pose of the
+      base, the start is the initial state.
+    * The limbs do not hang below the CoM.
 
     Args:
         spec: Spec of the MJCF, in which all bodies have names; modified in place.
         file: Compiled model of the published file, before the base was freed.
-        source: File name for errors.
-        insert_visuals: Function that adds the visual meshes, which are not loaded yet, to a spec;
-            None if all meshes are loaded. Called if no collision geom of the limb ends reaches
-            below the frame.
+        source: File of the MJCF, for errors.
+        insert_visuals: Function that adds the visual meshes to a copy of the spec, if the meshes
+            are not loaded yet. None if all meshes are loaded. The function is called only if the
+            collision geoms of the limb ends do not reach below the frame.
 
     Returns:
-        Notes about the change, or about the tilt; mostly empty.
+        List with a note about the raised frame or about the tilt; otherwise empty.
 
     Raises:
         ModelError: If MuJoCo refuses the spec.
@@ -191,7 +203,8 @@ def _compute_visual_bottom(
 ) -> float:
     """Return the lowest height [m] of all geoms of bodies ``ends``, visual meshes included.
 
-    ``insert_visuals`` adds the visual meshes, which are not loaded yet, to a copy of the spec.
+    The height is in the world frame. ``insert_visuals`` adds the visual meshes to a copy of the
+    spec.
     """
     complete = spec.copy()
     complete.compiler.discardvisual = False
@@ -209,7 +222,7 @@ def _raise_frame(
     """Raise the frame of a free base; all elements of the body keep their positions in the world.
 
     Args:
-        spec: Spec, with keyframes; modified in place.
+        spec: Spec, with keyframes; modified in place, with the keyframes.
         base: Base body.
         place: Index in ``qpos`` of the first coordinate of the base's free joint.
         up: Distance along the z axis of the frame [m].

@@ -1,9 +1,10 @@
-"""Candidate causes of a different behaviour of a published model and its prepared robot.
+"""Candidate causes of a different behaviour of a published model and of the prepared robot.
 
-Inputs are the published model (the file as MuJoCo compiles it), and the prepared robot, whose
-stands are predicted. The output is a list of elements of the file, such as a servo bias, a limit or
-a contact exclusion. Each element can be switched off in a copy of the model. If the difference then
-disappears in a simulation, the element is its cause (`prepare.self_check`).
+The published model is the user's file as MuJoCo compiles it. The prepared robot is the model with
+which stands are predicted. If a simulation of the published model deviates from the prediction, an
+element of the file may be the cause, such as a servo bias, a limit or a contact exclusion. This
+module lists such elements as candidates. Each candidate can be switched off in a copy of the model.
+If the deviation then disappears in a simulation, the element is the cause (`prepare.self_check`).
 """
 
 from __future__ import annotations
@@ -43,16 +44,15 @@ _OBJECT_TYPE = mujoco.mjtObj
 
 
 _MAX_FINE_TIMESTEP = 2e-3
-"""Upper bound of the time step [s] in a test simulation. The simulation tests whether a longer time
-step of the file causes a difference. The value is MuJoCo's default; chosen, not tuned.
-"""
+"""Upper bound of the time step [s] in a test simulation with a finer integration. The test
+simulation shows if the integration of the file causes a deviation. The value is MuJoCo's default;
+chosen, not tuned."""
 
 _MIN_ITERATIONS, _MAX_TOLERANCE = 100, 1e-10
 """Lower bound of the iterations [1] and upper bound of the tolerance [1] of an accurate constraint
-solver. If a file has less accurate settings, or another solver than Newton, its settings may cause
-a difference. A simulation with Newton and these values tests this. Newton's method converges in
-about ten iterations. Chosen, not tuned.
-"""
+solver. If a file has fewer iterations, a larger tolerance, or another solver than Newton, the
+solver settings may cause a deviation. A test simulation then uses Newton and the two bounds.
+Newton's method converges in about ten iterations. Chosen, not tuned."""
 
 _LOCKING_DAMPING = 1e6
 """Damping that locks a joint in a test simulation [N m s/rad, N s/m]. Under 1 N a locked slide
@@ -67,12 +67,13 @@ ball joints in its ankles (feet of 0.05 kg): the stand agrees with that of locke
 
 @dataclass(frozen=True, eq=False)
 class CauseCandidate:
-    """Element of an MJCF that may cause a difference.
+    """Elements of an MJCF that may cause a deviation, with a function to switch the elements off.
 
     Attributes:
-        code: Kind of the cause.
-        elements: Names of one or all elements of this kind, or values of an option.
-        switch_off: Function that removes the effect from a copy of the model, in place.
+        code: Kind of the cause, for example ``"bias"`` or ``"timestep"``.
+        elements: Names of the elements. For MuJoCo options: names or values of the options.
+        switch_off: Function that removes the effect of the elements from a copy of the model, in
+            place.
     """
 
     code: str
@@ -80,11 +81,11 @@ class CauseCandidate:
     switch_off: Callable[[mujoco.MjModel], None]
 
     def make_cause(self, remaining: float) -> Cause:
-        """Create the `Cause` that names the elements of this candidate.
+        """Create the `Cause` that reports the elements of this candidate.
 
         Args:
-            remaining: Deviation that remains if the elements are switched off [unit of the compared
-                quantity].
+            remaining: Deviation that remains if the elements are switched off. The caller defines
+                quantity and unit, for example a torque error relative to a torque scale [1].
         """
         return Cause(self.code, self.elements, None, remaining)
 
@@ -109,14 +110,15 @@ _XML_SECTIONS = {
     "spring": "joint",
     "range": "joint",
 }
-"""{code of a cause: tag or section of the MJCF that contains its elements}, to find the line of the
-first element."""
+"""{code of a cause: tag or section of the MJCF that contains the elements}, for finding the line of
+the first element (`add_line`)."""
 
 
 def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
-    """Add the line number of the first element in the MJCF to a cause.
+    """Return a cause with the line number of the first element in the MJCF.
 
-    The cause is returned unchanged if it has no elements, or no section in `_XML_SECTIONS`.
+    The cause is returned unchanged if there are no elements, or if `_XML_SECTIONS` does not contain
+    the code of the cause.
     """
     if cause.code not in _XML_SECTIONS or not cause.elements:
         return cause
@@ -124,10 +126,16 @@ def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
 
 
 def list_difference_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
-    """Return the elements of an MJCF whose effect the prediction of a stand does not contain.
+    """List candidate causes in a published MJCF that the prediction of a stand does not consider.
 
-    Such an element may be the reason why the published model deviates from the prediction: for
-    example solver settings, contact exclusions, equalities, limits, servo laws and shapes.
+    An element of the list may explain why the published model deviates from the prediction.
+    Examples are solver settings, contact exclusions, equalities, limits, servo biases and
+    obstacles. The prepared robot does not have the elements, or its behaviour is independent of the
+    elements.
+
+    Args:
+        published: Published model: the user's file as compiled.
+        robot: Prepared robot.
     """
     model = published.model
     return [
@@ -144,10 +152,15 @@ def list_difference_causes(published: PublishedModel, robot: Robot) -> list[Caus
 
 
 def list_shared_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
-    """Return elements of an MJCF that also act in the prepared robot, and may make both fail.
+    """List candidate causes in an MJCF that affect both the published model and the prepared robot.
 
-    The elements are actuators with a negative gear, springs, joint limits, fluid forces, gravity
-    with a horizontal component, and slippery or soft contacts.
+    An element of the list may explain why both fall. The elements are actuators with a negative
+    gear, springs, joint limits, fluid forces, gravity with a horizontal component, and slippery or
+    soft contacts.
+
+    Args:
+        published: Published model: the user's file as compiled.
+        robot: Prepared robot.
     """
     return [
         *_list_sign_causes(published, robot),
@@ -183,13 +196,13 @@ def _name_actuators(model: mujoco.MjModel, actuators: Iterable[int]) -> tuple[st
 
 
 NUMERICS_CODES = ("timestep", "iterations")
-"""Codes of the numerical causes of a deviation: integration (time step, integrator), and inaccurate
-constraint solver."""
+"""Codes of the numerical causes of a deviation: ``timestep`` (time step and integrator) and
+``iterations`` (inaccurate constraint solver). Causes with these codes are tested first."""
 
 COMMAND_CODES = ("bias", "gain", "gear")
-"""Codes of causes of a failed run that change the position to which a servo command corresponds.
-Only these causes are tested if nothing holds a joint, or if its ctrl belongs to another pose.
-"""
+"""Codes of causes that change the position to which a servo command corresponds. If a run from a
+keyframe fails because nothing holds a joint, or because the ctrl belongs to another pose, only
+causes with these codes are tested. Other changes might let the robot stand by chance."""
 
 
 def _make_switch(*changes: tuple[str, Any, Any]) -> Callable[[mujoco.MjModel], None]:
@@ -289,7 +302,7 @@ def _list_servo_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield actuators with a negative gear as one candidate cause of a fall or a deviation.
+    """Yield actuators with a negative gear as a single candidate cause of a fall or a deviation.
 
     A negative gear is seldom intended.
     """
@@ -306,8 +319,8 @@ def _list_sign_causes(published: PublishedModel, robot: Robot) -> Iterator[Cause
 def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield springs, joint limits, fluid forces and tilted gravity as candidate causes.
 
-    A candidate may explain a fall or a deviation. There is one candidate per kind: for example, all
-    springs of joints and tendons are one candidate.
+    A candidate may explain a fall or a deviation. There is a candidate per kind: for example, all
+    springs of joints and tendons are a single candidate.
     """
     model, joints = published.model, _list_joint_ids(published, robot)
     linear, higher = "jnt_stiffness tendon_stiffness", "jnt_stiffnesspoly tendon_stiffnesspoly"
@@ -339,15 +352,16 @@ def _list_force_causes(published: PublishedModel, robot: Robot) -> Iterator[Caus
 
 
 STIFFNESS_FACTOR = 4.0
-"""Factor [1] on stiffness and damping of servos in a test simulation. If the robot stands with the
-product, too soft servos are the cause of the failure. Chosen, not tuned.
-"""
+"""Factor [1] on the stiffness and damping of servos in a test simulation. If the robot stands with
+the increased values, servos that are too soft are the cause of the failure. Chosen, not tuned."""
 
 
 def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
-    """Yield all position servos together as one candidate cause: too soft servos.
+    """Yield the position servos as a single candidate cause of a fall: servos that are too soft.
 
-    To test the candidate, the stiffness and damping of the servos are multiplied by 4.
+    The candidate contains all position servos with a constant gain at the joints of the robot.
+    Nothing is yielded without such servos. Switching the candidate off multiplies the stiffness and
+    damping of the servos by `STIFFNESS_FACTOR`.
     """
     model, motors = published.model, _list_actuator_ids(published, robot)
     affine = model.actuator_biastype[motors] == mujoco.mjtBias.mjBIAS_AFFINE.value
@@ -363,20 +377,18 @@ def list_soft_servos(published: PublishedModel, robot: Robot) -> Iterator[CauseC
 
 
 _MIN_FRICTION = 0.3
-"""Lower bound of the sliding friction coefficient [1]. Below the bound, the value may be a mistake
-of the file: the contact is tested as the cause of a fall, or of a deviation from the prediction.
-Chosen lower than the coefficients of usual materials.
-"""
+"""Lower bound of the sliding friction coefficient [1]. A contact with a lower coefficient is tested
+as the cause of a fall or of a deviation from the prediction: the value may be a mistake of the
+file. Chosen lower than the coefficients of usual materials."""
 
 _SOUND_FRICTION = 0.8
 """Sliding friction coefficient that replaces the coefficient of slippery contacts in a test
 simulation. Chosen as that of rubber on a floor."""
 
 _MAX_CONTACT_TIME_CONSTANT = 0.05
-"""Upper bound of the time constant of a contact (``solref``) [s]. Above the bound, the contact may
-be too soft by a mistake: it is tested as the cause of a fall or a deviation. MuJoCo's default is
-0.02. Chosen, not tuned.
-"""
+"""Upper bound of the time constant of a contact (``solref``) [s]. A contact with a longer time
+constant is tested as the cause of a fall or a deviation: the contact may be too soft by a mistake.
+MuJoCo's default is 0.02 s. Chosen, not tuned."""
 
 _DEFAULT_SOLREF = (0.02, 1.0)
 """MuJoCo's default ``solref`` (time constant [s], damping ratio), which replaces that of soft
@@ -491,8 +503,8 @@ def _list_equality_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
 def _list_limit_causes(published: PublishedModel, robot: Robot) -> Iterator[CauseCandidate]:
     """Yield the active limits of commands and forces as candidate causes of a deviation.
 
-    There is one candidate per kind: ``ctrlrange`` and ``forcerange`` of the actuators at the
-    robot's joints, and ``actuatorfrcrange`` of these joints.
+    There is a candidate per kind: ``ctrlrange`` and ``forcerange`` of the actuators at the robot's
+    joints, and ``actuatorfrcrange`` of these joints.
     """
     model, joints, motors = (
         published.model,
@@ -515,7 +527,7 @@ def _list_actuator_causes(published: PublishedModel) -> Iterator[CauseCandidate]
     """Yield actuators without hinge or slide, and slow actuator filters, as candidate causes.
 
     A candidate cause may explain why the model of the file deviates from the prediction. Servos at
-    tendons that drive joints without actuator are not candidates, since they are commanded.
+    tendons that drive joints without actuator are not candidates: the servos are commanded.
     """
     model = published.model
     commanded = {
@@ -541,7 +553,7 @@ def _list_passive_causes(published: PublishedModel, robot: Robot) -> Iterator[Ca
     """Yield joints of the file that the prepared robot lacks (held at zero) as candidate causes.
 
     A candidate may explain why the model of the file deviates from the prediction. Ball joints are
-    one candidate; hinges and slides are the other. To test a candidate, the joints are locked by
+    a candidate; hinges and slides are the other. To test a candidate, the joints are locked by
     damping.
     """
     model, unmatched = published.model, list_unmatched_joints(published, robot)
@@ -612,10 +624,15 @@ def _list_ball_bodies(robot: Robot) -> tuple[str, ...]:
 
 
 def list_loading_changes(published: PublishedModel, robot: Robot) -> tuple[Cause, ...]:
-    """Return the changes by the preparation that may cause deviations, not elements of the file.
+    """List changes by the preparation that may cause a deviation from the published model.
 
-    The causes are bodies with collision shapes that were replaced by spheres, and joints whose
-    actuator is neither servo nor motor (`Drive.has_other_law`).
+    Unlike the other candidate causes, these are no elements of the file. There are two kinds:
+    bodies whose collision shapes were replaced by spheres, and joints whose actuator is neither a
+    servo nor a torque motor (`Drive.has_other_law`).
+
+    Args:
+        published: Published model: the user's file as compiled.
+        robot: Prepared robot.
     """
     bodies = _list_ball_bodies(robot)
     named = zip(robot.joint_names, published.drives, strict=True)

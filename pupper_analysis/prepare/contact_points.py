@@ -1,9 +1,10 @@
 """Find the contact points of a foot of any shape on level ground.
 
-A sole is laid flat on the ground, and its contact points are those of MuJoCo's collision detection.
-For a plane and a mesh, MuJoCo returns up to four points: the lowest vertex and vertices near it on
-the convex hull. If a sole has many vertices, these points change with a tilt of microradians, and
-thus with the load. The contact points of such a sole are therefore small balls at its corners.
+A sole is laid flat on the ground, and MuJoCo's collision detection yields the contact points. For a
+plane and a mesh, MuJoCo returns up to four points: the lowest vertex, and nearby vertices on the
+convex hull. If a sole has many vertices, these points change with a tilt of microradians, and thus
+with the load. The contact points of such a sole are therefore small balls at the corners of the
+sole.
 """
 
 from __future__ import annotations
@@ -22,27 +23,28 @@ from pupper_analysis.models.shapes import Shape, read_shape
 from pupper_analysis.robot.contact import find_acting_contacts, ground_geom
 
 BALL_RADIUS = 2e-3
-"""Radius of the balls that replace the corners of a sole [m]. Chosen small: a tilt of 1 mrad moves
-their contact by 2 um."""
+"""Radius [m] of the balls that serve as contact points at the corners of a sole. Chosen small: a
+tilt of 1 mrad moves their contact by 2 um."""
 
 TILT_DIRECTIONS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
-"""Directions in the plane of a sole towards which its normal is tilted. The test shows whether the
-contact points change with the tilt. The first entry is no tilt.
-"""
+"""Components, along two tangents of a sole, of the tilts of the sole's normal in a test [1]. The
+test shows if the contact points change with the tilt. The components are multiplied by
+`TILT_ANGLE`. The first entry is no tilt."""
 
 TILT_ANGLE = 1e-4
-"""Tilt of a sole in the test with `TILT_DIRECTIONS` [rad]. Chosen: one end of a foot of 0.3 m is
-raised by 30 um, less than `_TEST_PENETRATION`, so both ends still touch."""
+"""Tilt of a sole in the directions `TILT_DIRECTIONS` [rad], to test if the contact points change.
+Chosen: one end of a foot of 0.3 m is raised by 30 um, less than `_TEST_PENETRATION`, so both ends
+still touch."""
 
 _NUM_POSES = 3
 """Number of random joint positions that `can_keep_sole_flat` tests. Chosen: with a single sample,
 the leg may be straight."""
 
 _RANK_RTOL = 1e-2
-"""Tolerance [1] of `can_keep_sole_flat`. A singular value of the Jacobian counts as zero below this
-fraction of the largest one. A unit velocity along the normal counts as possible if its error is at
-most this value. Chosen, not tuned: mesh soles are tilted by rounding of their vertices.
-"""
+"""Tolerance [1] of `can_keep_sole_flat`, used twice. A singular value of the Jacobian counts as
+zero below this fraction of the largest singular value. A unit velocity along the normal counts as
+possible if the error is at most this value. Chosen, not tuned: mesh soles are tilted by rounding of
+their vertices."""
 
 _MAX_CORNERS = 8
 """Upper bound of the number of contact points at the corners of a sole. The corner
@@ -50,16 +52,20 @@ that spans the smallest triangle with its neighbours is removed first. Chosen, n
 
 
 def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:
-    """Find the corners of a sole: return their indices among the points of a foot.
+    """Find the corners of a sole among the points of a foot.
+
+    The corners are the vertices of the convex hull of the sole, projected along the normal. If
+    there are more than `_MAX_CORNERS`, the corner that spans the smallest triangle with its
+    neighbours is removed repeatedly.
 
     Args:
         points: Points of the foot, shape (n, 3) [m].
-        out: Outward normal of the sole, shape (3,), in the frame of the points.
-        flat: Distance from the lowest point [m] within which a point belongs to the sole.
+        out: Outward normal of the sole (unit vector), shape (3,), in the frame of the points.
+        flat: Distance from the lowest point along the normal [m] within which a point belongs to
+            the sole.
 
     Returns:
-        Indices of the corners of the sole's convex hull, at most `_MAX_CORNERS`. Empty if the sole
-        has no area.
+        Indices of the corners in ``points``. Empty if the sole has no area.
     """
     height = points @ out
     on = np.flatnonzero(height > height.max() - flat)
@@ -85,16 +91,18 @@ def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:
 
 
 def can_keep_sole_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
-    """Return True if the joints of a leg can move the sole along the normal without tilt.
+    """Return True if the joints of a leg can move the sole along the normal without a tilt.
 
-    This is possible with four joints if three of the axes are parallel (for example hip, knee
-    and ankle) and the fourth joint keeps these axes level. The test evaluates the Jacobian in
-    random joint positions.
+    Rotation about the normal is permitted. With four joints this is possible if three axes are
+    parallel (for example hip, knee and ankle) and the fourth joint keeps these axes level. The
+    Jacobian is evaluated at `_NUM_POSES` random joint positions; the result is True if the motion
+    is possible in all samples.
 
     Args:
         model: Model.
         body: Id of the foot's body.
-        out: Outward normal of the sole, shape (3,), expressed in the frame of the body.
+        out: Outward normal of the sole (unit vector), shape (3,), expressed in the frame of the
+            body.
     """
     dofs: list[int] = []
     ancestor = body
@@ -125,8 +133,8 @@ def can_keep_sole_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
 
 _CAP_ANGLE = math.radians(50.0)
 """Half opening angle [rad] of the cap around the lowest point of a fitted sphere. A sphere replaces
-the foot only if it fits the foot's points in this cap (`_MAX_SPHERE_DEVIATION`). Chosen, not tuned.
-"""
+the foot only if the sphere fits the foot's points in this cap (`_MAX_SPHERE_DEVIATION`). Chosen,
+not tuned."""
 
 _MAX_SPHERE_DEVIATION = 0.1
 """Upper bound of the distance between a foot's points in the cap and the surface of a fitted
@@ -138,10 +146,10 @@ tuned.
 def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
     """Compute the sphere that approximates an ellipsoid at its lowest point.
 
-    The sphere touches the ellipsoid there. The radius is the mean of the two principal radii of
-    curvature: half of the trace of S^2 / h - S^2 d d^T S^2 / h^3, with the half axes in the
-    diagonal matrix S, the direction d (``down``) and h = |S d|. Source: Schneider, "Convex Bodies",
-    2014, section 2.5.
+    The sphere touches the ellipsoid at this point. The radius is the mean of the two principal
+    radii of curvature: half of the trace of S^2 / h - S^2 d d^T S^2 / h^3, with the half axes in
+    the diagonal matrix S, the direction d (``down``) and h = |S d|. Source: Schneider, "Convex
+    Bodies", 2014, section 2.5.
 
     Args:
         shape: Ellipsoid, placed in the world.
@@ -159,11 +167,11 @@ def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
 
 
 def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
-    """Fit a sphere to the lowest points of a foot.
+    """Fit a sphere to the lowest points of a foot, to use the sphere as contact shape.
 
-    Spheres are fitted to the points below each of four heights above the tip: 10, 20, 30 and 45 mm.
-    Least squares are linear: the equation |p - c| = r is linear in c and r^2 - |c|^2. A sphere is
-    accepted under these conditions:
+    A sphere is fitted to the points below each of four heights above the tip: 10, 20, 30 and 45 mm.
+    The fit is linear least squares: the equation |p - c| = r is linear in c and r^2 - |c|^2. A
+    sphere is accepted under the following conditions:
 
     - The radius exceeds half of the height.
     - The cap around the lowest point of the sphere (half angle `_CAP_ANGLE`) contains at least 6 of
@@ -177,9 +185,9 @@ def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
         down: Unit vector towards the ground, shape (3,), in the frame of the points.
 
     Returns:
-        Centre, shape (3,) [m], of the accepted sphere with the largest height, in the frame of the
-        points; and radius [m]: distance along ``down`` from the centre to the tip. The tip and 0
-        if no sphere is accepted.
+        Centre, shape (3,) [m], in the frame of the points, and radius [m]. Both belong to the
+        accepted sphere with the largest height. The radius is the distance along ``down`` from the
+        centre to the tip. If no sphere is accepted: the tip and 0.
     """
     found = tip, 0.0
     for size in (0.01, 0.02, 0.03, 0.045):  # height of the fitted part [m]
@@ -205,9 +213,8 @@ _MAX_SOLE_TILT = math.radians(25.0)
 touches the ground with an edge. Chosen, not tuned."""
 
 _MIN_SOLE_LENGTH = 0.015
-"""Lower bound of the largest extent of a flat part along a coordinate axis [m]. Below the bound,
-the part is no sole. Chosen, not tuned: facets on the mesh of a round foot have a few millimetres.
-"""
+"""Lower bound of the largest extent of a flat part along a coordinate axis [m]. A smaller flat part
+is no sole. Chosen, not tuned: facets on the mesh of a round foot have a few millimetres."""
 
 _TEST_PENETRATION = 1e-4
 """Penetration [m] at which MuJoCo's contacts of a sole are evaluated. Points within twice this
@@ -248,32 +255,29 @@ points of a sole has a volume. Chosen, not tuned.
 
 _FOOT_SPHERE_RISE = 5e-3
 """Upper bound of the height [m] of a sphere's lowest point above the lowest point of all geoms of a
-foot. Up to the bound, `_find_end_spheres` returns the sphere as a contact of the foot. If the foot
-may be tilted, the bound is higher. Chosen, not tuned.
-"""
+foot. `_find_end_spheres` returns a sphere below the bound as a contact of the foot. If the foot may
+be tilted, the bound is higher. Chosen, not tuned."""
 
 _MAX_AXIS_COSINE = 0.1
-"""Upper bound of |cos| of the angle between a cylinder's axis and the vertical [1]. Up to the
-bound, the cylinder lies on its side (a wheel). Chosen, not tuned.
-"""
+"""Upper bound of |cos| of the angle between a cylinder's axis and the vertical [1], with which the
+cylinder counts as lying on its side (a wheel). Chosen, not tuned."""
 
 _SOLE_ATOL = 1e-3
 """Two tolerances [m]. A mesh vertex or the surface of a sphere belongs to a sole if its distance
 from the plane of the sole, or from the lowest point of the mesh, is at most this value. Contact
-points count as one point if their distance is at most this value. Chosen, not tuned.
-"""
+points count as a single point if the distance is at most this value. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class ContactPoint:
-    """Contact point of a foot.
+    """Contact point of a foot, with the sphere that touches the ground there.
 
     Attributes:
-        geom: Id of the geom.
+        geom: MuJoCo id of the geom.
         center: Centre of the contact shape, shape (3,) [m], expressed in the frame of the geom's
             body. The contact shape is a sphere, the end of a capsule or lying cylinder, a fitted
-            sphere, or a small ball (`BALL_RADIUS`). If there is none, the contact point itself.
-        radius: Radius of the contact shape [m]; 0 if there is none.
+            sphere, or a small ball (`BALL_RADIUS`). Without such a shape, the contact point itself.
+        radius: Radius of the contact shape [m]; 0 without such a shape.
     """
 
     geom: int
@@ -286,14 +290,16 @@ def find_contact_points(
 ) -> tuple[ContactPoint, ...]:
     """Find the contact points of a foot with level ground.
 
-    In the pose in ``data``, the sole is the largest nearly level flat part at the lower end of the
-    hull of the geoms. The sole is laid flat, and MuJoCo's contacts are the contact points. If there
-    is no flat part, the foot keeps its orientation in the pose. If spheres are at the lower end of
-    the foot (`_find_end_spheres`), all other geoms are ignored.
+    The sole is the largest flat part at the lower end of the convex hull of the geoms, if it is
+    nearly level in the pose in ``data``. The sole is laid flat, and MuJoCo's contacts with the
+    floor are the contact points. Without a flat part, the orientation of the foot is that in the
+    pose. If sphere geoms are at the lower end of the foot, all other geoms are ignored.
 
-    A foot has a single contact point, at its lower end, if the leg has fewer than
-    `_MIN_SOLE_JOINTS` joints. It also has a single one if the leg has fewer than `_NUM_SOLE_JOINTS`
-    joints, and either there is no sole or the leg cannot keep the sole flat.
+    The foot has a single contact point, at the lower end, in two cases:
+
+    * The leg has fewer than `_MIN_SOLE_JOINTS` joints.
+    * The leg has fewer than `_NUM_SOLE_JOINTS` joints, and there is no sole or the leg cannot keep
+      the sole flat (`can_keep_sole_flat`).
 
     Args:
         model: Model, with a floor.
@@ -326,9 +332,10 @@ def find_contact_points(
 def _sample_surface(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int
 ) -> Iterator[tuple[Array, float]]:
-    """Yield spheres whose convex hull is that of a geom: (centre (3,), radius) [m], world frame.
+    """Yield spheres whose convex hull is that of a geom, as pairs (centre (3,) [m], radius [m]).
 
-    Round surfaces are sampled. Nothing is yielded for a shape without extent, such as a plane.
+    Centres are in the world frame. Round surfaces are sampled. Nothing is yielded for a shape
+    without extent, such as a plane.
     """
     shape, up = read_shape(model, geom, data), np.array([0.0, 0.0, 1.0])
     points = shape.outline(_CIRCLE_POINTS, _SPHERE_POINTS)
@@ -345,7 +352,7 @@ def _find_tip_contact(
 ) -> tuple[ContactPoint, ...]:
     """Return the contact point at the lowest point of a foot without a sole; () without geoms.
 
-    If a mesh is not round at the lower end, its contact point is a ball with radius `BALL_RADIUS`
+    If a mesh is not round at the lower end, the contact point is a ball with radius `BALL_RADIUS`
     at the centre of the lowest points.
     """
     down = np.array([0.0, 0.0, -1.0])
@@ -445,8 +452,8 @@ def _yield_level_normals(surface: Array, down: Array) -> Iterator[Array]:
     """Yield the outward normals (3,) of the facets of a hull with a tilt up to `_MAX_SOLE_TILT`.
 
     ``surface`` are the points of the hull, shape (n, 3) [m]. If they are on a line, the normal of
-    the line nearest to the unit vector ``down`` is yielded, if its tilt is small enough. Nothing is
-    yielded for a single point.
+    the line nearest to the unit vector ``down`` is yielded, if the tilt of the normal is small
+    enough. Nothing is yielded for a single point.
     """
     middle = surface.mean(axis=0)
     spread = surface - middle
@@ -591,7 +598,7 @@ def _is_lying(data: mujoco.MjData, geom: int) -> bool:
 
 
 def _align_vectors(start: Array, end: Array) -> Array:
-    """Return the quaternion (w, x, y, z) that rotates one unit vector (3,) to another.
+    """Return the quaternion (w, x, y, z) that rotates a unit vector (3,) to another unit vector.
 
     Opposite vectors must be perpendicular to the x axis.
     """

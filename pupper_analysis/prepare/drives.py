@@ -1,6 +1,6 @@
 """Add position servos to a robot whose MJCF has torque motors, or no actuators.
 
-Inputs are a robot with a stand and the force laws of its actuators; output is a robot with a
+Inputs are a robot with a stand and the force laws of the actuators; output is a robot with a
 position servo at each independent joint. Candidates of gains and time step are tried in order,
 until the robot comes to rest in the stand and agrees with the prediction (`add_position_servos`).
 Independent joints of robots with closed loops get motors first, to fix the joint order.
@@ -59,11 +59,10 @@ from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import Stand, stand_statics
 
 _SAG_CANDIDATES = (0.02, 0.05, 0.1)
-"""Deflections [rad, m] of the most loaded joint in the nominal stand, in the order of the trials.
-The stiffness of added servos is derived from a deflection. Stiffer servos hold the posture better,
-but oscillate on soft contacts. With softer servos a biped tips over at the ankles. Chosen, not
-tuned.
-"""
+"""Permitted deflections [rad, m] of the most loaded joint in the nominal stand, in the order of the
+trials. The stiffness of added servos is the joint torque divided by the deflection. Stiffer servos
+hold the posture better, but oscillate on soft contacts. With softer servos a biped tips over at the
+ankles. Chosen, not tuned."""
 
 _LIGHT_DAMPING_FACTOR = 0.25
 """Factor [1] on the default damping of added servos in the trials with reduced damping. These
@@ -72,29 +71,33 @@ oscillates with kd = 130 N m s/rad, and not with 25.
 """
 
 _LIGHT_SAG_CANDIDATES = (0.02, 0.035, 0.05)
-"""Deflections [rad, m] of the most loaded joint in the trials with reduced damping, in the order of
-the trials. These trials follow those with `_SAG_CANDIDATES`. Chosen, not tuned.
-"""
+"""Permitted deflections [rad, m] of the most loaded joint in the trials with reduced damping
+(`_LIGHT_DAMPING_FACTOR`), in the order of the trials. The trials follow those with
+`_SAG_CANDIDATES`. Chosen, not tuned."""
 
 _BRIEF_DURATION = 2.0
-"""Duration of the first comparison of candidate gains with the prediction [s]. If the results
-agree, no longer simulation follows. Chosen, not tuned."""
+"""Duration [s] of the first simulation that compares candidate gains with the prediction. If the
+results agree, no longer simulation follows. Chosen, not tuned."""
 
 
 def list_dependent_joints(robot: Robot) -> list[int]:
     """Return the indices (actuator order) of dependent joints, which need no servo.
 
-    Closed loops or couplings determine the positions of dependent joints.
+    The position of a dependent joint follows from closed loops or couplings.
     """
     return [] if robot.closure is None else robot.closure.dependent_joints.tolist()
 
 
 def add_loop_motors(robot: Robot) -> Robot:
-    """Add motors to independent joints without a motor, if there are closed loops or couplings.
+    """Add missing torque motors at independent joints, if there are closed loops or couplings.
 
-    Reason: the actuator order lists joints with motors first. The added motors later become servos,
-    so the order does not change after stands have been solved. Without closed loops and couplings
-    the robot is returned unchanged.
+    Reason: in the actuator order, joints with motors come first. The added motors later become
+    servos. The order therefore does not change after stands have been solved. Dependent joints get
+    no motor.
+
+    Returns:
+        Robot with the motors; the same robot without loops and couplings, or if no joint needs a
+        motor.
     """
     lacking = set(np.flatnonzero(robot.mj_convention.actuator_index < 0)) - set(
         list_dependent_joints(robot)
@@ -122,14 +125,14 @@ class _ServoCandidate(NamedTuple):
 
 
 class AddedServos(NamedTuple):
-    """Robot with added servos.
+    """Robot with added servos, and a measure of how well the servos hold the stand.
 
     Attributes:
         robot: Robot with servos.
         kp: Stiffness of all servos, zero for dependent joints, shape (nu,) [N m/rad, N/m].
         kd: Damping of all servos, zero for dependent joints, shape (nu,) [N m s/rad, N s/m].
-        num_rest_modes: Number of modes in which the robot comes to rest: 2 with and without
-            feed-forward, 1 with feed-forward alone, 0.
+        num_rest_modes: Number of command modes in which the robot comes to rest in a simulation. 2:
+            with and without feed-forward torques. 1: only with feed-forward. 0: in none.
     """
 
     robot: Robot
@@ -139,29 +142,37 @@ class AddedServos(NamedTuple):
 
 
 def add_position_servos(robot: Robot, stand: Stand, original: MjcfFile) -> AddedServos:
-    """Add position servos to the joints without one, with gains that hold a stand.
+    """Add position servos to the joints without a servo, with gains that hold a stand.
 
-    Candidates of gains and time step are tried in order. A candidate must meet four conditions:
+    Candidates of gains and time step are tried in order. The first candidate that meets the
+    following conditions is chosen:
 
-    - The robot comes to rest in the stand, with and without feed-forward.
-    - The motion after nudges of the base decays.
+    - The robot comes to rest in the stand, with feed-forward torques and with position commands
+      alone.
     - The rest position agrees with the prediction, unless both files describe different robots.
+    - The motion after nudges of the base decays.
     - The published MJCF with these servos comes to rest, too. This condition is omitted for a robot
       with a URDF alone, and with a reduced time step.
 
     A reduced time step is tried only if no candidate with the time step of the file meets the first
-    three conditions. If contacts chatter after a nudge of the base, a smaller time step is needed:
-    for a robot with a URDF alone, further candidates with the same time step are then omitted.
+    three conditions. For a robot with a URDF alone, a time step is no longer tried after contacts
+    chattered: after a nudge of the base the motion did not decay.
 
     If no candidate meets all conditions, the first candidate with the best partial result is
-    chosen. The partial results are, best first: decay and agreement; agreement; rest with and
-    without feed-forward; rest with feed-forward, and decay; rest with feed-forward. If there is
-    none, the first candidate is chosen.
+    chosen. The partial results are, best first:
+
+    1. The first three conditions hold.
+    2. The first two conditions hold.
+    3. The first condition holds.
+    4. The robot rests with feed-forward, and the motion after nudges decays.
+    5. The robot rests with feed-forward.
+
+    Without a partial result, the first candidate is chosen.
 
     Args:
         robot: Robot.
         stand: Stand.
-        original: MJCF of the robot.
+        original: MJCF of the robot, as read.
     """
     trials = _ServoTrials(robot, stand, original)
     file = None if original.of_urdf else compile_published_model(original, robot)
@@ -245,12 +256,12 @@ class _ServoTrials:
         self._chattering_divisors: set[int] = set()
 
     def find_resting_candidates(self, *feedforward: bool) -> Iterator[_ServoCandidate]:
-        """Yield the candidates with which the robot comes to rest; set the robot's time step.
+        """Yield the candidates with which the robot comes to rest; set the time step of the robot.
 
-        ``feedforward`` lists the simulations: with (True) or without (False) feed-forward.
-        Simulations without feed-forward run first: in them most bad candidates fall within seconds.
-        For a robot with a URDF alone, candidates with a time step are omitted if contacts chattered
-        with this time step (`calms_down`).
+        ``feedforward`` lists the simulations in which the robot must come to rest: with (True) or
+        without (False) feed-forward torques. Simulations without feed-forward run first: in them
+        most bad candidates fall within seconds. For a robot with a URDF alone, a time step is
+        skipped if contacts chattered with it (`calms_down`).
         """
         for number, candidate in enumerate(self.candidates):
             report_progress("servos", number, len(self.candidates))
@@ -280,9 +291,10 @@ class _ServoTrials:
         return _is_as_predicted(self._robot, self._stand, candidate.kp, candidate.kd)
 
     def calms_down(self, candidate: _ServoCandidate) -> bool:
-        """Return True if the motion after nudges of the base decays; otherwise record the divisor.
+        """Return True if the motion after nudges of the base decays, with the gains of a candidate.
 
-        The time step is that of the last candidate of `find_resting_candidates`.
+        If the motion does not decay, the time-step divisor of the candidate is recorded. The time
+        step is that of the last candidate of `find_resting_candidates`.
         """
         _, kp, kd = candidate
         is_calm = calms_after_base_nudges(self._robot, self._stand, kp=kp, kd=kd)
@@ -305,16 +317,22 @@ class _ServoTrials:
 
 
 def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Add position servos with suggested gains at joints without one, and return notes.
+    """Add position servos with suggested gains at the joints without a servo, for a robot on feet.
 
-    Dependent joints get no servo; servos at passive joints exert no torque. The gains are chosen so
-    that the robot comes to rest in the nominal stand; a note reports if no gains suffice. The time
-    step may be reduced. Without a nominal stand the gains are those for a fixed base. Torque limits
-    of zero or below are ignored in this choice, except at passive joints; the returned robot has
-    these limits again.
+    The gains are chosen so that the robot comes to rest in the nominal stand (the default
+    `StandTask`); a note reports if no gains suffice. The time step may be reduced. Without a
+    nominal stand, the gains are suggested as for a fixed base.
+
+    Dependent joints (of closed loops and couplings) get no servo. Servos at passive joints exert no
+    torque. Torque limits of zero or below are ignored in the choice of the gains, except at passive
+    joints. The returned robot has the original limits again.
+
+    Args:
+        robot: Robot.
+        mjcf: MJCF of the robot, as read.
 
     Returns:
-        Robot with servos, and notes.
+        Robot with servos, and notes on added servos and passive joints.
     """
     robot = mark_passive_joints(robot, mjcf)
     made, messages = _add_servos_of_stand(_remove_zero_limits(robot), mjcf)
@@ -324,8 +342,16 @@ def add_suggested_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
 def mark_passive_joints(robot: Robot, mjcf: MjcfFile) -> Robot:
     """Return a robot whose description lists the passive joints (`Description.passive_joints`).
 
+    A joint is passive if the effort limit is zero, the MJCF has no actuator at the joint, and the
+    position does not depend on other joints.
+
     The robot is returned unchanged if there are no passive joints, if the MJCF has no actuators, or
-    if it was derived from the URDF. Reason: an effort of zero in only one file may be a mistake.
+    if the MJCF was derived from the URDF. Reason: an effort of zero in a single file may be a
+    mistake.
+
+    Args:
+        robot: Robot.
+        mjcf: MJCF of the robot, as read.
     """
     model, dependent = mjcf.model, list_dependent_joints(robot)
     if mjcf.of_urdf or not model.nactuator:
@@ -374,7 +400,7 @@ def _restore_zero_limits(made: Robot, robot: Robot) -> Robot:
 
 
 def _add_servos_of_stand(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Add position servos with suggested gains to a robot, and return notes about these servos.
+    """Add position servos with suggested gains to a robot, and return notes about the servos.
 
     The gains hold the nominal stand (default `StandTask`). If the robot has no such stand, the
     gains for a fixed base are used.
@@ -392,9 +418,12 @@ def _add_servos_of_stand(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diag
 
 
 def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
-    """Return the gains of servos for a fixed base: kp [N m/rad], kd [N m s/rad], (nu,) each.
+    """Return suggested servo gains of a robot with a fixed base, in actuator order.
 
-    These are the gains of `suggest_fixed_base_gains` in actuator order.
+    The gains are computed by `suggest_fixed_base_gains`.
+
+    Returns:
+        kp, shape (nu,) [N m/rad, N/m]; kd, shape (nu,) [N m s/rad, N s/m].
     """
     model = robot.mj_model
     ids = np.array([model.joint(name).id for name in robot.joint_names])
@@ -405,13 +434,17 @@ def list_fixed_base_gains(robot: Robot) -> tuple[Array, Array]:
 
 
 def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Add position servos to a robot with a fixed base, at joints without one.
+    """Add position servos to a robot with a fixed base, at the joints without a servo.
 
-    The gains are those of `list_fixed_base_gains`. Servos at joints that the MJCF leaves passive on
-    purpose exert no torque.
+    The gains are computed by `list_fixed_base_gains`. Servos at passive joints exert no torque:
+    these joints have no actuator in the MJCF, and an effort limit of zero.
+
+    Args:
+        robot: Robot.
+        mjcf: MJCF of the robot, as read.
 
     Returns:
-        The robot with the servos; notes on added servos and passive joints.
+        Robot with the servos; notes on added servos and passive joints.
     """
     robot = mark_passive_joints(robot, mjcf)
     made, messages = _add_servos_of_fixed_base(_remove_zero_limits(robot), mjcf)
@@ -419,7 +452,7 @@ def add_fixed_base_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Dia
 
 
 def _add_servos_of_fixed_base(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Add position servos to a robot with a fixed base, and return notes about these servos."""
+    """Add position servos to a robot with a fixed base, and return notes about the servos."""
     kp, kd = list_fixed_base_gains(robot)
     timestep = float(robot.mj_model.opt.timestep)
     given = robot.description.with_additions(*make_missing_servos(robot, kp, kd, timestep))
@@ -517,16 +550,17 @@ def make_missing_servos(
     timestep: float,
     own: Collection[str] | None = None,
 ) -> list[Addition]:
-    """Create the additions to an MJCF that give a position servo to each joint without one.
+    """Create the additions to an MJCF that give a position servo to each joint without a servo.
 
-    Dependent joints get no servo. The force range is the motor's limit, if the limit is finite and
-    not zero. The time step becomes ``timestep``. The integrator becomes ``implicitfast``, since
-    explicit damping makes light joints oscillate.
+    Dependent joints of closed loops and couplings get no servo. The force range of a servo is the
+    torque limit of the joint, if this limit is finite and not empty. Two solver options are also
+    added: the time step, and the integrator ``implicitfast``, since explicit damping makes light
+    joints oscillate.
 
     Args:
         robot: Robot.
-        kp: Stiffness, shape (nu,) [N m/rad]; ignored at joints with a servo.
-        kd: Damping, shape (nu,) [N m s/rad]; ignored at joints with a servo.
+        kp: Stiffness, shape (nu,) [N m/rad, N/m]; ignored at joints with a servo.
+        kd: Damping, shape (nu,) [N m s/rad, N s/m]; ignored at joints with a servo.
         timestep: Time step [s].
         own: Names of the joints with a servo; None: joints with a servo in the robot model.
     """

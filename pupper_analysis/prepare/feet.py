@@ -1,9 +1,9 @@
 """Find the feet of a robot, and add a frame at each contact point to both files.
 
-Input is a robot model without named contact points; outputs are the feet, each with one or several
+Input is a robot model without named contact points. Outputs are the feet, each with one or several
 contact points, and the description with a frame at each point in the URDF and in the MJCF. The feet
-are the collision geoms at the ends of the limbs that are lowest in a pose (`find_feet`), or those
-that the user names (`find_named_foot`).
+are the collision geoms at the ends of the lowest limbs (`find_feet`), or those that the user names
+(`find_named_foot`).
 """
 
 from __future__ import annotations
@@ -35,11 +35,10 @@ from pupper_analysis.robot.contact import ground_geom, limb_ends
 from pupper_analysis.robot.robot import Robot
 
 _MAX_LEG_HEIGHT_FRACTION = 0.15
-"""Factor a [1] of the bound max(a h, b r) [m]: a limb counts as a leg if its lowest point is less
-than this bound above that of the lowest limb. h is the height of the base above the lowest limb;
-for b and r see `_MAX_LEG_RISE_FRACTION`. Chosen, not tuned: hands and heads are higher; feet in a
-start pose rarely differ by more than a few percent.
-"""
+"""Factor a [1] of a height bound. A limb counts as a leg if the lowest point of the limb is less
+than max(a h, b r) above the lowest point of the lowest limb [m]. h is the height of the base above
+the lowest limb; for b and r see `_MAX_LEG_RISE_FRACTION`. Chosen, not tuned: hands and heads are
+higher; feet in a start pose rarely differ by more than a few percent."""
 
 _MAX_LEG_RISE_FRACTION = 0.05
 """Factor b [1] of the bound max(a h, b r) [m] that `_MAX_LEG_HEIGHT_FRACTION` describes. r is the
@@ -49,16 +48,15 @@ such as a spider's, which end near the height of the base. Chosen, not tuned.
 
 _MAX_SPHERE_DISTANCE = 0.02
 """Upper bound of the distance [m] between a foot frame that the user names and the centre of a
-sphere. Below the bound, this sphere alone is the foot. Chosen, not tuned.
-"""
+sphere geom. If the nearest sphere of the body is closer than the bound, this sphere alone is the
+contact shape of the foot. Chosen, not tuned."""
 
 
 _FOOT_PLACE_ATOL = 2e-3
 """Tolerance [m] with which a link of the URDF is at a contact point of the MJCF. Two positions are
 compared with the link: the contact point, and the contact point shifted by the offset of the last
-joint between both files. If no link is at one of them, the point is shifted by the part of the
-offset perpendicular to the joint axis. Chosen, not tuned.
-"""
+joint between both files. If no link is at either position, only the part of the offset
+perpendicular to the joint axis is used. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +65,8 @@ class Foot:
 
     Attributes:
         name: Name.
-        body: Id of the moving body to which the foot belongs.
-        points: Contact points with the ground.
+        body: MuJoCo id of the moving body to which the foot belongs.
+        points: Contact points with the ground; a sole has several.
     """
 
     name: str
@@ -78,24 +76,28 @@ class Foot:
 
 _MIN_DIRECTION_COSINE = 0.7
 """Lower bound [1] of the component of the mean limb direction along an axis of the base, about 45
-deg. Above the bound, the limbs point along this axis, and a note reports it. Chosen, not tuned.
-"""
+deg. If the component is at least the bound, the limbs point along this axis. A note reports an axis
+that is not downwards. Chosen, not tuned."""
 
 
 _MIN_LIMB_LENGTH = 1e-3
-"""Lower bound of the limb length [m] by which a limb vector is divided to get its direction. It
-avoids a division by zero: the length of a wheel is zero. Chosen, not tuned.
-"""
+"""Lower bound of the limb length [m] by which a limb vector is divided to get the direction of the
+limb. The bound avoids a division by zero: the length of a wheel is zero. Chosen, not tuned."""
 
 
 def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
-    """Report the axis of the world frame along which the limbs point, if not downwards.
+    """Report the axis along which the limbs of a robot point, if the limbs do not point downwards.
 
-    A free base is not rotated, so the world axes are the base axes. The joint positions are zero,
-    clipped to the limits. The direction of a limb is the unit vector from the origin of its first
-    body to the mean CoM of its last bodies. The reported axis is that with the largest component of
-    the mean direction of all limbs. Nothing is reported if the robot has fewer than two limbs, or
-    if this component is below `_MIN_DIRECTION_COSINE`.
+    Such a robot cannot stand on the limbs with a level base. The message proposes a rotation of the
+    base.
+
+    The joint positions are zero, clipped to the limits; the base is not rotated. The direction of a
+    limb is the unit vector from the origin of the first body to the mean CoM of the last bodies.
+    The reported axis has the largest component of the mean direction of all limbs.
+
+    Returns:
+        List with a message. Empty if the limbs point downwards, if the robot has fewer than two
+        limbs, or if the component along the axis is below `_MIN_DIRECTION_COSINE`.
     """
     joints = np.clip(np.zeros(robot.nu), robot.lower_limits, robot.upper_limits)
     data = robot.compute_kinematics(robot.make_qpos(joints))
@@ -119,7 +121,12 @@ def report_sideways_limbs(robot: Robot) -> list[Diagnostic]:
 
 
 def count_joints_to_base(robot: Robot, body: int) -> int:
-    """Return the number of joints between the body with this MuJoCo id and the base."""
+    """Return the number of joints between a body and the base.
+
+    Args:
+        robot: Robot.
+        body: MuJoCo id of the body.
+    """
     model, count = robot.mj_model, 0
     base = model.body(robot.mj_base).id
     while body not in (0, base):
@@ -131,10 +138,13 @@ def count_joints_to_base(robot: Robot, body: int) -> int:
 def list_ground_geoms(model: mujoco.MjModel, body: int, *, welded: bool = True) -> list[int]:
     """Return the ids of the geoms of a body that can collide with the floor.
 
+    Two geoms can collide if the contype of either matches the conaffinity of the other.
+
     Args:
         model: Model with a floor.
         body: Id of the body.
-        welded: True to include the geoms of bodies that are fixed to the body.
+        welded: True to include the geoms of bodies that are fixed to the body; ``body`` must then
+            be a moving body. False: only the geoms of the body itself.
     """
     floor = ground_geom(model)
     floor_bits = (model.geom_contype[floor], model.geom_conaffinity[floor])
@@ -150,14 +160,14 @@ def list_ground_geoms(model: mujoco.MjModel, body: int, *, welded: bool = True) 
 
 
 def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
-    """Find the feet of a robot: the collision geoms at the ends of the limbs that are lowest.
+    """Find the feet of a robot: the collision geoms at the ends of the lowest limbs.
 
-    The feet are those of the pose with the most feet. In other poses the legs may be folded, or the
-    robot may lie.
+    The feet are searched in each pose, and the result of the pose with the most feet is returned.
+    In other poses the legs may be folded, or the robot may lie.
 
     Args:
-        robot: Robot without feet; its MJCF has a floor.
-        poses: Joint positions of each pose, shape (nu,) [rad, m].
+        robot: Robot without feet; the MJCF has a floor.
+        poses: Joint positions of each pose, at least one, shape (nu,) [rad, m].
 
     Raises:
         ModelError: If, in at least one of the poses, no limb with collision geoms ends below the
@@ -228,15 +238,23 @@ def _name_feet(
 def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Array) -> Foot:
     """Find the contact points of a foot that the user names, in a single file or in both.
 
+    The name in the MJCF is searched first. The contact shape depends on the named element:
+
+    * Geom: this geom.
+    * Body: the geoms of the body that can collide with the floor. Without such geoms: as for a
+      site.
+    * Site, or link of the URDF: the nearest sphere within `_MAX_SPHERE_DISTANCE`, else all geoms of
+      the moving body that can collide with the floor.
+
     Args:
-        robot: Robot without feet; its MJCF has a floor.
+        robot: Robot without feet; the MJCF has a floor.
         name: Name of the foot.
-        frames: Link in the URDF, and geom, site or body in the MJCF.
+        frames: Name of the link in the URDF, and name of the geom, site or body in the MJCF.
         joints: Joint positions of the start pose, shape (nu,) [rad, m].
 
     Raises:
         UnknownNameError: If the MJCF has no such geom, site or body, and the URDF no such link.
-        ModelError: If no geom there touches the ground.
+        ModelError: If no geom of the foot touches the ground.
     """
     model, data = robot.mj_model, robot.compute_kinematics(robot.make_qpos(joints))
     _, frame = frames
@@ -276,9 +294,10 @@ def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Ar
 def _select_sphere(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int], place: Array
 ) -> list[int]:
-    """Return the sphere nearest to a position, shape (3,) [m], in the world frame: [geom id].
+    """Return the sphere nearest to a position, as a list with the geom id; else all geoms.
 
-    All ``geoms`` are returned if no sphere among them is nearer than `_MAX_SPHERE_DISTANCE`.
+    All ``geoms`` are returned if no sphere is nearer than `_MAX_SPHERE_DISTANCE`. The position
+    ``place``, shape (3,) [m], is expressed in the world frame.
     """
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
     spheres = [geom for geom in geoms if model.geom_type[geom] == sphere]
@@ -338,13 +357,15 @@ def add_contact_frames(
 ) -> Description:
     """Return the description of a robot with an added frame at each contact point, in both files.
 
-    If a contact point of a foot in ``replaced`` is a ball (`is_ball`), the ball replaces the
-    collision shapes of the foot, which no longer collide.
+    The frame is a link in the URDF and a site in the MJCF. Some contact points are balls that
+    approximate another shape (`is_ball`). If the foot is in ``replaced``, a ball geom is added
+    there, and contacts of the replaced collision shape are disabled.
 
     Args:
         robot: Robot without feet.
         feet: Feet.
-        replaced: {foot whose shapes are replaced by balls: reason}.
+        replaced: {foot: reason for replacing the collision shapes by balls}; None: no shape is
+            replaced.
     """
     model, spec = robot.mj_model, robot.description.mjcf.copy()
     data = robot.compute_kinematics(robot.make_qpos(np.zeros(robot.nu)))
@@ -400,7 +421,7 @@ def add_contact_frames(
 
 
 def has_ellipsoids(robot: Robot, feet: Sequence[Foot]) -> bool:
-    """Return True if a contact point of the feet is a sphere that replaces an ellipsoid."""
+    """Return True if a contact point of the feet is a sphere that approximates an ellipsoid."""
     types = robot.mj_model.geom_type
     return any(
         types[point.geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID.value
@@ -411,15 +432,16 @@ def has_ellipsoids(robot: Robot, feet: Sequence[Foot]) -> bool:
 
 
 _CONTACT_POINT_TOLERANCE = 1e-6
-"""Upper bound of the displacement of a contact sphere between two fits to an ellipsoid [m]. Above
-the bound, the fit is repeated. Chosen: a hundredth of the depth of a loaded contact.
-"""
+"""Upper bound of the displacement of a contact sphere between two successive fits to an ellipsoid
+[m]. If the sphere moves farther, the fit is repeated. Chosen: a hundredth of the depth of a loaded
+contact."""
 
 
 def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> bool:
     """Return True if a contact point has moved by more than 1 um between two versions of the feet.
 
-    False if the versions contain different feet or geoms.
+    Positions are compared in the frame of the geom's body. The result is False if the versions
+    contain different feet or geoms.
     """
     points = [[(foot.name, point) for foot in feet for point in foot.points] for feet in
               (before, after)]  # fmt: skip
@@ -432,9 +454,10 @@ def have_contact_points_moved(before: Sequence[Foot], after: Sequence[Foot]) -> 
 
 
 def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
-    """Return True if a contact point is a ball that replaces a mesh or another shape.
+    """Return True if a contact point is a ball that approximates a mesh or another shape.
 
-    Spheres, capsules, lying cylinders (wheels) and points without radius keep the collision shape.
+    Contact points of spheres, capsules and lying cylinders (wheels) are no such balls: such geoms
+    themselves touch the ground. Points without radius are no balls either.
     """
     kind = int(model.geom_type[point.geom])
     if (

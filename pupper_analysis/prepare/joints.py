@@ -1,9 +1,9 @@
-"""Make the joints of both files consistent: joint limits, couplings, one actuator per joint.
+"""Make the joints of both files consistent: joint limits, couplings, a single actuator per joint.
 
-Input is a robot with matched joints; output is its description with changes, and notes. The joint
-limits of the URDF [rad, m] are narrowed to those of the MJCF, and continuous joints of closed loops
-get limits. ``<mimic>`` couplings of the URDF are added to the MJCF. Joints with several actuators
-are rejected.
+Input is a robot with matched joints; output is the robot's description with changes, and notes. The
+joint limits of the URDF [rad, m] are narrowed to those of the MJCF, and continuous joints of closed
+loops get limits. ``<mimic>`` couplings of the URDF are added to the MJCF. Joints with several
+actuators are rejected.
 """
 
 from __future__ import annotations
@@ -26,21 +26,25 @@ from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.robot import Robot
 
 _LIMIT_ATOL = 1e-3
-"""Tolerance [rad, m] of the comparison of joint limits. A limit of the MJCF replaces that of the
-URDF if it is narrower by more than the tolerance. Smaller differences are rounding. Chosen, not
-tuned.
-"""
+"""Tolerance [rad, m] for comparing the joint limits of both files. If a limit of the MJCF is
+narrower than the limit of the URDF by more than this value, the limit of the MJCF is used. Smaller
+differences are rounding. Chosen, not tuned."""
 
 _CONTINUOUS_LIMIT = 2 * math.pi
-"""Limit of a continuous joint of a robot with closed loops, in both directions [rad], if the MJCF
-has none. Chosen as one revolution: larger angles are not needed."""
+"""Limit of a continuous joint in both directions [rad]. The limit is added to a robot with closed
+loops or couplings if the MJCF has no limit for the joint. Chosen as a revolution: larger angles are
+not needed."""
 
 
 def limit_continuous_joints(robot: Robot) -> Description | None:
-    """Add limits to the continuous joints of a robot with loops or couplings; None without any.
+    """Add joint limits to the continuous joints of a robot with closed loops or couplings.
 
-    PlaCo's joint constraints in closed loops require limits. The limit is that of the MJCF, or one
-    revolution in both directions [rad].
+    Reason: PlaCo's joint constraints in closed loops require limits. The limits are taken from the
+    MJCF. Without limits in the MJCF, a joint gets a revolution in both directions.
+
+    Returns:
+        Copy of the robot's description, with the limits [rad] in the URDF. None if the robot has no
+        loop or coupling, or no continuous joint.
     """
     if robot.closure is None or not robot.pin_convention.unbounded.any():
         return None
@@ -62,12 +66,16 @@ def limit_continuous_joints(robot: Robot) -> Description | None:
 def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
     """Narrow the joint limits of the URDF [rad, m] to the overlap with the limits of the MJCF.
 
-    Reason: if a joint of a stand were beyond the limits of the MJCF, MuJoCo would push it back.
-    Limits are kept if both ranges do not overlap, or if no limit of the MJCF is narrower by more
-    than ``_LIMIT_ATOL``.
+    Reason: MuJoCo pushes back a joint that is beyond the limits in the MJCF. A stand must not
+    contain such a joint. The limits of a joint are kept in three cases:
+
+    * The MJCF does not limit the joint.
+    * The ranges of both files do not overlap.
+    * No limit of the MJCF is narrower by more than `_LIMIT_ATOL`.
 
     Returns:
-        Robot description with the new limits, None if no limit changes; and notes on the change.
+        Copy of the robot's description with the new limits, and a note that lists the limits. None
+        and an empty list if no limit changes.
     """
     model, narrower = robot.mj_model, {}
     for name, low, high in zip(
@@ -97,18 +105,23 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
 
 
 def couple_mimics(matched: Match, description: Description) -> tuple[Description, list[Diagnostic]]:
-    """Add the ``<mimic>`` couplings of the URDF to the MJCF; return the description, and notes.
+    """Add the ``<mimic>`` couplings of the URDF to the MJCF, as joint equalities.
 
-    A joint remains uncoupled in three cases: it has an actuator in the MJCF; a joint equality of
-    the MJCF, active or not, refers to it; or the MJCF lacks the joint or its leader. If a joint
-    already depends on other joints, it is skipped without a note.
+    A mimic joint follows another joint, the leader. A mimic joint remains uncoupled, with a note,
+    in the following cases:
+
+    * The joint has an actuator in the MJCF.
+    * A joint equality of the MJCF, active or not, refers to the joint.
+    * The MJCF lacks the joint or the leader.
+
+    A joint whose position already depends on other joints in the MJCF is skipped without a note.
 
     Args:
-        matched: Matched joints of both files.
-        description: Description.
+        matched: Matched joints of both files, with the couplings of the URDF.
+        description: Description to which the couplings are added; not modified.
 
     Returns:
-        Description with the couplings, unchanged without couplings; notes.
+        Description with the couplings (the same object if none was added), and the notes.
     """
     spec = description.mjcf.copy()
     driven = {actuator.target for actuator in spec.actuators}
@@ -139,6 +152,10 @@ def couple_mimics(matched: Match, description: Description) -> tuple[Description
 
 def check_motors(model: mujoco.MjModel, source: Path) -> None:
     """Raise an error if a joint has several actuators: a stand has a single command per joint.
+
+    Args:
+        model: Model of the MJCF.
+        source: File of the MJCF, for the error.
 
     Raises:
         ModelError: If a hinge or slide has several actuators.

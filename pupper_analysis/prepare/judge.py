@@ -1,8 +1,9 @@
 """Form the verdict of a stand or posture from simulations, static limits and the published file.
 
-Inputs are simulation results with and without feed-forward, and the statics; output is a `Verdict`.
-The verdict also depends on the published file: its simulation from the keyframe, and its deviation
-from the prediction.
+Inputs are the statics, and the results of two simulations of the prepared robot: with feed-forward
+torques, and with position commands alone. Output is a `Verdict`. The verdict also depends on two
+simulations of the published file. The first starts at a keyframe of the file. The second starts at
+the predicted stand, and is compared with the prediction.
 """
 
 from __future__ import annotations
@@ -77,16 +78,20 @@ def judge_simulation(
 ) -> Verdict:
     """Create the verdict of a simulated stand or posture, including checks of the published file.
 
+    The stand may be nudged here: the base gets a small initial velocity, and the stand must not
+    fail afterwards. This happens if ``fed`` passed, ``trial`` is None, ``statics`` contains a CoM
+    margin, and the base is free. A stand that is near a limit, or that fails without feed-forward,
+    is nudged in all directions (`simulate_nudges`). Other stands get large nudges
+    (`simulate_large_nudges`).
+
     Args:
         robot: Robot.
         stand: Stand on rigid ground.
-        fed: Simulation with feed-forward; for a payload or a path an ``Outcome``.
+        fed: Simulation with feed-forward torques; for a payload or a path an ``Outcome``.
         alone: Simulation with position commands alone; None if there is none.
         statics: Static motor torques; None if torque limits are not part of the question.
         question: Question that the verdict answers.
-        trial: Result of ``simulate_nudges``. If None, a stand on a free base is nudged here, if
-            ``fed`` passes and ``statics`` is given. It is nudged by ``simulate_nudges`` if it is
-            near a limit or fails without feed-forward, otherwise by ``simulate_large_nudges``.
+        trial: Result of ``simulate_nudges``; None to nudge the stand here.
         kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
         kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 
@@ -226,10 +231,15 @@ def _fail_without_torque(run: Outcome, null: Diagnostic, *, springs: bool) -> Ou
 
 
 def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic | None:
-    """Create a message if no contact point of a stand has friction, so that each push moves it.
+    """Create the message that no contact point of a stand has friction: a push moves the robot.
 
-    None if a contact point has friction, if there are no contact points, or if the robot has a
-    weld, a grip or a fixed base.
+    Args:
+        robot: Robot.
+        feet: Names of the contact points that carry load in the stand.
+
+    Returns:
+        The message. None if a contact point has friction, if ``feet`` is empty, or if the robot has
+        a weld, a grip or a fixed base.
     """
     if not feet or robot.fixed_parts or robot.is_base_fixed:
         return None
@@ -257,9 +267,8 @@ def _list_overloaded_joints(
 
 
 _MASS_RTOL = 1e-9
-"""Tolerance [1] of the relative increase of the robot's mass since it was loaded from its files.
-Above it, the robot carries an additional mass. Chosen as a bound of rounding errors.
-"""
+"""Lower bound [1] of the relative increase of the robot's mass since loading, with which the
+increase counts as a payload. Smaller increases are rounding errors. Chosen, not tuned."""
 
 
 def _report_buried_foot(
@@ -290,12 +299,20 @@ def _fail_if_upset(
 ) -> Outcome:
     """Return the result of a simulation, marked as failed if the stand fails after a nudge.
 
-    A nudge is an initial velocity of the base. ``fed`` is the result of the simulation with
-    feed-forward. ``trial`` is the result of ``simulate_nudges``; None if not yet simulated. It is
-    then simulated here if the stand is near a limit, or if ``fragile`` is True (the stand fails
-    without feed-forward). For other stands ``simulate_large_nudges`` is simulated, in which only
-    shaking and divergence are failures. Without a free base or without a CoM margin, there is no
-    nudge.
+    A nudge is an initial velocity of the base. If ``trial`` is None, the stand is nudged here: in
+    all directions (`simulate_nudges`) if it is near a limit or ``fragile``, else by
+    `simulate_large_nudges`, in which only shaking and divergence are failures. Without a free base
+    or without a CoM margin, there is no nudge.
+
+    Args:
+        robot: Robot.
+        stand: Stand on rigid ground.
+        fed: Simulation with feed-forward, which has passed.
+        statics: Static motor torques.
+        trial: Result of `simulate_nudges`; None if not yet simulated.
+        kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
+        kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
+        fragile: Whether the stand fails without feed-forward.
     """
     speed = BASE_NUDGE_SPEED
     if trial is None:
@@ -337,19 +354,19 @@ _FILE_ERROR_CODES = {
     *("inertia-repaired", "meshes-left", "files-missing", "points-made-spheres"),
     *("flat-shape-left", "shape-left", "empty-shape-left", "empty-range-left", "effort-negative"),
 }
-"""Codes of loading notes about errors of the file. The errors do not prevent a simulation. Verdicts
-contain these notes, since the results depend on the assumptions in the notes.
-"""
+"""Codes of loading notes about errors of the file that do not prevent a simulation. Verdicts
+contain these notes, since the results depend on assumptions that replace the erroneous values."""
 
 
 def describe_missing_masses(robot: Robot) -> Diagnostic | None:
     """Create the message about links whose mass in the URDF is absent, zero or negative.
 
-    None without such links.
-
     A moving link without a positive mass is simulated with 1 g; MuJoCo refuses such a URDF. If a
-    link with a negative mass is fixed to another link, its mass is subtracted from that of the
-    other link; MuJoCo's import ignores the negative mass.
+    link with a negative mass is fixed to another link, this mass is subtracted from that of the
+    other link. MuJoCo's import ignores the negative mass.
+
+    Returns:
+        The message; None without such links.
     """
     given = [
         note.subject.name for note in robot.notes if note.code == "mass-given" and note.subject
@@ -369,11 +386,11 @@ def describe_missing_masses(robot: Robot) -> Diagnostic | None:
 
 
 def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Return messages about errors and assumptions in a robot's files, for its verdicts.
+    """Return messages about errors and assumptions in a robot's files, for verdicts.
 
-    Reported are, for example, impossible masses and inertias, notes on loading about errors of the
-    file (`_FILE_ERROR_CODES`), negative friction or damping, joints with an empty range,
-    placeholder torque limits, and an import of the URDF that MuJoCo refuses.
+    The messages concern, for example, impossible masses and inertias, errors that loading replaced
+    by an assumption, negative friction or damping, joints with an empty range, placeholder torque
+    limits, and a URDF whose import MuJoCo refuses.
     """
     loaded = get_loaded_robot(robot)
     messages = [note for note in loaded.notes if note.code in _FILE_ERROR_CODES]
@@ -407,17 +424,19 @@ def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
 
 _MAX_DENSITY, _MIN_RADIUS = 19_300.0, 0.02
 """Upper bound of the mean density of the ball around a body [kg/m^3], and lower bound of the radius
-of this ball [m]. Above the density, the mass of the body is reported as impossible. The density is
-that of tungsten. The radius is chosen, not tuned.
-"""
+of this ball [m]. A body with a larger density is reported as impossible. The density is that of
+tungsten. The radius is chosen, not tuned."""
 
 
 def describe_impossible_masses(model: mujoco.MjModel) -> Diagnostic | None:
     """Create the message about bodies that are denser than tungsten for any possible shape.
 
-    The volume is that of the ball around the CoM that contains the bounding spheres of all geoms,
-    the frame of the body and the frames of its children; the radius is at least `_MIN_RADIUS`.
-    Bodies without geoms are omitted, since their size is unknown. None without such bodies.
+    The volume of a body is that of a ball around the CoM. The ball contains the bounding spheres of
+    all geoms, the frame of the body and the frames of the child bodies; the radius is at least
+    `_MIN_RADIUS`. Bodies without geoms are omitted, since the size is unknown.
+
+    Returns:
+        The message; None without such bodies.
     """
     radii = np.linalg.norm(model.body_ipos, axis=1)
     for body in range(1, model.nbody):
@@ -446,11 +465,14 @@ def describe_impossible_masses(model: mujoco.MjModel) -> Diagnostic | None:
 
 
 def describe_impossible_inertias(model: mujoco.MjModel) -> Diagnostic | None:
-    """Create the message about bodies with a radius of gyration above the extent of the robot.
+    """Create the message about bodies with a radius of gyration larger than the robot.
 
-    The radius of gyration is sqrt(I / m), with the largest principal moment I. The extent is the
-    diagonal of the box around the bounding spheres of the geoms and the frames of all moving bodies
-    in ``qpos0``. No part of the robot can have such a moment. None without such bodies.
+    No part of the robot can have such a moment of inertia. The radius of gyration is sqrt(I / m),
+    with the largest principal moment I. The size of the robot is the diagonal of the box around the
+    bounding spheres of all geoms and the frames of all moving bodies, in ``qpos0``.
+
+    Returns:
+        The message; None without such bodies.
     """
     moving = model.body_weldid > 0
     heavy = moving & (model.body_mass > 0)
@@ -488,15 +510,16 @@ def judge_stand(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> Verdict:
-    """Simulate a stand with and without feed-forward, and return its verdict.
+    """Simulate a stand with and without feed-forward torques, and return the verdict.
 
-    Unlike `steady_state` and `payload_limit`, which are results for the prepared robot only, the
-    verdict includes the comparison with the published file.
+    The verdict includes the comparison with the published file (the user's MJCF or URDF without the
+    changes of the preparation). Results of `steady_state` and `payload_limit` are for the prepared
+    robot only.
 
     Args:
         robot: Robot.
         stand: Stand.
-        trial: Result of nudges in all directions, if already simulated.
+        trial: Result of nudges in all directions (`simulate_nudges`); None to simulate nudges here.
         kp: Servo stiffness [N m/rad], scalar or (nu,); None: value of the model.
         kd: Servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 

@@ -1,9 +1,9 @@
 """Torque limits in verdicts: motors with a limit of zero, overloaded motors, and unknown limits.
 
-Inputs are a robot and the static torques of a stance [N m, N]. Outputs are joints and messages. A
-message about a limit of zero proposes the limit from the other file or from a similar limb. Other
-messages contain the torque that the motors must hold. A motor counts as unloaded if its torque is
-at most `MIN_TORQUE_PER_MASS` times the robot's mass.
+Inputs are a robot and the static joint torques of a stance [N m, N]. Outputs are joint names and
+messages. A message about a limit of zero proposes another limit: that of the other file, or that of
+a similar limb. Other messages contain the torque that the motors must hold. A motor counts as
+unloaded if the torque is at most `MIN_TORQUE_PER_MASS` times the robot's mass.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ from pupper_analysis.statics.equilibrium import (
 def list_driven_limits(robot: Robot) -> list[EffortLimit]:
     """Return the torque limits of the joints that need a motor.
 
-    Dependent joints of loops and couplings, and passive joints (`Description.passive_joints`), need
-    no motor.
+    Two kinds of joints need no motor and are omitted. The positions of dependent joints follow from
+    closed loops or couplings. Passive joints have no actuator and an effort limit of zero
+    (`Description.passive_joints`).
     """
     following = () if robot.closure is None else robot.closure.dependent_joints.tolist()
     passive = robot.description.passive_joints
@@ -50,11 +51,18 @@ def list_driven_limits(robot: Robot) -> list[EffortLimit]:
 
 
 def describe_loaded_passive_joints(robot: Robot, statics: GravityCompensation) -> Diagnostic | None:
-    """Create the message about passive joints that would have to hold a torque in a stance.
+    """Create the message about passive joints that must hold a torque in a stance.
 
-    The message names the passive joints (`Description.passive_joints`) and the largest torque. The
-    result is None if no passive joint is loaded. A torque [N m] of at most ``MIN_TORQUE_PER_MASS``
-    times the mass of the robot is no load, but rounding.
+    Passive joints have no actuator in the MJCF, and an effort limit of zero
+    (`Description.passive_joints`). The message names the loaded joints and the largest torque.
+
+    Args:
+        robot: Robot.
+        statics: Static joint torques of the stance.
+
+    Returns:
+        The message; None if no passive joint is loaded. A torque [N m, N] of at most
+        `MIN_TORQUE_PER_MASS` times the robot's mass [kg] counts as rounding, not as a load.
     """
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques).tolist(), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass
@@ -70,18 +78,23 @@ def describe_loaded_passive_joints(robot: Robot, statics: GravityCompensation) -
 def list_overloaded_joints(
     robot: Robot, statics: GravityCompensation, positions: Array
 ) -> tuple[str, ...]:
-    """Return the joints whose motors exceed their torque limits in a stance.
+    """Return the names of the joints whose motors exceed their torque limits in a stance.
 
-    If the MJCF drives joints through tendons, the forces F of the tendons' actuators are compared
-    with their limits. F follows from the torques tau of these joints: tau = M F, with the levers M
-    at the joint positions. A joint also counts as overloaded if the tendons cannot exert its
-    torque. If another joint of such a tendon has a motor, the motor exerts the remaining torque,
-    tau - M F. Tendons are not evaluated if the robot has closed loops or couplings, which transfer
-    torques between joints.
+    If no joint is driven only through tendons, the static torque of each joint is compared with the
+    torque limit. Otherwise the forces F of the actuators at the tendons are computed. F is the
+    least-squares solution of tau = M F, with the torques tau of these joints and the levers M at
+    the given joint positions. A joint then counts as overloaded in three cases:
+
+    * An actuator at a tendon of the joint exceeds a force limit.
+    * The tendons cannot exert the torque of the joint.
+    * The joint has a motor, and the remaining torque tau - M F exceeds the motor's limit.
+
+    Tendons are not evaluated if the robot has no published MJCF, or has closed loops or couplings,
+    which transfer torques between joints.
 
     Args:
         robot: Robot.
-        statics: Static equilibrium.
+        statics: Static joint torques of the stance.
         positions: Joint positions of the stance, shape (nu,) [rad, m].
     """
     tendons = _find_tendon_drives(robot, positions)
@@ -112,8 +125,8 @@ def _find_tendon_drives(
         positions: Joint positions, shape (nu,) [rad, m], at which the levers are measured.
 
     Returns:
-        Model of the file; indices of these joints; ids of the actuators; levers of the actuators at
-        all joints, shape (nu, number of actuators). None without such joints or
+        Model of the published file; indices of these joints; ids of the actuators; levers of the
+        actuators at all joints, shape (nu, number of actuators). None without such joints, without
         a published file, or with closed loops or couplings.
     """
     file = None if robot.published is None else robot.published.file
@@ -140,14 +153,14 @@ def _find_tendon_drives(
 
 
 def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:
-    """Create the message about motors whose torque limit is zero, or negative, in a file.
+    """Create the message about motors whose torque limit in a file is zero or negative.
 
-    The message proposes another limit if one is known: that of the other file, or that of the same
+    The message proposes another limit, if available: that of the other file, or that of the same
     joint of a similar limb.
 
     Returns:
-        The message; None if no limit is zero or negative, or if it is unknown which attribute of a
-        file states the first such limit.
+        The message. None if no limit of a driven joint is zero or negative. None also if the origin
+        of the first such limit (file and attribute) is unknown.
     """
     null = [limit for limit in list_driven_limits(robot) if limit.without_torque]
     if not null or null[0].origin is None:
@@ -170,10 +183,10 @@ def describe_zero_torque_limits(robot: Robot) -> Diagnostic | None:
 def _proposed_limit_fields(
     robot: Robot, found: tuple[str, EffortStatement] | None
 ) -> dict[str, Any]:
-    """Return the fields of a message that proposes an effort limit.
+    """Return the fields of the message that proposes an effort limit.
 
-    ``found`` contains a joint and the statement of its limit, from the other file or a similar
-    limb. All fields are None if ``found`` is None.
+    ``found`` contains a joint and its limit in the other file or in a similar limb. All fields are
+    None if ``found`` is None.
     """
     if found is None:
         return {"other": None, "other_file": None, "other_name": None, "other_attribute": None}
@@ -187,10 +200,10 @@ def _proposed_limit_fields(
 
 
 def _sibling_limit(robot: Robot, null: list[EffortLimit]) -> tuple[str, EffortStatement] | None:
-    """Return the corresponding joint of a similar limb and the statement of its effort limit.
+    """Return a joint of a similar limb with a stated effort limit, and this limit.
 
-    ``null`` are the limits that are zero or negative. The first of them is taken for which the
-    files state a limit in a similar limb. The result is None if there is no such limit.
+    ``null`` are the limits that are zero or negative. The first joint of ``null`` with a
+    corresponding joint whose limit is stated is used. None if there is no such joint.
     """
     limits, siblings = {limit.joint: limit for limit in robot.efforts}, sibling_joints(robot)
     for limit in null:
@@ -204,17 +217,18 @@ def _sibling_limit(robot: Robot, null: list[EffortLimit]) -> tuple[str, EffortSt
 def loads_motor_without_torque(robot: Robot, statics: GravityCompensation) -> bool:
     """Return True if a motor with a torque limit of zero or below must hold a torque in a stance.
 
-    Torques [N m] up to ``MIN_TORQUE_PER_MASS`` times the mass of the robot count as zero.
+    Torques [N m, N] of at most `MIN_TORQUE_PER_MASS` times the robot's mass [kg] count as zero.
     """
     return bool(_list_loaded_zero_motors(robot, statics))
 
 
 def springs_replace_motors(robot: Robot, statics: GravityCompensation) -> bool:
-    """Return True if the MJCF has a spring at each joint with a loaded motor without torque.
+    """Return True if the MJCF has a spring at each joint whose loaded motor has no torque.
 
-    These are the joints that must hold a torque in the stance, and whose motor has a torque limit
-    of zero or below. Only linear stiffness counts as a spring. The result is also True if there are
-    no such joints. A simulation must show whether the springs hold the stance.
+    The tested joints must hold a torque in the stance, and their motors have a torque limit of zero
+    or below. Only linear joint stiffness counts as a spring. The result is True if there are no
+    such joints. True does not imply that the springs are strong enough: a simulation must test
+    this.
     """
     model = robot.mj_model
     joints = [model.joint(name).id for name in _list_loaded_zero_motors(robot, statics)]
@@ -233,12 +247,16 @@ def _list_loaded_zero_motors(robot: Robot, statics: GravityCompensation) -> list
 
 
 def describe_unknown_limits(robot: Robot, statics: GravityCompensation) -> Diagnostic | None:
-    """Create the message about motors without a torque limit in any file, with the largest torque.
+    """Create the message about motors whose torque limit no file states, with the largest torque.
+
+    Args:
+        robot: Robot.
+        statics: Static joint torques of the stance.
 
     Returns:
         The message; None if each motor that must hold a torque in the stance has a limit. Torques
-        [N m] up to ``MIN_TORQUE_PER_MASS`` times the mass of the robot are rounding. The message
-        does not name unloaded joints that move no foot.
+        [N m, N] of at most `MIN_TORQUE_PER_MASS` times the robot's mass [kg] count as zero. The
+        message omits unloaded joints that move no foot.
     """
     needed = dict(zip(statics.joint_names, np.abs(statics.joint_torques), strict=True))
     least = MIN_TORQUE_PER_MASS * robot.total_mass

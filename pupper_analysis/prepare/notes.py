@@ -1,8 +1,8 @@
-"""Notes on the preparation: matched joints, feet, couplings, added servos.
+"""Messages about changes by the preparation: matched joints, feet, couplings, added servos.
 
 Inputs are the results of preparation passes; outputs are diagnostics. ``robot.notes`` contains
 these diagnostics; a verdict contains those of `report_tendon_joints`. The functions only describe
-changes; the passes make the changes.
+changes. The passes make the changes.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from pupper_analysis.stance.problem import can_move_com
 
 
 def report_joint_matching(matched: Match) -> Iterator[Diagnostic]:
-    """Report how joints and base frames of the URDF and the MJCF were matched.
+    """Yield messages about the matching of joints and base frames of the URDF and the MJCF.
 
-    Reported are joints whose names or zero positions differ, a free base whose frames differ, and
-    joints that only one file contains.
+    The messages concern joints with different names, joints with different zero positions, a free
+    base with different frames, and joints that a single file contains.
     """
     renamed = [
         diagnose("names-of-joint", urdf=old, mjcf=new)
@@ -62,17 +62,21 @@ def report_joint_matching(matched: Match) -> Iterator[Diagnostic]:
 
 
 def report_passive_joints(robot: Robot) -> Iterator[Diagnostic]:
-    """Report the joints that neither file drives (`Description.passive_joints`)."""
+    """Yield a message about the passive joints of a robot, if there are any.
+
+    A passive joint has no actuator in the MJCF, and an effort limit of zero
+    (`Description.passive_joints`).
+    """
     if robot.description.passive_joints:
         yield diagnose("joints-passive", joints=robot.description.passive_joints)
 
 
 def report_tendon_joints(robot: Robot) -> Iterator[Diagnostic]:
-    """Report the joints that the MJCF drives through tendons, and that got an added servo.
+    """Yield a message about joints that the MJCF drives only through tendons.
 
-    Results such as static deflection and payload are computed with the added servo. The simulations
-    of the unmodified file use the actuators at the tendons. Nothing is reported without such
-    joints, or without an MJCF.
+    The prepared robot has a servo at each of these joints. Results such as static deflection and
+    payload are computed with the added servos. Simulations of the unmodified file use the actuators
+    at the tendons. Nothing is yielded without such joints, or without an MJCF.
     """
     file = None if robot.published is None else robot.published.file
     driven = [
@@ -129,10 +133,13 @@ def report_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnosti
 
 
 def report_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
-    """Return {foot: message} of the feet whose collision shapes are replaced by spheres.
+    """Create the messages about collision shapes of feet that are replaced by spheres.
 
-    There are three kinds of feet: ellipsoids, soles (several contact points), and others. The feet
-    of a kind have the same message, which names all of them.
+    There are three kinds of feet: ellipsoids, soles (several contact points), and others. All feet
+    of a kind share a message with the names of the feet.
+
+    Returns:
+        {foot: message}; feet without replaced shapes are omitted.
     """
     soles, others, ellipsoids = list[str](), list[str](), list[str]()
     for foot in feet:
@@ -148,13 +155,13 @@ def report_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
 
 
 def report_planar_legs(robot: Robot) -> Iterator[Diagnostic]:
-    """Report if the legs cannot move the CoM in both horizontal directions."""
+    """Yield a message if the legs cannot move the CoM in both horizontal directions."""
     if not can_move_com(robot):
         yield diagnose("com-anywhere-inside")
 
 
 def report_coupled_joints(robot: Robot) -> Iterator[Diagnostic]:
-    """Report the dependent joints, whose positions follow from closed loops or couplings."""
+    """Yield a message about the joints whose positions follow from closed loops or couplings."""
     if robot.closure is not None:
         yield robot.closure.describe()
 
@@ -162,10 +169,12 @@ def report_coupled_joints(robot: Robot) -> Iterator[Diagnostic]:
 def report_added_servos(
     servos: Sequence[MadeServo], own: int, timestep: float, units: JointUnits
 ) -> Iterator[Diagnostic]:
-    """Report the added servos, and the defective servos that the added servos replace.
+    """Yield messages about servos that the preparation added, and about servos that they replace.
+
+    Defective servos of the MJCF, with a stiffness of zero or below, are replaced.
 
     Args:
-        servos: Added servos.
+        servos: Added servos, at least one.
         own: Number of joints that have a servo in the MJCF.
         timestep: Time step of the model with the added servos [s].
         units: Units of the gains.
@@ -188,7 +197,10 @@ def report_added_servos(
 
 
 def report_uncommanded_actuators(robot: Robot) -> Iterator[Diagnostic]:
-    """Report the actuators that do not act on a single hinge or slide, for example at a tendon."""
+    """Yield a message about actuators that do not act on a single hinge or slide.
+
+    Examples are actuators at a tendon or a site.
+    """
     model = robot.mj_model
     actuators = [
         actuator for actuator in range(model.nactuator) if not is_at_one_joint(model, actuator)
@@ -200,6 +212,11 @@ def report_uncommanded_actuators(robot: Robot) -> Iterator[Diagnostic]:
 
 
 def describe_span(values: ArrayLike, unit: str) -> Diagnostic:
-    """Create a message part with the range of values and their unit, such as "5 to 20 N m/rad"."""
+    """Create the part of a message with the range of values, such as "5 to 20 N m/rad".
+
+    Args:
+        values: Values, at least one.
+        unit: Unit of the values.
+    """
     low, high = float(np.min(values)), float(np.max(values))
     return diagnose("span", least=low, most=Quantity(high, unit), wide=low != high)

@@ -1,11 +1,11 @@
 """Simulate the published robot file from a keyframe, independently of the computed stand.
 
 A verdict is computed for the prepared robot: loading may have added servos, a floor or a start
-pose, and may have disabled contacts. The run of the published file from its keyframe (the "own
-run") shows whether the file alone stands in MuJoCo. It is simulated three times: with a nudge at
-the start, with the opposite nudge, and without a nudge. Each simulation lasts 5 s, or less with
-short time steps. A URDF is simulated as MuJoCo's import, with an added free base, floor and servos.
-Results are computed when a verdict is first requested.
+pose, and may have disabled contacts. The run of the published file from a keyframe (the "own run")
+shows if the file alone stands in MuJoCo. The file is simulated three times: with a nudge (a small
+velocity) at the start, with the opposite nudge, and without a nudge. Each simulation lasts 5 s, or
+less with short time steps. A URDF is simulated as MuJoCo's import, with an added free base, floor
+and servos. Results are computed when a verdict is first requested.
 """
 
 from __future__ import annotations
@@ -64,17 +64,15 @@ from pupper_analysis.robot.joints import joint_unit
 from pupper_analysis.robot.robot import Robot
 
 _CTRL_ANGLE_RTOL = 0.1
-"""Upper bound [1] of ``|ctrl - angles| / |angles|`` (norms over all joints). Up to the bound, the
-ctrl of a keyframe are joint angles, not torques. Chosen, not tuned: position commands differ from
-the angles by the deflection that carries the weight.
-"""
+"""Upper bound [1] of ``|ctrl - angles| / |angles|`` (norms over all joints) with which the ctrl of
+a keyframe counts as joint angles, not torques. Chosen, not tuned: position commands differ from the
+angles by the deflection that carries the weight."""
 
 _CTRL_DEGREE_RTOL = 1e-3
-"""Upper bound [1] of ``|ctrl - angles| / |angles|``, with hinge angles in degrees. Up to the bound,
-the ctrl of a keyframe are joint angles in degrees. Chosen as a bound of rounding: an angle in
+"""Upper bound [1] of ``|ctrl - angles| / |angles|``, with hinge angles in degrees, with which the
+ctrl of a keyframe counts as joint angles in degrees. Chosen as a bound of rounding: an angle in
 radians with five digits differs by 1e-5. The bound is small since torques of tens of N m may be
-near angles in degrees by chance.
-"""
+near angles in degrees by chance."""
 
 _SETTLING_TIME = 2.0
 """Simulated time [s] after which a nudged model that stands must be at rest. Chosen, not tuned."""
@@ -86,10 +84,11 @@ feet of ANYmal B that creep apart move at 1e-3; robots that shake oscillate with
 
 
 def get_loaded_robot(robot: Robot) -> Robot:
-    """Return the robot before later changes that rebuilt its models, without contacts of a task.
+    """Return the robot as loaded from files: before later changes, and without task contacts.
 
-    MuJoCo options that were changed later (`with_options`) remain, and gains of a study's design if
-    the models were not rebuilt before.
+    Later changes are those that rebuilt the models, for example an added payload. Other changes
+    remain: MuJoCo options (`with_options`), and gains of a study's design if the models were not
+    rebuilt before.
     """
     published = robot.published
     loaded = robot if published is None or published.loaded is None else published.loaded
@@ -97,25 +96,31 @@ def get_loaded_robot(robot: Robot) -> Robot:
 
 
 def own_run(robot: Robot) -> OwnRun | None:
-    """Return the simulation of the published file from its keyframe, cached per loaded robot.
+    """Return the simulation of the published file from its keyframe; cached per loaded robot.
 
     Without a keyframe, the simulation starts at the robot's start pose (``Robot.home``).
 
     Returns:
-        Simulation result. None if the robot has no feet or a fixed base, if ``get_published_model``
-        returns None, or if the file fixes the base. See ``simulate_model_from_keyframe`` for
-        further cases.
+        Simulation result. None in the following cases:
+
+        * The robot has no feet, or a fixed base.
+        * There is no published model (`get_published_model`).
+        * The base has fewer than six degrees of freedom in the file.
+        * There is no keyframe, and the start pose cannot be simulated
+          (`simulate_model_from_keyframe`).
     """
     return get_loaded_robot(robot).compute_once(_simulate_from_keyframe)
 
 
 def get_published_model(robot: Robot) -> mujoco.MjModel | None:
-    """Return the model of the published file, with the MuJoCo options that the caller requested.
+    """Return the compiled model of the published file, with the MuJoCo options that the caller set.
+
+    The published file is the MJCF of the user. For a robot with a URDF alone, the file is MuJoCo's
+    import of the URDF.
 
     Returns:
-        Model, with a floor if necessary (see ``compile_published_model``). None if the robot
-        has no file, if MuJoCo refuses the URDF, or if the MJCF lacks the base or a joint of the
-        robot.
+        Model, with a floor if necessary (`compile_published_model`). None if the robot has no file,
+        if MuJoCo refuses the URDF, or if the MJCF lacks the base or a joint of the robot.
     """
     if robot.published is None:
         return None
@@ -134,9 +139,9 @@ def get_published_model(robot: Robot) -> mujoco.MjModel | None:
 
 
 def describe_import_failure(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Return the message why MuJoCo cannot import the robot's URDF; empty if the import works.
+    """Return the message why MuJoCo cannot import the URDF of a robot, as a tuple.
 
-    Also empty for a robot with an MJCF, whose URDF is not imported.
+    Empty if the import works, or if the robot has an MJCF: the URDF is then not imported.
     """
     found, _ = get_loaded_robot(robot).compute_once(_import_urdf)
     return (diagnose("own-import-refused", problem=found),) if isinstance(found, Diagnostic) else ()
@@ -251,10 +256,11 @@ def _import_urdf(
 def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
     """Return True if a nudged model still stands, and is at rest, after ``_SETTLING_TIME``.
 
-    False if the base cannot be placed at the configuration.
+    The nudge is a small initial velocity. The result is False if the base cannot be placed at the
+    configuration.
 
     Args:
-        model: Published model.
+        model: Published model: the user's file as compiled.
         robot: Prepared robot, with the gains of the added servos.
         qpos: Configuration of the stand, shape (nq,). The joint positions are commanded.
     """
@@ -321,7 +327,7 @@ def _simulate_from_keyframe(robot: Robot) -> OwnRun | None:
 
 
 def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> OwnRun | None:
-    """Simulate a published model from its initial keyframe.
+    """Simulate a published model from its initial keyframe, to find out if the file alone stands.
 
     Without a keyframe, the simulation starts at the robot's start pose (``Robot.home``).
 
@@ -330,9 +336,10 @@ def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> Own
         robot: Prepared robot.
 
     Returns:
-        Simulation result. None if the robot has no file, or the base has fewer than six degrees of
-        freedom in the model. Without a keyframe (or the requested one), also None if the world has
-        no level plane, the base cannot be placed, or an actuator has a built-in controller.
+        Simulation result. None if the robot has no file, or if the base has fewer than six degrees
+        of freedom in the model. Without a keyframe (or without the requested keyframe), None also
+        if the world has no level plane, the base cannot be placed, or an actuator has a built-in
+        controller.
     """
     if robot.published is None or not published.floating:
         return None
@@ -449,7 +456,7 @@ def _commands_to_hold(
     """Return the commands with which a published model holds joint positions.
 
     The servos that `load_robot` added are used only if most joints of the file have no servo. If
-    most joints have one, a joint with a torque motor is not held.
+    most joints have a servo, a joint with a torque motor is not held.
 
     Args:
         published: Published model.
@@ -468,22 +475,23 @@ def _commands_to_hold(
 def joint_qpos_addresses(published: PublishedModel, robot: Robot) -> NDArray[np.intp]:
     """Return the indices of the robot's joints in ``qpos`` of the published model, shape (nu,).
 
-    The published model is compiled from the file of the robot.
+    Args:
+        published: Published model: the user's file as compiled.
+        robot: Prepared robot, which determines the order of the joints.
     """
     joints = [published.model.joint(joint).id for joint in robot.joint_names]
     return np.asarray(published.model.jnt_qposadr[joints])
 
 
 _SAME_POSTURE_ATOL = 1e-6
-"""Tolerance [rad, m] with which a posture equals that of a keyframe. If they are equal, the
-commands of the keyframe are simulated. Chosen, not tuned.
-"""
+"""Tolerance [rad, m] of each joint with which a posture is that of a keyframe. In such a posture,
+the ctrl of the keyframe is simulated. Chosen, not tuned."""
 
 
 def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
     """Simulate the published file of a robot with a fixed base from a posture.
 
-    If a keyframe of the file has this posture and specifies ctrl, its ctrl is commanded. Otherwise
+    If a keyframe of the file has this posture and specifies ctrl, this ctrl is commanded. Otherwise
     the joint positions are commanded.
 
     Args:
@@ -491,8 +499,8 @@ def simulate_fixed_base(robot: Robot, joints: Array) -> OwnRun | None:
         joints: Joint positions of the posture, shape (nu,) [rad, m].
 
     Returns:
-        Simulation result. None if the robot or the file has a free base, if there is no model
-        (`get_published_model`), or if the law of an actuator is a controller such as ``pid``.
+        Simulation result. None if the robot or the file has a free base, if there is no published
+        model (`get_published_model`), or if an actuator has a built-in controller, such as ``pid``.
     """
     model = None if robot.floating else robot.compute_once(get_published_model)
     if model is None:

@@ -1,7 +1,8 @@
 """Prepare a robot that can stand from two published files.
 
-The preparation is a sequence of named passes, in the order of `PREPARATION_PASSES`. Each pass takes
-the draft of the robot and returns the new draft with notes on what the pass changed or found.
+The preparation is a sequence of named passes, in the order of `PREPARATION_PASSES`. Each pass gets
+the draft (the robot in preparation). The pass returns the new draft, with notes on what the pass
+changed or found.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 
 @dataclass(frozen=True, eq=False)
 class LoadRequest:
-    """Options of the user when a robot is loaded.
+    """Options of the user for loading a robot.
 
     Attributes:
         feet: {foot: (frame in the URDF, frame in the MJCF)}; None: feet are detected.
@@ -133,16 +134,15 @@ class Draft:
         mjcf: MJCF as read.
         request: Options of the user.
         spec: Spec of the MJCF, with changes.
-        keyframes: {name: {joint: position [rad, m]}} of the candidate keyframes, in order of
-            priority.
+        keyframes: {keyframe: {joint: position [rad, m]}} of the keyframes that may become the start
+            pose, in the order of the trials.
         found_match: Matched joints of both files; None before the pass ``match``.
         description: Both files with matched names; None before the pass ``match``.
         built: Robot; None before the passes ``build`` and ``build-with-fixed-base``.
-        footless: Robot without feet; None before the pass ``find-feet``, and if no feet were
-            found.
+        footless: Robot without feet; None before the pass ``find-feet``, and if no feet were found.
         feet: Feet; empty before the pass ``find-feet``.
-        refused: Reason why no robot with a free base can be made; only ``fix-base`` is then
-            applied.
+        refused: Reason why no robot with a free base can be made; None if there is none. Only the
+            pass ``fix-base`` is then applied.
         runs: Passes that have been run so far.
     """
 
@@ -163,8 +163,9 @@ class Draft:
     def may_fix_base(self) -> bool:
         """Whether the base may be fixed although the user did not request a fixed base.
 
-        Two conditions must hold. The MJCF has no free joint. No child body of the world has
-        `_MIN_PARTIAL_FREE_JOINTS` or more joints, with which it moves like a free base.
+        This is permitted only if the base is not free in the MJCF: the MJCF has no free joint, and
+        no child body of the world has `_MIN_PARTIAL_FREE_JOINTS` or more joints, with which it
+        moves like a free base. False if the user requested a fixed base.
         """
         if self.request.fixed_base or has_free_joint(self.mjcf.spec):
             return False
@@ -173,13 +174,13 @@ class Draft:
 
     @property
     def match(self) -> Match:
-        """Matched joints of URDF and MJCF; available after the preparation step ``match``."""
+        """Matched joints of URDF and MJCF; available after the pass ``match``."""
         assert self.found_match is not None
         return self.found_match
 
     @property
     def matched_description(self) -> Description:
-        """URDF and MJCF with matched names; available after the preparation step ``match``."""
+        """URDF and MJCF with matched names; available after the pass ``match``."""
         assert self.description is not None
         return self.description
 
@@ -194,19 +195,21 @@ class Draft:
 
 
 PassOutput = tuple[Draft, Iterable[Diagnostic]]
-"""Draft after a pass, with the notes of the pass."""
+"""Result of a pass: the new draft (the robot in preparation), and the notes of the pass."""
 
 
 @dataclass(frozen=True)
 class Pass:
-    """A step of the preparation.
+    """Step of the preparation, with the condition under which it is applied.
 
     Attributes:
         name: Name of the pass.
         does: Purpose of the pass.
-        apply: Function that returns the new draft with the notes of the pass.
+        apply: Function that applies the pass to a draft (the robot in preparation). The result is
+            the new draft with the notes of the pass.
         condition: Function that returns True if a draft needs the pass.
-        after_refusal: True if the pass is also applied to drafts with `Draft.refused`.
+        after_refusal: True if the pass is also applied after an earlier pass found that no robot
+            with a free base can be made (`Draft.refused`).
         deferred: True if the pass is applied when a robot is first simulated or drawn, instead of
             when it is loaded.
     """
@@ -219,7 +222,11 @@ class Pass:
     deferred: bool = False
 
     def applies(self, draft: Draft) -> bool:
-        """Return True if this pass must be applied to a draft, the robot in preparation."""
+        """Return True if this pass must be applied to a draft (the robot in preparation).
+
+        The condition of the pass must hold. If no robot with a free base can be made
+        (`Draft.refused`), only passes with `after_refusal` are applied.
+        """
         return (draft.refused is None or self.after_refusal) and self.condition(draft)
 
 
@@ -588,9 +595,10 @@ def _choose_solver(draft: Draft) -> PassOutput:
     lambda draft: _stands_on_feet(draft) or _has_fixed_base(draft),
 )
 def _report_uncommanded_joints(draft: Draft) -> PassOutput:
-    """Return the same draft, and notes on coupled joints and on actuators without command.
+    """Return the same draft, and notes on coupled joints and on uncommanded actuators.
 
-    The position of a coupled joint depends on other joints, by a closed loop or a coupling.
+    The position of a coupled joint depends on other joints, by a closed loop or a coupling. An
+    actuator is not commanded if it does not act on a single hinge or slide.
     """
     return draft, (
         *notes.report_coupled_joints(draft.robot),
@@ -613,9 +621,8 @@ def _describe_missing_stand(draft: Draft) -> Diagnostic:
 
 
 _MIN_STANDING_FEET = 3
-"""Smallest number of found feet with which the reason for a missing stand is stated. Fewer feet may
-be the fingers of a gripper. Chosen, not tuned.
-"""
+"""Lower bound of the number of found feet with which a note reports why the robot has no nominal
+stand. Fewer feet may be the fingers of a gripper. Chosen, not tuned."""
 
 
 @_register_pass(Term("fixes the base where it does not stand"), _must_fix_base, after_refusal=True)
@@ -642,7 +649,7 @@ def _fix_base(draft: Draft) -> PassOutput:
 
 
 def _lacks_servos(robot: Robot) -> bool:
-    """Return True if a joint has no position servo; dependent joints need none."""
+    """Return True if a joint has no position servo; dependent joints do not count."""
     dependent = {robot.joint_names[joint] for joint in drives.list_dependent_joints(robot)}
     return not set(robot.joint_names) <= list_position_servos(robot).keys() | dependent
 
@@ -690,7 +697,7 @@ def _pose_without_servos(draft: Draft) -> Robot:
     """Return the robot with start pose and passive joints, which stands and statics need.
 
     Both are equal to those of the completed robot, since they do not depend on the added servos.
-    The notes of the passes are included: they contain the reason why a robot cannot stand.
+    The notes of the passes are included: the notes contain the reason why a robot cannot stand.
     """
     robot = _add_notes(draft.robot, draft.runs)
     if _may_get_servos(draft):
@@ -723,21 +730,22 @@ def _convert_visual_meshes(draft: Draft) -> PassOutput:
 
 
 def list_urdf_ground_additions() -> tuple[Addition, ...]:
-    """Return the additions of a robot that has only a URDF: a floor, and solver options.
+    """Return the additions to a robot that has only a URDF: a floor, and solver options.
 
-    The options (`STIFF_FRICTION_OPTIONS`) reduce the creep of loaded contacts.
+    The options (`STIFF_FRICTION_OPTIONS`) reduce creep: the slow slip of loaded contacts that
+    MuJoCo's friction permits.
     """
     held = Options(diagnose("contacts-made-to-hold"), STIFF_FRICTION_OPTIONS)
     return Floor(diagnose("ground-added")), held
 
 
 _MATCH, _FIX_BASE, _CONVERT_MESHES = "match", "fix-base", "convert-visual-meshes"
-"""Names of passes whose notes are reordered. `_complete_preparation` puts the note on a fixed base
-last. `_add_notes` puts the notes on visual meshes after those on the matching of the files.
-"""
+"""Names of passes whose notes are reordered. `_complete_preparation` puts the note about a fixed
+base last. `_add_notes` puts the notes about visual meshes after those about the matching of the
+files."""
 
 PREPARATION_PASSES = tuple(_registered_passes)
-"""All passes, in the order of application, which is that of the functions above."""
+"""All passes of the preparation of a robot, in the order of application."""
 
 _IMMEDIATE_PASSES = tuple(step for step in PREPARATION_PASSES if not step.deferred)
 """Passes that are applied when a robot is loaded: models, feet and start pose."""
@@ -775,7 +783,9 @@ def _run_passes(passes: Iterable[Pass], draft: Draft) -> Draft:
 
 
 Feet = Sequence[str] | Mapping[str, str | tuple[str, str]]
-"""Feet of a robot: frames, {foot: frame}, or {foot: (link in the URDF, element in the MJCF)}."""
+"""Feet of a robot, as named by the user. A list of names: each name is the name of the foot and of
+the frame in both files. A mapping: {foot: frame in both files}, or {foot: (link in the URDF,
+element in the MJCF)}."""
 
 
 def make_robot(
@@ -791,14 +801,28 @@ def make_robot(
     visuals: bool = True,
     finish: Callable[[Robot], Robot] | None = None,
 ) -> Robot:
-    """Prepare a robot from two files as read, in memory; servos and visual meshes are postponed.
+    """Prepare a robot from two files as read; postpone the slow steps until needed.
 
-    The options are those of `load_robot`. Servos, rest pose and visual meshes are computed when the
-    robot is first simulated, drawn, pickled or copied (`defer_stages`). There is an exception: if
-    servos may change the order of the joints, servos and rest pose are computed immediately, and
-    visual meshes are postponed only with a fixed base. Kinematics and statics do not wait for them.
-    The function ``finish``, if given, is applied to the robot after all steps, and to the robot of
-    `Robot.before_servos`.
+    The options are those of `load_robot`. Three steps are slow: servos, rest pose (the start pose
+    with the feet in soft ground) and visual meshes. The slow steps are postponed until the robot is
+    first simulated, drawn, pickled or copied (`defer_stages`). Kinematics and statics do not need
+    the slow steps.
+
+    Servos and rest pose are computed immediately if added servos may change the order of the
+    joints. Visual meshes are then postponed only with a fixed base.
+
+    Args:
+        urdf: URDF as read.
+        mjcf: MJCF as read.
+        feet: Feet; None to detect feet.
+        fixed_base: True to fix the base in the world.
+        name: Name of the robot; None: name in the MJCF.
+        joints: {joint in the URDF: joint in the MJCF}, for joints that are not matched by name.
+        keyframe: Keyframe of the MJCF to start from; None to choose a keyframe.
+        as_is: True to change neither actuators nor contacts.
+        visuals: True to convert the visual meshes.
+        finish: Function that is applied to the robot after all steps, and to the robot without
+            servos that `Robot.before_servos` returns. None: no function.
 
     Raises:
         ConfigurationError: If the frame of a foot is neither a name nor a pair of names, or a foot
@@ -853,7 +877,12 @@ def _keeps_joint_order(draft: Draft) -> bool:
 def prepare_robot(
     urdf: UrdfFile, mjcf: MjcfFile, request: LoadRequest
 ) -> tuple[Robot, list[PassRun]]:
-    """Prepare a robot from the contents of two files: run all preparation passes immediately.
+    """Prepare a robot from two files as read: run all preparation passes immediately.
+
+    Args:
+        urdf: URDF as read.
+        mjcf: MJCF as read.
+        request: Options of the user.
 
     Returns:
         Robot, whose notes include the notes of the passes, and the passes that were run.
@@ -897,7 +926,9 @@ def _add_notes(robot: Robot, runs: Sequence[PassRun]) -> Robot:
 def parse_feet(feet: Feet) -> dict[str, tuple[str, str]]:
     """Convert the feet that a user names to {foot: (frame in the URDF, frame in the MJCF)}.
 
-    A single frame name is used for both files.
+    Args:
+        feet: Names of frames, {foot: frame}, or {foot: (link in the URDF, element in the MJCF)}. A
+            single frame name is used for both files.
 
     Raises:
         ConfigurationError: If a frame is neither a name nor a pair of names, or a foot is named

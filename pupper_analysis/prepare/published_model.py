@@ -1,10 +1,10 @@
 """Compile, place and hold the published model of a robot.
 
 The published model is the robot's MJCF, or MuJoCo's own import of the URDF, without the feet and
-start pose of the preparation. It is placed at a configuration of the prepared robot, and held there
-by the file's own actuators. If a joint has a torque motor or no actuator, an external servo holds
-it (`HoldCommands`): the simulation computes the torque of this servo in each step, with the gains
-of the position servo that loading added to the prepared robot.
+start pose of the preparation. The model is placed at a configuration of the prepared robot, and
+held there by the file's own actuators. If a joint has a torque motor or no actuator, an external
+servo holds it (`HoldCommands`). The simulation computes the torque of this servo in each step, with
+the gains of the position servo that the preparation added.
 """
 
 from __future__ import annotations
@@ -66,27 +66,25 @@ _TRIAL_COMMAND = 1e-6
 against commands that change a torque noticeably."""
 
 _MIN_COMMAND_GAIN = 1e-9
-"""Upper bound of the joint torque per unit of ctrl [N m or N]. Up to the bound, a command has no
-effect. The joint is then held by an external servo, whose torque the simulation computes in each
-step. Chosen, not tuned.
-"""
+"""Upper bound of the joint torque per unit of ctrl [N m or N per unit] with which a command has no
+effect. An external servo then acts on the joint directly, not through the actuator. Chosen, not
+tuned."""
 
 MAX_SETTLED_TIME_CONSTANT = 0.5
-"""Upper bound of the time constant of an actuator filter [s]. Up to the bound, the filter state
-starts at its settled value. The state of a slower filter, for example with ``timeconst="1e5"``,
-starts at zero, since it does not settle within the simulated time. Chosen, not tuned.
-"""
+"""Upper bound of the time constant [s] of an actuator filter whose state starts at the settled
+value. The state of a slower filter, for example with ``timeconst="1e5"``, starts at zero, since
+such a filter does not settle within the simulated time. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class PublishedModel:
-    """Compiled model of the published file, with the body and joints of the prepared robot.
+    """Compiled model of the user's file, with indices of the prepared robot's base and joints.
 
     Attributes:
         model: Compiled model.
         ground_height: Height of the first level plane of the world [m]; None if there is none.
         base_body: Id of the robot's base body; 0 (the world) if the model has no body of that name.
-        drives: Actuator type of each joint of the robot, in actuator order, (nu,).
+        drives: Actuator type of each joint of the robot, in actuator order, length nu.
     """
 
     model: mujoco.MjModel
@@ -96,7 +94,12 @@ class PublishedModel:
 
     @classmethod
     def from_model(cls, model: mujoco.MjModel, robot: Robot) -> PublishedModel:
-        """Create the `PublishedModel` of a compiled model: find ground, base and joint drives."""
+        """Create the `PublishedModel` of a compiled model: find ground, base and joint drives.
+
+        Args:
+            model: Compiled model, which contains all joints of the robot.
+            robot: Prepared robot.
+        """
         drives = tuple(
             classify_joint_drive(model, model.joint(name).id) for name in robot.joint_names
         )
@@ -112,20 +115,23 @@ class PublishedModel:
 
 
 _STEPPING_ATTRIBUTES = ("timestep", "integrator")
-"""Attributes of an MJCF's ``<option>`` on which the gains of added servos depend. If a file
-with few servos lacks such an attribute, its simulation uses the value of the prepared robot."""
+"""Attributes of an MJCF's ``<option>`` on which the gains of added servos depend. If most joints of
+a file have no servo, and the file lacks such an attribute, the simulation of the file uses the
+value of the prepared robot."""
 
 
 _NOT_POSITION_SERVOS = (Drive.MOTOR, Drive.NONE, Drive.VELOCITY, Drive.FORCE)
-"""Actuator types that are not meant to hold a position. A position servo whose stiffness is zero or
-negative is meant to hold, so the file fails because of that servo
+"""Actuator types that are not meant to hold a position. A position servo with a stiffness of zero
+or below is not in the list: such a servo is meant to hold a position, and is a defect of the file
 (``Drive.has_invalid_stiffness``)."""
 
 
 def has_few_servos(published: PublishedModel) -> bool:
-    """Return True if most joints have no actuator that is meant to hold a position.
+    """Return True if more than half of the joints have no actuator that can hold a position.
 
-    For example, torque motors and velocity servos are not meant to hold a position.
+    These are joints without actuator, and joints with a torque motor, velocity servo or other
+    actuator whose force does not depend on the position. A position servo with a stiffness of zero
+    or below counts as able to hold: such a servo is a defect of the file.
     """
     count = sum(drive in _NOT_POSITION_SERVOS for drive in published.drives)
     return 2 * count > len(published.drives)
@@ -134,12 +140,12 @@ def has_few_servos(published: PublishedModel) -> bool:
 def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedModel:
     """Return a published model with the prepared robot's time step and integrator.
 
-    An attribute that the file specifies is kept; MuJoCo's defaults (2 ms, Euler) may be too coarse
-    for the added servos. The model is returned unchanged if the robot has no MJCF, if it has no
-    added servos, or if at most half of the joints lack a position servo.
+    Reason: MuJoCo's defaults (2 ms, Euler) may be too coarse for the servos that the preparation
+    added. An attribute that the file specifies is kept. The model is returned unchanged if the
+    robot has no MJCF or no added servos, or if at most half of the joints lack a position servo.
 
     Args:
-        published: Published model: compiled from the file of the robot.
+        published: Published model: the user's file as compiled.
         robot: Prepared robot, with the added servos.
     """
     file = None if robot.published is None else robot.published.file
@@ -158,20 +164,20 @@ def with_requested_gains(
 ) -> tuple[PublishedModel, Robot]:
     """Return a published model, and a robot, whose joints have the requested servo gains.
 
-    The actuator of a joint becomes a position servo with these gains. A joint gets an external
-    servo (``HoldCommands``) if the joint has no actuator, several actuators, or an actuator that is
-    not meant to hold a position (for example, a torque motor). Passive joints and dependent joints
-    (with a stiffness of zero) are unchanged. The returned robot is for comparisons only: the MuJoCo
-    model has gains that the description lacks.
+    The actuator of a joint becomes a position servo with these gains. An external servo acts on the
+    joint instead (`HoldCommands`) if the joint has no actuator, has several, or has an actuator
+    that is not meant to hold a position, such as a torque motor. Passive joints and dependent
+    joints are unchanged.
 
     Args:
-        published: Published model.
+        published: Published model: the user's file as compiled.
         robot: Prepared robot.
         kp: Requested stiffness [N m/rad], scalar or (nu,); None: value of the prepared robot.
         kd: Requested damping [N m s/rad], scalar or (nu,); None: value of the prepared robot.
 
     Returns:
-        Published model with the gains; robot with the same gains, for comparisons.
+        Published model with the gains; robot with the same gains. The robot is for comparisons
+        only: the MuJoCo model has gains that the description lacks.
 
     Raises:
         ConfigurationError: If a gain is not a number, has another shape or is out of range.
@@ -195,13 +201,16 @@ def with_requested_gains(
 
 
 def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
-    """Compile an MJCF as published, with at most the changes that a simulation needs.
+    """Compile an MJCF as published, with the changes that a simulation needs.
 
-    A floor is added if the robot has a free base, and the world has neither a level plane nor a
-    collidable geom. If the base is fixed in the robot and free in the file, it is fixed, and the
-    ground is disabled. Bodies and joints without a name are named in both cases, and if the file
-    lacks a name of the robot. Visual geoms are kept, so that the geoms of a body have the same
-    order as in the robot's model.
+    * A floor is added if the robot has a free base, and the world has neither a level plane nor a
+      collidable geom.
+    * The base is fixed, and the ground disabled, if the base is fixed in the robot and free in the
+      file.
+    * Bodies and joints without a name get a name, in both cases above and if the file lacks a name
+      of the robot.
+
+    Visual geoms are kept, so that the geoms of a body have the same order as in the robot's model.
 
     Args:
         mjcf: MJCF as read.
@@ -237,8 +246,12 @@ def compile_urdf_import(urdf_import: UrdfImport, robot: Robot) -> mujoco.MjModel
     """Return the model of a URDF as MuJoCo's own importer compiles it, with a ground and servos.
 
     Added are a free base (if the robot has one) and the following additions of the prepared robot:
-    floor, solver options, contact exclusions, servos, stiffer couplings. The collision shapes are
-    those of the file.
+    floor, solver options, contact exclusions, servos. Couplings are stiffened. The collision shapes
+    are those of the file.
+
+    Args:
+        urdf_import: URDF, as MuJoCo imports it.
+        robot: Prepared robot.
 
     Raises:
         ModelError: If MuJoCo refuses the URDF.
@@ -318,15 +331,16 @@ def _find_plane_height(model: mujoco.MjModel) -> float | None:
 
 
 def place_published(published: PublishedModel, robot: Robot, qpos: Array) -> mujoco.MjData | None:
-    """Place a published model at a configuration of the robot, and return MuJoCo's data.
+    """Place a published model at a configuration of the robot, and return the MuJoCo data.
 
     Args:
-        published: Published model.
+        published: Published model: the user's file as compiled.
         robot: Prepared robot.
-        qpos: Configuration, shape (nq,), above a ground at z = 0.
+        qpos: Configuration of the robot, shape (nq,), above a ground at z = 0.
 
     Returns:
-        Data; None if the base cannot be placed there, for example a fixed base.
+        Data, above the ground of the published model; None if the base cannot be placed there, for
+        example if the base is fixed.
     """
     state = mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(state, qpos)
@@ -336,19 +350,20 @@ def place_published(published: PublishedModel, robot: Robot, qpos: Array) -> muj
 def place_at_state(
     published: PublishedModel, robot: Robot, state: mujoco.MjData
 ) -> mujoco.MjData | None:
-    """Place a published model at a state of the prepared robot's model; return MuJoCo's data.
+    """Place a published model at a state of the prepared robot's model; return the MuJoCo data.
 
-    Hinges and slides outside the base body are matched by name and type; those that the robot's
-    model lacks are at zero. Ball joints keep the reference position. The base is placed such that
-    the body of the first joint has the pose of the robot's model, raised by `ground_height`.
+    Hinges and slides outside the base body are matched by name and type. Joints that the robot's
+    model lacks are at zero; ball joints keep the reference position. The base is placed so that the
+    body of the robot's first joint has the same pose as in the robot's model, raised by
+    `ground_height`.
 
     Args:
-        published: Published model.
+        published: Published model: the user's file as compiled.
         robot: Prepared robot.
         state: Data of ``robot.mj_model``; the kinematics are evaluated here.
 
     Returns:
-        Data; None if the base cannot be placed there, for example a fixed base.
+        Data; None if the base cannot be placed there, for example if the base is fixed.
     """
     mujoco.mj_kinematics(robot.mj_model, state)
     model, body = published.model, robot.mj_model.body(robot.mj_base)
@@ -372,12 +387,12 @@ def place_at_state(
 
 
 def place_fixed_base(published: PublishedModel, robot: Robot, qpos: Array) -> mujoco.MjData:
-    """Place a published model with a fixed base at joint positions, and return MuJoCo's data.
+    """Place a published model with a fixed base at joint positions, and return the MuJoCo data.
 
     Args:
         published: Published model with a fixed base.
         robot: Robot that was loaded from the same file.
-        qpos: Joint positions, shape (nu,) [rad, m], in the robot's order.
+        qpos: Joint positions, shape (nu,) [rad, m], in actuator order.
     """
     data = mujoco.MjData(published.model)
     for name, angle in zip(robot.joint_names, qpos.tolist(), strict=True):
@@ -432,18 +447,23 @@ def _place_base(
 
 @dataclass(frozen=True, eq=False)
 class HoldCommands:
-    """Commands with which a published model holds a configuration.
+    """Actuator commands, and external servos, that hold a published model in a configuration.
+
+    An external servo is computed by the simulation in each step. Such servos hold joints without a
+    position servo in the file.
 
     Attributes:
         ctrl: Controls of all actuators, shape (model.nu,). Position servos at joints of the robot,
             and at tendons of joints without actuator, are commanded. Other position servos at
-            tendons and sites get the control without force. Other actuators get zero.
+            tendons and sites get the control with which they exert no force. Other actuators get
+            zero.
         act: States of the actuator filters, shape (model.na,).
-        external: External servos: servos that the simulation computes for n joints without position
-            servo. Five arrays, shape (n,) each: degrees of freedom (indices in qvel), kp [N m/rad],
-            kd [N m s/rad], target positions [rad, m], feed-forward torques [N m].
+        external: External servos of n joints, as five arrays of shape (n,): degrees of freedom
+            (indices in qvel), kp [N m/rad], kd [N m s/rad], target positions [rad, m], feed-forward
+            torques [N m].
         motor_laws: {degree of freedom: (index of the control, lever, offset)}, for joints with an
-            external servo and an actuator. At rest the joint torque [N m] is lever * ctrl + offset.
+            external servo and an actuator. The actuator then exerts the torque of the external
+            servo. At rest the joint torque [N m] is lever * ctrl + offset.
     """
 
     ctrl: Array
@@ -459,9 +479,8 @@ NO_EXTERNAL_SERVOS = (
     np.zeros(0),
     np.zeros(0),
 )
-"""Value of ``HoldCommands.external`` if the simulation computes no servos: five arrays of length 0,
-for degrees of freedom, kp, kd, target positions and torques.
-"""
+"""Value of ``HoldCommands.external`` without external servos: five arrays of length 0, for degrees
+of freedom, kp, kd, target positions and torques."""
 
 
 def compute_hold_commands(
@@ -473,18 +492,19 @@ def compute_hold_commands(
 ) -> HoldCommands:
     """Compute the commands with which the joints of a published model hold target positions.
 
-    The position servos of a tendon hold the joints of this tendon that have no actuator. Of all
-    forces that give the torques of these joints, those with the smallest norm are used. The tendon
-    also acts on its other joints; the actuators of these joints compensate its torque.
+    Joints with a position servo in the file are commanded through this servo. Joints without such a
+    servo get an external servo, with the gains of the servo that the preparation added. A joint
+    with neither is not held, for example a passive joint with a spring.
 
-    A joint with neither a position servo of the file nor an added servo is not held, for example a
-    passive joint with a spring.
+    Position servos of a tendon hold the joints of the tendon that have no actuator. Of all tendon
+    forces that give the torques of these joints, those with the smallest norm are used. The tendon
+    also acts on other joints; the actuators of such joints compensate the torque of the tendon.
 
     Args:
-        published: Published model.
+        published: Published model: the user's file as compiled.
         robot: Prepared robot, with the gains of the added servos.
         data: State of the published model; not modified.
-        torques: Feed-forward torques, shape (nu,) [N m]; None for position commands alone.
+        torques: Feed-forward torques, shape (nu,) [N m, N]; None for position commands alone.
         targets: Target positions, shape (nu,) [rad, m].
     """
     model = published.model
@@ -601,8 +621,8 @@ def _set_position_commands(
 
 
 FORCE_WINDOW = 1.0
-"""Duration at the end of a simulation [s] in which the extreme actuator torques are recorded.
-Chosen, not tuned."""
+"""Duration [s] of the last part of a simulation, in which the extreme actuator torques are
+recorded. Chosen, not tuned."""
 
 
 _STEPS_PER_CHECK = 25
@@ -619,23 +639,23 @@ def simulate_published(
 ) -> tuple[Array, Array]:
     """Simulate a published model that is commanded to hold a configuration.
 
-    The simulation ends when the time is over, or when MuJoCo resets the state.
+    The simulation ends when the time is over, or when MuJoCo resets the state after a divergence.
 
     Args:
-        published: Published model. Its damping includes that of the external servos during the
-            call.
+        published: Published model: the user's file as compiled. During the call, the damping of the
+            model includes the damping of the external servos.
         data: Initial state; changed to the final state.
-        hold: Commands of the actuators, and external servos (computed by this function).
+        hold: Commands of the actuators, and external servos, which are computed here.
         seconds: Duration [s].
         record_forces: Whether to record the extreme forces. If False, the simulation is up to a
             tenth faster.
 
     Returns:
         Minimum and maximum force of actuators and external servos on each degree of freedom, shape
-        (model.nv,) each [N m, N]. The extremes are those of the last `FORCE_WINDOW` of the
-        duration, and of the step at which MuJoCo resets the state. The damping of external servos
-        is left out. Gravity compensation that MuJoCo adds to actuator forces (``actuatorgravcomp``)
-        is subtracted. Infinite without ``record_forces``.
+        (model.nv,) each [N m, N]. The forces are recorded in the last `FORCE_WINDOW` of the
+        duration, and at the step at which MuJoCo resets the state. The damping of external servos
+        is not included. Gravity compensation by actuators (``actuatorgravcomp``) is subtracted.
+        Without ``record_forces``, the minimum is inf and the maximum -inf.
     """
     model = published.model
     dofs, kp, kd, targets, feedforward = hold.external
@@ -729,8 +749,8 @@ def _measure_command_law(
 def find_self_controlled_joints(published: PublishedModel, robot: Robot) -> tuple[str, ...]:
     """Return the names of joints whose actuator has an internal controller, such as ``pid``.
 
-    Such an actuator follows another law than a servo or motor (`Drive.has_other_law`), and has
-    several controls or a state. No command is computed for such an actuator.
+    Such an actuator is neither a position servo nor a motor (`Drive.has_other_law`), and has
+    several controls or a state. No command can be computed for such an actuator.
     """
     model, names = published.model, []
     for name, drive in zip(robot.joint_names, published.drives, strict=True):
@@ -744,9 +764,10 @@ def find_self_controlled_joints(published: PublishedModel, robot: Robot) -> tupl
 
 
 def list_unmatched_joints(published: PublishedModel, robot: Robot) -> list[int]:
-    """Return the ids of hinges, slides and ball joints of a model that the robot's model lacks.
+    """Return the ids of the joints of a published model that the prepared robot's model lacks.
 
-    The preparation holds these joints at zero. Joints of the base body are excluded.
+    The preparation holds these joints at zero. Free joints, and joints of the base body, are
+    excluded. Joints are matched by name.
     """
     model = published.model
     return [
@@ -759,5 +780,8 @@ def list_unmatched_joints(published: PublishedModel, robot: Robot) -> list[int]:
 
 
 def list_uncommanded_actuators(model: mujoco.MjModel) -> list[int]:
-    """Return the ids of the actuators that do not act on a single hinge or slide."""
+    """Return the ids of the actuators that do not act on a single hinge or slide.
+
+    Examples are actuators at a tendon or a site.
+    """
     return [actuator for actuator in range(model.nactuator) if not is_at_one_joint(model, actuator)]

@@ -1,9 +1,10 @@
 """Compare the published file with the prediction, from the computed stand, and name causes.
 
-The published model is placed in the predicted state of rest and simulated with the predicted
-commands. Then torques, height and joint positions are compared. Results are computed when a verdict
-is first requested, like the run from the keyframe (``own_run``). The cause of a difference is an
-element of the file: if it is switched off in a copy of the model, the difference disappears.
+The published model (the user's file as compiled) is placed in the predicted state of rest, and is
+simulated with the predicted commands. Then torques, height and joint positions are compared.
+Results are computed when a verdict is first requested, like the run from the keyframe
+(``own_run``). The cause of a deviation is an element of the file: if it is switched off in a copy
+of the model, the deviation disappears.
 """
 
 from __future__ import annotations
@@ -76,15 +77,17 @@ from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.statics.equilibrium import gravity_compensation
 
 SETTLING_TIME = 1.0
-"""Simulated time before the nudge [s]. Chosen: servos with natural frequencies of some hertz are
-then at rest."""
+"""Simulated time [s] between the start in the predicted state and the nudge (a small velocity).
+Chosen: servos with natural frequencies of some hertz are then at rest."""
 
 NUDGED_TIME = 4.0
-"""Simulated time after the nudge [s], after which the torques are compared. Chosen, not tuned."""
+"""Simulated time [s] between the nudge and the comparison with the prediction. Chosen, not tuned.
+"""
 
 _MAX_NUDGED_TIME = 40.0
-"""Upper bound of the simulated time after the nudge (a small velocity) [s]. The simulation lasts
-longer than `NUDGED_TIME` only while the torques approach the prediction. Chosen, not tuned."""
+"""Upper bound of the simulated time after the nudge [s]. The simulation lasts longer than
+`NUDGED_TIME` only while the torques deviate from, and approach, the prediction. Chosen, not tuned.
+"""
 
 _APPROACH_INTERVAL = 2.0
 """Simulated time between two evaluations of the torque deviation from the prediction [s]. Two
@@ -92,33 +95,29 @@ successive deviations show whether the torques still approach the prediction
 (`_MAX_APPROACH_RATIO`). Chosen as a divisor of `NUDGED_TIME`."""
 
 _MAX_APPROACH_RATIO = 0.9
-"""Upper bound of the torque deviation, divided by the deviation `_APPROACH_INTERVAL` earlier [1].
-Below the bound, the torques approach the prediction, and the simulation continues. Measured after
-the nudge of a robot with six feet, elliptic cones and an ``impratio`` of 100: tangential forces
-relax with a time constant of 6.8 s, which is a ratio of 0.75.
-"""
+"""Upper bound of the ratio of two successive torque deviations, `_APPROACH_INTERVAL` apart [1]. If
+the ratio is smaller, the torques approach the prediction, and the simulation continues. Measured
+after the nudge of a robot with six feet, elliptic cones and an ``impratio`` of 100: tangential
+forces relax with a time constant of 6.8 s, which is a ratio of 0.75."""
 
 _MIN_LASTING_RATIO = 5.0
-"""Lower bound of the torque deviation from the prediction, divided by `TORQUE_RTOL` [1]. Above the
-bound, the simulation of a changed model may end early (`_is_lasting`). Chosen, not tuned: to agree
-with the prediction, the deviation would still have to fall by a factor of five.
-"""
+"""Lower bound of the torque deviation, divided by `TORQUE_RTOL` [1], with which the simulation of a
+changed model may end early (`_is_lasting`). Chosen, not tuned: to agree with the prediction, the
+deviation would still have to fall by a factor of five."""
 
 TORQUE_RTOL = 0.01
-"""Upper bound of the deviation of the joint torques from the prediction, divided by
-``torque_scale`` [1]. Up to the bound, the published file agrees with the prediction. Chosen as for
-a verified stand (``FORCE_TOLERANCE``).
-"""
+"""Upper bound of the torque deviation from the prediction, divided by ``torque_scale`` [1], with
+which the published file agrees with the prediction. Chosen as for a verified stand
+(``FORCE_TOLERANCE``)."""
 
 MAX_REMAINING_SINKAGE = 1e-3
-"""Upper bound of the height error of the CoM of a repaired model [m]. Up to the bound, a changed
-model counts as repaired if its torques agree with the prediction. Chosen, not tuned.
-"""
+"""Upper bound of the height error of the CoM [m] in a test of a cause. The test simulates a model
+with elements switched off. If the torques agree with the prediction, a height error up to this
+bound is accepted: the switched-off elements are the cause. Chosen, not tuned."""
 
 HEIGHT_RTOL = 1e-3
-"""Upper bound of the height error of the CoM, divided by the CoM height [1]; 0.13 mm for Pupper v3.
-Up to the bound, the file agrees with the prediction. Chosen, not tuned.
-"""
+"""Upper bound of the height error of the CoM, divided by the CoM height [1], with which the
+published file agrees with the prediction; 0.13 mm for Pupper v3. Chosen, not tuned."""
 
 
 def compare_as_published(
@@ -130,10 +129,14 @@ def compare_as_published(
 ) -> Published | None:
     """Compare a simulation of the unmodified model file with the prediction for a stand.
 
-    If the robot was changed after loading, has welds or grips, or stands on ground that is not
-    level, the nominal stand of the robot as loaded is compared instead of ``stand``. A posture
-    (fixed base, no stance feet) is always compared with the robot as loaded. If the caller passed
-    gains, the model of the file gets the same gains.
+    Sometimes another stand than ``stand`` is compared:
+
+    * If the robot was changed after loading, has welds or grips, or stands on ground that is not
+      level: the nominal stand (default `StandTask`) of the robot as loaded.
+    * If the base is fixed and no foot carries load: the same joint positions of the robot as
+      loaded.
+
+    If the caller passed gains, the model of the file gets the same gains.
 
     Args:
         robot: Prepared robot.
@@ -143,8 +146,8 @@ def compare_as_published(
         kd: Requested servo damping [N m s/rad], scalar or (nu,); None: value of the model.
 
     Returns:
-        Comparison. None, for example, if the robot has no file, if its file is simulated without
-        changes, or if nothing is predicted for the stand.
+        Comparison. None, for example, if the robot has no file, if the prepared robot is the
+        unchanged file, or if nothing can be predicted for the stand.
     """
     if robot.published is None or robot.published.is_unchanged:
         return None
@@ -175,13 +178,19 @@ def _is_nominal_stand(robot: Robot, stand: Stand) -> bool:
 
 
 RequestedGains = tuple[ArrayLike | None, ArrayLike | None]
-"""Servo stiffness kp [N m/rad] and damping kd [N m s/rad] that the caller passed."""
+"""Servo gains that the caller passed, scalar or (nu,): stiffness kp [N m/rad] and damping kd [N m
+s/rad]. None: value of the model."""
 
 
 def compare_nominal_stand(robot: Robot) -> Published | None:
     """Compare the published file with the prediction for the nominal stand (default `StandTask`).
 
-    None, for example, if the robot has no nominal stand, or nothing is predicted for this stand.
+    Args:
+        robot: Prepared robot.
+
+    Returns:
+        Comparison. None, for example, if the robot has no nominal stand, or if nothing can be
+        predicted for this stand.
     """
     return _compare_nominal(robot, None)
 
@@ -230,7 +239,7 @@ def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Pub
 
 
 def add_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
-    """Add line numbers in the MJCF of a robot to causes; unchanged without an MJCF."""
+    """Add line numbers in the MJCF of a robot to causes; without an MJCF, change nothing."""
     file = None if robot.published is None else robot.published.file
     return tuple(cause if file is None else add_line(cause, file) for cause in causes)
 
@@ -238,16 +247,17 @@ def add_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
 def compare_with_file(
     published: PublishedModel, robot: Robot, predictions: Sequence[PredictedRest]
 ) -> Published:
-    """Simulate the unmodified file from predicted equilibria, and list causes of deviations.
+    """Simulate the unmodified file from predicted equilibria, and list the causes of deviations.
 
-    The model is not simulated if an actuator has a built-in controller, or if a free base has no
-    level ground; this is then the listed cause. If no cause is found, and the prepared robot moves
-    alike, the deviation does not count (`_moves_alike`).
+    The file is not simulated in two cases, and the reason is then listed as the cause: an actuator
+    has a built-in controller, or a free base has no level ground. If no cause is found, and the
+    prepared robot deviates from the prediction in the same way, the deviation does not count
+    (`_moves_alike`).
 
     Args:
-        published: Model of the file.
+        published: Published model: the user's file as compiled.
         robot: Prepared robot.
-        predictions: Predicted equilibria, from each of which the model is simulated.
+        predictions: Predicted equilibria; the file is simulated from each equilibrium.
     """
     if controlled := find_self_controlled_joints(published, robot):
         return Published((), (Cause("other-drive", controlled),), differs=True)
@@ -275,7 +285,7 @@ def compare_with_file(
 
 
 def _simulate_prepared_robot(robot: Robot, prediction: PredictedRest) -> PublishedRun | None:
-    """Simulate the model of the prepared robot from a predicted state of rest, and compare both.
+    """Simulate the prepared robot's model from a predicted state of rest, and compare both.
 
     The prepared robot has the additions of this package. None if the base cannot be placed, or if
     MuJoCo stops with a fatal error.
@@ -368,13 +378,14 @@ def _find_loading_causes(
 
 @dataclass(frozen=True, eq=False)
 class PredictedRest:
-    """Predicted state of rest of a stand.
+    """Predicted state of rest of a stand, with which a simulation is compared.
 
     Attributes:
-        feedforward: True with feed-forward torques, False with position commands alone.
+        feedforward: True if the commands include feed-forward torques; False for position commands
+            alone.
         qpos: Configuration, shape (nq,), with the feet in the soft ground; with a fixed base, the
             joint positions, shape (nu,).
-        torques: Joint torques, shape (nu,) [N m].
+        torques: Joint torques, shape (nu,) [N m, N].
         targets: Commanded positions, shape (nu,) [rad, m].
     """
 
@@ -387,13 +398,22 @@ class PredictedRest:
 def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
     """Predict the state of rest of a stand, with feed-forward and with position commands alone.
 
+    The stand is solved on soft ground. If this stand is out of reach, or does not converge because
+    of closed loops, the stand on rigid ground is used.
+
+    Args:
+        robot: Prepared robot.
+        stand: Stand.
+
     Returns:
-        Predictions: with feed-forward, then without. For a fixed base, only with feed-forward. The
-        stand is solved on soft ground. If this stand is out of reach, or does not converge because
-        of closed loops, the stand on rigid ground is used. Empty if there is no stand or no
-        balance. The prediction without feed-forward is omitted if a joint of the prepared robot has
-        no position servo, if a servo of the file was replaced, if the file drives a joint through a
-        tendon, or if no steady state without failures is found.
+        Two predictions: with feed-forward, then with position commands alone. Empty if the stand on
+            a free base cannot be solved, or is not in equilibrium. The second prediction is omitted
+            in the following cases:
+
+        * The base is fixed.
+        * A joint of the prepared robot has no position servo.
+        * A servo of the file was replaced, or the file drives a joint only through a tendon.
+        * No steady state without failures is found.
     """
     if not robot.floating:
         joints = stand.qpos[-robot.nu :]
@@ -427,21 +447,22 @@ def simulate_prediction(
 ) -> PublishedRun | None:
     """Simulate the published model from the predicted state of rest, and compare both.
 
-    The model settles for `SETTLING_TIME`, is nudged, and is then simulated for `NUDGED_TIME`. The
-    simulation continues, up to `_MAX_NUDGED_TIME`, while the torques deviate but approach the
-    prediction. CoM height [m] and joint positions [rad, m] are compared at the end, and torques [N
-    m] over the last second.
+    The model settles for `SETTLING_TIME`, is nudged (gets a small velocity), and is then simulated
+    for `NUDGED_TIME`. The simulation continues, up to `_MAX_NUDGED_TIME`, while the torques deviate
+    but approach the prediction. CoM height [m] and joint positions [rad, m] are compared at the
+    end; joint torques [N m, N] over the last second.
 
     Args:
-        published: Published model.
+        published: Published model: the user's file as compiled.
         robot: Prepared robot.
         prediction: Predicted state of rest.
-        until_decided: Whether the simulation may end `_APPROACH_INTERVAL` after the nudge. It does
-            if the deviation of the torques is large and does not fall (`_is_lasting`), the base is
-            free, and the actuators have no activations. The result is that at this time.
+        until_decided: Whether the simulation may end `_APPROACH_INTERVAL` after the nudge. The
+            simulation ends then if the torque deviation is large and does not fall (`_is_lasting`),
+            the base is free, and the actuators have no activations. The result is the comparison at
+            this time.
 
     Returns:
-        Comparison; None if the base cannot be placed, for example because it is fixed, or if
+        Comparison; None if the base cannot be placed, for example if the base is fixed, or if
         MuJoCo stops with a fatal error.
     """
     model = published.model
@@ -594,9 +615,12 @@ def _worst_joint(robot: Robot, moved: Array, torque_error: Array, *, collapses: 
 def explain_own_run(robot: Robot) -> OwnRun | None:
     """Simulate a robot's unmodified file from its keyframe, and name the causes of a failure.
 
-    The result is cached per loaded robot. None in the cases in which `own_run` returns None, for
-    example for a fixed base. No causes are searched for a file with a servo whose stiffness is zero
-    or negative.
+    The result is cached per loaded robot. Causes are elements of the file (`prepare.causes`).
+    Causes are not searched if a servo of the file has a stiffness of zero or below.
+
+    Returns:
+        Simulation with causes. None in the cases in which `own_run` returns None, for example for a
+        fixed base.
     """
     return get_loaded_robot(robot).compute_once(_own_run_explained)
 
@@ -618,11 +642,20 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
 
 
 def list_command_causes(run: OwnRun, published: PublishedModel) -> tuple[Cause, ...]:
-    """Return the cause of a failed run if the keyframe's ctrl is the cause; otherwise ().
+    """Return the cause of a failed run from a keyframe, if the keyframe's ctrl is the cause.
 
-    The ctrl is the cause in two cases. The keyframe has no ctrl, and the robot does not fall if the
-    joint angles of the keyframe are commanded. Or the keyframe has a ctrl, and most joints have no
-    position servo.
+    The ctrl is the cause in two cases:
+
+    * The keyframe has no ctrl, and the robot does not fall if the joint positions of the keyframe
+      are commanded.
+    * The keyframe has a ctrl, and most joints have no position servo.
+
+    Args:
+        run: Simulation of the unmodified file.
+        published: Model of this file.
+
+    Returns:
+        A single cause, or an empty tuple.
     """
     if run.commands is OwnCommands.ABSENT and run.held is not None and not run.held.falls:
         return (Cause("ctrl-absent", (run.keyframe,)),)
@@ -636,16 +669,19 @@ def name_remaining_cause(
 ) -> tuple[OwnRun | None, Published | None]:
     """Add the most probable cause to a failed simulation for which no other cause was found.
 
-    If the file has ball joints, which the prepared robot holds at rest, they are the cause.
-    Otherwise, if the run from the keyframe fails, there are two possible causes. If the robot
-    stands with stiffer servos, the cause is the stiffness. If not, the cause is that of
-    `_deviating_joint`: a joint, or the divergence. If only the comparison with the prediction
-    fails, the cause is the joint that deviates most.
+    The first possible cause that applies is added:
+
+    1. Ball joints of the file, which the prepared robot holds at rest.
+    2. If the run from the keyframe fails, and the robot stands with stiffer servos: the stiffness
+       of the servos.
+    3. If the run from the keyframe fails: a joint that is not held, the joint that deviates most,
+       or the divergence (`_deviating_joint`).
+    4. If only the comparison with the prediction fails: the joint that deviates most.
 
     Args:
         robot: Prepared robot.
-        own: Run of the unmodified file.
-        published: Comparison with the published file.
+        own: Run of the unmodified file from its keyframe; None if there is none.
+        published: Comparison of the published file with the prediction; None if there is none.
 
     Returns:
         ``own`` with a cause if it fails; otherwise ``published`` with a cause if its worst run
@@ -663,9 +699,12 @@ def name_remaining_cause(
 
 
 def list_ball_joints(robot: Robot) -> tuple[Cause, ...]:
-    """Return the ball joints that the robot lacks and its published MJCF has, as causes.
+    """Return the ball joints of the published MJCF as causes of a deviation.
 
-    Empty without such joints, or without a published model.
+    The prepared robot lacks ball joints: the joints are held at rest.
+
+    Returns:
+        Causes. Empty without ball joints, or without a published model.
     """
     loaded = get_loaded_robot(robot)
     model = loaded.compute_once(get_published_model)
@@ -759,17 +798,20 @@ def find_difference_causes(
 ) -> tuple[Cause, ...]:
     """Find elements of a published MJCF that cause the deviation from the predicted stand.
 
-    A group of candidate elements is disabled in a copy of the model. If the simulation then agrees
-    with the prediction, each element of the group is enabled again alone. The element is a cause if
-    the agreement is then lost. A CoM height error of up to `MAX_REMAINING_SINKAGE` counts as
-    agreement. The result is empty if no group restores the agreement, and for a file with a servo
-    whose stiffness is zero or negative.
+    A group of candidate elements is switched off in a copy of the model. If the simulation then
+    agrees with the prediction, each element of the group is switched on again alone. The element is
+    a cause if the agreement is then lost. A CoM height error of up to `MAX_REMAINING_SINKAGE`
+    counts as agreement.
 
     Args:
-        published: Published model.
-        robot: Robot that was loaded from the file.
-        prediction: Predicted rest position.
-        run: Simulation of the published model.
+        published: Published model: the user's file as compiled.
+        robot: Robot that was prepared from the file.
+        prediction: Predicted state of rest.
+        run: Simulation of the published model, which deviates.
+
+    Returns:
+        Causes. Empty if no group restores the agreement, or if a servo of the file has a stiffness
+        of zero or below.
     """
 
     def test_model(model: mujoco.MjModel) -> float | None:

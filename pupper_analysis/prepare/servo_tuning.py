@@ -6,10 +6,10 @@ the joint, must remain well below 2.
 
 The requirement depends on the base:
 
-* Standing robot (`ServoRequirement.of_stand`): all joints hold one posture against one load, and
-  the feet press against each other. Each hinge is as stiff as the most loaded joint, each slide as
-  stiff as a hinge with the lever of a leg, and damping is proportional to stiffness: then the
-  damping ratio of a mode is proportional to its frequency.
+* Standing robot (`ServoRequirement.of_stand`): all joints hold a single posture against a single
+  load, and the feet press against each other. Each hinge is as stiff as the most loaded joint. Each
+  slide is as stiff as a hinge with the lever of a leg. Damping is proportional to stiffness: then
+  the damping ratio of a mode is proportional to its frequency.
 * Robot with a fixed base, such as an arm (`ServoRequirement.of_fixed_base`): any posture may be
   commanded, and each joint moves alone. Each joint is stiff enough for the worst of random
   postures, as far as the time step permits, and critically damped.
@@ -31,24 +31,22 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 
 GainArrays = tuple[Array, Array]
-"""Servo stiffness kp [N m/rad, N/m] and damping kd [N m s/rad, N s/m], with a value per joint."""
+"""Servo gains: stiffness kp [N m/rad, N/m] and damping kd [N m s/rad, N s/m], an array each, with a
+value per joint."""
 
 DEFAULT_SAG = 0.02
-"""Default deflection of a joint of an arm under gravity [rad; m for a slide]. The suggested
-stiffness is derived from it. Chosen, not tuned.
-"""
+"""Default deflection of a joint of an arm under gravity [rad; m for a slide]. The suggested servo
+stiffness is the gravity torque divided by this deflection. Chosen, not tuned."""
 
 _MAX_STANDING_FREQUENCY = 1.5
-"""Upper bound of h sqrt(kp / I) for each joint of a standing robot [rad per time step]. It limits
-the stiffness kp; h is the time step, and I the inertia at the joint. Chosen below 2, at which
-MuJoCo's integration, explicit in the position, diverges.
-"""
+"""Upper bound of h sqrt(kp / I) for each joint of a standing robot [rad per time step]. The bound
+limits the stiffness kp; h is the time step, and I the inertia at the joint. Chosen below 2, at
+which MuJoCo's integration, explicit in the position, diverges."""
 
 _MAX_FIXED_BASE_FREQUENCY = 0.5
-"""Upper bound of h sqrt(kp / I) for each joint of a robot with a fixed base [rad per time step]. It
-limits the stiffness kp; h is the time step, and I the inertia at the joint. Chosen as a quarter of
-the stability limit 2, because the poses in which the robot will be used are unknown.
-"""
+"""Upper bound of h sqrt(kp / I) for each joint of a robot with a fixed base [rad per time step].
+The bound limits the stiffness kp; h is the time step, and I the inertia at the joint. Chosen as a
+quarter of the stability limit 2, because the poses in which the robot will be used are unknown."""
 
 _MIN_LEVER_FRACTION = 0.02
 """Lower bound of the design torque of added servos [N m]: weight * base height * this fraction. The
@@ -79,27 +77,29 @@ _NUM_POSES = 64
 design of its servos are computed. Chosen, not tuned."""
 
 TIMESTEP_DIVISORS = (1, 2, 4, 8)
-"""Divisors of the model's time step that are tried for added servos, in this order. Measured: a
-light foot without armature oscillates between a stiff servo and the ground at 2 ms. With an inertia
-of 3e-4 kg m^2 about the ankle (G1) the foot is at rest at 0.5 ms; with 2e-4 kg m^2 (the biped
-HECTOR) at 0.25 ms."""
+"""Divisors of the model's time step [1]. If a robot with added servos does not come to rest, the
+time step is divided by the next number. Measured: a light foot without armature oscillates between
+a stiff servo and the ground at 2 ms. With an inertia of 3e-4 kg m^2 about the ankle (G1) the foot
+is at rest at 0.5 ms; with 2e-4 kg m^2 (the biped HECTOR) at 0.25 ms."""
 
 
 @dataclass(frozen=True, eq=False)
 class ServoRequirement:
-    """Requirements on the servos of n joints; each array has the shape (n,).
+    """Torques, inertias and stiffness bounds from which the servo gains of n joints are derived.
+
+    Each array has the shape (n,). The first unit is that of a hinge, the second that of a slide.
 
     Attributes:
-        torques: Design torque for the stiffness [N m, N for slides]; for the slides of a standing
-            robot, the torque of a hinge divided by the square of a lever [N/m].
-        own_torques: Torque that the joint itself holds [N m, N]. For this torque the stiffness may
-            exceed ``soft_limit``, but not ``max_stiffness``.
+        torques: Design torque that may deflect the joint by the permitted deflection [N m, N]. For
+            a slide of a standing robot, the design torque of a hinge divided by the square of a
+            lever [N/m].
+        own_torques: Torque that the joint itself must hold [N m, N]. To hold this torque, the
+            stiffness may exceed ``soft_limit``, but not ``max_stiffness``.
         inertia: Inertia at the joint with all other joints free, in closed loops as far as the
             loops permit [kg m^2, kg].
-        min_stiffness: Minimum stiffness [N m/rad, N/m].
-        soft_limit: Stiffness [N m/rad, N/m] that only ``own_torques`` and ``min_stiffness``
-            exceed.
-        max_stiffness: Maximum stiffness [N m/rad, N/m].
+        min_stiffness: Lower bound of the stiffness [N m/rad, N/m].
+        soft_limit: Upper bound of the stiffness that ``torques`` require [N m/rad, N/m].
+        max_stiffness: Upper bound of the stiffness in all cases [N m/rad, N/m].
     """
 
     torques: Array
@@ -110,10 +110,13 @@ class ServoRequirement:
     max_stiffness: Array
 
     def stiffness(self, sag: float) -> Array:
-        """Return the stiffness of n servos for a permitted deflection ``sag`` [rad, m].
+        """Compute the stiffness kp of n servos for a permitted deflection.
 
-        The design torques deflect the joints by ``sag`` or less, unless `soft_limit` or
-        `max_stiffness` requires a lower stiffness.
+        kp = min(max_stiffness, max(min_stiffness, own_torques / sag, min(torques / sag,
+        soft_limit))), with the attributes of this class.
+
+        Args:
+            sag: Permitted deflection of a joint under the design torque [rad, m].
 
         Returns:
             Stiffness, shape (n,) [N m/rad, N/m].
@@ -126,6 +129,10 @@ class ServoRequirement:
         cls, robot: Robot, qpos: Array, torques: Array, *, parts: int = 1
     ) -> ServoRequirement:
         """Compute the requirements on the servos of a standing robot: torques, inertia, bounds.
+
+        All hinges have the same design torque: the largest static torque, but at least
+        `_MIN_LEVER_FRACTION` times weight times base height. ``max_stiffness`` follows from the
+        time step and the inertia.
 
         Args:
             robot: Robot.
@@ -170,12 +177,14 @@ class ServoRequirement:
         """Compute the requirements on the servos of a robot with a fixed base, such as an arm.
 
         The design torque of a joint is the largest gravity torque in random poses, but at least
-        `_MIN_TORQUE_FRACTION` times the torque of the most loaded joint. The minimum stiffness is
-        derived from the largest inertia about the joint in these poses, with the other joints
-        locked.
+        `_MIN_TORQUE_FRACTION` times the torque of the most loaded joint. The lower bound of the
+        stiffness gives the joint a natural frequency of `_MIN_FREQUENCY`. The bound uses the
+        largest inertia in the random poses, with the other joints locked. The upper bound follows
+        from the time step.
 
         Args:
-            model: Model with a fixed base, or with a free base that is held.
+            model: Model with a fixed base, or with a free base that is held. All other joints must
+                be hinges or slides.
         """
         data, random = mujoco.MjData(model), np.random.default_rng(0)
         hinges = np.flatnonzero(model.jnt_type != JointKind.FREE)
@@ -207,15 +216,15 @@ class ServoRequirement:
 def suggest_standing_gains(
     robot: Robot, stand: Stand, torques: Array, sag: float, parts: int = 1, damping: float = 1.0
 ) -> GainArrays:
-    """Compute servo gains for a standing robot, rounded down to two digits.
+    """Compute the gains with which position servos hold a stand; round them down to two digits.
 
     Args:
         robot: Robot.
-        stand: Stand.
-        torques: Static torques, shape (nu,) [N m, N].
-        sag: Deflection of the most loaded joint [rad, m].
+        stand: Stand that the servos hold.
+        torques: Static torques of the stand, shape (nu,) [N m, N].
+        sag: Permitted deflection of the most loaded joint [rad, m].
         parts: Divisor of the model's time step; the gains are those for this shorter step.
-        damping: Factor of the default damping, kd = 0.05 s * kp.
+        damping: Factor [1] of the default damping, kd = 0.05 s * kp.
 
     Returns:
         kp, shape (nu,) [N m/rad, N/m]; kd, shape (nu,) [N m s/rad, N s/m].
@@ -226,18 +235,18 @@ def suggest_standing_gains(
 
 
 def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) -> GainArrays:
-    """Compute servo gains for a fixed base, with critical damping kd = 2 sqrt(kp I).
+    """Compute servo gains for a robot with a fixed base, such as an arm, with critical damping.
 
-    I is the smallest inertia at the joint in random poses, with the other joints free. The gains
-    are rounded to three digits.
+    kd = 2 sqrt(kp I), with the smallest inertia I at the joint in random poses, the other joints
+    free. The gains are rounded to three digits.
 
     Args:
         model: Model with a fixed base, or with a free base that is held.
-        sag: Deflection of a joint under gravity [rad, m].
+        sag: Permitted deflection of a joint under gravity [rad, m].
 
     Returns:
         kp [N m/rad, N/m] and kd [N m s/rad, N s/m], each with a value per joint that is not free,
-        in the order of the model.
+        in the order of the model's joints.
     """
     required = ServoRequirement.of_fixed_base(model)
     kp = required.stiffness(sag)
@@ -248,16 +257,17 @@ def suggest_fixed_base_gains(model: mujoco.MjModel, sag: float = DEFAULT_SAG) ->
 
 
 def compute_joint_inertia(robot: Robot, qpos: Array) -> Array:
-    """Compute the effective inertia at each joint: its torque divided by its acceleration.
+    """Compute the effective inertia at each joint: joint torque divided by joint acceleration.
 
-    All other joints and a free base move without torque; loops stay closed.
+    All other joints and a free base move without torque; loops stay closed. The inertia is infinite
+    if closed loops lock the joint.
 
     Args:
         robot: Robot.
         qpos: Configuration, shape (nq,).
 
     Returns:
-        Shape (nu,) [kg m^2, kg].
+        Inertia, shape (nu,) [kg m^2 for a hinge, kg for a slide].
     """
     mass, first = Configuration(robot, qpos).mass_matrix(), robot.nv - robot.nu
     if robot.closure is None:

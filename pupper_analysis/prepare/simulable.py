@@ -2,7 +2,7 @@
 
 Inputs are the compiled models of a robot. Options, rotor inertias, lengths, gears and masses that
 make a simulation meaningless are errors with file and line. If the residual of MuJoCo's constraint
-solver for a pushed base is too large, dense matrices are used, if they reduce the residual enough.
+solver for a pushed base is too large, dense matrices are used, if this reduces the residual enough.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
 _MAX_SOLVER_TOLERANCE = 1e-2
-"""Upper bound of MuJoCo's solver option ``tolerance`` (dimensionless); above, `check_simulable`
-raises an error. Chosen, not tuned: with a tolerance of 1e9, the solver ends at once, and a robot
-does not fall."""
+"""Upper bound of MuJoCo's solver option ``tolerance`` [1]. `check_simulable` raises an error for a
+larger value. Chosen, not tuned: with a tolerance of 1e9, the solver ends at once, and a robot does
+not fall."""
 
 _GEAR_RANGE = 1e-6, 1e6
 """Lower and upper bound of the absolute gear ratio of an actuator at a joint [1, or rad/m at a
@@ -50,10 +50,13 @@ this distance the square of a micrometre is lost in a double."""
 
 
 def check_simulable(mjcf: MjcfFile) -> None:
-    """Raise an error if an option, inertia of a rotor, length or gear of an MJCF is out of range.
+    """Raise an error if a value of an MJCF is so extreme that a simulation has no meaning.
+
+    Checked are the time step, ``impratio``, solver iterations and tolerance, rotor inertias,
+    positions of bodies and joints, contact margins, and gears.
 
     Raises:
-        ModelError: If a value is out of range; the error has file, line and value.
+        ModelError: If a value is out of range; the error contains file, line and value.
     """
     for kind, field, stated, (least, most) in _list_bounded_values(mjcf.model):
         numbers = np.atleast_2d(np.asarray(stated, dtype=float).T).T
@@ -113,13 +116,13 @@ def _name_element_or_joint(model: mujoco.MjModel, kind: str, row: int) -> str:
 
 
 def _find_place(mjcf: MjcfFile, kind: str, field: str, row: int) -> Place:
-    """Return the file and line of an element of the model, or of an option of MuJoCo.
+    """Return the file and line of an element of the model, or of a MuJoCo option.
 
     Args:
         mjcf: MJCF.
         kind: Kind of the element, for example ``actuator``; or ``option``.
-        field: Name of the option.
-        row: Id of the element in the compiled model.
+        field: Name of the option; used only for options.
+        row: Id of the element in the compiled model; not used for options.
     """
     if kind == "option":
         stated = (place for words, place in mjcf.elements("option") if field in words)
@@ -133,9 +136,12 @@ def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> M
     """Convert MuJoCo's error about a moving body without mass to an error with file and line.
 
     Args:
-        error: The error; returned unchanged if caused by another problem.
-        urdf: The URDF.
-        mjcf: The MJCF; the URDF is named only if the MJCF was made from the URDF.
+        error: Error of a compilation.
+        urdf: URDF.
+        mjcf: MJCF. If the MJCF was converted from the URDF, the new error names the URDF.
+
+    Returns:
+        The new error; ``error`` itself if the cause is another problem.
     """
     message = str(error.cause.values.get("message", ""))
     found = re.search(r"larger than mjMINVAL.*Element name '([^']+)'", message)
@@ -151,10 +157,17 @@ def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> M
 
 
 def check_masses(robot: Robot, urdf: UrdfFile) -> None:
-    """Raise an error if a joint moves no mass in the URDF, and has no rotor inertia.
+    """Raise an error if a joint moves no mass: the acceleration would be undefined.
+
+    The inertia of a joint is a diagonal element of Pinocchio's mass matrix at the start pose,
+    including rotor inertia.
+
+    Args:
+        robot: Robot.
+        urdf: URDF, for the file and line in the error.
 
     Raises:
-        ModelError: If the inertia at a joint is zero or below: the acceleration is undefined.
+        ModelError: If the inertia at a joint is zero or negative.
     """
     inertias = np.diag(Configuration(robot, robot.home).mass_matrix())[robot.nv - robot.nu :]
     for name, inertia in zip(robot.joint_names, inertias.tolist(), strict=True):
@@ -165,10 +178,9 @@ def check_masses(robot: Robot, urdf: UrdfFile) -> None:
 
 
 MAX_SOLVER_RESIDUAL = 0.01
-"""Upper bound of the residual of the equations of motion, divided by the robot's weight [1]. Above
-the bound, MuJoCo's solver is inaccurate. Chosen below the tolerances of comparisons with
-simulations.
-"""
+"""Upper bound of the residual of the equations of motion, divided by the robot's weight [1]. If the
+residual is larger, MuJoCo's solver counts as inaccurate (`find_solver_error`). Chosen below the
+tolerances of comparisons with simulations."""
 
 _PUSH_FRACTION = 0.1
 """Force on the robot in the test of the solver's accuracy, relative to the robot's weight. Without
@@ -181,18 +193,20 @@ warm-started, as in consecutive simulation steps. Chosen, not tuned."""
 
 
 def compute_solver_residual(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
-    """Compute the error of MuJoCo's solver: the residual of M qacc = f of a pushed free base.
+    """Compute the error of MuJoCo's constraint solver for a robot whose free base is pushed.
 
-    The push is a force of `_PUSH_FRACTION` of the robot's weight along each axis. If the model has
-    no gravity, the weight is that on Earth.
+    The error is the residual of M qacc = f in the three translational equations of the base. The
+    push has `_PUSH_FRACTION` of the robot's weight along each axis. A push is needed because
+    otherwise an inaccurate solver is not detected. If the model has no gravity, the weight is that
+    on Earth.
 
     Args:
         model: Model.
-        data: State; accelerations of the pushed robot are computed in place.
+        data: State; the accelerations of the pushed robot are computed in place.
         base: Id of the body with the free joint.
 
     Returns:
-        Largest of the residuals of the three base forces, divided by the robot's weight.
+        Largest of the three residuals, divided by the robot's weight [1].
     """
     gravity = float(np.linalg.norm(model.opt.gravity)) or EARTH_GRAVITY
     weight = float(model.body_subtreemass[base]) * gravity
@@ -213,9 +227,14 @@ Chosen, not tuned."""
 
 
 def find_solver_error(robot: Robot) -> float | None:
-    """Return the solver residual of a robot [robot weights] if too large; else None.
+    """Return the residual of MuJoCo's constraint solver for a robot, if the residual is too large.
 
-    The bound is `MAX_SOLVER_RESIDUAL`.
+    The residual is that of `compute_solver_residual` at the start pose, with the feet
+    `_TEST_PENETRATION` in the ground.
+
+    Returns:
+        Residual, divided by the robot's weight [1]; None if the residual is at most
+        `MAX_SOLVER_RESIDUAL`.
     """
     model, base = robot.mj_model, robot.mj_model.body(robot.mj_base).id
     data = mujoco.MjData(model)
@@ -227,14 +246,16 @@ def find_solver_error(robot: Robot) -> float | None:
 
 
 def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
-    """Set dense matrices for MuJoCo's solver if it is inaccurate with sparse matrices.
+    """Set dense matrices for MuJoCo's solver if the solver is inaccurate with sparse matrices.
+
+    Dense matrices are set only if the solver is accurate with dense matrices (`find_solver_error`).
 
     Args:
         robot: Robot with a free base.
 
     Returns:
-        Robot, and notes. Dense matrices are set only if the solver is accurate with them. There is
-        a note if they are set, or if the solver remains inaccurate.
+        Robot, and a list with a note if dense matrices are set or if the solver remains inaccurate.
+        The list is empty if the solver of the robot is accurate.
     """
     residual = find_solver_error(robot)
     if residual is None:

@@ -1,10 +1,13 @@
 """Find the start pose of a robot: a keyframe of the MJCF, or a stand that is searched.
 
-Input is a robot with feet; output is a robot with a start pose, which defines the nominal stand and
-the keyframe of the prepared model. A keyframe is used if its feet are level, its joints are within
-their limits, and the nominal stand exists. Otherwise a keyframe is used from which the unmodified
-file stands. If there is none, a stand in the middle of the reachable heights is searched
-(`find_start_pose`).
+Input is a robot with feet; output is a robot with a start pose. The start pose defines the nominal
+stand (the solution of the default `StandTask`) and the keyframe of the prepared model.
+`find_start_pose` tries three sources, in this order:
+
+1. A keyframe whose feet are level, whose joints are within the limits, and with which the nominal
+   stand exists.
+2. A keyframe from which the unmodified file stands in a simulation.
+3. A stand in the middle of the reachable base heights.
 """
 
 from __future__ import annotations
@@ -48,25 +51,26 @@ from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 
 _LEVEL_COSINE_ATOL = 1e-6
-"""Upper bound of 1 - cos(a) with which a base counts as level in `compute_resting_depths`: a is the
-angle between the vertical and the nearest axis of the base, at most 1.4 mrad. Chosen, not tuned."""
+"""Upper bound of 1 - cos(a) [1] with which a base counts as level in `compute_resting_depths`. a is
+the angle between the vertical and the nearest axis of the base; the bound is 1.4 mrad. Chosen, not
+tuned."""
 
 _WEIGHT_RTOL = 0.01
-"""Upper bound of the difference between ground force and weight, divided by the weight [1]. Up to
-the bound, a keyframe is at rest. If the height of a keyframe was set by hand, the difference is far
-larger. Chosen, not tuned.
-"""
+"""Upper bound of |ground force - weight| / weight [1] with which a keyframe counts as at rest. In a
+keyframe whose height was set by hand, the ratio is far larger. Chosen, not tuned."""
 
 
 def list_keyframes(spec: mujoco.MjSpec, source: Path) -> dict[str, dict[str, float]]:
-    """Return the joint positions of the keyframes of an MJCF: {keyframe: {joint: [rad, m]}}.
-
-    A keyframe without a name is called "keyframe 1" etc. Free joints are excluded. The value of a
-    ball joint is the first element of its quaternion.
+    """Return the joint positions of all keyframes of an MJCF.
 
     Args:
         spec: Spec of the MJCF, in which every joint has a name; not modified.
-        source: File, for errors.
+        source: File of the MJCF, for errors.
+
+    Returns:
+        {keyframe: {joint: position [rad, m]}}. Free joints are omitted. The value of a ball joint
+        is the first element of the quaternion. A keyframe without a name is called "keyframe 1"
+        etc.
 
     Raises:
         ModelError: If MuJoCo refuses the spec.
@@ -89,16 +93,19 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
     """Compute the penetration of the feet in keyframes in which the ground carries the robot.
 
     In such a keyframe the feet penetrate the ground as in a simulation at rest, so the height of
-    the base is meaningful. Other keyframes, from which the robot would fall or be thrown up, are
-    excluded; also keyframes whose ctrl is absent or zero, or in which no axis of the base is
-    vertical.
+    the base is meaningful. A keyframe is used under three conditions:
+
+    * The vertical ground force equals the weight within `_WEIGHT_RTOL`: the robot would neither
+      fall nor be thrown up.
+    * The keyframe contains a ctrl that is not zero.
+    * An axis of the base is vertical.
 
     Args:
         model: Unmodified model of the MJCF.
 
     Returns:
-        {keyframe: largest penetration of a contact with the world [m]}. Empty unless the model
-        has exactly one free joint.
+        {keyframe: largest penetration of a contact with the world [m]}. Empty unless the model has
+        exactly one free joint.
     """
     found, free = {}, list_free_joints(model)
     for key in range(model.nkey) if len(free) == 1 else ():
@@ -127,15 +134,15 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
 def choose_keyframes(
     mjcf: MjcfFile, known: Mapping[str, Mapping[str, float]], wanted: str | None
 ) -> dict[str, Mapping[str, float]]:
-    """Return the candidates for the start pose: the requested keyframe, or all with `home` first.
+    """Select the keyframes to try as start pose: a requested keyframe, or all, `home` first.
 
     Args:
         mjcf: MJCF, for errors.
-        known: {keyframe: {joint: position [rad, m]}}.
-        wanted: Name of the requested keyframe, or None.
+        known: {keyframe: {joint: position [rad, m]}} of all keyframes.
+        wanted: Name of the requested keyframe; None to select all.
 
     Returns:
-        {keyframe: {joint: position [rad, m]}}, in order of priority.
+        {keyframe: {joint: position [rad, m]}}, in the order in which the keyframes are tried.
 
     Raises:
         UnknownNameError: If the MJCF does not have the requested keyframe.
@@ -150,7 +157,7 @@ def choose_keyframes(
 def with_keyframes(
     description: Description, known: Mapping[str, Mapping[str, float]]
 ) -> Description:
-    """Return a copy of a description with keyframes added to its MJCF.
+    """Return a copy of a description with keyframes added to the MJCF.
 
     The keyframes of the file were removed before, when the names of URDF and MJCF were matched.
 
@@ -189,15 +196,13 @@ _NUM_HEIGHTS = 12
 """Number of base heights that are tried between folded and straight legs. Chosen, not tuned."""
 
 _MIN_GROUND_CLEARANCE = 0.01
-"""Lower bound of the height above the ground [m] of all bodies except those of the feet in a
-searched start pose, since feet penetrate the ground. Chosen, not tuned."""
+"""Lower bound of the height above the ground [m] of all bodies except those of the feet, in a
+searched start pose. A clearance is needed since feet penetrate the ground. Chosen, not tuned."""
 
 _EQUAL_MISS_RTOL = 1e-3
-"""Relative tolerance [1] of minimum foot errors. The minima from two initial guesses count as the
-same minimum if they differ by at most this value (`_solve_first_guess`). Chosen between measured
-values, of 238 minima of three random bipeds: equal ones differ by up to 3e-5, others by 8e-3 or
-more.
-"""
+"""Relative tolerance [1] with which the minimum foot errors from two initial guesses count as the
+same minimum (`_solve_first_guess`). Chosen between measured values, of 238 minima of three random
+bipeds: equal minima differ by up to 3e-5, different minima by 8e-3 or more."""
 
 _MAX_RESET_PASSES = 3
 """Number of successive solves of a stand. Before each solve after the first, the joints outside the
@@ -243,7 +248,7 @@ _MIN_HEIGHT_FRACTION, _MAX_HEIGHT_FRACTION = 0.25, 0.98
 
 
 def clip_to_limits(robot: Robot, joints: Mapping[str, float] | None = None) -> Array:
-    """Convert named joint positions to an array, (nu,) [rad, m], clipped to the joint limits.
+    """Convert named joint positions to an array, shape (nu,) [rad, m], clipped to the joint limits.
 
     Args:
         robot: Robot.
@@ -256,9 +261,12 @@ def clip_to_limits(robot: Robot, joints: Mapping[str, float] | None = None) -> A
 def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
     """Return True if a pose may be a stand: joints within limits, feet at about the same height.
 
-    A joint may exceed its limit by `_LIMIT_ATOL`. With the base level, all feet must be below the
-    origin of the base, and their heights may differ by `_MAX_FOOT_HEIGHT_SPREAD` times the height
-    of the base above the lowest foot.
+    Three conditions must hold, with the base level:
+
+    * No joint exceeds its limits by more than `_LIMIT_ATOL`.
+    * All feet are below the origin of the base.
+    * The heights of the feet differ by less than `_MAX_FOOT_HEIGHT_SPREAD` times the height of the
+      base above the lowest foot.
 
     Args:
         robot: Robot with feet.
@@ -279,7 +287,12 @@ def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
 def solve_nominal_stand(robot: Robot) -> Stand | None:
     """Solve the nominal stand of a robot: the stand of the default `StandTask`.
 
-    None if the stand is out of reach or not in equilibrium, or for another error of this package.
+    The default task has a level base at the height of the start pose, and the CoM above the centre
+    of the feet.
+
+    Returns:
+        The stand. None if the stand is out of reach, is not in static equilibrium, or if another
+        error of this package occurs.
     """
     try:
         stand = solve_stand(robot, explain=False)
@@ -292,18 +305,20 @@ def solve_nominal_stand(robot: Robot) -> Stand | None:
 def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
     """Search for a start pose: a stand at the middle of the base heights that the legs can reach.
 
-    Three choices of the horizontal foot positions are tried until a stand is found: the positions
-    in ``poses``; positions near the hips (`_spread_feet`); positions at which the soles of bent
-    legs are level (`_find_level_soles`).
+    Three choices of the horizontal foot positions are tried until a stand is found:
+
+    1. The foot positions in ``poses``.
+    2. Foot positions near the hips (`_spread_feet`).
+    3. Foot positions at which the soles of bent legs are level (`_find_level_soles`).
 
     Args:
         robot: Robot with feet.
         poses: Joint positions of each pose, shape (nu,) [rad, m].
 
     Returns:
-        Copy of the robot with this stand as the nominal stand; None if no stand is found, if
-        gravity does not press the robot onto the ground, or if no joint moves a contact point
-        (wheels): the base then has a single height, which needs no search.
+        Copy of the robot with this stand as the nominal stand. None in three cases: no stand is
+        found; gravity does not press the robot onto the ground; no joint moves a contact point, as
+        with wheels, so that the base has a single height.
     """
     if robot.gravity[2] >= 0:
         return None  # no contact force balances the weight
@@ -557,12 +572,12 @@ def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> l
 
 
 def find_non_foot_contacts(robot: Robot, stand: Stand, sinkage: float) -> set[int]:
-    """Return the ids of the geoms, except foot geoms, that touch the ground in a lowered stand.
+    """Return the ids of the geoms, except foot geoms, that touch the ground if a stand is lowered.
 
     Args:
         robot: Robot.
         stand: Stand.
-        sinkage: Distance by which the base is lowered [m].
+        sinkage: Distance by which the base is lowered before contacts are evaluated [m].
     """
     qpos = stand.qpos.copy()
     qpos[2] -= sinkage
@@ -579,15 +594,19 @@ def find_non_foot_contacts(robot: Robot, stand: Stand, sinkage: float) -> set[in
 
 
 def list_foot_bodies(robot: Robot) -> set[int]:
-    """Return the MuJoCo ids of the moving bodies to which the feet belong."""
+    """Return the MuJoCo ids of the bodies to which the feet belong.
+
+    If a foot is on a body without joints, the id is that of the moving body to which this body is
+    fixed (``body_weldid``).
+    """
     weld = robot.mj_model.body_weldid
     return {int(weld[body]) for body, _ in robot.contact_places.values()}
 
 
 def is_clear_of_ground(robot: Robot, stand: Stand) -> bool:
-    """Return True if no body except the bodies of the feet is near the ground in a stand.
+    """Return True if in a stand no body except the bodies of the feet is near the ground.
 
-    A geom is near if the geom touches the ground when the base is lowered by
+    A body is near the ground if a geom of the body touches the ground when the base is lowered by
     `_MIN_GROUND_CLEARANCE`.
     """
     model = robot.mj_model
@@ -662,16 +681,22 @@ def _solve_first_guess(
 
 
 def compute_leg_length(robot: Robot, qpos: Array) -> float:
-    """Compute the maximum height of the base above the ground, with the longest leg straight.
+    """Compute the height of the base above the ground if the longest leg were straight.
 
-    The height is a sum of three terms: the length of the chain from the contact point over the
-    joints of the leg to its first joint; the height of the base above this joint in ``qpos``, shape
-    (nq,); and the contact radius. Slides are at their positions in ``qpos``. If the contact sphere
-    contains the last joint, as for a nearly flat sole, the lowest point of the sphere in ``qpos``
-    replaces the sphere.
+    The height of a leg is a sum of three terms:
+
+    * Length of the chain from the contact point over the joints of the leg to the first joint.
+      Slides have the positions in ``qpos``.
+    * Height of the base above the first joint in ``qpos``.
+    * Radius of the contact sphere. If the sphere contains the last joint, as for a nearly flat
+      sole, the chain begins at the lowest point of the sphere instead.
+
+    Args:
+        robot: Robot with feet.
+        qpos: Configuration, shape (nq,), with a level base.
 
     Returns:
-        Height [m].
+        Largest height of all contact points [m].
     """
     config, model = Configuration(robot, qpos), robot.pin_model
     lengths = []
@@ -689,10 +714,11 @@ def compute_leg_length(robot: Robot, qpos: Array) -> float:
 
 
 def with_foot_contacts_only(robot: Robot) -> Robot:
-    """Return a robot in whose MuJoCo model foot geoms are the only colliding geoms of foot bodies.
+    """Return a robot in whose MuJoCo model only the foot geoms of the foot bodies can collide.
 
-    Contacts of a ``<pair>`` remain. Only the compiled model is changed, not the description (URDF
-    and MJCF) of the robot: a robot that is built from the description has all collisions again.
+    Other geoms of the foot bodies have contype and conaffinity 0. Contacts of a ``<pair>`` remain.
+    Only the compiled model is changed, not the description (URDF and MJCF): a robot that is built
+    from the description has all collisions again.
     """
     model, foot_bodies = copy.copy(robot.mj_model), list_foot_bodies(robot)
     for geom in range(model.ngeom):
@@ -708,13 +734,13 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
     """Simulate an unmodified model from a keyframe; return the penetration of its feet at rest [m].
 
     Args:
-        model: Model of the file.
+        model: Model of the unmodified MJCF.
         name: Name of the keyframe; "keyframe 1" etc. for keyframes without a name.
 
     Returns:
         Largest penetration of a contact with the world at the end of the simulation. None if the
         model collapses with the ctrl of the keyframe, if the keyframe is missing, or if the model
-        has not exactly one free joint.
+        does not have exactly one free joint.
     """
     names = [model.key(key).name or f"keyframe {key + 1}" for key in range(model.nkey)]
     free = list_free_joints(model)
@@ -738,10 +764,14 @@ def rest_depth_from_keyframe(model: mujoco.MjModel, name: str) -> float | None:
 def _list_objections(
     robot: Robot, name: str, joints: Mapping[str, float]
 ) -> tuple[Diagnostic, ...]:
-    """Return a message with the reason for which ``is_standing_pose`` rejects keyframe ``name``.
+    """Return a message with the reason for which `is_standing_pose` rejects a keyframe.
 
-    The reason is that ``joints``, {joint: position [rad, m]}, are beyond their limits, or else that
-    the feet are uneven.
+    The reason is that joints are beyond their limits, or else that the feet are uneven.
+
+    Args:
+        robot: Robot with feet.
+        name: Name of the keyframe.
+        joints: {joint: position [rad, m]} of the keyframe.
     """
     subject = ("keyframe", name)
     values = np.array([joints.get(joint, 0.0) for joint in robot.joint_names])
@@ -761,26 +791,29 @@ def find_start_pose(
     sunk: Mapping[str, float],
     rest_depth: Callable[[str], float | None] | None = None,
 ) -> tuple[Robot, list[Diagnostic]]:
-    """Determine the start pose of a robot, from a keyframe or by a search, and set it.
+    """Determine the start pose of a robot, from a keyframe or by a search, and set the pose.
 
-    A keyframe is used if its feet are level, its joints are within their limits, and the nominal
-    stand exists. If no keyframe has level feet and joints within the limits, a keyframe is used
-    from which the unmodified file stands (``rest_depth``). Its joints are clipped to the limits,
-    and the nominal stand must exist. If no keyframe can be used, a start pose is searched. If no
-    pose is found, a note reports the failure, and the start pose is the last accepted keyframe;
-    without one, it is unchanged. Contacts of shapes other than the feet are ignored here (see
-    ``touching``).
+    The first of these poses with which the nominal stand exists is used:
+
+    1. A keyframe whose feet are level, and whose joints are within the limits.
+    2. If there is no such keyframe: a keyframe from which the unmodified file stands
+       (``rest_depth``), with the joints clipped to the limits.
+    3. A searched pose (`search_start`).
+
+    If no pose is found, a note reports the failure. The start pose is then the last keyframe of
+    step 1 or 2; without a keyframe, the start pose is unchanged. Contacts of shapes other than the
+    feet are ignored here: `touching` disables such contacts later.
 
     Args:
         robot: Robot with feet.
-        known: {keyframe: {joint: position [rad, m]}}, in order of priority.
-        sunk: {keyframe: penetration of the feet [m] at rest} (``compute_resting_depths``).
-        rest_depth: Returns the penetration of the feet [m] at which the unmodified file stands
-            from a keyframe, or None if the file falls. Called only if needed.
+        known: {keyframe: {joint: position [rad, m]}}, in the order of the trials.
+        sunk: {keyframe: penetration of the feet [m] at rest} (`compute_resting_depths`).
+        rest_depth: Function that returns the penetration of the feet [m] with which the unmodified
+            file stands from a keyframe; None if the file falls. Called only in step 2.
 
     Returns:
-        Robot with the start pose, and notes: the chosen pose, and the objections to keyframes from
-        which the unmodified file stands (`_list_objections`).
+        Robot with the start pose, and notes: the chosen pose, and the reasons against keyframes
+            from which the unmodified file stands.
     """
     whole, robot = robot, with_foot_contacts_only(robot)
     standing = {name: pose for name, pose in known.items() if is_standing_pose(robot, pose)}
@@ -828,14 +861,14 @@ def make_start_keyframe(
 ) -> StartKeyframe:
     """Create the keyframe of a stand: qpos, and the ctrl with which servos hold the stand.
 
-    The base is moved to x = y = 0.
+    The ctrl contains the static torques as feed-forward. The base is moved to x = y = 0.
 
     Args:
         robot: Robot with servos.
         stand: Stand on soft ground.
         reason: Note that explains the keyframe.
-        kp: Servo stiffness, shape (nu,) [N m/rad]; None: value of the robot.
-        kd: Servo damping, shape (nu,) [N m s/rad]; None: value of the robot.
+        kp: Servo stiffness, shape (nu,) [N m/rad, N/m]; None: value of the robot.
+        kd: Servo damping, shape (nu,) [N m s/rad, N s/m]; None: value of the robot.
     """
     qpos = round_start_configuration(robot, stand)
     torques = stand_statics(robot, stand).joint_torques
@@ -846,9 +879,9 @@ def make_start_keyframe(
 
 
 def round_start_configuration(robot: Robot, stand: Stand) -> Array:
-    """Return the configuration of a stand for a keyframe, shape (nq,), with x = y = 0.
+    """Return the rounded configuration of a stand for a keyframe, shape (nq,), with x = y = 0.
 
-    Base height [m] and joint positions [rad, m] are rounded to `_NUM_KEYFRAME_DIGITS` decimals; the
+    Base height [m] and joint positions [rad, m] are rounded to `_NUM_KEYFRAME_DIGITS` decimals. The
     quaternion is not rounded.
     """
     qpos = stand.qpos.copy()

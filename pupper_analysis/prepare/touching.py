@@ -1,9 +1,8 @@
-"""Disable contacts of other shapes of the foot bodies, and of bodies that overlap.
+"""Disable the contacts that the statics do not assume: a robot stands only on its feet.
 
-Input is a robot with a start pose. Output is a robot that touches the ground only with its feet in
-a stand, as the statics assume. Two kinds of contacts are disabled: those of other shapes of a
-foot's body near the ground, and those between bodies that overlap in the start pose. Visual geoms
-are discarded.
+Input is a robot with a start pose. Two kinds of contacts are disabled: contacts of other shapes of
+a foot's body near the ground, and contacts between bodies that overlap in the start pose. Visual
+geoms are discarded.
 """
 
 from __future__ import annotations
@@ -36,15 +35,16 @@ from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
 
 def discard_visuals(spec: mujoco.MjSpec) -> None:
-    """Set the compiler option ``discardvisual`` of a spec, in place: no visual geoms in the model.
+    """Set the compiler option ``discardvisual`` of a spec, in place, to compile no visual geoms.
 
-    A model of G1, with 393,000 faces, then compiles in 1 ms instead of 80 ms, and is copied in
-    0.4 ms instead of 60 ms. A compilation removes the geoms from the spec itself, so a copy must
-    be compiled.
+    A model of G1, with 393,000 faces, then compiles in 1 ms instead of 80 ms. Copying takes 0.4 ms
+    instead of 60 ms. Compilation removes the visual geoms from the spec itself; compile a copy to
+    keep the geoms.
 
-    Source: MuJoCo documentation, ``compiler/discardvisual``: the dynamics are the same. The
-    option is not set with fluid forces, which may act on visual geoms, and with
-    ``inertiafromgeom="true"``, because all geoms then contribute to the mass.
+    According to MuJoCo's documentation (``compiler/discardvisual``) the dynamics are the same. The
+    option is not set in two cases: with fluid forces (density or viscosity), which may act on
+    visual geoms, and with ``inertiafromgeom="true"``, because all geoms then contribute to the
+    mass.
     """
     weighed = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     if not (weighed or spec.option.density or spec.option.viscosity):
@@ -52,10 +52,10 @@ def discard_visuals(spec: mujoco.MjSpec) -> None:
 
 
 def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
-    """Copy the compiler option ``discardvisual`` from an original spec to a spec, in place.
+    """Copy the compiler option ``discardvisual`` from an original spec to another spec, in place.
 
     Returns:
-        True if the option changed.
+        True if the option of ``spec`` changed.
     """
     before = spec.compiler.discardvisual
     spec.compiler.discardvisual = original.compiler.discardvisual
@@ -63,10 +63,9 @@ def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
 
 
 _MAX_FOOT_SHARE = 0.5
-"""Bound of the fraction of the load that a foot's own shape carries [1]. Above the bound, the foot
-keeps this shape as contact point. Otherwise another shape of the body carries more, and becomes the
-contact point. Chosen, not tuned.
-"""
+"""Upper bound of the fraction [1] of a foot's load that the contact shape of the foot carries.
+Above the bound, the foot keeps its contact shape. At or below the bound, another shape of the same
+body carries more, and becomes the contact shape. Chosen, not tuned."""
 
 
 def find_carrying_hulls(
@@ -74,10 +73,13 @@ def find_carrying_hulls(
 ) -> tuple[tuple[Foot, ...], Diagnostic] | None:
     """Find other shapes on the bodies of soft feet that carry most of the load of the feet.
 
-    A soft foot may penetrate the ground so far that another, stiffer shape of its body also
-    touches, such as the convex hull of the shank. The foot's fraction of the load is estimated from
-    its force at a certain penetration: that at which the other shape alone would carry the load.
-    Only feet with a single contact point are considered.
+    A soft foot may penetrate the ground so far that a stiffer shape of the foot's body also
+    touches, such as the convex hull of the shank. The contact point of the foot must then be on
+    this shape.
+
+    The foot's fraction of the load is estimated at a single penetration: the other shape alone
+    would carry the complete load there. The fraction is averaged over the affected feet, so that
+    all legs are treated equally. Only feet with a single contact point are considered.
 
     Args:
         footless: Robot before feet were added.
@@ -85,9 +87,9 @@ def find_carrying_hulls(
         feet: Feet, each with contact points.
 
     Returns:
-        All feet, and a note. Feet whose other shape touches, in a single point, have this shape as
-        contact point. None if the stand on soft ground is not solved, if no other shape touches so,
-        or if the own shapes of these feet carry more than half of their load on average.
+        All feet, and a note. In the affected feet, the other shape is the contact shape. None in
+        three cases: the stand on soft ground is not solved; no other shape touches the ground in a
+        single point; the feet carry more than half of their load on average.
     """
     try:
         stand = solve_stand_on_soft_ground(start.with_foot_contacts_only(robot), explain=False)
@@ -137,21 +139,21 @@ def find_carrying_hulls(
 
 
 _MAX_SHAPE_CLEARANCE = 5e-3
-"""Lower bound of the height of a shape above the ground in the stand on soft ground [m]. Below the
-bound, the contacts of the shape are disabled, if it is on a foot's body and is not the foot's own
-shape. Chosen, not tuned.
-"""
+"""Upper bound of the height above the ground [m] at which contacts of a shape are disabled, in the
+stand on soft ground. This concerns shapes on a foot's body that are not contact shapes of a foot.
+Chosen, not tuned."""
 
 
 def disable_shapes_beside_feet(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
-    """Disable the contacts of shapes that are on a foot's body and near the ground in a stand.
+    """Disable the contacts of shapes on a foot's body that are near the ground in a stand.
 
-    The contacts of the foot geoms themselves are kept. The stand is the nominal stand on soft
-    ground.
+    Reason: the statics assume that only the feet touch the ground. The contacts of the foot geoms
+    themselves are kept. The stand is the nominal stand (default `StandTask`) on soft ground. A
+    shape is near the ground if the height is at most `_MAX_SHAPE_CLEARANCE`.
 
     Returns:
-        Robot, and a note with the bodies if contacts are disabled. The robot is unchanged if it has
-        no such stand.
+        Robot, and a list with a note about the bodies. The list is empty, and the robot unchanged,
+        if no such shape exists or if the stand cannot be solved.
     """
     try:
         stand = solve_stand_on_soft_ground(start.with_foot_contacts_only(robot), explain=False)
@@ -175,8 +177,12 @@ def disable_shapes_beside_feet(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
 def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     """Add contact exclusions for the pairs of bodies that overlap in the start pose.
 
+    The start pose is the nominal stand (default `StandTask`). For a fixed base, the start pose is
+    the default posture.
+
     Returns:
-        Robot, and a note if contacts are excluded.
+        Robot, and a list with a note about the pairs. The list is empty, and the robot unchanged,
+        if no bodies overlap or if the start pose cannot be solved.
     """
     pose = _find_start_configuration(robot)
     if pose is None:
@@ -200,7 +206,7 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
 
 
 def _find_start_configuration(robot: Robot) -> Array | None:
-    """Return the qpos, (nq,) [m, rad], of the nominal stand, or of a fixed base's default posture.
+    """Return the qpos, shape (nq,) [m, rad], of the nominal stand or of a fixed base's posture.
 
     The nominal stand is the solution of the default `StandTask`. None if the stand or posture
     cannot be solved.
