@@ -1,6 +1,7 @@
 """Diagnostics of stands that do not come to rest: growing modes, contact chatter, creeping feet.
 
-Growing modes are found in the spectrum and in the response to a nudge. Chatter is found in the
+A mode is an eigenvector of MuJoCo's simulation step, linearised at rest. A growing mode is found in
+the spectrum of the step, and in the response to a nudge (a small velocity). Chatter is found in the
 states of a simulation, creep in the predicted contact forces. Most functions return diagnostics.
 """
 
@@ -27,40 +28,43 @@ from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
 _CHATTER_STATES = 50
-"""Number of states at the end of a rollout of which ``find_chatter`` evaluates the contact forces.
-Chosen, not tuned."""
+"""Number of states at the end of a rollout whose contact forces `find_chatter` evaluates. Chosen,
+not tuned."""
 
 _MAX_FORCE_VARIATION = 0.05
-"""Bound [1] of the standard deviation of the total vertical ground force on the feet, divided by
-the robot's weight. Above the bound, ``find_chatter`` reports contact chatter. The deviation is
-taken over the last `_CHATTER_STATES` states of a rollout. Chosen, not tuned.
-"""
+"""Upper bound [1] of the standard deviation of the total vertical ground force on the feet, divided
+by the robot's weight. If the bound is exceeded, `find_chatter` reports contact chatter. The
+deviation is taken over the last `_CHATTER_STATES` states of a rollout. Chosen, not tuned."""
 
 MAX_CREEP_SPEED = 1e-3
-"""Creep speed of a foot above which ``find_creep`` reports the foot [m/s]: 5 mm in 5 s.
-`simulate_nudges` subtracts creep up to this speed from the slip of a foot. Chosen, not tuned."""
+"""Upper bound of the creep speed of a foot [m/s], 5 mm in 5 s. Creep is the slow slip of a loaded
+contact. `find_creep` reports a faster foot. `simulate_nudges` subtracts creep up to this speed from
+the slip of a foot. Chosen, not tuned."""
 
 
 _SOLVER_NOISE_RATIO = 0.2
-"""Largest remaining speed after a nudge, relative to the speed of the nudge, that is attributed to
-the constraint solver. Measured: with the solvers CG and PGS and MuJoCo's default settings, robots
-at rest move at 0.02 to 0.12 of the nudge without end."""
+"""Upper bound [1] of the ratio (remaining speed after a nudge) / (speed of the nudge) with which
+the remaining motion is attributed to the constraint solver. Measured: with the solvers CG and PGS
+and MuJoCo's default settings, robots at rest move at 0.02 to 0.12 of the nudge without end."""
 
 
 def find_instability(
     stability: Stability, nudge: Nudge | None, *, bounces: bool = False
 ) -> list[Diagnostic]:
-    """Report the fastest growing mode (within ``HOLD_DURATION``), else a nudge without decay.
+    """Create the messages why a stand is not stable: growing mode, or lasting effect of a nudge.
 
-    A joint is reported as well if the nudge displaces it by ``MAX_JOINT_DISPLACEMENT`` or more, at
-    the end or temporarily. A remaining speed of at most ``_SOLVER_NOISE_RATIO`` times the speed of
-    the nudge is not reported. The result is empty if there is nothing to report.
+    There are up to two messages:
+
+    * The fastest mode that grows within ``HOLD_DURATION``, if the settled state is at rest. Without
+      such a mode: the motion after the nudge does not decay. A remaining speed of at most
+      `_SOLVER_NOISE_RATIO` times the speed of the nudge is ignored.
+    * The nudge displaces a joint by `MAX_JOINT_DISPLACEMENT` or more, at the end or temporarily.
 
     Args:
-        stability: Stability at the settled state. Modes are reported only if the state is at rest.
+        stability: Stability at the settled state.
         nudge: Response to the nudge; None if the stand was not nudged.
         bounces: Whether the remaining motion comes from a foot with almost no load that bounces,
-            and does not grow. If True, the missing decay is not reported.
+            and does not grow. If True, missing decay is not reported.
     """
     leaving = stability.modes_growing_within() if stability.at_rest else ()
     messages = [describe_growth(mode) for mode in leaving[:1]]
@@ -82,10 +86,13 @@ def find_instability(
 def proves_unrest(nudge: Nudge) -> bool:
     """Return True if the response to a nudge alone shows that the stand is not stable.
 
-    There are two such responses. A joint moved by `MAX_JOINT_DISPLACEMENT` or more; or the
-    remaining motion does not decay, reaches `MAX_RESTING_SPEED`, and is faster than
-    ``_SOLVER_NOISE_RATIO`` times the nudge. A slow motion proves nothing, since a foot with almost
-    no load may bounce.
+    Either of two responses shows this:
+
+    * A joint moved by `MAX_JOINT_DISPLACEMENT` or more.
+    * The motion does not decay, reaches `MAX_RESTING_SPEED`, and remains faster than
+      `_SOLVER_NOISE_RATIO` times the nudge.
+
+    A slower motion proves nothing, since a foot with almost no load may bounce.
     """
     if not (nudge.moved < MAX_JOINT_DISPLACEMENT and nudge.stays):
         return True
@@ -97,8 +104,11 @@ def proves_unrest(nudge: Nudge) -> bool:
 def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
     """Create the message about a growing mode that a nudged simulation does not confirm.
 
-    A mode is an eigenvector of MuJoCo's simulation step at rest. The message describes the first
-    element of `Stability.refuted_modes`. The result is empty if there are no such modes.
+    A mode is an eigenvector of MuJoCo's simulation step, linearised at rest. The message describes
+    the first element of `Stability.refuted_modes`.
+
+    Returns:
+        The message as a tuple; empty without refuted modes.
     """
     if not stability.refuted_modes:
         return ()
@@ -114,10 +124,11 @@ def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
 
 
 def describe_growth(mode: Mode) -> Diagnostic:
-    """Create the message about a growing mode.
+    """Create the message about a growing mode, for example with frequency and doubling time.
 
-    A mode is an eigenvector of MuJoCo's simulation step at rest. The message states, for example,
-    the frequency [Hz] of an oscillating mode, the joints that move most, and the doubling time [s].
+    A mode is an eigenvector of MuJoCo's simulation step, linearised at rest. The message contains
+    the frequency [Hz] if the mode oscillates, the joints that move most, the doubling time [s], and
+    the smallest nudge that starts the growth, if known.
     """
     nudge = Quantity(mode.nudge, mode.nudge_unit) if mode.nudge else None
     is_length = mode.nudge_unit == "m"
@@ -135,19 +146,22 @@ def describe_growth(mode: Mode) -> Diagnostic:
 def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> list[Diagnostic]:
     """Report contact chatter: ground forces on a standing robot that vary from step to step.
 
-    The result is empty if the standard deviation of the total vertical force on the feet, over the
-    last ``_CHATTER_STATES`` states, is at most ``_MAX_FORCE_VARIATION`` times the weight, or is not
-    a number.
+    Chatter is reported if the standard deviation of the total vertical force on the feet exceeds
+    `_MAX_FORCE_VARIATION` times the weight. The deviation is taken over the last `_CHATTER_STATES`
+    states.
 
-    One possible cause is a pyramidal friction cone with an ``impratio`` above 1: MuJoCo's solver
-    resolves its edges to a limited accuracy. Another is stiff ground: it amplifies the error of
-    each step.
+    A possible cause is a pyramidal friction cone with an ``impratio`` above 1: MuJoCo's solver
+    resolves the edges of the cone to a limited accuracy. Another cause is stiff ground, which
+    amplifies the error of each step.
 
     Args:
-        robot: The robot.
+        robot: Robot.
         drive: Servos and MuJoCo model that were simulated.
-        states: States of a rollout up to the end, shape (n, size).
+        states: States of a rollout up to the end (mjSTATE_FULLPHYSICS), shape (n, size).
         ctrl: Actuator commands, shape (model.nu,).
+
+    Returns:
+        List with a message; empty without chatter, or if the deviation is not a number.
     """
     sampler = ContactSampler(robot, drive.model)
     forces = []
@@ -166,16 +180,20 @@ def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> lis
 def compute_creep_speeds(
     robot: Robot, stand: Stand, prediction: GravityCompensation
 ) -> dict[str, float]:
-    """Compute the creep speed of the loaded contact points: {point: |f_t| / c [m/s]}.
+    """Compute the creep speed of each loaded contact point: |f_t| / c [m/s].
 
-    f_t is the predicted tangential force [N], and c the viscosity [N s/m] of MuJoCo's friction
-    (``GroundLaw``) at the depth of the point in the stand. The speed is infinite if the viscosity
-    is zero. The points are those of ``prediction.contact_forces``.
+    Creep is the slow slip that MuJoCo's regularised friction permits. f_t is the predicted
+    tangential force [N]. c is the viscosity [N s/m] of the friction (`GroundLaw`) at the depth of
+    the point in the stand.
 
     Args:
-        robot: The robot.
-        stand: The stand.
+        robot: Robot.
+        stand: Stand, with depths on soft ground.
         prediction: Statics of the stand, with the contact forces.
+
+    Returns:
+        {contact point: creep speed [m/s]} for the points of ``prediction.contact_forces``; infinite
+        if the viscosity is zero.
     """
     speeds: dict[str, float] = {}
     for foot, force in prediction.contact_forces.items():
@@ -187,7 +205,18 @@ def compute_creep_speeds(
 
 
 def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[Diagnostic]:
-    """Report the contact point with the largest creep speed, if above ``MAX_CREEP_SPEED`` [m/s]."""
+    """Report the contact point with the largest creep speed, if the speed exceeds a bound.
+
+    Creep is the slow slip of a loaded contact. The bound is `MAX_CREEP_SPEED`.
+
+    Args:
+        robot: Robot.
+        stand: Stand, with depths on soft ground.
+        prediction: Statics of the stand, with the contact forces.
+
+    Returns:
+        List with a message; empty if no point creeps faster than the bound.
+    """
     speeds = compute_creep_speeds(robot, stand, prediction)
     foot = max(speeds, key=speeds.__getitem__, default="")
     if not speeds.get(foot, 0.0) > MAX_CREEP_SPEED:

@@ -20,24 +20,24 @@ from pupper_analysis.simulation.rollout import STATE_SPEC
 
 
 class ClearanceBounds:
-    """Distance bounds between the ground and the moving geoms that can collide, except the feet.
+    """Bounds that show, without collision detection, that only feet can touch the ground.
 
-    The ground consists of the geoms of the world body that can collide. The distance is measured
-    between planes and the bounding boxes of the geoms. Between two states no point of the robot
-    moves by more than
+    The parts are the moving geoms that can collide, except the feet. The ground consists of the
+    geoms of the world body that can collide. The distance is measured between planes and the
+    bounding boxes of the geoms. Between two states no point of the robot moves by more than
 
-        |dp| + 2 L sin(a / 2) + L sum |dq_hinge| + sum |dq_slide|
+        dp| + 2 L sin(a / 2) + L sum |dq_hinge| + sum |dq_slide|
 
     with the displacement p and the rotation angle a of the base, and the length L of the longest
-    chain of bodies. The bounds are not available if a geom of the ground is no plane, or if a joint
-    is a ball joint, a second free joint, or a slide joint without limits. A slide joint is assumed
-    to stay within ``_MAX_LIMIT_RATIO`` times its limits.
+    chain of bodies. A slide joint is assumed to stay within `_MAX_LIMIT_RATIO` times its limits.
+    The bounds are not available if a geom of the ground is no plane, or if a joint is a ball joint,
+    a second free joint, or a slide joint without limits.
 
     Attributes:
         is_available: Whether the bounds are available.
 
     Args:
-        robot: The robot.
+        robot: Robot.
         model: MuJoCo model that is simulated.
     """
 
@@ -62,15 +62,15 @@ class ClearanceBounds:
         self.is_available = bool(is_plane and is_free_base and math.isfinite(self._length))
 
     def distance(self, state: Array) -> float:
-        """Return a lower bound of the distance between the ground and the parts [m].
-
-        The parts are the colliding geoms of the robot without the feet. The bound is 0 if
-        ``is_available`` is False, or if a bounding box is within the contact margins of the ground.
-        The bound is infinite if ``is_available`` is True, and the model has no such part or no
-        ground.
+        """Compute a lower bound of the distance between ground and robot, without the feet [m].
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
+
+        Returns:
+            Lower bound [m]. 0 if ``is_available`` is False, or if a bounding box is within the
+            contact margins of the ground. Otherwise infinite if the model has no ground, or no geom
+            except the feet that can collide.
         """
         if not self.is_available:
             return 0.0
@@ -90,14 +90,16 @@ class ClearanceBounds:
         return max(float(lowest.min()) - self._margin, 0.0)
 
     def displacements(self, states: Array, reference: Array) -> Array:
-        """Return an upper bound, per state, of the displacement of any point of the robot [m].
+        """Compute an upper bound of the displacement of any robot point from a reference state.
 
-        The shape is (n,). The displacements are measured from a reference state. Valid only if
-        ``is_available``.
+        Valid only if ``is_available``.
 
         Args:
-            states: n states of a simulation (mjSTATE_FULLPHYSICS), shape (n, size).
-            reference: Reference state, shape (size,).
+            states: States of a simulation (mjSTATE_FULLPHYSICS), shape (n, size).
+            reference: Reference state (mjSTATE_FULLPHYSICS), shape (size,).
+
+        Returns:
+            Upper bound for each state, shape (n,) [m].
         """
         moved = np.abs(states - reference)
         total = self._length * moved[:, self._hinges].sum(axis=1)
@@ -140,6 +142,6 @@ def _chain_length(model: mujoco.MjModel) -> float:
 
 
 _MAX_LIMIT_RATIO = 2.0
-"""Largest position that a slide joint is assumed to reach in a simulation, divided by its larger
-limit [1]. Used for the upper bound of the robot's displacements, because limits in MuJoCo are soft.
+"""Upper bound of the position of a slide joint in a simulation, divided by the larger of its limits
+[1]. Used for the upper bound of the robot's displacements, because limits in MuJoCo are soft.
 Chosen, not tuned."""

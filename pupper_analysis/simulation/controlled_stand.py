@@ -40,18 +40,17 @@ from pupper_analysis.robot.stability import (
 from pupper_analysis.simulation.rollout import StandStart
 
 MAX_RATE = 100_000.0
-"""Upper bound of the accepted control rate [Hz]: motor drives run at 10 to 40 kHz. Chosen, not
-tuned."""
+"""Upper bound of the control rate that `ControlledStand` accepts [Hz]: motor drives run at 10 to 40
+kHz. Chosen, not tuned."""
 
 MAX_DELAY = 0.5
-"""Upper bound of the accepted delay [s] between measurement and effect of a command. Chosen: legged
-robots are controlled within 0.1 s."""
+"""Upper bound of the delay between measurement and effect of a command that `ControlledStand`
+accepts [s]. Chosen: legged robots are controlled within 0.1 s."""
 
 MAX_GROWTH_RATE = math.log(2) / HOLD_DURATION
-"""Growth rate [1/s] above which a mode counts as unstable. At this rate a deviation doubles in
-``HOLD_DURATION``, the time for which a stand must hold. Slower modes are creep of MuJoCo's
-friction.
-"""
+"""Upper bound of the growth rate of a mode [1/s] that counts as stable. At this rate a deviation
+doubles in ``HOLD_DURATION``, the time for which a stand must hold. Slower modes are creep of
+MuJoCo's friction."""
 
 _MAX_STEPS_PER_PERIOD = 64
 """Upper bound of the number of time steps per control period. The period is divided so that the
@@ -72,10 +71,9 @@ _DIFFERENCE_STEP = 1e-6
 v3: the modes differ by 1e-6 (relative) from those with a step of 1e-7."""
 
 _NUDGE_ANGLE, _NUDGE_SPEED = 0.02, 0.2
-"""Initial displacement [rad, m] or velocity [rad/s, m/s] in a simulation that is displaced along a
-mode, of the joint that moves most. Chosen: dry friction does not hold this displacement, and no
-foot slips.
-"""
+"""Initial displacement [rad, m] or velocity [rad/s, m/s] of the joint that moves most, in a
+simulation that starts with a deviation along a mode. Chosen: dry friction does not hold this
+displacement, and no foot slips."""
 
 _REST_SPEED = 0.01
 """Upper bound of the joint velocities [rad/s, m/s] of a robot at rest. The velocities are taken in
@@ -94,8 +92,8 @@ velocities are taken in intervals of ``_COMPARED_SHARE``. Chosen, not tuned.
 """
 
 _MAX_JOINT_SPEED = 100.0
-"""Joint velocity [rad/s, m/s] from which a simulation of the controller has failed. Chosen, not
-tuned."""
+"""Bound of the joint velocity [rad/s, m/s]. A simulation of the controller fails if a joint reaches
+the bound. Chosen, not tuned."""
 
 _MAX_SHIFT_RATIO = 1.1
 """Largest permitted growth of the joint displacement in the second half of a simulation [1], as a
@@ -110,25 +108,25 @@ failure. Measured: v3 creeps by 0.01 mrad in 12 s.
 """
 
 _MAX_SHIFT = 0.1
-"""Displacement of a joint from the stand [rad, m] above which a simulation of the controller has
-failed. Chosen: five times ``_NUDGE_ANGLE``."""
+"""Upper bound of the displacement of a joint from the stand [rad, m]. A simulation of the
+controller fails if a joint exceeds the bound. Chosen: five times `_NUDGE_ANGLE`."""
 
 MAX_POWER = 12
-"""Largest exponent of the factors 2^-12 ... 2^12 on the gains that are tried; see `MAX_FACTOR`."""
+"""Largest exponent p of the factors 2^p on the gains that are tried; the smallest is -p
+(`MAX_FACTOR`)."""
 
 MAX_FACTOR = 2.0**MAX_POWER
-"""Largest factor on the gains, and inverse of the smallest, that is tried: 4096. Chosen larger than
-the range of the kp that the tools add to robots, 5 to 2000 N m/rad."""
+"""Largest factor [1] on the gains that is tried, 4096; the smallest is the inverse. Chosen larger
+than the range of the kp that the tools add to robots, 5 to 2000 N m/rad."""
 
 FACTOR_TOLERANCE = 0.005
-"""Relative tolerance [1] of the bisection for the largest stable factor on the gains. At a larger
-factor, a mode of the linear model grows. Chosen, not tuned.
-"""
+"""Relative tolerance [1] of the bisection for the largest factor on the gains with which the linear
+model is stable. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class WorstMode(Result):
-    """Mode of a closed loop that grows fastest, or decays slowest.
+    """Mode of a closed control loop that grows fastest, or decays slowest if all modes decay.
 
     Attributes:
         growth_rate: Growth rate (1/s); negative if the mode decays.
@@ -148,10 +146,13 @@ class WorstMode(Result):
 
 
 class ControlledStand:
-    """Robot in a stand with torque motors and a sampled PD controller.
+    """Robot in a stand with torque motors and a sampled PD controller, to test gains and delay.
+
+    The controller measures joint positions and velocities once per control period. The command acts
+    after the delay. The robot is linearised once, at rest in the stand.
 
     Args:
-        held: Initial state and model of the stand, with its servos.
+        held: Initial state and model of the stand, with the servos that the torque motors replace.
         rate: Control rate [Hz]. None means one command per time step of the model in ``held``.
         delay: Time between measurement and effect of a command [s].
 
@@ -236,15 +237,15 @@ class ControlledStand:
         return powers[-1], powers[self.steps - late] @ sums[late], sums[self.steps - late]
 
     def find_worst_mode(self, kp: Array, kd: Array) -> WorstMode:
-        """Find the mode of the closed loop with the largest growth rate.
+        """Find the mode of the closed control loop with the largest growth rate.
 
         The state of the closed loop consists of the state of the robot (qpos, qvel, act) and the
         commands that have not acted yet. A mode without dynamics, such as a translation on
         frictionless ground, has a growth rate of zero.
 
         Args:
-            kp: Stiffness of all joints, shape (nu,) [N m/rad].
-            kd: Damping of all joints, shape (nu,) [N m s/rad].
+            kp: Stiffness of all joints, shape (nu,) [N m/rad, N/m].
+            kd: Damping of all joints, shape (nu,) [N m s/rad, N s/m].
         """
         values, vectors = np.linalg.eig(self._closed_loop(kp, kd))
         size = np.abs(values)
@@ -276,23 +277,24 @@ class ControlledStand:
         return scaled
 
     def is_stable(self, kp: Array, kd: Array) -> bool:
-        """Return True if no mode of the closed loop grows at a rate above `MAX_GROWTH_RATE` [1/s].
+        """Return True if no mode of the closed control loop grows faster than `MAX_GROWTH_RATE`.
 
         Args:
-            kp: Stiffness of all joints, shape (nu,) [N m/rad].
-            kd: Damping of all joints, shape (nu,) [N m s/rad].
+            kp: Stiffness of all joints, shape (nu,) [N m/rad, N/m].
+            kd: Damping of all joints, shape (nu,) [N m s/rad, N s/m].
         """
         values = np.linalg.eigvals(self._closed_loop(kp, kd))
         return math.log(float(np.abs(values).max())) / self.period <= MAX_GROWTH_RATE
 
     def find_smallest_damping_ratio(self, kp: Array, kd: Array) -> float:
-        """Return the smallest damping ratio [1] of the oscillating modes of the closed loop.
-
-        The result is at most 1, and is 1 if no mode oscillates.
+        """Find the smallest damping ratio of the oscillating modes of the closed control loop.
 
         Args:
-            kp: Stiffness of all joints, shape (nu,) [N m/rad].
-            kd: Damping of all joints, shape (nu,) [N m s/rad].
+            kp: Stiffness of all joints, shape (nu,) [N m/rad, N/m].
+            kd: Damping of all joints, shape (nu,) [N m s/rad, N s/m].
+
+        Returns:
+            Damping ratio [1], at most 1; 1 if no mode oscillates.
         """
         values = np.linalg.eigvals(self._closed_loop(kp, kd))
         values = values[(np.abs(values) > _DELAY_TOLERANCE) & (values.imag > _DELAY_TOLERANCE)]
@@ -329,21 +331,25 @@ class ControlledStand:
     def survives_simulation(
         self, kp: Array, kd: Array, *, duration: float, mode: WorstMode
     ) -> bool:
-        """Simulate the controlled stand in MuJoCo, displaced along a mode, and judge if it stays.
+        """Simulate the controlled stand in MuJoCo from a deviation along a mode; judge if it stays.
 
-        The model has torque motors in place of the servos, and all its friction.
+        The model has torque motors in place of the servos, and all friction.
 
         Args:
-            kp: Stiffness of all joints, shape (nu,) [N m/rad].
-            kd: Damping of all joints, shape (nu,) [N m s/rad].
-            duration: Duration [s].
-            mode: Mode of this controlled stand.
+            kp: Stiffness of all joints, shape (nu,) [N m/rad, N/m].
+            kd: Damping of all joints, shape (nu,) [N m s/rad, N s/m].
+            duration: Simulated time [s].
+            mode: Mode of this controlled stand (`find_worst_mode`), along which the robot is
+                displaced.
 
         Returns:
-            True if the joints come to rest or their oscillation decays, no joint displacement
-            exceeds `_MAX_SHIFT`, all joint velocities are below `_MAX_JOINT_SPEED`, and the largest
-            joint displacement in the second half of the simulation is at most `_MAX_SHIFT_RATIO`
-            times its value at the middle plus `_MIN_SHIFT`.
+            True if all conditions hold:
+
+            * The joints come to rest, or the oscillation decays.
+            * No joint displacement from the stand exceeds `_MAX_SHIFT`.
+            * All joint velocities are below `_MAX_JOINT_SPEED`.
+            * In the second half of the simulation, the largest joint displacement is at most
+              `_MAX_SHIFT_RATIO` times its value at the middle, plus `_MIN_SHIFT`.
         """
         data = copy_data(self.model, self._start)
         target, stiff = data.qpos[self._places].copy(), kp[self._driven]
@@ -379,18 +385,22 @@ class ControlledStand:
 def find_largest_damping_factor(
     loop: ControlledStand, kp: Array, kd: Array, *, tolerance: float = FACTOR_TOLERANCE
 ) -> float:
-    """Return the largest factor on the damping with which a controlled stand is stable.
+    """Find the largest factor on the damping with which a controlled stand is stable.
 
-    The tried factors are the powers of 2 from 1 / `MAX_FACTOR` to `MAX_FACTOR`. The search starts
-    at the stable one nearest to 1 on a logarithmic scale. This factor is doubled until the stand is
-    unstable (``ControlledStand.is_stable``). The last interval is bisected. The result is infinite
-    if `MAX_FACTOR` is stable, and NaN if no power of 2 is stable.
+    1. Powers of 2 from 1 / `MAX_FACTOR` to `MAX_FACTOR` are tried, nearest to 1 first, until the
+       stand is stable (`ControlledStand.is_stable`).
+    2. The stable factor is doubled until the stand is unstable.
+    3. The last interval is bisected.
 
     Args:
-        loop: The controlled stand.
-        kp: Stiffness of all joints, shape (nu,) [N m/rad].
-        kd: Damping of all joints to which the factor applies, shape (nu,) [N m s/rad].
-        tolerance: Relative tolerance of the factor.
+        loop: Controlled stand.
+        kp: Stiffness of all joints, shape (nu,) [N m/rad, N/m].
+        kd: Damping of all joints to which the factor applies, shape (nu,) [N m s/rad, N s/m].
+        tolerance: Relative tolerance of the factor [1].
+
+    Returns:
+        Factor [1]. Infinite if the stand is stable up to `MAX_FACTOR`; NaN if no tried power of 2
+        is stable.
     """
 
     def is_stable(factor: float) -> bool:
@@ -409,17 +419,18 @@ def find_largest_damping_factor(
 def bisect_factor(
     is_inside: Callable[[float], bool], inside: float, outside: float, tolerance: float
 ) -> float:
-    """Bisect the boundary of a set of factors on a logarithmic scale.
+    """Find the boundary of a set of factors by bisection on a logarithmic scale.
 
     Args:
-        is_inside: Predicate of a factor: True at ``inside``, False at ``outside``.
+        is_inside: Function that returns True if a factor is in the set: True at ``inside``, False
+            at ``outside``.
         inside: Factor in the set.
         outside: Factor outside of the set.
-        tolerance: Relative width of the bracket with which the bisection ends.
+        tolerance: Upper bound of the width of the final interval, as a difference of natural
+            logarithms [1].
 
     Returns:
-        The largest or smallest factor that was found in the set: the end of the last bracket for
-        which ``is_inside`` is True.
+        End of the final interval that is in the set.
     """
     while abs(math.log(outside / inside)) > tolerance:
         middle = math.sqrt(inside * outside)

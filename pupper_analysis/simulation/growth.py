@@ -40,35 +40,33 @@ from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import STATE_SPEC, full_state, roll_out
 
 DOUBLINGS = 3
-"""Number of doublings of the deviation D (module docstring) that confirm growing modes. Chosen, not
-tuned. Growth that is exponential only within micrometres ends earlier, when a contact opens or
-takes load.
-"""
+"""Number of doublings of the deviation D (module docstring, step 2) that confirm growing modes.
+Growth that is exponential only within micrometres ends earlier, when a contact opens or takes load.
+Chosen, not tuned."""
 
 MODE_NUDGE_ANGLE, MODE_NUDGE_SPEED = 1e-4, 0.1
-"""Largest initial deviation of a position [rad, m] and of a velocity [rad/s, m/s] along a mode, in
-the simulations that test growth. Chosen small: ``2 ** DOUBLINGS * MODE_NUDGE_ANGLE`` at a leg of
-0.1 m moves a foot by 80 um. A foot with 1/10,000 of the weight is 10 um deep."""
+"""Upper bounds of the initial deviation along a mode in a growth test: of a position [rad, m] and
+of a velocity [rad/s, m/s]. Chosen small: ``2 ** DOUBLINGS * MODE_NUDGE_ANGLE`` at a leg of 0.1 m
+moves a foot by 80 um. A foot with 1/10,000 of the weight is 10 um deep."""
 
 FREEING_ANGLE, FREEING_SPEED = 1e-2, 1.0
-"""Largest initial deviation of a position [rad, m] and of a velocity [rad/s, m/s] along modes with
-``Mode.without_dry_friction``. Dry friction would stop a small nudge along these modes. Chosen
-larger than the deviation that dry friction holds: 0.01 N m at a servo of 5 N m/rad hold 2e-3 rad.
-"""
+"""Upper bounds of the initial deviation along modes that grow only without dry friction
+(``Mode.without_dry_friction``): of a position [rad, m] and of a velocity [rad/s, m/s]. Dry friction
+would stop a small nudge along these modes. Chosen larger than the deviation that dry friction
+holds: 0.01 N m at a servo of 5 N m/rad hold 2e-3 rad."""
 
 LONGEST_TRIAL = (DOUBLINGS + 1) * HOLD_DURATION
-"""Simulated time [s] after which a growth test ends, if the deviation D (module docstring) shows no
-doubling time; the current ``_CHUNK_DURATION`` is completed. Derived: ``DOUBLINGS``
-of a mode that doubles in ``HOLD_DURATION``, and one more ``HOLD_DURATION`` for the decay of other
+"""Upper bound of the simulated time [s] of a growth test, if the deviation D (module docstring,
+step 2) shows no doubling time. The current `_CHUNK_DURATION` is completed. Derived: `DOUBLINGS` of
+a mode that doubles in ``HOLD_DURATION``, and one more ``HOLD_DURATION`` for the decay of other
 motion. If a foot has almost no load, growth is followed up to twice this time."""
 
 LEAVING_ANGLE = 1e-2
-"""Lower bound of the displacement of a joint from the tested state [rad, m] that confirms a growing
-mode although a foot has almost no load. It is evaluated at the end of each ``_CHUNK_DURATION``.
-Chosen equal to ``stability.MAX_JOINT_DISPLACEMENT``, the bound after a nudge. Measured on three
-robots with feet that carry 1e-5 to 1e-4 of the weight: D grows by five doublings to 0.01 to 0.09
-mrad, or by six to 2.6 mrad, and then stops.
-"""
+"""Lower bound of the displacement of a joint from the tested state [rad, m] with which a growing
+mode is confirmed although a foot has almost no load. The displacement is evaluated at the end of
+each `_CHUNK_DURATION`. Chosen equal to ``stability.MAX_JOINT_DISPLACEMENT``, the bound after a
+nudge. Measured on three robots with feet that carry 1e-5 to 1e-4 of the weight: D grows by five
+doublings to 0.01 to 0.09 mrad, or by six to 2.6 mrad, and then stops."""
 
 _CHUNK_DURATION = 2.0
 """Interval of simulated time [s] after which a growth test evaluates whether the motion has grown
@@ -123,7 +121,7 @@ may oscillate. Chosen, not tuned.
 
 @dataclass(frozen=True, eq=False)
 class GrowthTrial(Result):
-    """Result of two simulations that are displaced along modes in opposite directions.
+    """Result of a growth test: two simulations, displaced along modes in opposite directions.
 
     Attributes:
         nudge: Largest initial deviation of a position (rad or m); 0 if only velocities deviate.
@@ -148,9 +146,10 @@ def confirm_growth(
 ) -> Stability:
     """Confirm or refute by simulation the modes that grow within ``HOLD_DURATION``.
 
-    ``stability`` is returned unchanged if there is no such mode, or if the state is not at rest.
-    Modes that grow only without dry friction (``Mode.without_dry_friction``) are tested last, and
-    only if no other mode is confirmed to grow within ``HOLD_DURATION``.
+    A mode is an eigenvector of MuJoCo's linearised simulation step. Each test simulates deviations
+    along modes (`simulate_growth`). Modes that grow only without dry friction
+    (``Mode.without_dry_friction``) are tested last, and only if no other mode is confirmed to grow
+    within ``HOLD_DURATION``.
 
     Args:
         stability: Result of the spectrum at the state.
@@ -159,11 +158,14 @@ def confirm_growth(
         ctrl: Command of the actuators, shape (model.nu,).
 
     Returns:
-        The stability with tested modes. ``unstable`` contains one mode for all modes that a test
-        confirmed together. Its doubling time is that of the simulation, None for a sustained
-        oscillation; it may be longer than ``HOLD_DURATION``. ``refuted_modes`` contains the tested
-        modes that the simulation does not confirm. Modes that grow within ``HOLD_DURATION`` and
-        were not tested are omitted.
+        Stability with tested modes; ``stability`` itself if no mode grows within ``HOLD_DURATION``,
+        or if the state is not at rest.
+
+        * ``unstable`` contains one mode for all modes that a test confirmed together. Its doubling
+          time is that of the simulation; it may be longer than ``HOLD_DURATION``. The doubling time
+          is None for a sustained oscillation.
+        * ``refuted_modes`` contains the tested modes that the simulation does not confirm.
+        * Modes that grow within ``HOLD_DURATION`` and were not tested are omitted.
     """
     leaving = stability.modes_growing_within()
     if not leaving or not stability.at_rest:
@@ -225,15 +227,18 @@ def simulate_growth(
 ) -> GrowthTrial:
     """Simulate a deviation along modes until growth is confirmed or refuted, or the time is over.
 
+    The module docstring describes the test. Two simulations start with opposite deviations. Growth
+    is confirmed if half their difference grows exponentially by a factor of ``2 ** DOUBLINGS``.
+
     Args:
         model: MuJoCo model.
-        start: State (mjSTATE_FULLPHYSICS) at rest.
+        start: State at rest (mjSTATE_FULLPHYSICS), shape (size,).
         ctrl: Command of the actuators, shape (model.nu,).
         modes: Modes along which the state is displaced.
         angle: Upper bound of the initial deviation of a position [rad, m].
         speed: Upper bound of the initial deviation of a velocity [rad/s, m/s].
         until_left: Whether growth counts only if it continues until a joint is displaced by
-            `LEAVING_ANGLE`.
+            `LEAVING_ANGLE`. Used if a foot has almost no load.
     """
     displacement = _make_displacement(model, modes, angle, speed)
     joints = scalar_joints(model)
@@ -390,7 +395,12 @@ def _make_displacement(
 
 
 def find_dof_unit(model: mujoco.MjModel, dof: int) -> str:
-    """Return the unit of a displacement of a degree of freedom (index in qvel): m or rad."""
+    """Return the unit of a displacement of a degree of freedom: m or rad.
+
+    Args:
+        model: MuJoCo model.
+        dof: Index of the degree of freedom in qvel.
+    """
     joint = int(model.dof_jntid[dof])
     is_translation = dof - int(model.jnt_dofadr[joint]) < _NUM_TRANSLATIONS.get(
         int(model.jnt_type[joint]), 0

@@ -18,8 +18,7 @@ from pupper_analysis.robot.stability import step_derivative
 _MAX_SAMPLE_TIME = 0.05
 """Upper bound of the time between the evaluated displacements of a prediction [s], unless the time
 step of the model is longer. Derived: an oscillation at 2 Hz is sampled ten times per period. Its
-displacement between two samples exceeds the samples by at most 5 %: 1 / cos(pi / 10) = 1.05.
-"""
+displacement between two samples exceeds the samples by at most 5 %: 1 / cos(pi / 10) = 1.05."""
 
 _INTERVAL_RTOL, _INTERVAL_ATOL = 0.1, 1e-6
 """Relative [1] and absolute [m, rad] tolerance of a predicted displacement. `LinearStep.reproduces`
@@ -47,29 +46,31 @@ class LinearStep:
         self._power, self._total = power, total
 
     def predict(self, before: Array, state: Array, duration: float) -> Array:
-        """Return the displacements from a state at n later times, shape (n, 2 nv + na).
+        """Predict the displacements from a state at n later times, with the linearised step.
 
-        The times are equally spaced; the last is ``duration`` or the next time after it. The
-        difference between ``before`` and ``state`` is the first change. Columns are positions [m,
-        rad], velocities [m/s, rad/s] and activations, in the tangent space. Values may be infinite
-        or NaN if a mode grows.
+        The times are equally spaced; the last is ``duration``, rounded up to the next sample. The
+        first change of the state is ``state`` minus ``before``.
 
         Args:
-            before: State one step earlier (mjSTATE_FULLPHYSICS).
-            state: State (mjSTATE_FULLPHYSICS) from which displacements are measured.
+            before: State a step earlier (mjSTATE_FULLPHYSICS), shape (size,).
+            state: State (mjSTATE_FULLPHYSICS) from which displacements are measured, shape (size,).
             duration: Time after the state [s].
+
+        Returns:
+            Displacements, shape (n, 2 nv + na), in the tangent space. Columns: positions [m, rad],
+            velocities [m/s, rad/s], activations. Values may be infinite or NaN if a mode grows.
         """
         return self._predict(before, state, math.ceil(duration / (self._stride * self._timestep)))
 
     def reproduces(self, states: Array) -> bool:
-        """Return True if this linear model predicts the later states from the first two.
+        """Return True if this linear model predicts simulated states from the first two of them.
 
-        Only positions are compared, at the times of ``predict``. The largest error [m, rad mixed]
-        must be at most ``_INTERVAL_RTOL`` times the largest displacement, plus ``_INTERVAL_ATOL``.
-        False if the states do not reach the first predicted time.
+        Only positions are compared, at the times of `predict`. The largest error must be at most
+        `_INTERVAL_RTOL` times the largest displacement, plus `_INTERVAL_ATOL` [m, rad mixed]. The
+        result is False if the states do not reach the first predicted time.
 
         Args:
-            states: Successive states after each step, shape (n, size), n > 2.
+            states: States after successive steps (mjSTATE_FULLPHYSICS), shape (n, size), n > 2.
         """
         count, nv = (len(states) - 2) // self._stride, self._model.nv
         if count < 1:
@@ -96,10 +97,15 @@ class LinearStep:
         return displacements
 
     def subtract(self, before: Array, state: Array) -> Array:
-        """Return the change from the state ``before`` to ``state``, shape (2 nv + na,).
+        """Compute the change from a state to another state, in the tangent space.
 
-        The change is in the tangent space: positions [m, rad], velocities [m/s, rad/s] and
-        activations.
+        Args:
+            before: First state (mjSTATE_FULLPHYSICS), shape (size,).
+            state: Second state (mjSTATE_FULLPHYSICS), shape (size,).
+
+        Returns:
+            Change of positions [m, rad], velocities [m/s, rad/s] and activations, shape (2 nv +
+            na,).
         """
         model = self._model
         ends = 1 + model.nq, 1 + model.nq + model.nv + model.na

@@ -1,8 +1,9 @@
 """Evaluate the states of simulations: falls, ground contacts, motor torques, contact forces.
 
-`StandReference` compares a state with the expected stand, and decides whether the robot has fallen
-or left its place. `ContactSampler` computes the ground contacts of one state, and `record_contacts`
-those of a rollout, with mean torques and forces. All states are MuJoCo's mjSTATE_FULLPHYSICS.
+`StandReference` compares a state with the expected stand, and decides if the robot has fallen or
+left the stand. `ContactSampler` computes the ground contacts of a single state. `record_contacts`
+computes those of a rollout, with mean torques and forces. All states are MuJoCo's
+mjSTATE_FULLPHYSICS.
 """
 
 from __future__ import annotations
@@ -35,16 +36,14 @@ from pupper_analysis.simulation.rollout import STATE_SPEC
 from pupper_analysis.stance.stand import Stand
 
 FALLEN_HEIGHT_RATIO = 0.5
-"""Lower bound [1] of the height of the CoM above the feet, divided by the expected height. Below
-the bound, a robot has fallen. The CoM is represented by the point of the base at which it is in the
-expected stand (`StandReference.has_fallen`). Chosen, not tuned.
-"""
+"""Lower bound [1] of the height of the CoM above the feet, divided by the expected height. A robot
+with a lower CoM has fallen (`StandReference.has_fallen`). The CoM is represented by the point of
+the base at which it is in the expected stand. Chosen, not tuned."""
 
 MAX_STANDING_TILT = math.radians(10)
-"""Upper bound of the tilt of the base [rad]. Above the bound, `StandCheck.stands` is False. Chosen
+"""Upper bound of the tilt of the base [rad] of a robot that stands (`StandCheck.stands`). Chosen
 between two measured tilts: up to 2.6 deg for dropped robots that stand, and 16 deg for a robot that
-sits on its shanks.
-"""
+sits on its shanks."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +77,11 @@ class StandCheck(Result):
 class StandReference:
     """Pose of the expected stand, with which simulated states are compared.
 
-    For a free base, the reference point is fixed in the base and coincides with the CoM in the
-    expected stand. For a fixed base, the joint positions are compared.
+    For a free base, a reference point is fixed in the base. It coincides with the CoM in the
+    expected stand. For a fixed base, the joint positions are compared instead.
 
     Attributes:
-        robot: The robot.
+        robot: Robot.
         rotation: Expected orientation of the base, base to world, shape (3, 3).
         com_position: Expected position of the reference point in the world, shape (3,) [m].
         com_offset: Position of the reference point in the base frame, shape (3,) [m].
@@ -106,10 +105,10 @@ class StandReference:
         """Create the reference of the stand at a configuration, for the check of simulated states.
 
         Args:
-            robot: The robot.
+            robot: Robot.
             qpos: Configuration of the stand, shape (nq,).
-            rotation: Expected orientation of the base, shape (3, 3); that of ``qpos`` by default.
-                Ignored for a fixed base, whose orientation is the identity.
+            rotation: Expected orientation of the base, base to world, shape (3, 3); that of
+                ``qpos`` by default. Ignored for a fixed base, whose orientation is the identity.
         """
         config, joints = Configuration(robot, qpos), qpos[robot.nq - robot.nu :]
         com = config.center_of_mass()
@@ -149,11 +148,11 @@ class StandReference:
         return position
 
     def check_stand(self, state: Array, touching: Collection[str]) -> StandCheck:
-        """Check whether a robot stands in a simulated state: tilt [rad], height [m], contacts.
+        """Check if a robot stands in a simulated state: tilt [rad], height [m], contacts.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
-            touching: Bodies that touch the ground in that state with a part other than a foot.
+            touching: Bodies that touch the ground in this state with a part other than a foot.
         """
         lost = (
             0.0
@@ -169,14 +168,14 @@ class StandReference:
         )
 
     def has_fallen(self, state: Array) -> bool:
-        """Return True if the base tilts beyond ``FALLEN_TILT`` or the CoM is too low.
+        """Return True if the base is tilted by more than ``FALLEN_TILT``, or the CoM is too low.
 
         The CoM is represented by the point of the base that coincides with the CoM in the expected
-        stand. The point is too low if it has sunk by more than (1 - ``FALLEN_HEIGHT_RATIO``) *
+        stand. The point is too low if its height loss exceeds (1 - `FALLEN_HEIGHT_RATIO`) *
         ``com_height``. The result is False for a robot with a fixed base.
 
         Args:
-            state: State of a simulation (mjSTATE_FULLPHYSICS): time, qpos, qvel, ...
+            state: State of a simulation (mjSTATE_FULLPHYSICS).
         """
         if self.robot.is_base_fixed:
             return False
@@ -186,7 +185,7 @@ class StandReference:
         )
 
     def has_collapsed(self, state: Array) -> bool:
-        """Return True if a robot no longer stands, or has left the posture (fixed base).
+        """Return True if a robot no longer stands; with a fixed base, if it has left the posture.
 
         With a free base, `fall.has_collapsed` defines the limits of tilt, height and travel. With a
         fixed base, the robot has left the posture if a joint deviates by ``MIN_POSTURE_DEVIATION``
@@ -207,7 +206,7 @@ class StandReference:
 
 @dataclass(frozen=True, eq=False)
 class ContactSample:
-    """Ground contacts at a state.
+    """Contacts of a robot with the ground at a single state of a simulation.
 
     Attributes:
         time: Simulated time [s].
@@ -221,21 +220,21 @@ class ContactSample:
     bodies: set[str]
 
     def presses_all(self, feet: Iterable[str], min_force: float) -> bool:
-        """Return True if the ground exerts more than ``min_force`` [N] on each of ``feet``."""
+        """Return True if the ground exerts more than ``min_force`` [N] on each foot in ``feet``."""
         return all(
             foot in self.forces and math.hypot(*self.forces[foot]) > min_force for foot in feet
         )
 
     def unloaded_feet(self, feet: Iterable[str]) -> list[str]:
-        """Return those of ``feet`` on which the ground exerts no force in this sample."""
+        """Return the names of the feet in ``feet`` on which the ground exerts no force."""
         return [foot for foot in feet if foot not in self.forces or not self.forces[foot].any()]
 
 
 class ContactSampler:
-    """Evaluate the ground contacts at single states of a robot's rollouts.
+    """Evaluator of the ground contacts at single states of a robot's rollouts.
 
     Args:
-        robot: The robot.
+        robot: Robot.
         model: MuJoCo model that was simulated.
 
     Attributes:
@@ -247,10 +246,10 @@ class ContactSampler:
         self.data = mujoco.MjData(model)
 
     def sample(self, state: Array, ctrl: Array) -> ContactSample:
-        """Compute the ground forces on the feet, and the other bodies on the ground, at a state.
+        """Compute the ground forces on the feet at a state, and find other bodies on the ground.
 
         Args:
-            state: MuJoCo state, mjSTATE_FULLPHYSICS.
+            state: State of a simulation (mjSTATE_FULLPHYSICS).
             ctrl: Command of the actuators, shape (model.nu,).
         """
         mujoco.mj_setState(self._model, self.data, state, STATE_SPEC)
@@ -260,12 +259,12 @@ class ContactSampler:
         return ContactSample(float(self.data.time), forces, bodies)
 
     def find_ground_bodies(self, state: Array) -> set[str]:
-        """Return the names of bodies that touch the ground with non-foot geoms.
+        """Return the names of bodies that touch the ground with geoms that belong to no foot.
 
-        Faster than ``sample``, since no forces are computed.
+        Faster than `sample`, since no forces are computed.
 
         Args:
-            state: MuJoCo state, mjSTATE_FULLPHYSICS.
+            state: State of a simulation (mjSTATE_FULLPHYSICS).
         """
         mujoco.mj_setState(self._model, self.data, state, STATE_SPEC)
         mujoco.mj_kinematics(self._model, self.data)
@@ -273,12 +272,15 @@ class ContactSampler:
         return contact.bodies_on_ground(self._model, self.data, self._robot.foot_geoms)
 
     def find_surface(self, body: str) -> Diagnostic | None:
-        """Describe the step, plane or bar that a body touches in the state evaluated last.
+        """Create a message part that names the step, plane or bar that a body touches.
 
-        The result is None if the body touches the floor, or touches no such surface.
+        The contacts are those of the state evaluated last (`sample`).
 
         Args:
             body: Name of the body.
+
+        Returns:
+            The message part; None if the body touches the floor, or touches no such surface.
         """
         return find_touched_surface(self._model, self.data, body)
 
@@ -369,7 +371,7 @@ def describe_divergence(integrator: str, timestep: float) -> Diagnostic:
 
 
 def describe_fall(tilt_angle: float, height: float) -> Diagnostic:
-    """Create the message that the robot fell.
+    """Create the message that the robot fell over.
 
     Args:
         tilt_angle: Tilt of the base [rad].
@@ -405,48 +407,45 @@ _SAMPLE_TIME = 0.02
 
 
 _EQUAL_POSITION_ATOL = 1e-6
-"""Tolerance of positions [m, rad] and activations with which `record_contacts` treats two states as
-equal. The contacts of equal states are computed only once. Chosen: if a foot of v3 moves by 1e-6 m
-into MuJoCo's soft ground, its force changes by 3 mN, a tenth of ``MIN_PUSH_RATIO`` of the weight.
-"""
+"""Tolerance of positions [m, rad] and activations with which two states count as equal in
+`record_contacts`. The contacts of equal states are computed only once. Chosen: if a foot of v3
+moves by 1e-6 m into MuJoCo's soft ground, its force changes by 3 mN, a tenth of `MIN_PUSH_RATIO` of
+the weight."""
 
 _EQUAL_SPEED_ATOL = 1e-5
-"""Tolerance of velocities [m/s, rad/s] with which `record_contacts` treats two states as equal.
-Chosen: the damping of MuJoCo's default contact is 100 N per m/s and kg, thus 3 mN for v3.
-"""
+"""Tolerance of velocities [m/s, rad/s] with which two states count as equal in `record_contacts`.
+Chosen: the damping of MuJoCo's default contact is 100 N per m/s and kg, thus 3 mN for v3."""
 
 LIGHT_FOOT_LOAD = 5e-3
-"""Load of a foot divided by the load of all feet [1], below which the foot is light. A light foot
-may leave the ground for a moment without a failure. Measured on unequal slopes: with minimum
-tangential forces, two of four feet carry 5e-5 to 1.05e-3 of the weight, and a nudge lifts these
-feet. The value is 0.02 (``trial._MIN_LOAD_RATIO``) of the mean load of four feet.
-"""
+"""Upper bound of the load of a light foot, divided by the load of all feet [1]. A light foot may
+leave the ground for a moment without a failure. Measured on unequal slopes: with minimum tangential
+forces, two of four feet carry 5e-5 to 1.05e-3 of the weight, and a nudge lifts these feet. The
+value is 0.02 (``trial._MIN_LOAD_RATIO``) of the mean load of four feet."""
 
 MIN_PUSH_RATIO = 1e-3
-"""Lower bound of a force, divided by the robot's weight [1]. Two bodies are reported as touching if
-the normal force of a contact between them is above the bound. ``record_contacts`` reuses the
-contacts of an equal state if the force on each stance foot is above the bound. Chosen, not tuned.
-"""
+"""Lower bound of a contact force, divided by the robot's weight [1], used twice. Two bodies are
+reported as touching if the normal force of a contact between them is larger. `record_contacts`
+reuses the contacts of an equal state only if the force on each stance foot is larger. Chosen, not
+tuned."""
 
 MEASURING_TIME = 1.0
-"""Duration of the interval [s] in which settled torques, forces, heights and positions are
-averaged. The interval ends at the nudge. Chosen, not tuned.
-"""
+"""Duration [s] of the interval in which settled torques, forces, heights and positions are
+averaged. The interval ends at the nudge. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class ContactRecord:
-    """Contacts of a rollout, sampled, with the settled forces and torques.
+    """Contacts of a rollout, with the settled forces and torques before the nudge.
 
     Attributes:
         failures: Bodies and swing feet that touch the ground; stance feet that unload although they
             must not. For a fixed base without stance feet: all pairs of bodies that push on each
             other, instead of touching bodies.
-        touching: Pairs of robot bodies that push on each other in the settled state and are not
-            in ``failures``.
+        touching: Pairs of robot bodies that push on each other in the settled state and are not in
+            ``failures``.
         torques: Settled motor torques, shape (nu,) [N m, N].
-        forces: {foot: settled force of the ground, weld or grip: force of MuJoCo's constraint},
-            shape (3,) each [N], in world axes.
+        forces: {foot: settled force of the ground; weld or grip: settled force of MuJoCo's
+            constraint}, shape (3,) each [N], in world axes.
         feet_settled: {contact point: settled position of the centre in the world, shape (3,) [m]}.
         lifted: {light foot that left the ground: time at which it first left the ground [s]}.
     """
@@ -461,8 +460,11 @@ class ContactRecord:
     def compute_foot_drops(self, stand: Stand) -> dict[str, Array]:
         """Compute target minus settled position of the contact points of a stand.
 
+        Args:
+            stand: Stand, with the target positions.
+
         Returns:
-            {contact point of a stance foot: shape (3,) [m], in the world frame}.
+            {contact point of a stance foot: difference, shape (3,) [m], in the world frame}.
         """
         return {
             foot: stand.foot_targets[foot] - self.feet_settled[foot] for foot in stand.stance_feet
@@ -478,23 +480,25 @@ def record_contacts(
     settling: int,
     loaded: Container[str],
 ) -> ContactRecord:
-    """Sample the ground contacts of a rollout, and average the settled torques and forces.
+    """Find contact failures in a rollout, and average the settled torques and forces.
 
     Torques [N m, N], forces [N] and foot positions [m] are means over the last second before the
-    nudge. The states are sampled backwards, one sample per `_SAMPLE_TIME`. All samples of the last
-    second before the nudge are evaluated. Any other sample reuses the contacts of the sample
-    evaluated last if both states are equal (`_EQUAL_POSITION_ATOL`, `_EQUAL_SPEED_ATOL`), and if
-    each stance foot carries more than ``MIN_PUSH_RATIO`` of the weight.
+    nudge.
+
+    The states are sampled backwards, a sample per `_SAMPLE_TIME`. All samples of the last second
+    before the nudge are evaluated. To save time, another sample reuses the contacts of the sample
+    evaluated last, if both states are equal (`_EQUAL_POSITION_ATOL`, `_EQUAL_SPEED_ATOL`) and each
+    stance foot carries more than `MIN_PUSH_RATIO` of the weight.
 
     Args:
-        robot: The robot.
+        robot: Robot.
         model: MuJoCo model that was simulated.
-        stand: The stand.
-        states: States after each step, shape (n, size).
+        stand: Stand.
+        states: States after each step (mjSTATE_FULLPHYSICS), shape (n, size).
         ctrl: Actuator commands, shape (model.nu,).
         settling: Number of states before the nudge.
         loaded: Feet that must not leave the ground. Other feet may leave it, for example feet with
-            a predicted load below ``LIGHT_FOOT_LOAD``.
+            a predicted load below `LIGHT_FOOT_LOAD`.
     """
     sampler = ContactSampler(robot, model)
     step = max(1, round(_SAMPLE_TIME / model.opt.timestep))
@@ -607,12 +611,12 @@ def _list_contact_failures(
 def find_pushing_bodies(
     model: mujoco.MjModel, data: mujoco.MjData, min_force: float
 ) -> set[tuple[str, str]]:
-    """Return the pairs of bodies with a contact force above a bound.
+    """Return the pairs of bodies that push on each other with more than a minimum force.
 
     Args:
         model: MuJoCo model.
         data: Data with evaluated contacts.
-        min_force: Normal force [N] of a contact above which a pair counts.
+        min_force: Minimum normal force of a contact [N].
 
     Returns:
         Pairs of body names, each in alphabetical order; the floor belongs to the body "world".
@@ -627,10 +631,10 @@ def find_pushing_bodies(
 
 
 def find_light_bodies(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[int, ...]:
-    """Return the ids of bodies that carry less than ``LIGHT_FOOT_LOAD`` of the load on the ground.
+    """Return the ids of bodies that carry less than `LIGHT_FOOT_LOAD` of the load on the ground.
 
-    The load of a body is the sum of its normal forces [N] in contacts with the world or bodies
-    fixed to it; the total is the sum over all bodies. Bodies without such a contact are not
+    The load of a body is the sum of its normal forces [N] in contacts with the world or with bodies
+    fixed to the world. The total is the sum over all bodies. Bodies without such a contact are not
     included.
 
     Args:

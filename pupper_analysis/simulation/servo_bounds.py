@@ -1,10 +1,10 @@
-"""Bounds of the servo gains of a stand: the least stiffness, and the largest damping.
+"""Bounds of the servo gains of a stand: the minimum stiffness, and the maximum damping.
 
-`bound_servo_gains` scales the present gains of all joints by common factors. The least stiffness is
-computed without feed-forward (``stance/sag/stiffness.py``). The largest damping is computed for an
-explicit PD controller with one command per time step (`ControlledStand`). `find_soft_servos` scales
-the gains of up to three classes of joints. It finds the classes whose low stiffness makes a stand
-fail.
+`bound_servo_gains` scales the present gains of all joints by common factors. The minimum stiffness
+is computed without feed-forward (``stance/sag/stiffness.py``). The maximum damping is computed for
+an explicit PD controller with a command per time step (`ControlledStand`). `find_soft_servos`
+scales the gains of up to three classes of joints. It finds the classes whose low stiffness makes a
+stand fail.
 """
 
 from __future__ import annotations
@@ -39,19 +39,18 @@ from pupper_analysis.stance.sag.stiffness import estimate_minimum_stiffness, min
 from pupper_analysis.stance.stand import Stand
 
 _DAMPING_TOLERANCE = 0.02
-"""Relative tolerance of the largest damping [1]. Chosen for results with two digits."""
+"""Relative tolerance [1] of the bisection for the maximum damping. Chosen for results with two
+digits."""
 
 _TRIED_RATIOS = (1.02, 1.1, 1.25, 1.5, 2.0)
-"""Ratios [1] of the simulated stiffness to the least stiffness (`minimum_stiffness`), in the order
-of simulation. The simulations end at the first ratio with which the robot stands. Chosen, not
-tuned.
-"""
+"""Ratios [1] of the simulated stiffness to the minimum stiffness (`minimum_stiffness`), in the
+order of simulation. The simulations end at the first ratio with which the robot stands. Chosen, not
+tuned."""
 
 _STABLE_RATIO = 1.1
-"""Lower bound of the stiffness in the computation of the largest damping, divided by the least
-stiffness of the stand [1]. Softer servos get this stiffness. Reason: below the least stiffness a
-stand buckles with any damping. Chosen, not tuned.
-"""
+"""Lower bound [1] of the stiffness, divided by the minimum stiffness of the stand, with which the
+maximum damping is computed. Softer servos get this stiffness. Reason: below the minimum stiffness a
+stand buckles with any damping. Chosen, not tuned."""
 
 
 @dataclass(frozen=True)
@@ -158,11 +157,14 @@ def bound_servo_gains(
     kd: ArrayLike | None = None,
     stands: bool = True,
 ) -> ServoBounds:
-    """Bound the gains of the servos of a stand.
+    """Compute bounds of the servo gains of a stand: minimum stiffness, and maximum damping.
 
-    If the robot stands, the least stiffness is an estimate (`estimate_minimum_stiffness`).
-    Otherwise `minimum_stiffness` computes the least stiffness, and simulations find a stiffness
-    above it with which the robot stands.
+    Both bounds are common factors on the present gains of all joints.
+
+    * Minimum stiffness, without feed-forward: if the robot stands, an estimate
+      (`estimate_minimum_stiffness`). Otherwise the result of `minimum_stiffness`; simulations then
+      find a larger stiffness with which the robot stands.
+    * Maximum damping: for an explicit PD controller with a command per time step.
 
     Args:
         robot: Robot, with the contacts of the stand.
@@ -247,12 +249,11 @@ tuned: with 8 times the stiffness of its ankles TienKung falls, with 10 times it
 """
 
 _MAX_SUSPECTS = 3
-"""Largest number of simulated classes of servos. It limits the time: each class takes up to four
-simulations, and so do all classes together. Chosen, not tuned.
-"""
+"""Upper bound of the number of classes of servos that `find_soft_servos` simulates. It limits the
+time: each class takes up to four simulations, and so do all classes together. Chosen, not tuned."""
 
 _MODE_CODES = ("mode-buckles", "mode-shakes")
-"""Codes of failures that name the joints of an unstable mode."""
+"""Codes of the messages about an unstable mode; such a message names the joints of the mode."""
 
 
 def find_soft_servos(
@@ -265,22 +266,26 @@ def find_soft_servos(
 ) -> SoftServos | None:
     """Find the servos whose low gains alone make a stand with feed-forward fail.
 
-    The failures of ``run`` name the joints of unstable modes. The classes of these joints are
-    simulated, at most `_MAX_SUSPECTS`: first each class alone, then all of them together. Stiffness
-    and damping of the simulated classes are multiplied by `_SINGLE_FACTORS` in turn, until the
-    robot stands.
+    The failures of ``run`` name the joints of unstable modes. The classes of these joints
+    (corresponding joints of similar limbs, with equal gains) are simulated, at most
+    `_MAX_SUSPECTS`. First each class is simulated alone, then all of them together. Stiffness and
+    damping of the simulated classes are multiplied by `_SINGLE_FACTORS` in turn, until the robot
+    stands.
 
     Args:
         robot: Robot, with the contacts of the stand.
         stand: Stand on MuJoCo's soft ground.
-        run: Simulation of the stand with feed-forward and these gains.
+        run: Simulation of the stand with feed-forward and the present gains.
         kp: Present stiffness [N m/rad], scalar or shape (nu,); default: the model's.
         kd: Present damping [N m s/rad], scalar or shape (nu,); default: the model's.
 
     Returns:
-        Servos of the first class with which the robot stands, or of all simulated classes. None if
-        the robot stands in ``run``, if its base is fixed, if its failures name no unstable mode of
-        servos with stiffness, or if the robot stands with no tried factor.
+        Servos of the first class, or of all simulated classes, with which the robot stands. None in
+        these cases:
+
+        * The robot stands in ``run``, or the base is fixed.
+        * The failures name no unstable mode of servos with stiffness.
+        * The robot stands with no tried factor.
 
     Raises:
         ConfigurationError: If an argument is out of range, or the stand belongs to another robot.

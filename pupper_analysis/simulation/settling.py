@@ -1,10 +1,10 @@
-"""Test whether a robot comes to rest in a stand, with a simulation as short as possible.
+"""Test if a robot comes to rest in a stand, with a simulation as short as possible.
 
 `comes_to_rest` simulates a stand with given servos until base and feet are at rest, nudges the
-robot, and evaluates the growing modes. The result is True or False. A simulation ends as soon as
-the robot has left the stand, shakes without decay, or rests with displaced feet. This function
-tests many servos or stands; `verify_stand` simulates 12 s by default and returns all quantities.
-`calms_after_base_nudges` tests larger nudges of the base.
+robot (adds a small velocity), and evaluates the growing modes. The result is True or False. A
+simulation ends as soon as the robot has left the stand, shakes without decay, or rests with
+displaced feet. This function tests many servos or stands; `verify_stand` simulates 12 s by default
+and returns all quantities. `calms_after_base_nudges` tests larger nudges of the base.
 """
 
 from __future__ import annotations
@@ -47,31 +47,26 @@ from pupper_analysis.simulation.verify import NUDGED_FRACTION, SETTLED_DRIFT
 from pupper_analysis.stance.stand import Stand
 
 MAX_HEIGHT_DEVIATION = 2e-4
-"""Upper bound of the standard deviation of the base's height within one second [m]. Below the
-bound, the height is that of a robot at rest. Chosen, not tuned.
-"""
+"""Upper bound of the standard deviation of the base's height within a second [m] with which a robot
+counts as at rest. Chosen, not tuned."""
 
 MAX_FOOT_DISPLACEMENT = 5e-3
-"""Largest horizontal distance of a contact point from its target [m]. Above this distance, a stand
-does not count as at rest. Chosen, not tuned.
-"""
+"""Upper bound of the horizontal distance of a contact point from its target [m] with which a stand
+counts as at rest. Chosen, not tuned."""
 
 MAX_STAND_ROTATION = 0.1
-"""Upper bound of the rotation of the base from its orientation in the stand [rad]. Above the bound,
-the robot has left the stand. Chosen, not tuned.
-"""
+"""Upper bound of the rotation of the base from the orientation in the stand [rad]. With a larger
+rotation, the robot has left the stand. Chosen, not tuned."""
 
 _RESTING_RATIO = 0.25
 """Upper bound [1] of height deviation, height drift and foot displacement, each divided by its
-bound for a robot at rest. If all are below this bound, the settling simulation ends early. The
-growing modes then decide whether the robot stays at rest. Chosen, not tuned.
-"""
+bound for a robot at rest. If all ratios are below this bound, the settling simulation ends early.
+The growing modes then decide if the robot stays at rest. Chosen, not tuned."""
 
 _LOST_RATIO = 2.0
-"""Bound [1] of foot displacement / `MAX_FOOT_DISPLACEMENT` and of base rotation /
-`MAX_STAND_ROTATION`. If one of them is above the bound, the simulation ends with failure. Chosen: a
-base that starts at rest overshoots to at most twice the final tilt.
-"""
+"""Upper bound [1] of foot displacement / `MAX_FOOT_DISPLACEMENT` and of base rotation /
+`MAX_STAND_ROTATION`. If a ratio exceeds the bound, the simulation ends with failure. Chosen: a base
+that starts at rest overshoots to at most twice the final tilt."""
 
 _CHECK_INTERVAL = RECORD_INTERVAL
 """Simulated time between two tests whether the robot is at rest or has left the stand [s]."""
@@ -87,30 +82,28 @@ _MIN_NUDGE_TIME = 1.5
 of 1 mm/s leaves the stand within a second."""
 
 MIN_ABSENT_DOUBLINGS = 10
-"""Shortest simulated time after a nudge that can refute a growing mode, in doubling times of the
-mode. In this time the mode would grow by a factor of 1000. If the nudge decays instead, the mode is
-refuted. Chosen, not tuned.
-"""
+"""Lower bound [1] of the ratio (simulated time after a nudge) / (doubling time of a growing mode)
+with which a decaying nudge refutes the mode. In this time the mode would grow by a factor of 1000.
+Chosen, not tuned."""
 
 _SAMPLE_TIME = 0.02
 """Time between the states at which foot positions are evaluated [s]. Chosen, not tuned."""
 
 LARGE_NUDGE_SPEED = 0.05
-"""Initial speed of the base [m/s] in simulations with a large nudge. ``calms_after_base_nudges``
-uses it along +-x, +-y and +-z of the world. ``trial.simulate_large_nudges`` uses it along +-x and
-+-y, and for a yaw rotation with the angular speed (this speed) / (CoM height). Chosen, not tuned.
-Measured for the reduced Talos with added servos at a time step of 2 ms: its soles chatter without
-end after this nudge, at 0.1 to 0.7 rad/s. They are at rest after the nudge of ``nudge_state``.
-"""
+"""Initial speed of the base [m/s] in simulations with a large nudge. `calms_after_base_nudges` uses
+the speed along +-x, +-y and +-z of the world. ``trial.simulate_large_nudges`` uses the speed along
++-x and +-y, and for a yaw rotation with the angular speed (this speed) / (CoM height). Chosen, not
+tuned. Measured for the reduced Talos with added servos at a time step of 2 ms: its soles chatter
+without end after this nudge, at 0.1 to 0.7 rad/s. They are at rest after the nudge of
+``nudge_state``."""
 
 _MAX_BASE_NUDGE_TIME = 6.0
 """Longest simulated time after a nudge of the base [s]. Chosen as twice ``SHAKING_SECONDS``."""
 
 _DISPLACEMENT_RATE_FACTOR = 2.0
 """Safety factor [1] on the speed with which a displaced foot returned towards its target in the
-last second. Until the end of the settling simulation, the foot is assumed to return at most at the
-product of both. Chosen, not tuned.
-"""
+last second. Until the end of the settling simulation, the foot is assumed to return no faster than
+speed times factor. Chosen, not tuned."""
 
 
 def comes_to_rest(
@@ -123,24 +116,28 @@ def comes_to_rest(
 ) -> bool:
     """Return True if a robot comes to rest in a stand, and again after a nudge.
 
-    The settling simulation ends once the robot is at rest, after at most 5 s (the default of
-    ``verify_stand``). Then a nudge must decay, and the robot must stand on its feet only. No mode
-    may grow within ``HOLD_DURATION`` (12 s), unless the nudged simulations refute the mode.
+    The following conditions must hold:
+
+    1. In a settling simulation of at most 5 s (the default of `verify_stand`), base and feet come
+       to rest. The simulation ends early once at rest.
+    2. After a nudge (a small velocity of all coordinates) the motion decays. The robot then stands
+       only on the feet.
+    3. No mode of the linearised step grows within ``HOLD_DURATION`` (12 s), unless the nudged
+       simulations refute the mode.
 
     The result is False as soon as a simulation diverges, the robot leaves the stand, or it shakes
-    without decay for ``SHAKING_SECONDS``. It is also False if the robot does not come to rest in
-    the settling simulation, or if a foot will remain too far from its target (`_stays_displaced`).
+    without decay for ``SHAKING_SECONDS``. It is also False if a foot will remain too far from its
+    target (`_stays_displaced`).
 
     Args:
-        robot: The robot.
-        stand: The stand, with at least one stance foot.
+        robot: Robot.
+        stand: Stand, with at least one stance foot.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the stand belongs to another
-            robot.
+        ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
             both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.
@@ -185,26 +182,25 @@ def calms_after_base_nudges(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> bool:
-    """Return True if a robot neither leaves the stand nor keeps shaking after six base nudges.
+    """Return True if a robot stays in the stand, and does not keep shaking, after six base nudges.
 
-    The robot starts in the stand, with feed-forward. The base has the velocity
-    ``LARGE_NUDGE_SPEED`` along +x, -x, +y, -y, +z or -z of the world. Each simulation ends once the
-    robot no longer shakes (speeds below ``MIN_SHAKING_SPEED``), or after ``_MAX_BASE_NUDGE_TIME``.
+    Each simulation starts in the stand, with feed-forward torques. The base has the velocity
+    `LARGE_NUDGE_SPEED` along +x, -x, +y, -y, +z or -z of the world. A simulation ends once the
+    robot no longer shakes (speeds below ``MIN_SHAKING_SPEED``), or after `_MAX_BASE_NUDGE_TIME`.
     The result is False as soon as a simulation diverges, the robot leaves the stand, or it shakes
     without decay for ``SHAKING_SECONDS``.
 
-    This test finds chatter that ``comes_to_rest`` may miss. The larger nudge may lift a sole, which
+    This test finds chatter that `comes_to_rest` may miss. The larger nudge may lift a sole, which
     then chatters without end.
 
     Args:
-        robot: The robot, with a free base.
-        stand: The stand, with at least one stance foot.
+        robot: Robot, with a free base.
+        stand: Stand, with at least one stance foot.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
 
     Raises:
-        ConfigurationError: If an argument is out of range, or the stand belongs to another
-            robot.
+        ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
         ModelError: If a joint has no motor, if a joint has no position servo and kp and kd are not
             both given, or if the ground cannot be added (``build_on_ground``).
         StaticsInfeasibleError: If no contact forces balance the stand.

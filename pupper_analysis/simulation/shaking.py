@@ -1,4 +1,4 @@
-"""Decide whether a simulated robot shakes without decay, from its speeds.
+"""Decide if a simulated robot shakes without decay, from its speeds.
 
 The slow motion of a robot, such as creep, is removed: a straight line in time is subtracted from
 each velocity.
@@ -13,33 +13,33 @@ from pupper_analysis.base.array_types import Array
 from pupper_analysis.simulation.stability import measure_speed_deviations
 
 RECORD_INTERVAL = 0.25
-"""Interval of simulated time [s] for each of which a `ShakingRecord` contains the largest speed.
-Chosen, not tuned: longer than the flight of a foot that bounces.
-"""
+"""Length [s] of the intervals of simulated time of which a `ShakingRecord` contains the largest
+speed. Chosen, not tuned: longer than the flight of a foot that bounces."""
 
 SHAKING_SECONDS = 3
-"""Number of successive windows of simulated time whose speeds are compared. The comparison shows
-whether a robot shakes without decay. By default each window is one second long. Chosen, not tuned.
-"""
+"""Number of successive windows of simulated time whose largest speeds are compared, to decide if a
+robot shakes without decay. By default each window is one second long. Chosen, not tuned."""
 
 MIN_SHAKING_SPEED = 1e-2
-"""Speed [m/s, rad/s] above which a robot counts as shaking. Speeds are taken without their linear
-trend within each ``RECORD_INTERVAL``. Chosen as ten times ``fall.NUDGE_SPEED``, and twice
+"""Upper bound of the speed [m/s, rad/s] of a robot that does not shake. Speeds are taken without
+the linear trend within each `RECORD_INTERVAL`. Chosen as ten times ``fall.NUDGE_SPEED``, and twice
 ``stability.MAX_RESTING_SPEED``."""
 
 _MIN_SHAKING_RATIO = 0.92
 """Lower bound [1] of the ratio (largest speed in a window) / (largest speed in the earlier windows)
-of sustained shaking. The ``SHAKING_SECONDS`` last windows are compared. Derived from
+of sustained shaking. The `SHAKING_SECONDS` last windows are compared. Derived from
 `measure_response`: there a motion has decayed if the speeds in successive thirds have a ratio of at
-most 0.9. A decay to 0.92 in 2 s gives the ratio 0.907 in a nudged simulation of 7 s.
-"""
+most 0.9. A decay to 0.92 in 2 s gives the ratio 0.907 in a nudged simulation of 7 s."""
 
 INTERVALS_PER_SECOND = round(1 / RECORD_INTERVAL)
-"""Number of intervals of length ``RECORD_INTERVAL`` in a second [1]."""
+"""Number of intervals of length `RECORD_INTERVAL` in a second [1]."""
 
 
 class ShakingRecord:
-    """Largest speeds of a simulated robot, without slow motion, interval by interval.
+    """Record of how fast a simulated robot shakes, to decide if the shaking decays.
+
+    The record contains the largest speed in each interval of `RECORD_INTERVAL`. Slow motion such as
+    creep is removed.
 
     Args:
         model: MuJoCo model that is simulated.
@@ -53,10 +53,13 @@ class ShakingRecord:
 
     @np.errstate(invalid="ignore", over="ignore")  # diverged values: not sustained
     def add(self, states: Array) -> None:
-        """Record the largest speeds in successive simulated states, shape (n, size).
+        """Record the largest speeds in further simulated states.
 
-        The states are those after each step. Each call begins an interval; states after the last
-        whole ``RECORD_INTERVAL`` are ignored.
+        Each call begins a new interval. States after the last complete `RECORD_INTERVAL` are
+        ignored.
+
+        Args:
+            states: States after successive steps (mjSTATE_FULLPHYSICS), shape (n, size).
         """
         for begin in range(0, len(states) - self._interval + 1, self._interval):
             rows = states[begin : begin + self._interval, self._velocities]
@@ -76,7 +79,7 @@ class ShakingRecord:
 
     @property
     def is_calm(self) -> bool:
-        """Whether the speed was at most ``MIN_SHAKING_SPEED`` in the last interval.
+        """Whether the speed was at most `MIN_SHAKING_SPEED` in the last recorded interval.
 
         At least one interval must be recorded.
         """
@@ -89,15 +92,15 @@ class ShakingRecord:
 
     @property
     def is_sustained(self) -> bool:
-        """Whether the robot shakes, and has not become slower in ``SHAKING_SECONDS``."""
+        """Whether the robot shakes, and has not become slower in `SHAKING_SECONDS` seconds."""
         return self.is_sustained_over(1)
 
     def is_sustained_over(self, seconds: int) -> bool:
         """Return True if the robot shakes, and has not become slower over successive windows.
 
-        The windows are the last ``SHAKING_SECONDS`` windows, each ``seconds`` [s] long. The largest
-        speed in a window must be at least ``_MIN_SHAKING_RATIO`` times the largest speed in the
-        windows before. False if the record is too short, or without shaking in the last second.
+        The last `SHAKING_SECONDS` windows are compared. The largest speed in a window must be at
+        least `_MIN_SHAKING_RATIO` times the largest speed in the windows before. The result is
+        False if the record is too short, or without shaking in the last second.
 
         Args:
             seconds: Length of each window [s].

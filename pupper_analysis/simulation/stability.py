@@ -1,10 +1,10 @@
-"""Stability of a robot at rest on its servos: spectrum of MuJoCo's step, and nudged simulations.
+"""Stability of a robot at rest on servos: spectrum of MuJoCo's step, and nudged simulations.
 
 Inputs are a stand or a simulated state, and constant servo commands. The output is a `Stability`.
-First the eigenvalues of MuJoCo's step are computed. Then a nudged simulation of the unmodified
-model confirms or refutes the modes that grow within ``HOLD_DURATION`` (`judge_stability`).
-`simulate_nudge` simulates a nudge of all coordinates. `measure_response` measures the remaining
-motion (`Nudge`).
+First the eigenvalues and modes (eigenvectors) of MuJoCo's linearised step are computed. Then a
+nudged simulation of the unmodified model confirms or refutes the modes that grow within
+``HOLD_DURATION`` (`judge_stability`). A nudge is a small velocity of all coordinates.
+`simulate_nudge` simulates a nudge, and `measure_response` measures the remaining motion (`Nudge`).
 """
 
 from __future__ import annotations
@@ -38,10 +38,9 @@ from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.stand import Stand
 
 CONTACT_SETTLING_TIME = 0.05
-"""Time for which a predicted equilibrium is simulated before its modes are computed [s]. In this
+"""Time [s] for which a predicted equilibrium is simulated before the modes are computed. In this
 time the contact forces converge, since the prediction is accurate to first order in the creep (slow
-slip of loaded contacts). Chosen, not tuned.
-"""
+slip of loaded contacts). Chosen, not tuned."""
 
 
 @check_arguments
@@ -54,24 +53,28 @@ def stand_stability(
     kd: ArrayLike | None = None,
     integrator: str | None = None,
 ) -> Stability:
-    """Judge whether a stand is stable, from the eigenvalues of a MuJoCo step.
+    """Judge if a stand is stable against small motions, from the eigenvalues of a MuJoCo step.
 
-    With feed-forward, the stand is simulated for ``SETTLING_TIME``, then evaluated. Without
-    feed-forward, the equilibrium of the servos (``steady_state``, feet pinned) is simulated for
-    ``CONTACT_SETTLING_TIME``, then evaluated. If a mode grows within ``HOLD_DURATION``, nudged
-    simulations test whether the mode does grow (``confirm_growth``). Each takes up to twice
-    ``growth.LONGEST_TRIAL``. The result does not cover larger pushes.
+    The evaluated state depends on ``feedforward``:
+
+    * True: state after the stand was simulated for ``SETTLING_TIME``.
+    * False: equilibrium of the servos (`steady_state`, feet pinned), simulated for
+      `CONTACT_SETTLING_TIME`.
+
+    If a mode grows within ``HOLD_DURATION``, nudged simulations test if the mode does grow
+    (`confirm_growth`). Each takes up to twice ``growth.LONGEST_TRIAL`` of simulated time. The
+    result does not cover larger pushes.
 
     Args:
-        robot: The robot.
-        stand: The stand.
+        robot: Robot.
+        stand: Stand.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
 
     Returns:
-        The modes that grow, with doubling times, and the stability margin.
+        Modes that grow, with doubling times, and the stability margin.
 
     Raises:
         ConfigurationError: If an argument is out of range, the stand has stance feet but the base
@@ -101,15 +104,15 @@ def rest_stability(
     """Judge the stability of the equilibrium that servos reach without feed-forward.
 
     Args:
-        robot: The robot.
-        stand: The stand whose joint positions are commanded.
-        pose: Equilibrium of the servos, from ``steady_state``.
+        robot: Robot.
+        stand: Stand whose joint positions are commanded.
+        pose: Equilibrium of the servos, from `steady_state`.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
         integrator: MuJoCo's integrator; the model's own by default.
 
     Returns:
-        The modes that grow at the equilibrium, and the stability margin.
+        Modes that grow at the equilibrium, with doubling times, and the stability margin.
 
     Raises:
         ConfigurationError: If an argument is out of range, or the stand belongs to another robot.
@@ -123,10 +126,10 @@ def rest_stability(
 
 
 MAX_RESTING_SPEED = 5e-3
-"""Upper bound of the speed [m/s, rad/s] of a state at rest in `find_final_spectrum`, and of a small
-remaining motion in `remains_small`. ``causes.proves_unrest`` ignores motions below this speed. Feet
-usually creep more slowly. Chosen, not tuned.
-"""
+"""Upper bound of the speed [m/s, rad/s], used three times. A state with a lower speed is at rest in
+`find_final_spectrum`. A remaining motion below the bound is small in `remains_small`.
+``causes.proves_unrest`` ignores motions below the bound. Feet usually creep more slowly. Chosen,
+not tuned."""
 
 
 def evaluate_final_stability(
@@ -138,16 +141,17 @@ def evaluate_final_stability(
     has_fallen: bool = False,
     tests_growth: bool = True,
 ) -> Stability:
-    """Judge the stability of the final state of a simulation, or of a state near the initial state.
+    """Judge the stability of a robot at the end of a simulation.
+
+    The evaluated state is the final state, if at rest. Otherwise it is a state near the initial
+    state (`find_final_spectrum`).
 
     Args:
         drive: MuJoCo model with servos.
-        start: Initial state of the simulation, mjSTATE_FULLPHYSICS.
-        end: Final state of the simulation, mjSTATE_FULLPHYSICS.
+        start: Initial state of the simulation (mjSTATE_FULLPHYSICS).
+        end: Final state of the simulation (mjSTATE_FULLPHYSICS).
         ctrl: Command of the actuators, shape (model.nu,).
-        has_fallen: Whether the simulation has failed. If True, the initial state is evaluated. If
-            False and the final state is not at rest, the simulation is repeated
-            (`find_final_spectrum`).
+        has_fallen: Whether the simulation has failed. If True, the initial state is evaluated.
         tests_growth: Whether a nudged simulation confirms or refutes the growing modes.
     """
     spectrum, settled = find_final_spectrum(drive, start, end, ctrl, has_fallen=has_fallen)
@@ -157,22 +161,24 @@ def evaluate_final_stability(
 def find_final_spectrum(
     drive: Servos, start: Array, end: Array, ctrl: Array, *, has_fallen: bool = False
 ) -> tuple[Stability, mujoco.MjData]:
-    """Compute the growing modes at the final state of a simulation, or near the initial state.
+    """Compute the growing modes of a robot at the end of a simulation.
 
-    The evaluated state depends on the simulation. If it has failed (``has_fallen``), the initial
-    state is evaluated, since the modes that upset the robot grow at this state. If the final state
-    is not at rest, the simulation is repeated from the initial state for `SETTLING_TIME`, and the
-    state that `judge_settled` returns is evaluated.
+    The evaluated state is:
+
+    * The initial state, if the simulation has failed: the modes that upset the robot grow there.
+    * The final state, if at rest (speeds up to `MAX_RESTING_SPEED`).
+    * Otherwise, the state that `judge_settled` returns after a new simulation of `SETTLING_TIME`
+      from the initial state.
 
     Args:
         drive: MuJoCo model with servos.
-        start: Initial state of the simulation, mjSTATE_FULLPHYSICS.
-        end: Final state of the simulation, mjSTATE_FULLPHYSICS.
+        start: Initial state of the simulation (mjSTATE_FULLPHYSICS).
+        end: Final state of the simulation (mjSTATE_FULLPHYSICS).
         ctrl: Command of the actuators, shape (model.nu,).
         has_fallen: Whether the simulation has failed.
 
     Returns:
-        Modes, not yet tested by a simulation; and the state at which they were computed.
+        Modes, not yet tested by a simulation; and the state at which the modes were computed.
     """
     first = start if has_fallen else end
     spectrum, settled = _find_modes(drive.model, _restore_state(drive, first, ctrl), 0.0)
@@ -196,9 +202,9 @@ def evaluate_stability(
 
     Args:
         drive: MuJoCo model with servos.
-        state: MuJoCo state, mjSTATE_FULLPHYSICS.
+        state: State (mjSTATE_FULLPHYSICS).
         ctrl: Command of the actuators, shape (model.nu,).
-        settle: Time for which the state is simulated first [s].
+        settle: Time for which the state is simulated before the modes are computed [s].
     """
     return judge_stability(drive.model, _restore_state(drive, state, ctrl), settle=settle)
 
@@ -206,15 +212,15 @@ def evaluate_stability(
 def evaluate_spectrum(
     drive: Servos, state: Array, ctrl: Array, settle: float = SETTLING_TIME
 ) -> Stability:
-    """Compute the modes of MuJoCo's step at a state under a constant command.
+    """Compute the modes of MuJoCo's linearised step at a state under a constant command.
 
     Unlike `evaluate_stability`, this function does not test growing modes by a simulation.
 
     Args:
         drive: MuJoCo model with servos.
-        state: MuJoCo state, mjSTATE_FULLPHYSICS.
+        state: State (mjSTATE_FULLPHYSICS).
         ctrl: Command of the actuators, shape (model.nu,).
-        settle: Time for which the state is simulated first [s].
+        settle: Time for which the state is simulated before the modes are computed [s].
     """
     return _find_modes(drive.model, _restore_state(drive, state, ctrl), settle)[0]
 
@@ -224,13 +230,14 @@ def judge_stability(
 ) -> Stability:
     """Judge the stability of a state of a MuJoCo model: eigenvalues of a step, then a simulation.
 
-    At a state at rest, modes that grow within ``HOLD_DURATION`` remain in the result only if a
-    nudged simulation of the unmodified model confirms the growth (``confirm_growth``).
+    If the state is at rest, a nudged simulation of the unmodified model tests the modes that grow
+    within ``HOLD_DURATION`` (`confirm_growth`). A mode that does not grow in the simulation is
+    removed from the growing modes.
 
     Args:
         model: MuJoCo model.
         data: State, with ``ctrl``; not changed.
-        settle: Time for which the state is simulated first [s].
+        settle: Time for which the state is simulated before the modes are computed [s].
     """
     spectrum, settled = _find_modes(model, data, settle)
     return confirm_growth(spectrum, model, settled, data.ctrl.copy())
@@ -295,27 +302,24 @@ by 1 km.
 
 
 MAX_JOINT_DISPLACEMENT = 1e-2
-"""Bound of the displacement of a joint after a nudge [rad, m]. At or above the bound, the robot
-counts as displaced by the nudge. The displacement is measured from the position before the nudge,
-without the creep. Chosen, not tuned.
-"""
+"""Bound of the displacement of a joint after a nudge [rad, m]. If a joint reaches the bound, the
+nudge has displaced the robot. The displacement is measured from the position before the nudge,
+without creep. Chosen, not tuned."""
 
 _MAX_SPEED_RATIO = 0.9
 """Upper bound [1] of the ratio (speed in the last third) / (speed in the second third) of the time
-after a nudge. Up to the bound, the motion counts as decayed. A sustained oscillation has a ratio of
-1. Chosen, not tuned.
-"""
+after a nudge, with which the motion counts as decayed. A sustained oscillation has a ratio of 1.
+Chosen, not tuned."""
 
 _DECAYED_RATIO = 1e-2
 """Upper bound [1] of the ratio (speed in the last third of the time after a nudge) / (speed of the
-nudge). Up to the bound, the motion counts as decayed: contacts and the constraint solver cause
-motion of this size. Chosen, not tuned.
-"""
+nudge), with which the motion counts as decayed. Contacts and the constraint solver cause motion of
+this size. Chosen, not tuned."""
 
 
 @dataclass(frozen=True, eq=False)
 class Nudge(Result):
-    """Response of a stand to a nudge.
+    """Response of a stand to a nudge, a small velocity of all coordinates.
 
     Attributes:
         speed: Largest change of a coordinate's velocity by the nudge (m/s, rad/s).
@@ -355,7 +359,7 @@ class Nudge(Result):
 
 
 def simulate_nudge(model: mujoco.MjModel, state: Array, ctrl: Array, duration: float) -> Array:
-    """Simulate a state after a velocity perturbation of all coordinates, base and joints.
+    """Simulate a state after a nudge: a velocity perturbation of all coordinates, base and joints.
 
     Args:
         model: MuJoCo model.
@@ -364,23 +368,32 @@ def simulate_nudge(model: mujoco.MjModel, state: Array, ctrl: Array, duration: f
         duration: Simulated time [s].
 
     Returns:
-        States after each step, shape (n, size).
+        States after each step (mjSTATE_FULLPHYSICS), shape (n, size).
     """
     steps = count_nudged_steps(model, duration)
     return simulate_commands(model, nudge_state(model, state), np.tile(ctrl, (steps, 1)))
 
 
 def nudge_state(model: mujoco.MjModel, state: Array) -> Array:
-    """Return a state (mjSTATE_FULLPHYSICS) with a nudge added to all velocities [m/s, rad/s]."""
+    """Return a copy of a state with a nudge: a perturbation of all velocities [m/s, rad/s].
+
+    Args:
+        model: MuJoCo model.
+        state: State (mjSTATE_FULLPHYSICS).
+    """
     nudged, first = state.copy(), 1 + model.nq
     nudged[first : first + model.nv] += nudge_velocity(model)
     return nudged
 
 
 def count_nudged_steps(model: mujoco.MjModel, duration: float) -> int:
-    """Return the number of steps of a nudged simulation of ``duration`` [s], at least 3.
+    """Return the number of steps of a nudged simulation, at least 3.
 
-    `measure_response` divides the states into thirds.
+    At least 3 steps are needed because `measure_response` divides the states into thirds.
+
+    Args:
+        model: MuJoCo model.
+        duration: Simulated time [s].
     """
     return max(3, round(duration / float(model.opt.timestep)))
 
@@ -391,19 +404,18 @@ def measure_response(
 ) -> Nudge:
     """Measure the response to a nudge: remaining speeds [m/s, rad/s], joint displacements [rad, m].
 
-    Feet creep slowly on MuJoCo's soft friction, also without a nudge. To exclude the creep, a
-    straight line in time is fitted to each velocity and subtracted. For a free base, an increase of
-    the mean velocity by the nudge counts as remaining speed, too: without friction the base keeps
-    the nudge's velocity.
+    Feet creep slowly on MuJoCo's soft friction, also without a nudge. To exclude creep, a straight
+    line in time is fitted to each velocity and subtracted. An increase of the mean velocity of a
+    free base counts as remaining speed, too: without friction the base keeps the velocity of the
+    nudge.
 
     Args:
         model: MuJoCo model.
-        before: State before the nudge, shape (size,).
+        before: State before the nudge (mjSTATE_FULLPHYSICS), shape (size,).
         states: States after each step after the nudge, shape (n, size), n > 2.
-        creep: States before the nudge, shape (m, size), m > 1. The creep of the joints in these
-            states is subtracted from the displacements, and the mean velocity of the base is
-            compared with that in these states. None: no creep is subtracted, and no mean velocity
-            is compared.
+        creep: States before the nudge, shape (m, size), m > 1. From them, the creep of the joints
+            and the mean velocity of the base are taken. None: no creep is subtracted from
+            displacements, and no mean velocity is compared.
     """
     third, timestep = len(states) // 3, float(model.opt.timestep)
     windows = states[third : 2 * third], states[-third:]
@@ -438,27 +450,27 @@ def measure_response(
 
 
 BOUNCING_TIME = 28.0
-"""Additional simulated time [s] after a nudge. In this time the remaining motion must not grow, for
-example that of a bouncing foot with almost no load. Chosen: the sum of this time and the 12 s of a
-verified stand is 40 s.
-"""
+"""Additional simulated time [s] after a nudge in `remains_small`. In this time the remaining motion
+must not grow, for example that of a bouncing foot with almost no load. Chosen: the sum of this time
+and the 12 s of a verified stand is 40 s."""
 
 
 _MAX_BOUNCE_RATIO = 1.5
-"""Upper bound [1] of the ratio (speed at the end of ``BOUNCING_TIME``) / (speed after the nudge).
-Up to the bound, the motion does not grow. Chosen between 1 and 3: the ratio of irregular bounces
-varies about 1, and growth that doubles in 12 s has a ratio of 3.
-"""
+"""Upper bound [1] of the ratio (speed at the end of `BOUNCING_TIME`) / (speed after the nudge),
+with which the motion does not grow. Chosen between 1 and 3: the ratio of irregular bounces varies
+about 1, and growth that doubles in 12 s has a ratio of 3."""
 
 
 def remains_small(model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge) -> bool:
-    """Simulate ``BOUNCING_TIME`` more after a nudge; return True if the remaining motion is small.
+    """Continue a nudged simulation; return True if the remaining motion stays small.
 
-    A foot with almost no load may bounce by micrometres for a long time, and shakes the robot. The
-    motion is small if its speed in the last third of the additional time is at most
-    ``_MAX_BOUNCE_RATIO`` times the speed after the nudge, and at most ``MAX_RESTING_SPEED``. All
-    joints must also stay within ``MAX_JOINT_DISPLACEMENT`` of ``end``. False if the simulation
-    diverges.
+    A foot with almost no load may bounce by micrometres for a long time, and shakes the robot. This
+    is no failure if the motion stays small for `BOUNCING_TIME`. Three conditions must hold:
+
+    * The simulation does not diverge.
+    * The speed in the last third of the time is at most `_MAX_BOUNCE_RATIO` times the speed after
+      the nudge, and at most `MAX_RESTING_SPEED`.
+    * No joint moves by `MAX_JOINT_DISPLACEMENT` or more from ``end``.
 
     Args:
         model: MuJoCo model.
@@ -509,24 +521,30 @@ def _measure_base_drift(model: mujoco.MjModel, states: Array, creep: Array) -> f
 
 
 def measure_speed_deviation(velocities: Array) -> float:
-    """Return the largest deviation of velocities from straight lines in time [m/s, rad/s].
+    """Compute how fast a robot shakes: largest deviation of velocities from straight lines in time.
 
-    Each line is fitted to the values of a velocity by least squares. The deviation shows how fast a
-    robot shakes, without slow motion such as creep.
+    Each line is fitted to the values of a velocity by least squares. Slow motion such as creep is
+    thus excluded.
 
     Args:
         velocities: Velocities at equal time intervals, shape (n, nv) [m/s, rad/s].
+
+    Returns:
+        Largest deviation over time and velocities [m/s and rad/s mixed].
     """
     return float(measure_speed_deviations(velocities).max(initial=0.0))
 
 
 def measure_speed_deviations(velocities: Array) -> Array:
-    """Return the largest deviation of each velocity from a straight line in time, shape (nv,).
+    """Compute the largest deviation of each velocity from a straight line in time.
 
     The line is fitted to the values of the velocity by least squares.
 
     Args:
         velocities: Velocities at equal time intervals, shape (n, nv) [m/s, rad/s].
+
+    Returns:
+        Largest deviation of each velocity, shape (nv,) [m/s, rad/s].
     """
     time = np.linspace(-1.0, 1.0, len(velocities))
     slopes = (time @ velocities) / (time @ time)

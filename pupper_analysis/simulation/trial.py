@@ -1,10 +1,11 @@
 """Simulate a stand with the base nudged in twelve directions, and report the first failure.
 
-A simulation ends at the first failure, at the end of the time, or once no failure is expected for
-the remaining time. For this decision the remaining motion is bounded from speeds and growing modes,
-or predicted by the linearised step (`_NudgedEvaluation.will_hold`). Failures are saturated motors,
-slipping or lifted feet, large joint deviations, joint limits, other parts on the ground, shaking
-that does not decay, and divergence. `simulate_large_nudges` looks for shaking after larger nudges.
+A nudge is an initial velocity. A simulation ends at the first failure, at the end of the time, or
+once no failure is expected for the remaining time. For this decision the remaining motion is
+bounded from speeds and growing modes, or predicted by the linearised step
+(`_NudgedEvaluation.will_hold`). Failures are saturated motors, slipping or lifted feet, large joint
+deviations, joint limits, other parts on the ground, shaking that does not decay, and divergence.
+`simulate_large_nudges` looks for shaking after larger nudges.
 """
 
 from __future__ import annotations
@@ -44,11 +45,10 @@ from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
 BASE_NUDGE_SPEED = 0.01
-"""Initial speed of the base [m/s] in a nudged simulation. For a horizontal nudge it is multiplied
-by ``_HORIZONTAL_FACTOR``. For a yaw rotation the angular speed is (this speed) / (CoM height). A
-nudge is needed since a robot leaves an unstable equilibrium only after a perturbation. A stand that
-is stable by a few percent survives this speed. Chosen, not tuned.
-"""
+"""Initial speed of the base [m/s] in a nudged simulation. For a horizontal nudge the speed is
+multiplied by `_HORIZONTAL_FACTOR`. For a yaw rotation the angular speed is (this speed) / (CoM
+height). A nudge is needed since a robot leaves an unstable equilibrium only after a perturbation. A
+stand that is stable by a few percent survives this speed. Chosen, not tuned."""
 
 _HORIZONTAL_NUDGES = 8
 """Number of horizontal nudges, at equal angles; the first is along world x. Chosen, not tuned."""
@@ -60,21 +60,19 @@ survives two neighbouring nudges is assumed to survive smaller nudges between th
 """
 
 MAX_JOINT_DEVIATION = 0.1
-"""Largest deviation of a joint from the stand after a nudge [rad, m]. If a joint deviates more, the
-stand has buckled. Measured: joints of robots that buckle finally deviate by 0.3 rad and more.
-"""
+"""Upper bound of the deviation of a joint from the stand after a nudge [rad, m]. If a joint
+deviates more, the stand has buckled. Measured: joints of robots that buckle finally deviate by 0.3
+rad and more."""
 
 MAX_FOOT_SLIP = 5e-3
-"""Largest displacement of a contact point after a nudge, perpendicular to its lift-off direction
-(`Stand.lift_directions`) and without the creep [m]. If the displacement is larger, the foot has
-slid. Chosen larger than the displacement of rolling feet, 1 mm.
-"""
+"""Upper bound of the displacement of a contact point after a nudge [m], perpendicular to the
+lift-off direction (`Stand.lift_directions`) and without creep. If the displacement is larger, the
+foot has slid. Chosen larger than the displacement of rolling feet, 1 mm."""
 
 MAX_FOOT_LIFT = 2e-3
-"""Largest rise of a contact point along its lift-off direction after a nudge [m]. If a foot without
-ground contact rises more, the foot has lifted. A foot with little load usually rises less. Chosen,
-not tuned.
-"""
+"""Upper bound of the rise of a contact point along the lift-off direction after a nudge [m]. If a
+foot without ground contact rises more, the foot has lifted. A foot with little load usually rises
+less. Chosen, not tuned."""
 
 _MIN_MARGIN_RATIO, _MAX_UTILISATION, _MIN_LIMIT_DISTANCE = 5.0, 0.9, 0.02
 """Bounds in ``is_near_limit``. A stand beyond one of them is near a limit, and requires nudged
@@ -85,10 +83,9 @@ payloads: robots that fell after a nudge had a CoM margin below 3 displacements.
 """
 
 _MIN_LOAD_RATIO = 0.02
-"""Load of a foot divided by the mean foot load [1], below which a nudge may lift the foot
-(``is_near_limit``). On unequal slopes, contact forces with minimum tangential forces may load two
-of four feet with only 1/10,000 of the weight. Chosen, not tuned.
-"""
+"""Lower bound [1] of the load of a foot, divided by the mean foot load, in `is_near_limit`. A nudge
+may lift a foot with less load. On unequal slopes, contact forces with minimum tangential forces may
+load two of four feet with only 1/10,000 of the weight. Chosen, not tuned."""
 
 _LIMIT_ATOL = 1e-6
 """Two tolerances [rad, m]. A joint rests on its limit if its distance from the limit is below this
@@ -151,7 +148,7 @@ class Failure(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class NudgeTrial(Result):
-    """Simulations of a stand after nudges of the base in several directions.
+    """Result of simulations of a stand after nudges (initial velocities) of the base.
 
     Attributes:
         survived: Whether the stand survived all nudges.
@@ -191,34 +188,33 @@ def simulate_nudges(
     duration: float = HOLD_DURATION,
     until_failure: bool = False,
 ) -> NudgeTrial:
-    """Simulate a stand twelve times, each time with another initial velocity of the base.
+    """Simulate a stand twelve times, each time with another initial velocity (nudge) of the base.
 
-    The velocities are: ``BASE_NUDGE_SPEED`` up and down; a slightly larger speed in eight
-    horizontal directions (``_HORIZONTAL_FACTOR``); a rotation about the base's z axis in both
-    senses.
+    The nudges are: `BASE_NUDGE_SPEED` up and down; a slightly larger speed in eight horizontal
+    directions (`_HORIZONTAL_FACTOR`); a rotation about the base's z axis in both senses.
 
-    The model is simulated with the dry friction of joints and contacts. This function does not
-    detect a stand that only dry friction holds; ``growth.confirm_growth`` does, with a larger
-    nudge.
+    The model is simulated with the dry friction of joints and contacts. A stand that only dry
+    friction holds is not detected here; ``growth.confirm_growth`` does this, with a larger nudge.
 
-    Each simulation ends at its first failure, after ``duration``, or if the remaining motion is
+    Each simulation ends at the first failure, after ``duration``, or if the remaining motion is
     known and causes no failure. Shaking is a failure if the robot still shakes after ``duration``,
-    and has not become slower in about the last three quarters of it
+    and has not become slower in about the last three quarters of this time
     (``ShakingRecord.is_sustained_over``).
 
     The remaining motion counts as known in two cases:
 
-    - The bound from the current speeds and the fastest growing mode is at most 1 mm or 1 mrad.
+    - The upper bound from the current speeds and the fastest growing mode is at most 1 mm or 1
+      mrad.
     - No mode grows, no motor has saturated, and the linearised step reproduces the last 0.5 s. By
-      its prediction, each coordinate leaves the range of its values since the nudge by at most 1 mm
-      or 1 mrad. The feet do not slide too far if they continue at their mean speed.
+      the prediction of this step, each coordinate leaves the range of its values since the nudge by
+      at most 1 mm or 1 mrad. The feet do not slide too far if they continue at their mean speed.
 
     A contact point with a predicted load below ``monitor.LIGHT_FOOT_LOAD`` may lift, if its foot is
     back on the ground at the end.
 
     Args:
-        robot: The robot, with the payload and a free base.
-        stand: The stand, solved for the simulated ground.
+        robot: Robot, with the payload and a free base.
+        stand: Stand, solved for the simulated ground.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
         duration: Time after each nudge for which the result holds [s], 2 to 600.
@@ -284,18 +280,20 @@ def simulate_large_nudges(
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> NudgeTrial:
-    """Simulate a stand after nudges of the base that may lift a sole, and look for shaking.
+    """Simulate a stand after large nudges of the base, and find out if it shakes without decay.
 
-    The base starts with ``LARGE_NUDGE_SPEED`` along +x, -x, +y or -y of the world, or rotates about
-    its z axis with ``LARGE_NUDGE_SPEED`` / CoM height. A simulation ends once the robot does not
-    shake for an interval (``ShakingRecord.is_calm``), or after ``HOLD_DURATION``. Only shaking
-    without decay and divergence are failures, as defined in ``simulate_nudges``. The trial ends at
-    the first failure. If the robot leaves the stand without shaking, ``simulate_nudges`` detects
-    it, not this function.
+    A nudge is an initial velocity; a large nudge may lift a sole. The base starts with
+    `LARGE_NUDGE_SPEED` along +x, -x, +y or -y of the world, or rotates about its z axis with
+    `LARGE_NUDGE_SPEED` / CoM height.
+
+    A simulation ends once the robot does not shake for an interval (``ShakingRecord.is_calm``), or
+    after ``HOLD_DURATION``. Only shaking without decay and divergence are failures, as defined in
+    `simulate_nudges`. The trial ends at the first failure. A robot that leaves the stand without
+    shaking is no failure here: `simulate_nudges` detects this.
 
     Args:
-        robot: The robot, with a free base.
-        stand: The stand, solved for the simulated ground.
+        robot: Robot, with a free base.
+        stand: Stand, solved for the simulated ground.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
 
@@ -357,19 +355,19 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
     """Return True if a stand is so near a limit that a small nudge may cause a failure.
 
     A nudge with speed v moves a CoM at height h by about v sqrt(h/g), and changes torques and
-    forces by about one percent. A stand is near a limit in any of these cases:
+    forces by about one percent. A stand is near a limit in any of the following cases:
 
-    - the CoM margin is below `_MIN_MARGIN_RATIO` times the displacement of the CoM,
-    - a motor utilisation or friction utilisation is above `_MAX_UTILISATION`,
-    - a foot bears less than `_MIN_LOAD_RATIO` times the mean load, and there are no welds or grips,
-    - a joint is less than `_MIN_LIMIT_DISTANCE` from a limit. Joints whose range permits no motion
+    - The CoM margin is below `_MIN_MARGIN_RATIO` times the displacement of the CoM.
+    - A motor utilisation or friction utilisation is above `_MAX_UTILISATION`.
+    - A foot bears less than `_MIN_LOAD_RATIO` times the mean load, and there are no welds or grips.
+    - A joint is less than `_MIN_LIMIT_DISTANCE` from a limit. Joints whose range permits no motion
       are ignored. A joint that moves no foot may rest on a limit.
 
-    False if the statics have no CoM margin, or if the base is fixed or welded.
+    The result is False if the statics have no CoM margin, or if the base is fixed or welded.
 
     Args:
-        robot: The robot, with the payload.
-        stand: The stand, solved for the simulated ground.
+        robot: Robot, with the payload.
+        stand: Stand, solved for the simulated ground.
         statics: Statics of the stand.
     """
     if statics.com_margin is None or robot.is_base_fixed:  # a base that no nudge moves
@@ -414,9 +412,14 @@ def _find_failure_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
 
 
 def com_height_above_contacts(robot: Robot, stand: Stand) -> float:
-    """Return the height of the CoM above the mean contact point of a stand with feet [m].
+    """Return the height of the CoM above the mean contact point of a stand [m].
 
-    For a robot with welds or grips, the result is the stand height of the robot.
+    For a robot with welds or grips, the result is the stand height of the robot: the base height in
+    the nominal stand.
+
+    Args:
+        robot: Robot.
+        stand: Stand with feet, unless the robot has welds or grips.
     """
     if robot.fixed_parts:
         return robot.stand_height
@@ -425,14 +428,16 @@ def com_height_above_contacts(robot: Robot, stand: Stand) -> float:
 
 
 def make_nudge_velocities(robot: Robot, stand: Stand) -> Array:
-    """Create the velocities of the twelve nudges of the base, shape (12, nv) [m/s, rad/s].
-
-    The rows are eight horizontal nudges, up, down, and rotations about the base's z axis in both
-    senses. The columns are in the order of qvel; joint velocities are zero.
+    """Create the initial velocities of the twelve nudged simulations of `simulate_nudges`.
 
     Args:
-        robot: The robot.
-        stand: The stand.
+        robot: Robot.
+        stand: Stand.
+
+    Returns:
+        Velocities, shape (12, nv) [m/s, rad/s], in the order of qvel. Rows: eight horizontal
+        nudges, up, down, and rotations about the base's z axis in both senses. Joint velocities are
+        zero.
     """
     speeds = np.zeros((_HORIZONTAL_NUDGES + 4, robot.nv))
     angles = 2 * np.pi * np.arange(_HORIZONTAL_NUDGES) / _HORIZONTAL_NUDGES

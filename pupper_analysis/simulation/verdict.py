@@ -1,6 +1,6 @@
-"""Verdict of a stance: result of the simulations, and the assumptions behind the result.
+"""Verdict on a stance: result of the simulations, and the assumptions behind the result.
 
-``judge_stance`` creates the verdict on a simulated stance, and ``predict_verdict`` the verdict on a
+`judge_stance` creates the verdict on a simulated stance, and `predict_verdict` the verdict on a
 stance without simulation. Documents, drawings and exit statuses use these verdicts.
 """
 
@@ -23,9 +23,10 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 
 
 class VerdictCode(StrEnum):
-    """Code of a verdict, from the best to the worst.
+    """Code of a verdict on a stance, from the best to the worst.
 
-    ``LIMITS_UNKNOWN`` and ``MASSES_UNKNOWN`` replace only verdicts that pass.
+    ``LIMITS_UNKNOWN`` and ``MASSES_UNKNOWN`` replace passing verdicts (`PASSING_CODES`) of stances
+    whose result depends on torque limits or masses that no file states.
     """
 
     HOLDS = "holds"
@@ -50,19 +51,21 @@ PASSING_CODES = (
     VerdictCode.HOLDS_ALTERED,
     VerdictCode.HOLDS_WITH_FEEDFORWARD,
 )
-"""Verdicts that pass, with exit status 0."""
+"""Codes of verdicts that count as a success: commands then exit with status 0."""
 
 
 UNKNOWN_CODES = (VerdictCode.LIMITS_UNKNOWN, VerdictCode.MASSES_UNKNOWN)
-"""Verdicts of stances that hold in simulation, but depend on values that no file states."""
+"""Codes of verdicts on stances that hold in simulation, but depend on values that no file states.
+"""
 
 
 IMPOSSIBLE_CODES = ("mass-beyond-metal", "inertia-beyond-robot")
-"""Codes of remarks about masses and moments of inertia that no part of a robot can have."""
+"""Codes of messages about masses and moments of inertia that no part of a robot can have, for
+example a body denser than tungsten."""
 
 
 class Question(StrEnum):
-    """Question that a verdict answers."""
+    """Question that a verdict answers, as text for reports."""
 
     STANDS = "whether it holds"
     CARRIES = "whether it carries its payload"
@@ -71,17 +74,17 @@ class Question(StrEnum):
 
 
 LOAD_QUESTIONS = (Question.CARRIES, Question.LASTS)
-"""Questions that a simulation cannot answer if the torque limit of a motor is unknown."""
+"""Questions about payloads and pushes. A simulation cannot answer such a question if the torque
+limit of a motor is unknown."""
 
 
 TWO_ROBOTS_CODE = "files-of-two-robots"
-"""Code of the failure that URDF and MJCF describe different robots. Other failures follow from this
-failure, so it is listed before them.
-"""
+"""Code of the message that URDF and MJCF describe different robots. Other failures are consequences
+of this failure, which is therefore listed first."""
 
 
 class Ending(StrEnum):
-    """End of a simulation."""
+    """End of a simulation of a stance, as text for reports."""
 
     HOLDS = "holds"
     DISAGREES = "stands, and not as predicted"
@@ -142,10 +145,9 @@ class Creep(Result):
 
 
 NOTABLE_CREEP_SPEED, NOTABLE_CREEP_RATE = 1e-3 / 60, 10e-3 / 60
-"""Bounds of the mean speed [m/s] and rate [rad/s] of creep: 1 mm/min and 10 mrad/min. Above a
-bound, the verdict states the creep in its first lines. Chosen, not tuned: the nominal stand of
-Pupper v3 creeps by less than a tenth of both.
-"""
+"""Bounds of creep, the slow mean motion of a standing robot: speed [m/s] and rate [rad/s], equal to
+1 mm/min and 10 mrad/min. If a bound is exceeded, the first lines of a verdict report the creep.
+Chosen, not tuned: the nominal stand of Pupper v3 creeps by less than a tenth of both."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -221,20 +223,25 @@ def judge_stance(
 ) -> Verdict:
     """Create the verdict on the simulations of a stance, posture, payload, path or push.
 
+    The code of the verdict is the worst that applies. A passing code is replaced if the answer
+    depends on masses (``MASSES_UNKNOWN``) or else torque limits (``LIMITS_UNKNOWN``) that no file
+    states.
+
     Args:
-        fed: Simulation with feed-forward.
-        alone: Simulation without feed-forward; None if there is none.
+        fed: Simulation with feed-forward torques.
+        alone: Simulation with position commands alone; None if there is none.
         servos: Servos of the simulation.
         question: Question that the simulation answers.
-        overloaded_motors: Motors above their effort limits.
-        keyframe_run: Simulation of the published file from the keyframe.
-        published: Differences between the published MJCF and the simulated model.
-        converted: Model that was converted from the other model; empty without a conversion.
-        unknown: Whether the answer depends on torque limits that no file states; a passing verdict
-            is then ``LIMITS_UNKNOWN``, unless ``masses_unknown``.
-        masses_unknown: Whether moving links have masses that no file states; a passing verdict is
-            then ``MASSES_UNKNOWN``.
-        remarks: Other assumptions. With a remark of severity error, the verdict does not pass.
+        overloaded_motors: Names of joints whose motors exceed the effort limits.
+        keyframe_run: Simulation of the published file from a keyframe; None if there is none.
+        published: Differences between the published MJCF and the simulated model; None if not
+            compared.
+        converted: Format of the model that was converted from the other, ``"urdf"`` or ``"mjcf"``;
+            empty without a conversion.
+        unknown: Whether the answer depends on torque limits that no file states.
+        masses_unknown: Whether moving links have masses that no file states.
+        remarks: Messages about other assumptions. With a message of severity error, the verdict
+            does not pass.
     """
     code = _find_worst_code(fed, alone, servos, overloaded_motors, keyframe_run, published, remarks)
     if masses_unknown and code in PASSING_CODES:
@@ -279,7 +286,10 @@ def _min_doubling_time(stability: Stability | None) -> float:
 def predict_verdict(
     statics: GravityCompensation, servos: ServosUsed, stability: Stability | None = None
 ) -> Verdict:
-    """Create the verdict on a balanced stance before the simulation; ``passed`` is False.
+    """Create the verdict on a balanced stance without a simulation; ``passed`` is False.
+
+    The code is ``OVERLOADED`` if a motor exceeds the effort limit, else ``UNSTABLE`` if
+    ``stability`` contains a mode that grows within 12 s, else ``IN_BALANCE``.
 
     Args:
         statics: Statics of the stance.
@@ -303,7 +313,7 @@ def predict_verdict(
 
 
 def find_overloaded_motors(statics: GravityCompensation) -> tuple[str, ...]:
-    """Return the names of the motors whose utilisation (torque / effort limit) is above 1."""
+    """Return the names of the joints whose motors are overloaded: torque / effort limit above 1."""
     utilisations = zip(statics.joint_names, statics.motor_utilisation, strict=True)
     return tuple(name for name, utilisation in utilisations if utilisation > 1)
 
@@ -311,8 +321,10 @@ def find_overloaded_motors(statics: GravityCompensation) -> tuple[str, ...]:
 def classify_ending(run: Outcome) -> Ending:
     """Classify how a simulation ended: the robot holds, stands differently, fails or collapses.
 
-    The robot stands differently (``Ending.DISAGREES``) if it stays at rest on its feet
-    (``Outcome.stays``), but not as predicted.
+    Returns:
+        ``HOLDS`` if the simulation passed. ``DISAGREES`` if the robot stands still on the feet, but
+        not as predicted (``Outcome.stays``). ``COLLAPSES`` if the robot collapsed. Otherwise
+        ``FAILS``.
     """
     if run.passed:
         return Ending.HOLDS

@@ -1,7 +1,8 @@
 """Verify stands: MuJoCo's simulation against the prediction by Pinocchio.
 
-`verify_stand` simulates a stand, nudges the robot, and compares settled torques, forces and
-positions with the statics. `mujoco_balance_residual` evaluates the balance without a simulation.
+`verify_stand` simulates a stand, nudges the robot (adds a small velocity), and compares settled
+torques, forces and positions with the statics. `mujoco_balance_residual` evaluates the balance
+without a simulation.
 """
 
 from __future__ import annotations
@@ -65,11 +66,19 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 
 
 def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompensation) -> float:
-    """Return the largest magnitude in MuJoCo's force balance residual of a stand [N, N m].
+    """Compute how well predicted forces balance a stand in MuJoCo's model, without a simulation.
 
     The residual is g - J^T f - S^T tau, minus the load that closed loops transfer between joints.
     Here g are MuJoCo's bias forces minus passive forces, and J is the contact Jacobian of the MJCF.
     The contact forces f, the weld forces and the motor torques tau are those of ``prediction``.
+
+    Args:
+        robot: Robot.
+        stand: Stand.
+        prediction: Statics of the stand, computed from the URDF.
+
+    Returns:
+        Largest magnitude of the residual [N, N m]; nearly 0 if both files describe the same robot.
     """
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, stand.qpos)
@@ -95,60 +104,51 @@ def mujoco_balance_residual(robot: Robot, stand: Stand, prediction: GravityCompe
 
 
 STABLE_DEVIATION = 5e-3
-"""Upper bound of the standard deviation of the base's height in the last second before the nudge
-[m]. At or above the bound, `verify_stand` reports that the robot does not stand still. Chosen, not
-tuned.
+"""Bound of the standard deviation of the base's height in the last second before the nudge [m]. If
+the bound is reached, `verify_stand` reports that the robot does not stand still. Chosen, not tuned.
 """
 
 JOINT_TOLERANCE = 1e-3
-"""Upper bound of the difference between settled and predicted joint position [rad, m]. At or above
-the bound, a stand is not verified. Without feed-forward, the deadband by dry friction is added to
-the bound. Chosen, not tuned.
-"""
+"""Bound of the difference between settled and predicted joint position [rad, m]. A stand is
+verified only if the difference is smaller. Without feed-forward, the deadband by dry friction is
+added to the bound. Chosen, not tuned."""
 
 FORCE_TOLERANCE = 1e-2
-"""Upper bound of two relative differences between simulation and prediction [1]. At or above the
-bound, a stand is not verified. Motor torques are compared relative to `torque_scale`. Foot forces
-along the lift-off direction are compared relative to the predicted force. Without feed-forward, dry
-friction increases the bound for torques. Chosen, not tuned.
-"""
+"""Bound of two relative differences between simulation and prediction [1]. A stand is verified only
+if both are smaller. Motor torques are compared relative to `torque_scale`. Foot forces along the
+lift-off direction are compared relative to the predicted force. Without feed-forward, dry friction
+increases the bound for torques. Chosen, not tuned."""
 
 MIN_FORCE_SCALE = 0.05
-"""Lower bound of the divisor of a foot force error, as a fraction of the predicted vertical load on
-all feet (of the weight, with welds or grips) [1]. Without the bound, feet with almost no load would
-have large relative errors. Chosen, not tuned.
-"""
+"""Lower bound [1] of the force by which the error of a foot force is divided, as a fraction of the
+predicted vertical load on all feet (of the weight, with welds or grips). Without the bound, feet
+with almost no load would have large relative errors. Chosen, not tuned."""
 
 MAX_SINKING_RATIO = 0.1
-"""Largest height loss of a verified stand with feed-forward, divided by the CoM height above the
-feet [1]. Such a stand loses height, for example, if the legs are too short to compensate for the
-penetration of the feet. Chosen, not tuned.
-"""
+"""Upper bound [1] of the height loss of a verified stand with feed-forward, divided by the CoM
+height above the feet. A stand loses height, for example, if the legs are too short to compensate
+for the penetration of the feet. Chosen, not tuned."""
 
 MAX_BALANCE_RESIDUAL_RATIO = 1e-3
-"""Upper bound of `mujoco_balance_residual` [N, N m] divided by the weight [N]. Above the bound, the
-two files describe different robots, which is a failure. The rounding of numbers in files causes
-1e-6. Chosen, not tuned.
-"""
+"""Upper bound of `mujoco_balance_residual` [N, N m] divided by the weight [N]. If the ratio is
+larger, the two files describe different robots, which is a failure. The rounding of numbers in
+files causes 1e-6. Chosen, not tuned."""
 
 TORQUE_SCALE_LEVER = 1e-3
-"""Lever arm [m] of the smallest divisor of torque deviations, (robot weight) * (lever arm)
-(`torque_scale`). A smallest divisor is needed since all predicted torques may be zero. Chosen, not
-tuned.
-"""
+"""Lever arm [m] in the lower bound of `torque_scale`: (robot weight) * (lever arm). A lower bound
+is needed since all predicted torques may be zero. Chosen, not tuned."""
 
 SETTLED_DRIFT = 5e-4
-"""Upper bound of the magnitude of the base's mean vertical velocity in the last second before the
-nudge [m/s]. At or above the bound, `verify_stand` reports that the robot does not stand still.
-Chosen, not tuned."""
+"""Bound of the magnitude of the base's mean vertical velocity in the last second before the nudge
+[m/s]. If the bound is reached, `verify_stand` reports that the robot does not stand still. Chosen,
+not tuned."""
 
 _SAMPLE_TIME = 0.02
 """Time between the height samples of the result [s]. Chosen, not tuned."""
 
 NUDGED_FRACTION = 7 / 12
-"""Default fraction of the simulated time that is after the nudge [1]. By default the simulation
-lasts 12 s: 5 s to settle, and 7 s in which the nudge must decay. Chosen, not tuned.
-"""
+"""Default fraction [1] of the simulated time of a stand that follows the nudge. By default the
+simulation lasts 12 s: 5 s to settle, and 7 s in which the nudge must decay. Chosen, not tuned."""
 
 _FRAME_TIME = 0.1
 """Time between the configurations of the result [s]: frequent enough for an animation. Chosen, not
@@ -265,23 +265,28 @@ def verify_stand(
     settled: SteadyState | None = None,
     until_failure: bool = False,
 ) -> StandVerification:
-    """Simulate a stand on a free base, and compare the simulation with Pinocchio's prediction.
+    """Simulate a stand in MuJoCo, and compare the simulation with Pinocchio's prediction.
+
+    The stand is verified if the simulation meets all conditions:
+
+    1. The robot settles, and stands still only on its feet.
+    2. With feed-forward, settled torques, foot forces and joint positions agree with the
+       prediction, and the height loss is at most `MAX_SINKING_RATIO` of the CoM height.
+    3. The robot comes to rest again after a nudge: a velocity of all coordinates (``NUDGE_SPEED``
+       of ``robot.fall``).
+    4. No mode of the linearised step grows within ``HOLD_DURATION`` (12 s).
 
     A posture of a robot with a fixed base (``held_stand``) is verified in the same way. Without
-    feed-forward the robot must stand; it is compared only with ``settled``, if given.
+    feed-forward, such a posture is compared with ``settled``, if given.
 
     The prediction is ``gravity_compensation`` with minimum tangential forces, the equilibrium that
     MuJoCo's creeping friction sustains. MuJoCo's ground is soft: if the feet carry unequal loads, a
     stand for rigid ground tilts by milliradians and the loads change by percents. Use
     ``solve_stand_on_soft_ground`` for a stand that holds as predicted.
 
-    The settled values are measured first. Then all coordinates are nudged (``NUDGE_SPEED`` of
-    ``robot.fall``), and the robot must come to rest again. No mode of the spectrum may grow within
-    ``HOLD_DURATION`` (12 s).
-
     Args:
-        robot: The robot.
-        stand: The stand.
+        robot: Robot.
+        stand: Stand.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
@@ -290,15 +295,14 @@ def verify_stand(
         nudged: Part of the duration after the nudge [s], at most ``duration`` minus 1 s. Default:
             7/12 of ``duration``, within this bound. With 0 there is no nudge, and settled values
             are measured at the end.
-        settled: Predicted equilibrium without feed-forward. If ``feedforward`` is False and the
-            equilibrium has no failures, the settled state of a robot with a fixed base and no
-            stance feet is compared with this equilibrium.
+        settled: Predicted equilibrium without feed-forward. Used only if ``feedforward`` is False,
+            the equilibrium has no failures, and the robot has a fixed base and no stance feet.
         until_failure: Whether the simulations that test growing modes are omitted if the response
             to the nudge proves that the robot does not stay. This does not change ``passed`` and
             ``stays``; ``stability`` and ``failures`` then contain modes that are not tested.
 
     Returns:
-        The comparison; ``failures`` contains the reasons if the stand is not verified.
+        Comparison; ``failures`` contains the reasons if the stand is not verified.
 
     Raises:
         ConfigurationError: If an argument is out of range, the base is fixed and the stand has
@@ -442,19 +446,20 @@ def _describe_light_feet(
 
 
 CREEP_TIME = 10.0
-"""Time at the end of a simulation over which the creep (slow motion) of a stand is measured [s].
-Chosen, not tuned."""
+"""Time [s] at the end of a simulation over which the creep of a stand, its slow mean motion, is
+measured. Chosen, not tuned."""
 
 
 def measure_creep(robot: Robot, stand: Stand, model: mujoco.MjModel, states: Array) -> Creep:
-    """Measure the creep of a stand: speeds of base, feet and slides, and rates of base and hinges.
+    """Measure the creep of a stand: mean speeds of base, feet and slides, and mean hinge rates.
 
-    Each mean speed is a displacement divided by a duration. The displacement is measured over the
-    last ``CREEP_TIME`` of the rollout, or over the whole rollout if it is shorter.
+    Creep is the slow motion of a robot that stands. Each mean speed is a displacement divided by a
+    duration. The displacement is measured over the last `CREEP_TIME` of the rollout, or over the
+    whole rollout if shorter.
 
     Args:
-        robot: The robot.
-        stand: The stand.
+        robot: Robot.
+        stand: Stand.
         model: MuJoCo model that was simulated.
         states: States after each step (mjSTATE_FULLPHYSICS), shape (n, size).
     """
@@ -506,15 +511,15 @@ def _nudge_duration(duration: float, nudged: float | None) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SettlingRun:
-    """Simulation of a constant command, followed by a nudge.
+    """Simulation of a constant command, followed by a nudge (a velocity of all coordinates).
 
     Attributes:
-        states: States after each step, shape (n, size).
+        states: States after each step (mjSTATE_FULLPHYSICS), shape (n, size).
         settling: Number of states before the nudge.
-        last: States of the last second before the nudge.
+        last: States of the last second before the nudge, shape (m, size).
         diverged: Whether the simulation diverged before the nudge.
-        stability: Stability of the settled state, or of a state near the initial state; see
-            ``evaluate_final_stability``.
+        stability: Stability of the settled state, or of a state near the initial state
+            (`evaluate_final_stability`).
         nudge: Response to the nudge; None without a nudge.
     """
 
@@ -538,15 +543,16 @@ def settle_and_nudge(
 ) -> SettlingRun:
     """Simulate a state under a constant command for a time, then nudge all coordinates.
 
-    There is no nudge if ``nudge_duration`` is 0 or the simulation diverges before.
+    A nudge is a small velocity. There is no nudge if ``nudge_duration`` is 0, or if the simulation
+    diverges before. The stability of the settled state is evaluated as well.
 
     Args:
         drive: Servos and MuJoCo model.
-        start: Initial state, shape (size,).
+        start: Initial state (mjSTATE_FULLPHYSICS), shape (size,).
         ctrl: Actuator commands, shape (model.nu,).
         seconds: Simulated time before the nudge [s].
         nudge_duration: Simulated time after the nudge [s].
-        has_failed: Predicate of a state that is no longer the expected stand.
+        has_failed: Function that returns True for a state that is no longer the expected stand.
         until_failure: Whether the simulations that test growing modes are omitted if the response
             to the nudge `proves_unrest`.
     """
@@ -713,26 +719,31 @@ def _find_standing_failures(
 
 
 def torque_scale(robot: Robot, torques: Array) -> float:
-    """Return the torque [N m] by which deviations of joint torques are divided.
-
-    The result is the largest magnitude of ``torques``, but at least the weight times
-    `TORQUE_SCALE_LEVER`. If the model has no gravity, the weight is that on Earth.
+    """Return the torque by which deviations of joint torques are divided, as a scale.
 
     Args:
         robot: Robot.
         torques: Predicted joint torques, shape (nu,) [N m, N].
+
+    Returns:
+        Largest magnitude of ``torques``, but at least the weight times `TORQUE_SCALE_LEVER` [N m].
+        If the model has no gravity, the weight is that on Earth.
     """
     return max(float(np.abs(torques).max()), TORQUE_SCALE_LEVER * robot.usual_weight)
 
 
 def friction_and_deadband(robot: Robot, kp: Array) -> tuple[Array, Array]:
-    """Return dry friction [N m, N] and servo deadband [rad, m] of each joint, shape (nu,) each.
+    """Return the dry friction of each joint, and the position deadband of its servo by friction.
 
-    The deadband is friction / kp: the position deviation at which dry friction balances the servo;
-    0 for a joint with kp = 0. ``kp`` has the shape (nu,) [N m/rad, N/m].
+    The deadband is friction / kp: the position deviation at which dry friction balances the servo.
+
+    Args:
+        robot: Robot.
+        kp: Servo stiffness, shape (nu,) [N m/rad, N/m].
 
     Returns:
-        Dry friction, shape (nu,) [N m, N]; deadband, shape (nu,) [rad, m].
+        Dry friction, shape (nu,) [N m, N]; deadband, shape (nu,) [rad, m], 0 for a joint with kp =
+        0.
     """
     friction = robot.mj_model.dof_frictionloss[robot.mj_convention.qvel_index[-robot.nu :]]
     return friction, np.divide(friction, kp, out=np.zeros(robot.nu), where=kp > 0)
@@ -766,7 +777,12 @@ def _compare_with_equilibrium(
 
 
 def find_worst_unit(robot: Robot, deviations: Array) -> str:
-    """Return the unit of the largest of the joint deviations, shape (nu,): rad or m."""
+    """Return the unit, rad or m, of the largest of the joint deviations; NaN counts as the largest.
+
+    Args:
+        robot: Robot.
+        deviations: Deviation of each joint, shape (nu,) [rad, m].
+    """
     worst = int(np.argmax(np.nan_to_num(deviations, nan=np.inf)))
     return joint_unit(robot, robot.joint_names[worst])
 
@@ -779,13 +795,16 @@ def describe_deviations(
     details: Mapping[str, Any] = MappingProxyType({}),
     unit: str = "rad",
 ) -> list[Diagnostic]:
-    """Report joint and torque deviations from the prediction that exceed the tolerances.
+    """Create messages about joint and torque deviations from the prediction above the tolerances.
+
+    The tolerances are `JOINT_TOLERANCE` plus ``deadband``, and `FORCE_TOLERANCE` plus
+    ``friction_share``.
 
     Args:
         joint: Largest joint deviation, in ``unit``.
-        torque: Largest torque deviation, relative to ``torque_scale``.
+        torque: Largest torque deviation, relative to `torque_scale` [1].
         deadband: Joint deviation that dry friction can hold [rad, m].
-        friction_share: Torque deviation that dry friction can hold, relative to ``torque_scale``.
+        friction_share: Torque deviation that dry friction can hold, relative to `torque_scale` [1].
         details: Values of the message about torques: joint with the largest torque deviation,
             predicted and simulated torque.
         unit: Unit of ``joint``, rad or m.
@@ -801,9 +820,8 @@ def describe_deviations(
 
 
 _SATURATION_RTOL = 1e-6
-"""Relative tolerance [1] of a saturated motor. A motor counts as saturated if its torque differs
-from its limit by at most this fraction of the limit. Chosen, not tuned.
-"""
+"""Relative tolerance [1] with which a motor counts as saturated: its torque differs from its limit
+by at most this fraction of the limit. Chosen, not tuned."""
 
 
 def describe_drive_limits(
@@ -811,11 +829,11 @@ def describe_drive_limits(
 ) -> list[Diagnostic]:
     """Create messages about saturated motors, and about commands beyond the command range.
 
-    Commands are checked only in a simulation with feed-forward. Passive joints have no motor that
-    could saturate.
+    Such limits may be the cause of a deviation from the prediction. Commands are checked only in a
+    simulation with feed-forward. Passive joints have no motor that could saturate.
 
     Args:
-        robot: The robot.
+        robot: Robot.
         run: Simulation that deviates from the prediction.
         predicted: Predicted motor torques, shape (nu,) [N m, N].
         positions: Predicted joint positions, shape (nu,) [rad, m].
@@ -836,13 +854,18 @@ def describe_drive_limits(
 
 
 def describe_model_mismatch(robot: Robot, residual: float, weight: float) -> list[Diagnostic]:
-    """Report that the files describe different robots, if the prediction is unbalanced in MuJoCo.
+    """Create the message that URDF and MJCF describe different robots, if a residual is large.
+
+    The residual is too large if it exceeds `MAX_BALANCE_RESIDUAL_RATIO` times the weight.
 
     Args:
-        robot: The robot.
+        robot: Robot.
         residual: Largest unbalanced generalised force [N, N m] in MuJoCo's model under the
-            predicted contact forces and motor torques.
+            predicted contact forces and motor torques (`mujoco_balance_residual`).
         weight: Weight of the robot [N].
+
+    Returns:
+        List with the message, or an empty list.
     """
     if not residual > MAX_BALANCE_RESIDUAL_RATIO * weight:
         return []
@@ -854,9 +877,8 @@ def describe_model_mismatch(robot: Robot, residual: float, weight: float) -> lis
 
 
 _MIN_UNPREDICTED_DEPTH = 1e-4
-"""Penetration of a foot [m] above which soft ground is reported as the cause of a deviation. This
-applies to stands that were solved for rigid ground. Chosen, not tuned.
-"""
+"""Lower bound of the penetration of a foot [m] with which soft ground is reported as the cause of a
+deviation. This applies to stands that were solved for rigid ground. Chosen, not tuned."""
 
 
 def _find_deviations(
