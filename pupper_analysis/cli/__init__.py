@@ -41,7 +41,7 @@ from pupper_analysis.cli.shared import (
 
 
 def list_tools() -> list[str]:
-    """Return the names of all tools, including the tools of installed plug-ins."""
+    """Return the sorted names of all tools: tools of this package, and of installed plug-ins."""
     return sorted([*own_tools(), *other_tools()])
 
 
@@ -56,10 +56,10 @@ def _import_command(name: str) -> click.Command | None:
 
 
 class LazyGroup(click.Group):
-    """Group of the tools' commands that imports a command at its first use."""
+    """Group of the commands of all tools; the code of a command is imported at its first use."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        """Return the names of all commands."""
+        """Return the names of all commands, for click."""
         return list_tools()
 
     def get_command(
@@ -67,20 +67,24 @@ class LazyGroup(click.Group):
         ctx: click.Context | None,  # noqa: ARG002
         cmd_name: str,
     ) -> click.Command | None:
-        """Return a command; None if there is no command of that name."""
+        """Return the command with a name, for click; None if there is no such command."""
         return _import_command(cmd_name)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return name, command and further arguments; the first argument names the command.
+        """Find the command that the first word of the command line names, for click.
+
+        Args:
+            ctx: Context of the group.
+            args: Words of the command line.
 
         Returns:
-            Name of the command; command; arguments after the name.
+            Name of the command; command; words after the name.
 
         Raises:
-            click.UsageError: If there is no such command; the message suggests similar names, if
-                there are any.
+            click.UsageError: If there is no such command. The message suggests similar names, if
+            there are any.
         """
         name = args[0]
         if not name.startswith("-") and self.get_command(ctx, name) is None:
@@ -96,7 +100,7 @@ class LazyGroup(click.Group):
         ctx: click.Context,  # noqa: ARG002
         formatter: click.HelpFormatter,
     ) -> None:
-        """Write the list of all commands under headings, without importing a command."""
+        """Write the list of all commands under headings for ``--help``; import no command."""
         tools = {**own_tools(), **other_tools()}
         width = max(map(len, tools))  # of one column in all lists
         for heading in HELP_HEADINGS:
@@ -114,28 +118,27 @@ DEBUG_OPTION = "--debug"
 """Option of all commands that prints the traceback of an unexpected error."""
 
 GC_THRESHOLDS = 200_000, 2, 2
-"""Thresholds of Python's garbage collector for the three generations of objects. They are larger
-than the defaults, so that collections are rarer. With the defaults, ``stand v3`` ran 163
-collections in 0.17 s (measured once). Chosen, not tuned.
-"""
+"""Thresholds of Python's garbage collector for the three generations of objects [1]. The thresholds
+are larger than the defaults, so that collections are rarer. With the defaults, ``stand v3`` ran 163
+collections in 0.17 s (measured once). Chosen, not tuned."""
 
 
 def run(command: click.Command, arguments: list[str] | None = None) -> None:
     """Run a command, and end the process with the exit status of the command.
 
-    Errors are printed on standard error, as a line:
+    Errors are printed on standard error, as a single line. The exit status is:
 
-    - an error of the package or of the command line, a lack of system resources such as disk space,
-      or a failure to write standard output: exit status 2. Command lines to run next may follow.
-    - an unexpected error: exit status 3.
-    - a signal that ends the process: the exit status of shells, 130 for Ctrl-C.
+    - 2 for an error of the package or of the command line, a lack of system resources such as disk
+      space, or a failure to write standard output. Command lines to run next may follow.
+    - 3 for an unexpected error.
+    - The exit status of shells for a signal that ends the process: 130 for Ctrl-C.
 
     With ``--debug``, the traceback of an unexpected error or a lack of resources is printed as
     well. A closed output pipe is no error.
 
     Args:
         command: Command.
-        arguments: Arguments; None: the command-line arguments of the process.
+        arguments: Words after the program name; None: the command-line arguments of the process.
     """
     os.environ["MPLBACKEND"] = "agg"  # figures are files, whatever windows the environment asks for
     gc.set_threshold(*GC_THRESHOLDS)
@@ -246,7 +249,7 @@ def _disable_color(_context: click.Context, _option: click.Parameter, given: boo
 
 
 def main() -> None:
-    """Run the console command."""
+    """Run the console command ``pupper-analysis`` with the arguments of the process."""
     run(group)
 
 
@@ -278,7 +281,7 @@ def group() -> None:
 
 
 def find_command(name: str) -> click.Command:
-    """Return the command of pupper-analysis with an existing name."""
+    """Return the command of pupper-analysis with a name, which must exist."""
     command = group.get_command(None, name)
     assert command is not None
     return command

@@ -1,4 +1,4 @@
-"""Modes of a command, such as ``fit --plan``: refuse options without effect in a mode."""
+"""Modes of a command, such as ``fit --plan``: refuse options that have no effect in a mode."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ from pupper_analysis.base.errors import ConfigurationError
 
 
 def refuse_unused(mode: str, uses: Mapping[str, Collection[str]]) -> None:
-    """Refuse options that the user typed and that the selected mode of the command does not use.
+    """Refuse options that the user typed, and that the selected mode of the command does not use.
+
+    The options are those of the running command.
 
     Args:
         mode: Option that selects the mode, such as ``--plan``.
         uses: {mode: names of the parameters that the mode uses}.
 
     Raises:
-        ConfigurationError: If such an option was typed.
+        ConfigurationError: If such an option was typed. The message names the modes that use the
+            option.
     """
     for name, option in _list_typed_parameters():
         if name not in uses[mode]:
@@ -47,14 +50,14 @@ def refuse_idle(mode: str, *idle: str) -> None:
 def refuse_alone(needed: Collection[str], *idle: str) -> None:
     """Refuse typed options of the running command that have no effect without another option.
 
-    The caller checks that the other options are absent.
+    The caller must call this function only if the other option was not typed.
 
     Args:
-        needed: Alternative options that make the typed option effective, such as ``--payload``.
+        needed: Options, of which any makes the typed option effective, such as ``--payload``.
         *idle: Names of the parameters without effect.
 
     Raises:
-        ConfigurationError: If such an option was typed.
+        ConfigurationError: If a parameter in ``idle`` was typed.
     """
     for name, option in _list_typed_parameters():
         if name in idle:

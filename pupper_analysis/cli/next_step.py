@@ -1,8 +1,8 @@
 """Command line of the next step that a result suggests.
 
-Input is a ``NextStep``: another command with its own words. Output is a line that can be pasted
-into a shell: the command, the robot that the user typed, and those of the typed options that the
-next command also has.
+Input is a ``NextStep``: another command with its words. Output is a line that can be pasted into a
+shell: the command, the robot that the user typed, and those of the typed options that the next
+command also has.
 """
 
 from __future__ import annotations
@@ -27,25 +27,30 @@ _OUTPUT_PARAMETERS = ("everything", "style", "force")
 command does not get."""
 
 _PAYLOAD_SEARCHES = (("payload",), ("best", "payload"))
-"""First words of the commands that search for a payload, and accept ``--payload-at`` without
-``--payload``."""
+"""First words of the commands that search for a payload. Only these commands accept
+``--payload-at`` without ``--payload``."""
 
 
 def complete_command(step: NextStep | None) -> str:
-    """Return the command line of a next step, for the robot of the running command.
+    """Create the command line of a suggested next step, for the robot of the running command.
 
-    The line contains the robot that the user typed, unless the step names files. It also contains
-    the typed options that both commands have, with two exceptions: options for outputs, and options
-    that the step sets or omits. ``--payload-at`` is left out if the next command would refuse this
-    option without ``--payload``.
+    The line consists of:
+
+    * The command and the words of the step.
+    * The robot that the user typed, unless the step names files.
+    * The typed options that both commands have. Options for outputs, and options that the step sets
+      or omits, are left out. ``--payload-at`` is left out if the next command would refuse this
+      option without ``--payload``.
 
     Args:
         step: Next step; None for none.
 
     Returns:
-        Command line. Empty if there is no step or no running command. Also empty if the next
-        command is not installed or needs more files than were typed, or if a typed file is standard
-        input.
+        Command line. Empty in these cases:
+
+        * There is no step, or no running command.
+        * The next command is not installed, or needs more files than were typed.
+        * A typed file is standard input.
     """
     context = click.get_current_context(silent=True)
     if step is None or context is None:
@@ -193,9 +198,12 @@ def complete_relaxed_command(error: StanceUnreachableError) -> str:
 
 
 def print_next_step(step: NextStep | None) -> None:
-    """Print the command line to run next, after a command that prints no report.
+    """Print the command line of a suggested next step, after a command that prints no report.
 
     Nothing is printed if `complete_command` returns an empty line.
+
+    Args:
+        step: Next step; None for none.
     """
     if line := complete_command(step):
         click.echo(f"  next: {line}")

@@ -1,7 +1,7 @@
 """Output and signals of the process of a command: no tracebacks, no lost results.
 
 `tolerate_output_errors` replaces standard output and standard error by streams that record the
-first output error and discard later data, so that the command can still write its files.
+first output error and discard later data. The command can then still write its files.
 `catch_ending_signals` turns SIGINT, SIGTERM and SIGHUP into the exception `ProcessEnded`, so that
 context managers release their resources.
 """
@@ -24,7 +24,7 @@ from pupper_analysis.base.files import ClosedOutput
 
 
 class TolerantStream(io.RawIOBase):
-    """Stream of bytes that ignores output errors after recording the first.
+    """Stream of bytes that records the first output error, and discards all data after it.
 
     Attributes:
         failure: First output error; None without an error, or if the first error is a closed pipe.
@@ -49,9 +49,12 @@ class TolerantStream(io.RawIOBase):
         return self._below.fileno()
 
     def write(self, data: Any) -> int:
-        """Write data to the stream, and return the number of bytes.
+        """Write data to the stream, and return the number of written bytes.
 
         After the first output error, data are discarded; their size is returned nevertheless.
+
+        Args:
+            data: Object with the buffer interface, such as bytes.
         """
         if not self._gone:
             try:
@@ -66,12 +69,13 @@ class TolerantStream(io.RawIOBase):
 
 @contextlib.contextmanager
 def tolerate_output_errors() -> Iterator[list[TolerantStream]]:
-    """Let standard output and error accept all characters, and ignore errors of writing.
+    """Return a context in which printing never raises an error, on standard output and error.
 
-    A character that the encoding lacks is written as a backslash escape.
+    Output errors are recorded, and later output is discarded. A character that the encoding lacks
+    is written as a backslash escape. At the end, the streams of before are restored.
 
     Yields:
-        Streams that record the first error.
+        Streams of standard output and error, which record the first output error each.
     """
     before = sys.stdout, sys.stderr
     _reopen_closed_streams()
@@ -118,12 +122,15 @@ def _reopen_closed_streams() -> None:
 
 
 class ProcessEnded(BaseException):
-    """A signal ends the process. Not a KeyboardInterrupt, for which click prints an empty line."""
+    """A signal ends the process.
+
+    The class is not derived from KeyboardInterrupt, for which click prints an empty line.
+    """
 
 
 @dataclass
 class ProcessEnding:
-    """State of a process that a signal ends.
+    """Record of the signal that ends a process.
 
     Attributes:
         signal: Number of the signal; 0 without a signal.
@@ -153,7 +160,7 @@ _active_endings: list[ProcessEnding] = []
 
 
 def raise_if_ended() -> None:
-    """Raise `ProcessEnded` again if a signal has arrived: libraries may suppress the exception.
+    """Raise `ProcessEnded` again if a signal has arrived: libraries may suppress exceptions.
 
     Raises:
         ProcessEnded: If a signal has arrived in the innermost context of `catch_ending_signals`.
@@ -164,15 +171,16 @@ def raise_if_ended() -> None:
 
 @contextlib.contextmanager
 def catch_ending_signals() -> Iterator[ProcessEnding]:
-    """Turn the signals that end a process into an exception, and record the signal.
+    """Return a context in which signals that end the process raise `ProcessEnded`.
 
     The signals are SIGINT, SIGTERM and SIGHUP, if they have the default handler. Outside of the
-    main thread, no signal is caught. A second signal ends the process at once. If a library
-    suppresses the exception, a timer raises it again. There is no timer if the platform has no
-    interval timers, or if the process handles or ignores SIGALRM.
+    main thread, no signal is caught. A second signal ends the process at once.
+
+    If a library suppresses the exception, a timer raises it again. There is no timer if the
+    platform has no interval timers, or if the process handles or ignores SIGALRM.
 
     Yields:
-        State of the process.
+        Record of the signal.
     """
     ending = ProcessEnding()
     _active_endings.append(ending)

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from pupper_analysis.robot.robot import Robot
 
 Command = Callable[..., None]
-"""Function of a command, whose arguments are the values of the command's parameters."""
+"""Function of a command. The arguments of the function are the values of the command's parameters.
+"""
 
 VARIANT_OPTIONS = (
     click.option("--base", metavar="BASE", help="Base model of a scaled variant: skeleton or v3."),
@@ -41,7 +42,7 @@ VARIANT_OPTIONS = (
         "--torso-mass-scale", type=float, metavar="T", help="Scale the torso's mass by T; e.g. 1.5."
     ),
 )
-"""Options for a scaled variant: base model and scales."""
+"""Options that specify a scaled variant of the package's own robot: base model and scales."""
 
 DETECTION_OPTIONS = (
     click.option(
@@ -81,16 +82,16 @@ DETECTION_OPTIONS = (
         help="Argument of a xacro file; e.g. arm=true. Repeatable.",
     ),
 )
-"""Options for loading the files of a robot. They state properties that are otherwise detected, the
-file that has priority if both files disagree, and the arguments of a xacro file.
-"""
+"""Options for loading the files of a robot: properties that are otherwise detected, the file that
+has priority if both files disagree, and the arguments of a xacro file."""
 
 FILE_OPTIONS = (
     shared.file_option("--urdf", help="URDF of your own robot, if not given as ROBOT."),
     shared.file_option("--mjcf", help="MJCF of your own robot, if not given as ROBOT."),
     *DETECTION_OPTIONS,
 )
-"""Options for the files of a robot, and `DETECTION_OPTIONS`."""
+"""Options that name the files of a robot, and the options for loading the files
+(`DETECTION_OPTIONS`)."""
 
 
 def _is_model_file(path: Path) -> bool:
@@ -128,22 +129,26 @@ class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 
 
 robot_argument = click.argument("words", nargs=-1, type=_RobotWord(), metavar="[ROBOT]")
-"""Argument of commands that take one robot: a variant or files."""
+"""Argument of commands that take a single robot: the name of a robot, or one or two model files.
+The command receives ``words``."""
 
 robot_and_sources_argument = click.argument(
     "words", nargs=-1, type=_RobotWord(), metavar="[ROBOT] [SOURCE]..."
 )
-"""Argument of commands that take one robot, and the files of a policy (`walk`)."""
+"""Argument of commands that take a single robot, and the files of a policy (`walk`). The command
+receives ``words``."""
 
 robots_argument = click.argument("words", nargs=-1, type=_RobotWord(), metavar="[ROBOT]...")
-"""Argument of commands that take several robots: variants or files."""
+"""Argument of commands that take several robots: names of robots, or model files. The command
+receives ``words``."""
 
 
 @dataclass(frozen=True)
 class RobotOptions:
-    """Values of the options that select a robot, as typed; each field is the value of an option.
+    """Values of the options that select a robot, as typed.
 
-    An option that the command does not have is None.
+    Each field is the value of the option with this parameter name. The value is None if the command
+    does not have the option.
     """
 
     urdf: Path | None
@@ -161,7 +166,7 @@ class RobotOptions:
 
     @staticmethod
     def pop_from(values: dict[str, Any]) -> RobotOptions:
-        """Remove the options of the robot from a command's values, and return the options.
+        """Collect the options that select a robot, and remove them from a command's values.
 
         Args:
             values: {parameter: value} of a command; modified. Missing options become None.
@@ -171,7 +176,13 @@ class RobotOptions:
         )
 
     def select_robot(self, words: tuple[str, ...]) -> str | VariantSpec | RobotFiles | None:
-        """Return the selected robot; None if no robot is specified.
+        """Determine the single robot that the words and options of a command specify.
+
+        Args:
+            words: Words that name a robot, or its model files.
+
+        Returns:
+            Name or specification of a variant, or files; None if no robot is specified.
 
         Raises:
             ConfigurationError: If several robots are specified, or an option for files is not valid
@@ -192,7 +203,15 @@ class RobotOptions:
         return selected[0] if selected else None
 
     def select_robots(self, words: tuple[str, ...]) -> list[str | VariantSpec | RobotFiles]:
-        """Return the selected robots; a URDF and the MJCF after it are one robot.
+        """Determine all robots that the words and options of a command specify.
+
+        A URDF and the MJCF after it are a single robot.
+
+        Args:
+            words: Words that name robots, or model files.
+
+        Returns:
+            Names or specifications of variants, and files; empty if no robot is specified.
 
         Raises:
             ConfigurationError: If an option for files is not valid or is typed without a file.
@@ -275,11 +294,11 @@ class RobotOptions:
 
 
 def load_files(files: RobotFiles, **more: Any) -> Robot:
-    """Load a robot from files, and show progress; the caller prints the notes.
+    """Load a robot from files, and show progress; the notes on the robot are not printed.
 
     Args:
         files: Files and options of the user.
-        **more: Keyword arguments of ``files.load``.
+        **more: Further keyword arguments of ``load_robot``.
     """
     with shared.show_progress("preparing the robot: feet, start pose, servos"):
         return files.load(**more)
@@ -288,11 +307,11 @@ def load_files(files: RobotFiles, **more: Any) -> Robot:
 def load_selected_robot(
     meant: str | VariantSpec | RobotFiles, *, fixed_base: bool = False, **more: bool
 ) -> Robot:
-    """Load a selected robot.
+    """Load a robot that the user selected: a variant, or files.
 
     Args:
-        meant: Selected variant, or files of the user.
-        fixed_base: True to fix the base.
+        meant: Selection: name or specification of a variant, or files of the user.
+        fixed_base: True to fix the base in the world.
         **more: Further arguments of ``load_robot``, ignored for a variant.
 
     Raises:
@@ -311,9 +330,13 @@ def load_selected_robot(
 def name_uniquely(
     meant: Sequence[str | VariantSpec | RobotFiles], robots: list[Robot]
 ) -> list[Robot]:
-    """Return robots with unique names: equal names are extended by file names or numbers.
+    """Return robots with unique names, so that results of several robots can be distinguished.
 
-    ``meant`` are the selections of the user from which ``robots`` were loaded, in the same order.
+    Equal names are extended by the file names, or else by numbers.
+
+    Args:
+        meant: Selections of the user.
+        robots: Robots that were loaded from the selections, in the same order.
     """
     names = Counter(robot.name for robot in robots)
     renamed: list[Robot] = []
@@ -330,7 +353,9 @@ def name_uniquely(
 
 
 def print_robot_notes(robot: Robot, *, everything: bool = False) -> None:
-    """Print the warnings and errors on a robot, before a report that counts the other notes.
+    """Print the warnings and errors on a robot; other notes are only counted.
+
+    The next report prints the count.
 
     Args:
         robot: Robot.
@@ -346,7 +371,7 @@ def print_warnings(robot: Robot, *, everything: bool = False) -> None:
 
     Args:
         robot: Robot.
-        everything: True to print all notes, otherwise the warnings and errors alone, at most
+        everything: True to print all notes, otherwise only the warnings and errors, at most
             ``MAX_SHORT_NOTES`` lines.
     """
     from pupper_analysis.base.diagnostics import Severity, merge_diagnostics
@@ -360,10 +385,11 @@ def print_warnings(robot: Robot, *, everything: bool = False) -> None:
 
 
 def hide_notes(robot: Robot) -> None:
-    """Add the number of a robot's notes (not warnings) to the count below the next report.
+    """Count the notes on a robot that are not printed, for the line below the next report.
 
-    Commands that print only the warnings (`print_warnings`) call this function. The count is in
-    Click's context (``shared.HIDDEN_NOTES``), and is printed as "with -v: 3 notes".
+    Warnings and errors do not count. Commands that print only those (`print_warnings`) call this
+    function. The count is in click's context (``shared.HIDDEN_NOTES``), and is printed as "with -v:
+    3 notes".
     """
     from pupper_analysis.base.diagnostics import Severity, merge_diagnostics
 
@@ -374,7 +400,10 @@ def hide_notes(robot: Robot) -> None:
 
 
 def pass_robot_options(command: Command) -> Command:
-    """Let a command receive the options of a robot as first argument, a ``RobotOptions``."""
+    """Return a command that receives the options of a robot as first argument, a `RobotOptions`.
+
+    Options that the command does not have are None.
+    """
 
     @wraps(command)
     def wrapped(**values: Any) -> None:
@@ -387,7 +416,11 @@ def pass_robot_options(command: Command) -> Command:
 def add_options(
     *groups: tuple[Callable[[Command], Command], ...],
 ) -> Callable[[Command], Command]:
-    """Return a decorator that adds the options of the given groups to a command, in this order."""
+    """Return a decorator that adds groups of options to a command, in the given order.
+
+    Args:
+        *groups: Groups of option decorators, such as `FILE_OPTIONS`.
+    """
 
     def add(command: Command) -> Command:
         """Add the options of all groups to a command."""

@@ -1,9 +1,9 @@
 """Shared parts of commands: options, parsing of option values, and output of results.
 
-Input is the command line: `Command` parses it, registers the files that the parameters name, and
-checks before the computation that all results can be written. The functions ``parse_...`` convert
-the text of an option into its value, with numbers in SI units. Output are tables on the terminal,
-Markdown, JSON and HTML files, and the exit status.
+`Command` parses the command line. It registers the files that the parameters name, and checks
+before the computation that all results can be written. The functions ``parse_...`` convert the text
+of an option into its value, with numbers in SI units. Output are tables on the terminal, Markdown,
+JSON and HTML files, and the exit status.
 """
 
 from __future__ import annotations
@@ -43,10 +43,11 @@ CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
 """Type of the function of a command."""
 
 EXIT_VERIFIED, EXIT_FAILED, EXIT_BAD_INPUT, EXIT_INTERNAL = 0, 1, 2, 3
-"""Exit statuses of all commands: success, failed verification, invalid input, and a bug."""
+"""Exit statuses of all commands. 0: success. 1: a check failed. 2: invalid input. 3: unexpected
+error, a bug."""
 
 CONTEXT_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
-"""Settings of click for all commands: names of the help option, and width of the help
+"""Settings of click for all commands: names of the help option, and line width of the help
 [characters]."""
 
 package_option = click.option(
@@ -61,12 +62,12 @@ package_option = click.option(
 
 
 class OutputPath(click.Path):
-    """Parameter type of an output path.
+    """Parameter type of an option whose value is the path of an output file or folder.
 
     Args:
-        holds: Kind of the result file, or content of the folder. It may also be a function from the
-            parameters of the command to this kind or content. The function returns None if nothing
-            is written.
+        holds: Kind of the result file, or content of the folder. Alternatively a function that
+            returns this kind or content from the parameters of the command; None if nothing is
+            written.
     """
 
     def __init__(
@@ -90,8 +91,9 @@ class OutputPath(click.Path):
     def check_suffix(self, option: str, path: Path, kind: OutputKind) -> None:
         """Check that the suffix of an output file does not belong to another format.
 
-        Figures and pages have a suffix of their own format, or none, because programs choose by the
-        suffix how to open a file.
+        Figures and pages must have a suffix of their own format, or none, because programs choose
+        by the suffix how to open a file. Files of other kinds may have any suffix that belongs to
+        no known format (`FORMAT_SUFFIXES`).
 
         Args:
             option: Name of the option, for errors.
@@ -99,8 +101,7 @@ class OutputPath(click.Path):
             kind: Format that is written.
 
         Raises:
-            ConfigurationError: If the suffix belongs to another format, or if a figure or page has
-                a suffix that is not one of its own format.
+            ConfigurationError: If the suffix is not permitted.
         """
         suffix = path.suffix.lower()
         drawn = kind in (kinds.PICTURE_KIND, kinds.PAGE_KIND)
@@ -121,28 +122,28 @@ a suffix."""
 
 
 TYPED_WORDS: Final = "pupper_analysis.typed_words"
-"""Key of ``click.Context.meta``. Its value contains the typed words after the name of the command.
-"""
+"""Key of ``click.Context.meta`` whose value is a tuple of the words that the user typed after the
+name of the command."""
 
 
 HIDDEN_NOTES: Final = "pupper_analysis.hidden_notes"
-"""Key of ``click.Context.meta``. Its value is the number of notes on robots that are not printed.
-"""
+"""Key of ``click.Context.meta`` whose value is the number of notes on robots that are not printed.
+A report prints this number below the results."""
 
 
 _FIXED_BASE_CODE = "base-is-fixed"
-"""Code of the error that a command about stands raises for a robot with a fixed base. The command
-line of `hold` for this robot is added to the error as a note.
-"""
+"""Code of the error that a command about stands raises for a robot with a fixed base.
+`Command.invoke` adds the command line of `hold` for this robot to the error."""
 
 
 class Command(click.Command):
-    """Command that checks, before running, that all results may and can be written.
+    """Command that checks, before the computation, that all results may and can be written.
 
-    A command with results has the option ``--force``.
+    A command with results also has the option ``--force``.
 
     Args:
-        meanings: {name of an argument: its meaning}, for the error about a missing argument.
+        meanings: {name of an argument: meaning of the argument}, for the error about a missing
+            argument.
         *args: Arguments of ``click.Command``.
         **options: Keyword arguments of ``click.Command``.
     """
@@ -164,11 +165,19 @@ class Command(click.Command):
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the words of the command line into the parameters of the command.
 
-        The error about an unknown option suggests similar options.
+        Errors of click get more helpful messages. For example, the error about an unknown option
+        suggests similar options.
+
+        Args:
+            ctx: Context of the command.
+            args: Words after the name of the command.
+
+        Returns:
+            Words that click has not processed.
 
         Raises:
             click.UsageError: If a word is not valid, for example a unit apart from its number, or
-                if an option has two different values.
+            if an option has two different values.
         """
         _refuse_other_dashes(ctx, args, [name for one in self.params for name in one.opts])
         _refuse_separate_units(ctx, args)
@@ -280,7 +289,7 @@ class Command(click.Command):
         return {one.name: one.make_metavar(ctx).strip("[]") for one in arguments}
 
     def make_missing_error(self, ctx: click.Context, name: str) -> click.UsageError:
-        """Return the error about a missing argument: its meaning, and the form of the command.
+        """Create the error about a missing argument, with its meaning and the form of the command.
 
         Args:
             ctx: Context of the command.
@@ -298,13 +307,14 @@ class Command(click.Command):
     def invoke(self, context: click.Context) -> Any:
         """Check that the output files of the command can be written, and run the command.
 
-        Files that the parameters name are registered as inputs, which no result replaces.
+        Files that the parameters name are registered as inputs: no result may replace an input. An
+        error about an argument of a function is changed to name the typed option instead.
 
         Raises:
-            OutputError: If a result cannot or must not be written, or two have the same path.
-            ConfigurationError: If the suffix of a result belongs to another format, or the command
-                raises this error. An error about an argument of a function names the typed option
-                instead.
+            OutputError: If a result cannot or must not be written, or two results have the same
+                path.
+            ConfigurationError: If the suffix of a result belongs to another format, or if the
+                command raises this error.
         """
         run = context.with_resource(ensure_run())
         run.request = _collect_options(self, context)
@@ -364,7 +374,7 @@ _OPTIONS_OF_ARGUMENTS = {
     "disabled": ("--disable",),
     "count": ("--plan",),
 }
-"""{argument of a function: options that specify it}, if the names differ."""
+"""{argument of a function: options of commands that specify the argument}, if the names differ."""
 
 
 _ASSIGNMENT_FORM = re.compile(r"(\[?)[A-Z][A-Z:\[\]]*=(\]?)")
@@ -393,14 +403,13 @@ def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
 
 
 _UNTYPED_UNITS = ("N", "Nm", "N*m", "N/m", "Nm/rad", "N*m/rad", "Nms/rad", "Hz", "bit", "%")
-"""Units of the options whose values are typed without a unit (gains, torques, rates). A value with
-one of these units is refused; the error states the number to type instead."""
+"""Units of options whose values are typed without a unit (gains, torques, rates). A value with such
+a unit is refused; the error contains the number to type instead."""
 
 
 _DASHES = "\u2010\u2011\u2012\u2013\u2014\u2015\u2212"
-"""Hyphens, dashes and the minus sign of Unicode. Word processors and web pages insert them in place
-of ``-``.
-"""
+"""Hyphens, dashes and the minus sign of Unicode, which word processors and web pages insert in
+place of ``-``."""
 
 _DASHED_NUMBER = re.compile(rf"(^|[,=/])[{_DASHES}](?=[0-9.])")
 """Pattern of a dash that is the sign of a number."""
@@ -474,7 +483,7 @@ _SYNONYMS = {
     "torque": ("--effort",),
     "out": ("--output",),
 }
-"""{word without hyphens that is no option: options that users mean by it}."""
+"""{word without hyphens that is no option: options that a user probably means}."""
 
 
 def _find_similar_options(unknown: str, known: Sequence[str]) -> list[str]:
@@ -540,7 +549,12 @@ FORCE_HELP: Final = (
 
 
 def command(name: str | None = None, **options: Any) -> Callable[[Callable[..., Any]], Command]:
-    """Return a decorator that turns a function into a `Command`."""
+    """Return a decorator that turns a function into a `Command` of the command line.
+
+    Args:
+        name: Name of the command; None: derived from the name of the function.
+        **options: Keyword arguments of `Command`.
+    """
     return click.command(name, cls=Command, context_settings=CONTEXT_SETTINGS, **options)
 
 
@@ -614,7 +628,13 @@ def _prepare_outputs(command: Command, context: click.Context) -> None:
 def file_option(
     *names: str, help: str, required: bool = False
 ) -> Callable[[CommandFunction], CommandFunction]:
-    """Return a decorator that adds an option for the path of an input file to a command."""
+    """Return a decorator that adds an option for the path of an input file to a command.
+
+    Args:
+        *names: Names of the option, such as ``--urdf``.
+        help: Text in ``--help``.
+        required: Whether the option must be typed.
+    """
     path = click.Path(path_type=Path)
     return click.option(*names, type=path, required=required, help=help)
 
@@ -625,12 +645,12 @@ def output_option(
     help: str,
     **more: Any,
 ) -> Callable[[CommandFunction], CommandFunction]:
-    """Return a decorator that adds an option for an output path to a command.
+    """Return a decorator that adds an option for the path of an output file or folder to a command.
 
     Args:
         *names: Names of the option, such as ``--json``.
-        holds: Format of the result, or content of the folder; or a function that returns one of
-            these, or None, from the parameters of the command.
+        holds: Format of the result, or content of the folder. Alternatively a function that returns
+            the format or content from the parameters of the command, or None if nothing is written.
         help: Text in ``--help``.
         **more: Further arguments of ``click.option``.
     """
@@ -690,7 +710,7 @@ all_option = click.option(
 
 
 class ModelFileType(click.Path):
-    """Parameter type of a model file; ``-`` is standard input, stored until the command ends."""
+    """Parameter type of a model file; ``-`` means the content of standard input."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
@@ -698,7 +718,11 @@ class ModelFileType(click.Path):
     def convert(  # type: ignore[override]  # type of click.Path includes str
         self, value: str, param: click.Parameter | None, ctx: click.Context | None
     ) -> Path:
-        """Return the path; for standard input, the path under which the content is read."""
+        """Convert a typed word to the path of a model file.
+
+        For ``-``, standard input is read completely, and the result is the path under which the
+        content is available until the command ends.
+        """
         if str(value) == "-":
             from pupper_analysis.base.inputs import read_standard_input
             from pupper_analysis.models.xml import MAX_BYTES
@@ -712,13 +736,17 @@ MODEL_FILE = ModelFileType()
 
 
 def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
-    """Return a URDF and an MJCF in this order; the user may type both in any order.
+    """Sort two model files by format: the URDF first; the user may type both in any order.
 
-    One path may be the name of a variant, which has both formats. It is returned in the place of
-    the format that the other file does not have. Files that cannot be read keep the typed order.
+    A path may be the name of a variant, which has both formats. It then replaces the format that
+    the other file does not have. The typed order is kept if a file cannot be read.
+
+    Args:
+        one: First typed path.
+        other: Second typed path.
 
     Returns:
-        Path of the URDF; path of the MJCF. One of both may be the name of a variant.
+        Path of the URDF; path of the MJCF.
 
     Raises:
         ConfigurationError: If both files are URDFs, or both are MJCFs.
@@ -746,7 +774,11 @@ def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
 
 
 class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
-    """Parameter type of a number with or without a unit: ``5deg``, ``10cm``, ``0.1``."""
+    """Parameter type of a number with or without a unit, such as ``5deg``, ``10cm`` or ``0.1``.
+
+    Args:
+        kind: Quantity, a key of ``base.units.UNIT_FACTORS``: "length", "angle" and so on.
+    """
 
     def __init__(self, kind: str) -> None:
         self.name = kind
@@ -754,16 +786,23 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> float:
-        """Parse an option's text, for example ``5deg``, into the SI unit of the quantity.
+        """Parse the text of an option, for example ``5deg``, into the SI unit of the quantity.
 
-        ``self.name`` is the quantity: "length" [m], "angle" [rad] and so on. A number without a
-        unit is in the SI unit. This also applies to a number that comes from Python instead of the
-        command line; it is checked for a missing unit only if it is a length.
+        A number without a unit is in the SI unit. Numbers from Python, such as default values, are
+        accepted as well.
+
+        Args:
+            value: Text of the user, or a number.
+            param: Parameter of the command, for errors.
+            ctx: Context of the command, for errors.
+
+        Returns:
+            Value in the SI unit, for example [m] or [rad].
 
         Raises:
-            click.BadParameter: If the text is no such quantity. Also if a number without unit is
-                probably a length in millimetres, an angle in degrees, a time in milliseconds or a
-                mass in grams.
+            click.BadParameter: If the text is no such quantity. Also if a typed number without unit
+            is probably a length in millimetres, an angle in degrees, a time in milliseconds or a
+            mass in grams. A number from Python is checked for this only if it is a length.
         """
         if isinstance(value, float | int):
             value = repr(float(value)) if self.name == "length" else value
@@ -781,17 +820,17 @@ def parse_quantity(kind: str, text: str) -> float:
     A number without a unit is in SI units.
 
     Args:
-        kind: Quantity, a key of ``base.units.UNIT_FACTORS``: "length", "angle", "mass" ...
-        text: Number, directly followed by the unit.
+        kind: Quantity, a key of ``base.units.UNIT_FACTORS``: "length", "angle", "mass" and so on.
+        text: Number, directly followed by the unit, if any.
 
     Returns:
-        Value in the SI unit of the quantity; for the quantity "position", a ``Position`` [rad or m]
+        Value in the SI unit of the quantity. For the quantity "position", a ``Position`` [rad or m]
         if the text has a unit.
 
     Raises:
         ValueError: If the text is no number, or has an unknown unit. Also if a number without unit
             is probably a length in mm, an angle in degrees, a time in milliseconds or a mass in
-            grams.
+            grams (`lacks_unit`).
     """
     for unit, size in sorted(UNIT_FACTORS[kind].items(), key=lambda item: -len(item[0])):
         if text.endswith(unit):
@@ -816,9 +855,9 @@ MAX_BARE_NUMBERS: Final[Mapping[str, float]] = {
     # Probably grams: no published legged robot carries 200 kg (chosen, not tuned).
     "mass": math.nextafter(200.0, 0.0),  # 200 kg itself is refused
 }
-"""{quantity: bound [SI unit] of the absolute value of a number without a unit}. Above the bound, a
-finite number is refused, since it is probably in another unit. Other quantities have no bound.
-"""
+"""{quantity: upper bound of the absolute value of a number without a unit [SI unit]}. A larger
+finite number is refused, since it is probably in another unit. Quantities that are not listed have
+no bound."""
 
 _MISSING_UNIT_CODES = {
     "length": "length-without-unit",
@@ -833,11 +872,11 @@ message has the number as value, under the name of the quantity."""
 def lacks_unit(kind: str, value: float) -> bool:
     """Return True if a number without a unit is probably not in the SI unit.
 
-    Such a number is finite, and its absolute value is above the bound of its quantity in
+    Such a number is finite, and its absolute value exceeds the bound of its quantity in
     `MAX_BARE_NUMBERS`.
 
     Args:
-        kind: Quantity, a key of ``base.units.UNIT_FACTORS``; the result is False for a quantity
+        kind: Quantity, a key of ``base.units.UNIT_FACTORS``. The result is False for a quantity
             without a bound.
         value: Number, taken in the SI unit of the quantity.
     """
@@ -846,6 +885,10 @@ def lacks_unit(kind: str, value: float) -> bool:
 
 def parse_assignment(option: str, text: str) -> tuple[str, str]:
     """Parse the text ``NAME=VALUE`` of an option into the name and the text of the value.
+
+    Args:
+        option: Name of the option, for errors.
+        text: Text; the first equals sign separates name and value.
 
     Raises:
         ConfigurationError: If the text has another form; the message names the option.
@@ -918,6 +961,10 @@ _ASSIGNMENT_EXAMPLE = re.compile(r"e\.g\. '?([^ ']*=[^ ']*?)'?[.;]?(?: |$)")
 def parse_number_assignment(option: str, text: str) -> tuple[str, float]:
     """Parse the text ``NAME=NUMBER`` of an option into the name and the number.
 
+    Args:
+        option: Name of the option, for errors.
+        text: Text; the number has no unit.
+
     Raises:
         ConfigurationError: If the text has another form; the message names the option.
     """
@@ -955,8 +1002,11 @@ def parse_measure(option: str, kind: str, text: str, given: str = "") -> float:
     Args:
         option: Name of the option, for errors.
         kind: Quantity, a key of ``base.units.UNIT_FACTORS``, for example "length".
-        text: Text of the value.
-        given: Complete value of the option, for errors.
+        text: Text of the number with its unit.
+        given: Complete value of the option, for errors, if longer than ``text``.
+
+    Returns:
+        Value in the SI unit of the quantity.
 
     Raises:
         ConfigurationError: If the text is no valid value; the message names the option.
@@ -968,7 +1018,11 @@ def parse_measure(option: str, kind: str, text: str, given: str = "") -> float:
 
 
 def parse_position(option: str, text: str) -> tuple[str, float]:
-    """Return name and position of NAME=POSITION, an angle or a length in SI units.
+    """Parse the text ``NAME=POSITION`` of an option into the name and the position [rad or m].
+
+    Args:
+        option: Name of the option, for errors.
+        text: Text; the position is an angle or a length, with or without a unit.
 
     Raises:
         ConfigurationError: If the text has another form; the message names the option.
@@ -1016,11 +1070,13 @@ def _spell_unit(kind: str, text: str) -> str:
 
 
 def show_progress(what: str) -> AbstractContextManager[object]:
-    """Show the progress message ``what`` while a context is active.
+    """Return a context in which a progress message is shown on standard error.
 
-    Nothing is shown if standard error is no terminal.
     After ``MIN_REPORTED_TIME``, the message contains the elapsed time, or the number of completed
-    parts and an estimate of the remaining time.
+    parts and an estimate of the remaining time. Nothing is shown if standard error is no terminal.
+
+    Args:
+        what: Message, for example ``simulating``.
     """
     return _display_progress(what) if sys.stderr.isatty() else nullcontext()
 
@@ -1049,10 +1105,13 @@ def _display_progress(what: str) -> Iterator[None]:
 
 
 def format_progress(clock: ProgressClock) -> str:
-    """Format the progress of a computation: completed parts and remaining time [s].
+    """Format the progress of a computation, for a progress message.
 
-    If the remaining time is unknown, the text contains the elapsed time [s]. The text is empty
-    before ``MIN_REPORTED_TIME``.
+    The text contains completed parts and remaining time [s]. If the remaining time is unknown, it
+    contains the elapsed time [s]. The text is empty before ``MIN_REPORTED_TIME``.
+
+    Args:
+        clock: Clock of the computation.
     """
     from pupper_analysis.present.document import text
 
@@ -1073,16 +1132,16 @@ def show_results(
     everything: bool = False,
     next_step: NextStep | None = None,
 ) -> None:
-    """Print results for a terminal, or as Markdown.
+    """Print results of a command on the terminal, or as Markdown.
 
     Args:
-        results: (name, result) pairs; the name may be empty if the result has a name.
+        results: Pairs (name, result); the name may be empty if the result has a name.
         style: ``text`` or ``markdown``.
         robots: Robots of the results; Markdown includes the notes of the robots.
-        overview: Blocks that compare the results.
+        overview: Blocks that compare the results, printed in addition.
         everything: True to print all tables and notes. Ignored for Markdown.
-        next_step: Command to run next. Default: the next step of the only result. Ignored for
-            Markdown.
+        next_step: Command to suggest as next. Default: the next step of the only result. Ignored
+            for Markdown.
     """
     from pupper_analysis.present.documents.registry import build_report
 
@@ -1098,13 +1157,13 @@ def show_report(
     everything: bool = False,
     next_step: NextStep | None = None,
 ) -> None:
-    """Print a report for a terminal, or as Markdown with the version of this package.
+    """Print a report on the terminal, or as Markdown with the version of this package.
 
     Args:
         report: Report.
         style: ``text`` or ``markdown``.
         everything: True to print all tables and notes. Ignored for Markdown.
-        next_step: Command to run next. Default: the next step of the document, if the report
+        next_step: Command to suggest as next. Default: the next step of the document, if the report
             contains a single document. Ignored for Markdown.
     """
     if style == "markdown":
@@ -1131,8 +1190,8 @@ def show_report(
 def confirm_written(path: Path | str) -> None:
     """Print the path of a written file, unless the file was standard output.
 
-    The path is printed on standard output if the option ``--format`` is ``text`` or missing, and
-    otherwise on standard error.
+    The path is printed on standard output if the output format of the command is text (``--format
+    text``, or no such option). Otherwise it is printed on standard error.
     """
     from pupper_analysis.base.files import STANDARD_OUTPUT
     from pupper_analysis.present.formats import escape_control
@@ -1143,10 +1202,14 @@ def confirm_written(path: Path | str) -> None:
 
 
 def write_json(path: Path | None, content: object) -> None:
-    """Write results as JSON and print the path, if a path was typed.
+    """Write results as a JSON file and print the path; without a path, write nothing.
+
+    Args:
+        path: Output file of the user, or None.
+        content: Results.
 
     Raises:
-        ProcessEnded: If a signal has arrived.
+        ProcessEnded: If a signal, such as Ctrl-C, has arrived.
         OutputError: If the file cannot be written, or must not be replaced.
     """
     from pupper_analysis.base.files import write_atomically
@@ -1169,7 +1232,7 @@ def write_page(path: Path | None, results: ReportInput, robots: Iterable[Robot] 
         robots: Robots of the results, for 3-D views.
 
     Raises:
-        ProcessEnded: If a signal has arrived.
+        ProcessEnded: If a signal, such as Ctrl-C, has arrived.
         ConfigurationError: If there is no result.
         OutputError: If the file cannot be written, or must not be replaced.
     """
@@ -1184,16 +1247,16 @@ def write_page(path: Path | None, results: ReportInput, robots: Iterable[Robot] 
 
 
 def finish_command(json_path: Path | None, content: object, *, passed: bool) -> None:
-    """Write results as JSON if a path was typed, and end the command with status 1 if it failed.
+    """Write results as JSON if a path was typed, and end a failed command with exit status 1.
 
     Args:
         json_path: Path of the option ``--json``; None if not typed.
         content: Results.
-        passed: Whether all checks of the command passed. Otherwise this function does not return.
+        passed: Whether all checks of the command passed. If False, this function does not return.
 
     Raises:
         click.exceptions.Exit: If ``passed`` is False.
-        ProcessEnded: If a signal has arrived.
+        ProcessEnded: If a signal, such as Ctrl-C, has arrived.
         OutputError: If the file cannot be written, or must not be replaced.
     """
     write_json(json_path, content)
@@ -1212,6 +1275,9 @@ def parse_point(
         size: Number of coordinates, 2 or 3.
         choices: Words that the option accepts in place of coordinates, for the error message. The
             caller must handle these words before the call.
+
+    Returns:
+        ``size`` coordinates [m].
 
     Raises:
         ConfigurationError: If the text has another form or number of coordinates, or a length is
@@ -1240,7 +1306,7 @@ def parse_place(option: str, text: str) -> tuple[str | float, ...]:
         text: Text; ``FRAME`` alone is the origin of the frame.
 
     Returns:
-        (x, y, z) [m], or the frame's name followed by (x, y, z) [m] in this frame.
+        (x, y, z) [m]; or the name of the frame, followed by (x, y, z) [m] expressed in this frame.
 
     Raises:
         ConfigurationError: If the text has another form, or a length is probably in mm; the message
@@ -1255,6 +1321,9 @@ def parse_place(option: str, text: str) -> tuple[str | float, ...]:
 
 def parse_packages(packages: tuple[str, ...]) -> dict[str, Path]:
     """Parse the values ``NAME=DIR`` of an option with the folders of ROS packages.
+
+    Args:
+        packages: Values of ``--package``.
 
     Returns:
         {package: folder}.
@@ -1305,7 +1374,7 @@ fine_tolerance_option = click.option(
 
 
 def change_tolerances(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances:
-    """Return tolerances with the values of the option ``--tolerance KIND=VALUE`` replaced.
+    """Return tolerances of a comparison, changed by the values of ``--tolerance KIND=VALUE``.
 
     Args:
         tolerances: Tolerances of the comparison of two models.
@@ -1322,11 +1391,14 @@ def change_tolerances(tolerances: Tolerances, changes: tuple[str, ...]) -> Toler
 def parse_name_map(pairs: tuple[str, ...]) -> dict[str, str]:
     """Parse the values ``URDF_NAME=MJCF_NAME`` of the option ``--map``.
 
+    Args:
+        pairs: Values of the option.
+
     Returns:
         {name in the URDF: name in the MJCF}.
 
     Raises:
-        ConfigurationError: If a value is not of this form, or a URDF name is mapped to two names.
+        ConfigurationError: If a value has another form, or a URDF name is mapped to two names.
     """
     names: dict[str, str] = {}
     for text in pairs:

@@ -1,4 +1,4 @@
-"""Options of a stand task on the command line, an option per field with a help text.
+"""Options of a stand task on the command line: an option for each field that has a help text.
 
 ``--stance FILE`` reads the same options from a file, as saved by the live page.
 """
@@ -28,14 +28,20 @@ if TYPE_CHECKING:
     from pupper_analysis.stance.task import StandTask
 
 Command = Callable[..., None]
-"""Function of a command, whose arguments are the values of the command's parameters."""
+"""Function of a command. The arguments of the function are the values of the command's parameters.
+"""
 
 OPTION_FIELDS = {name: field for name, field in FIELDS.items() if field.help}
-"""{name: field} of the fields with an option; a command receives the value under this name."""
+"""{name of a field of the stand task: field}, for the fields with an option. A command receives the
+value of the option under this name."""
 
 
 def make_option(field: Field) -> Callable[[Command], Command]:
-    """Return a decorator that adds the option of a field of the stand task to a command."""
+    """Return a decorator that adds the option of a field of the stand task to a command.
+
+    Args:
+        field: Field; kind, unit and default value determine the form of the option.
+    """
     example = f"; e.g. {field.example}." if field.example else "."
     options: dict[str, Any] = {"help": field.help.removesuffix(".") + example}
     if field.per or field.choices:
@@ -88,8 +94,8 @@ def make_options(*headings: str) -> tuple[Callable[[Command], Command], ...]:
     """Return decorators that add the options of the stand task to a command.
 
     Args:
-        *headings: Headings of the sliders on the page of ``live``. If given, only fields with a
-            slider under one of the headings are included; otherwise all of `OPTION_FIELDS`.
+        *headings: Headings of the sliders on the page of ``live``. If given, only options of fields
+            with a slider under such a heading are included. Otherwise all options are included.
     """
     return tuple(
         make_option(field)
@@ -99,10 +105,10 @@ def make_options(*headings: str) -> tuple[Callable[[Command], Command], ...]:
 
 
 def make_task(values: Mapping[str, Any]) -> StandTask:
-    """Return the stand task that options specify.
+    """Create the stand task that option values specify.
 
     Args:
-        values: {field: value of the option}; other fields have the default value.
+        values: {name of a field: value of the option}; other fields have the default value.
 
     Raises:
         ConfigurationError: If a value is not valid.
@@ -155,11 +161,12 @@ def _format_number(value: float, kind: str) -> str:
 def to_task_value(field: Field, value: Any) -> Any:
     """Convert the value of a command-line option into the value of a `StandTask` field.
 
-    Texts such as ``FL=10cm`` are parsed into mappings and SI units.
+    Texts are parsed, with numbers in SI units. Texts such as ``FL=10cm`` of a repeatable option
+    become a mapping.
 
     Args:
         field: Field of the task.
-        value: Value from click.
+        value: Value of the option, from click.
 
     Raises:
         ConfigurationError: If a text has another form, or a contact is stated twice; the message
@@ -192,14 +199,18 @@ def _parse_value(field: Field, text: str, given: str) -> Any:
 
 
 def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
-    """Return the contact surface of a text such as ``wall:0.4m,mu=0.6`` or ``weld``.
+    """Parse the text of a contact, such as ``wall:0.4m,mu=0.6``, into a contact surface.
 
-    The form is in the help of the option.
+    The help of the option describes the form.
 
     Args:
         option: Name of the option, for errors.
-        text: Text of the surface.
+        text: Text of the surface: kind, size and properties.
         given: Complete value of the option, for errors.
+
+    Returns:
+        Surface that a part of the robot touches; for ``weld``, the fixation of the part in the
+        world.
 
     Raises:
         ConfigurationError: If the text has another form or an unknown property, or a value is not
@@ -267,7 +278,8 @@ _ROBOT_OPTION_NAMES = (
     "cone",
     "impratio",
 )
-"""Options of the robot that a stance file may contain: payload, servos and MuJoCo options."""
+"""Parameter names of options that are not fields of the stand task, but may be in a stance file:
+payload, servos and MuJoCo options."""
 
 
 def _load_defaults(context: click.Context, _option: click.Parameter, path: Path | None) -> None:
@@ -287,11 +299,17 @@ stance_option = click.option(
         "Typed options have precedence."
     ),
 )
-"""Option ``--stance``: TOML file with defaults of the stance options."""
+"""Option ``--stance``: TOML file with default values of the stance options."""
 
 
 def read_stance_file(path: Path) -> dict[str, Any]:
-    """Return {parameter: value in the form of the command line} of a stance file.
+    """Read the option values of a stance file (TOML).
+
+    Args:
+        path: File, as saved by the live page.
+
+    Returns:
+        {parameter: value in the form of the command line}.
 
     Raises:
         ConfigurationError: If the file cannot be read, or contains an unknown option or a value of

@@ -1,8 +1,8 @@
 """Options of the robot, the stance and the servos, shared by all commands about stances.
 
 The decorators `robot_and_task` and `robot_and_stance` add the options to a command. The command
-receives their values as a `RobotAndTask`. This object loads the robot, applies payload, effort
-limits and MuJoCo options to the robot, and returns the stand task.
+receives the values of the options as a `RobotAndTask`. This object loads the robot, applies
+payload, effort limits and MuJoCo options to the robot, and returns the stand task.
 """
 
 from __future__ import annotations
@@ -53,12 +53,13 @@ if TYPE_CHECKING:
 AS_IS_OPTION = click.option(
     "--as-is", is_flag=True, help="Add no servos to the MJCF and change no collision shapes."
 )
-"""Option that adds no servos and keeps the collision shapes."""
+"""Option ``--as-is``: add no servos, and keep the collision shapes. The command receives ``as_is``.
+"""
 
 PAYLOAD_OPTIONS: tuple[Callable[[Command], Command], ...] = tuple(
     make_option(ROBOT_FIELDS[name]) for name in ("payload", "payload_at")
 )
-"""Options for mass and position of a payload."""
+"""Options ``--payload`` and ``--payload-at``: mass [kg] and position of a payload."""
 
 GAIN_OPTIONS = (
     click.option(
@@ -69,7 +70,8 @@ GAIN_OPTIONS = (
     ),
     click.option("--kd", multiple=True, metavar="[JOINTS=]NMS", help=ROBOT_FIELDS["kd"].help),
 )
-"""Options for stiffness and damping of the servos."""
+"""Options ``--kp`` and ``--kd``: stiffness and damping of the servos; `parse_gain` reads their
+texts."""
 
 SERVO_OPTIONS = (
     *GAIN_OPTIONS,
@@ -98,7 +100,8 @@ SERVO_OPTIONS = (
         ),
     ),
 )
-"""Options for servo gains, and for MuJoCo's integrator, time step, friction cone and impratio."""
+"""Options of commands that simulate: servo gains, and MuJoCo's integrator, time step, friction cone
+and impratio."""
 
 EFFORT_OPTION = click.option(
     "--effort",
@@ -109,7 +112,7 @@ EFFORT_OPTION = click.option(
         "the files (N m; N of a slide); e.g. 3, '*knee*=35'. Repeatable."
     ),
 )
-"""Option for the effort limits of joints."""
+"""Option ``--effort``: effort limits of joints; `parse_efforts` reads the texts."""
 
 CONTINUOUS_OPTION = click.option(
     "--continuous",
@@ -121,7 +124,8 @@ CONTINUOUS_OPTION = click.option(
         "'*knee*=12', dephy-actpack. Repeatable."
     ),
 )
-"""Option for the continuous torques of joints; `parse_continuous_torques` reads its texts."""
+"""Option ``--continuous``: continuous torques of joints; `parse_continuous_torques` reads the
+texts."""
 
 MOTOR_OPTION = click.option(
     "--motor",
@@ -134,7 +138,7 @@ MOTOR_OPTION = click.option(
         "of the motor, instead of the limits in the files. Repeatable; later options have priority."
     ),
 )
-"""Option for the motors of a motion; `apply_motors` reads its texts."""
+"""Option ``--motor``: motors of the joints in a motion; `apply_motors` reads the texts."""
 
 OUTPUT_OPTIONS = (shared.text_format_option, shared.verbose_option)
 """Options for format and extent of the printed output."""
@@ -142,11 +146,12 @@ OUTPUT_OPTIONS = (shared.text_format_option, shared.verbose_option)
 
 @dataclass(frozen=True)
 class RobotAndTask:
-    """Values of the stance options, as typed.
+    """Values of the options of robot, stance and servos, as typed.
 
-    ``which`` contains the options of the robot, ``stance`` the options of the stand task. The
-    command sets ``fixed_base``; each other field is the value of an option: ``payload`` [kg],
-    ``timestep`` [s].
+    Methods load the robot and create the stand task from these values. ``which`` contains the
+    options that select the robot, ``stance`` the options of the stand task. The command sets
+    ``fixed_base``. Each other field is the value of the option of this name; ``payload`` is in kg,
+    ``timestep`` in s.
     """
 
     which: RobotOptions
@@ -167,7 +172,11 @@ class RobotAndTask:
 
     @classmethod
     def of_fixed_base(cls, **options: Any) -> RobotAndTask:
-        """Return the options of a robot whose base is fixed, without stance and payload."""
+        """Create the option values for a robot with a fixed base, without stance and payload.
+
+        Args:
+            **options: {parameter: value} of the command.
+        """
         which = RobotOptions.pop_from(options)
         return cls(
             which=which,
@@ -181,11 +190,11 @@ class RobotAndTask:
     def robot(
         self, words: tuple[str, ...], *, visuals: bool = True, payload_sought: bool = False
     ) -> Robot:
-        """Load the selected robot; v3 by default.
+        """Load the single robot that the user selected, and apply the typed options to the robot.
 
         Args:
-            words: Words that name the robot.
-            visuals: False if the robot is not drawn; see ``load_robot``.
+            words: Words that name the robot; without words and options of a robot, v3 is loaded.
+            visuals: False if the robot is not drawn: visual meshes are then not converted.
             payload_sought: True if the command computes a payload mass. Then ``--payload-at`` is
                 accepted without ``--payload``.
 
@@ -206,11 +215,11 @@ class RobotAndTask:
     def robots(
         self, words: tuple[str, ...], *, default: tuple[str, ...], visuals: bool = True
     ) -> list[Robot]:
-        """Load the selected robots, with unique names.
+        """Load all robots that the user selected, with the typed options applied, and unique names.
 
         Args:
             words: Words that name the robots.
-            visuals: False if the robots are not drawn; see ``load_robot``.
+            visuals: False if the robots are not drawn: visual meshes are then not converted.
             default: Names of variants that are loaded if no robot is selected.
 
         Raises:
@@ -284,14 +293,19 @@ class RobotAndTask:
 
     @property
     def place(self) -> tuple[str | float, ...]:
-        """Payload position (x, y, z) [m] in the base frame, or (frame, x, y, z)."""
+        """Position of the payload: (x, y, z) [m] in the base frame, or (frame, x, y, z)."""
         return shared.parse_place("payload-at", self.payload_at or "0,0,0")
 
     def show(self, result: Result, robot: Robot) -> None:
-        """Show a result of the robot in the requested format.
+        """Print a result of the robot in the requested format.
 
-        If all details are printed, and the verdict names a difference between the two files, a
-        further line names the problem to repair first.
+        A further line names the first difference between the two files to repair, under two
+        conditions: the verdict reports that the files describe different robots, and all details
+        are printed or the format is Markdown.
+
+        Args:
+            result: Result.
+            robot: Robot of the result.
         """
         named = [(robot.name, result)]
         shared.show_results(named, self.style, robots=[robot], everything=self.everything)
@@ -302,10 +316,15 @@ class RobotAndTask:
             _print_first_difference(robot)
 
     def gains(self, robot: Robot) -> tuple[ArrayLike | None, ArrayLike | None]:
-        """Return the typed gains kp [N m/rad] and kd [N m s/rad] of the servos.
+        """Return the typed gains of the servos: stiffness kp and damping kd.
 
-        A gain is a number for all joints, or a vector, shape (nu,), in actuator order. It is None
-        if the option was not typed; in this case the model's gains apply.
+        Args:
+            robot: Robot.
+
+        Returns:
+            kp [N m/rad, N/m] and kd [N m s/rad, N s/m]. Each is a number for all joints, or a
+            vector, shape (nu,), in actuator order. None if the option was not typed: the gains of
+            the model apply.
 
         Raises:
             ConfigurationError: If a typed gain has another form.
@@ -317,7 +336,11 @@ class RobotAndTask:
         return parse_gain("kp", self.kp, robot), parse_gain("kd", self.kd, robot)
 
     def task(self) -> StandTask:
-        """Return the stand task that the options of the command specify."""
+        """Return the stand task that the options of the command specify.
+
+        Raises:
+            ConfigurationError: If a value is not valid.
+        """
         return make_task(self.stance)
 
 
@@ -352,12 +375,20 @@ def _print_first_difference(robot: Robot) -> None:
 
 
 def robot_and_task(command: Command) -> Command:
-    """Let a command receive the options of robot, stance and servos as `RobotAndTask`."""
+    """Add the options of robot, stance, servos and output to a command, and pass them as an object.
+
+    Args:
+        command: Function that receives a `RobotAndTask`, and the values of further options.
+    """
     return _gather_options(command, (*SERVO_OPTIONS, *OUTPUT_OPTIONS))
 
 
 def robot_and_stance(command: Command) -> Command:
-    """Decorate a command without simulation: robot and stance are passed as a `RobotAndTask`."""
+    """Add the options of robot, stance and output to a command without simulation.
+
+    Args:
+        command: Function that receives a `RobotAndTask`, and the values of further options.
+    """
     return _gather_options(command, OUTPUT_OPTIONS)
 
 
@@ -400,13 +431,16 @@ def _parse_assignments(option: str, texts: tuple[str, ...]) -> list[tuple[str, f
 
 
 def match_joint_pattern(option: str, pattern: str, robot: Robot) -> list[bool]:
-    """Return for each joint of ``robot.joint_names`` whether a pattern selects the joint.
+    """Find the joints of a robot that a pattern selects.
 
     Args:
         option: Name of the command-line option, for the error message.
         pattern: Name of a joint, or pattern with the wildcards of ``fnmatch``, such as "leg_*_3";
             case-sensitive.
         robot: Robot.
+
+    Returns:
+        For each joint in ``robot.joint_names``, True if the pattern selects the joint.
 
     Raises:
         UnknownNameError: If no joint matches.
@@ -422,9 +456,16 @@ def match_joint_pattern(option: str, pattern: str, robot: Robot) -> list[bool]:
 
 
 def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") -> dict[str, float]:
-    """Return {joint: effort limit [N m, of a slide N]} of the texts of ``--effort``.
+    """Parse the texts ``[JOINTS=]NM`` of ``--effort`` into effort limits.
 
-    ``option`` is the name of the option, for errors.
+    Args:
+        texts: Texts of the option; later texts have priority. Without ``JOINTS=``, the number is
+            for all joints.
+        robot: Robot.
+        option: Name of the option, for errors.
+
+    Returns:
+        {joint: effort limit [N m, of a slide N]}.
 
     Raises:
         UnknownNameError: If a pattern matches no joint.
@@ -442,12 +483,16 @@ def parse_efforts(texts: tuple[str, ...], robot: Robot, option: str = "effort") 
 
 
 def parse_motors(texts: tuple[str, ...], robot: Robot, option: str = "motor") -> dict[str, Motor]:
-    """Return {joint: motor} from the texts ``[JOINTS=]MOTOR``; later texts have priority.
+    """Parse the texts ``[JOINTS=]MOTOR`` of ``--motor`` into motors; later texts have priority.
 
     Args:
-        texts: Texts of ``--motor``. A pattern that matches no joint is an error.
+        texts: Texts of the option; without ``JOINTS=``, the motor is for all joints. ``MOTOR`` is a
+            name or a file.
         robot: Robot.
         option: Name of the option, for errors.
+
+    Returns:
+        {joint: motor}.
 
     Raises:
         UnknownNameError: If a pattern matches no joint, or the text names no motor.
@@ -471,15 +516,15 @@ def parse_motors(texts: tuple[str, ...], robot: Robot, option: str = "motor") ->
 def apply_motors(
     texts: tuple[str, ...], robot: Robot, effort: tuple[str, ...]
 ) -> tuple[Robot, dict[str, Motor]]:
-    """Return a robot with the effort limits of its motors, and {joint: motor}.
+    """Assign motors to the joints of a robot, and return the robot with their effort limits.
 
     The effort limit of a joint with a motor becomes the largest torque of the motor at rest, unless
     ``--effort`` names the joint.
 
     Args:
-        texts: Texts of ``--motor``.
+        texts: Texts ``[JOINTS=]MOTOR`` of ``--motor``.
         robot: Robot.
-        effort: Texts of ``--effort``.
+        effort: Texts ``[JOINTS=]NM`` of ``--effort``.
 
     Returns:
         Robot with the limits; {joint: motor}.
@@ -505,19 +550,18 @@ def apply_motors(
 def parse_continuous_torques(
     texts: tuple[str, ...], robot: Robot
 ) -> tuple[dict[str, float], dict[str, Motor]]:
-    """Return {joint: continuous torque} and {joint: motor} of the texts of ``--continuous``.
+    """Parse the texts of ``--continuous`` into the torques that motors can exert permanently.
 
-    Torques are in N m; a number for a slide is a force [N].
-
-    A text ``[JOINTS=]MOTOR`` states the largest permanent torque of the motor, from its thermal
-    numbers or from its data sheet (`compute_continuous_torque`).
+    A text ``[JOINTS=]MOTOR`` means the continuous torque of the motor, from its thermal numbers or
+    from its data sheet (`compute_continuous_torque`).
 
     Args:
-        texts: Texts ``[JOINTS=]NM`` or ``[JOINTS=]MOTOR``, of which later texts have priority.
+        texts: Texts ``[JOINTS=]NM`` or ``[JOINTS=]MOTOR``; later texts have priority.
         robot: Robot.
 
     Returns:
-        Torques of all named joints; motors of the joints whose last text names a motor.
+        {joint: continuous torque [N m, of a slide N]} of all named joints; {joint: motor} of the
+        joints whose last text names a motor.
 
     Raises:
         UnknownNameError: If a pattern matches no joint.
@@ -543,9 +587,16 @@ def parse_continuous_torques(
 
 
 def limit_by_peak(robot: Robot, torques: Mapping[str, float]) -> dict[str, float]:
-    """Return {joint: continuous torque [N m; of a slide N]}, at most the peak limit of the robot.
+    """Limit continuous torques to the peak torques (effort limits) of a robot.
 
-    Joints whose peak limit is zero are left out: their motors exert no torque.
+    Joints whose peak torque is zero are left out: their motors exert no torque.
+
+    Args:
+        robot: Robot.
+        torques: {joint: continuous torque [N m, of a slide N]}.
+
+    Returns:
+        {joint: smaller of continuous and peak torque [N m, of a slide N]}.
     """
     peaks = {limit.joint: limit.symmetric_torque for limit in robot.efforts}
     return {
@@ -565,16 +616,18 @@ def _names_motor(text: str) -> bool:
 
 
 def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None:
-    """Return the servo gains that the texts of ``--kp`` or ``--kd`` specify.
+    """Parse the texts ``[JOINTS=]NUMBER`` of ``--kp`` or ``--kd`` into servo gains.
+
+    Later texts have priority. Joints that no text names keep the gain of the model.
 
     Args:
         option: ``kp`` (N m/rad; N/m for a slide) or ``kd`` (N m s/rad; N s/m).
-        texts: Texts ``[JOINTS=]NUMBER``, of which later texts have priority.
-        robot: Robot. Joints that no text names keep the gain of its model.
+        texts: Texts of the option.
+        robot: Robot.
 
     Returns:
-        Number for all joints if the last text names no joints, otherwise a list of length nu; None
-        without texts.
+        Number for all joints if the last text names no joints, otherwise a list of length nu in
+        actuator order; None without texts.
 
     Raises:
         ConfigurationError: If a text has another form.
@@ -608,7 +661,14 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
 def draw_requested_stand(
     robot: Robot, stand: Stand, statics: GravityCompensation, path: Path | None
 ) -> None:
-    """Draw a stand to a file, if a path was typed."""
+    """Draw a stand to a file and print the path; without a path, draw nothing.
+
+    Args:
+        robot: Robot.
+        stand: Stand.
+        statics: Statics of the stand, with the forces that are drawn.
+        path: Output file of the user, or None.
+    """
     if path is not None:
         from pupper_analysis.present.figures.pose import write_pose_figure
 
