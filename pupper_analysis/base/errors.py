@@ -282,7 +282,7 @@ class PostureUnreachableError(PupperAnalysisError):
         unit: Unit of the residual: m or rad.
         residuals: {task: residual [m, rad]} of all tasks in the best configuration found.
         conflicting: Tasks and kept contacts whose residuals increase if the residual of ``task``
-        decreases.
+            decreases.
         at_limit: {joint: limit [rad, m]} of the joints at a limit in this configuration.
         blocking: {joint: limit [rad, m]} of the joints at a limit that a motion of ``task`` towards
             its target moves beyond this limit.

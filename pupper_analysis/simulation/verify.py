@@ -159,9 +159,10 @@ tuned."""
 class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
     """Simulation of a stand compared with the prediction, with the ``SimulationSettings``.
 
-    Settled values are means over the last second before the nudge. Predictions are Pinocchio's,
-    from the URDF. For a robot with a fixed base, heights and tilts of the base are 0. The lift-off
-    direction of a foot is upward, or the normal of the foot's separate plane, such as a wall.
+    Settled values are means over the last second before the nudge (a small velocity of all
+    coordinates). Predictions are Pinocchio's, from the URDF. For a robot with a fixed base, heights
+    and tilts of the base are 0. The lift-off direction of a foot is upward, or the normal of the
+    foot's separate plane, such as a wall.
 
     Attributes:
         passed: Whether the stand is verified.
@@ -173,24 +174,24 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
             stand.
         base_height: Settled height of the base (m).
         height_deviation: Standard deviation of the base's height in the last second before the
-        nudge (m).
+            nudge (m).
         height_drift: Rate of the base's height in the last second before the nudge (m/s); negative
-        if the base sinks.
-        height_loss: Height of the stand less ``base_height`` (m); ``servo_sag`` plus
-        ``contact_sag``.
+            if the base sinks.
+        height_loss: Height of the stand minus ``base_height`` (m); equal to ``servo_sag`` plus
+            ``contact_sag``.
         servo_sag: Height lost by joint deflection (m).
         contact_sag: Height lost by the softness of feet and ground (m).
         tilt: Angle between the base's orientation at the end and that of the task (rad).
         foot_slip: {stance foot: settled distance of a contact point from the target, across the
             lift-off direction} (m); the largest of the foot.
         joint_error: Largest deviation of a joint from the stand in the last second before the
-        nudge.
+            nudge.
         joint_error_unit: Unit of ``joint_error``: rad, or m for a slide.
         joint_positions: (nu,) settled joint positions (rad or m).
         joint_torques: (nu,) settled motor torques or forces (N m or N).
         predicted_torques: (nu,) predicted motor torques or forces (N m or N).
         torque_units: (nu,) unit of each settled and predicted torque: N m for a hinge, N for a
-        slide.
+            slide.
         torque_error: Largest torque deviation, divided by the larger of two torques: the largest
             predicted torque, and the weight times ``TORQUE_SCALE_LEVER``.
         foot_forces: {foot: (3,)} settled force of the ground on the foot, in world axes (N); for
