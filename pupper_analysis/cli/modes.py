@@ -31,9 +31,10 @@ def refuse_unused(mode: str, uses: Mapping[str, Collection[str]]) -> None:
 
 
 def refuse_idle(mode: str, *idle: str) -> None:
-    """Refuse typed options of the running command that have no effect in the selected mode.
+    """Refuse options that the user typed, and that have no effect in the selected mode.
 
-    This function is for modes that use all options except a few.
+    The options are those of the running command. This function is for modes that use all options
+    except a few; `refuse_unused` is for other modes.
 
     Args:
         mode: Option or robot that selects the mode, such as ``--dry-run``.

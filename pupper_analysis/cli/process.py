@@ -72,7 +72,7 @@ def tolerate_output_errors() -> Iterator[list[TolerantStream]]:
     """Return a context in which printing never raises an error, on standard output and error.
 
     Output errors are recorded, and later output is discarded. A character that the encoding lacks
-    is written as a backslash escape. At the end, the streams of before are restored.
+    is written as a backslash escape. At the end, the original streams are restored.
 
     Yields:
         Streams of standard output and error, which record the first output error each.
@@ -186,7 +186,7 @@ def catch_ending_signals() -> Iterator[ProcessEnding]:
     _active_endings.append(ending)
 
     def end(number: int, _frame: FrameType | None) -> None:
-        """Handle a signal: raise `ProcessEnded` at the first, end the process at the second."""
+        """Handle a signal: the first raises `ProcessEnded`, the second ends the process."""
         if ending.signal:
             os._exit(128 + number)
         ending.signal = number

@@ -105,7 +105,7 @@ class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since cl
     name = "robot"
 
     def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Return the word for a robot unchanged, but for ``-`` a path to the standard input."""
+        """Convert a typed word: ``-`` becomes the path of standard input; others are unchanged."""
         return str(shared.MODEL_FILE.convert(value, param, ctx)) if value == "-" else value
 
     def shell_complete(
@@ -114,7 +114,7 @@ class _RobotWord(click.ParamType):  # type: ignore[type-arg]  # generic since cl
         param: click.Parameter,  # noqa: ARG002
         incomplete: str,
     ) -> list[CompletionItem]:
-        """Return matching variants, and model files in the current folder.
+        """Return completions of a word: matching variants, and model files in the current folder.
 
         Without a match, the shell completes file names by itself.
         """

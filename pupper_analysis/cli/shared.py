@@ -78,10 +78,10 @@ class OutputPath(click.Path):
         self._holds = holds
 
     def get_kind(self, given: Mapping[str, Any]) -> OutputKind | Folder | None:
-        """Return the file format, or the folder content, that the command writes to this path.
+        """Return what the command writes to this path: a file format, or the content of a folder.
 
         Args:
-            given: Parameters of the command.
+            given: {parameter: value} of the command.
 
         Returns:
             Format or folder content; None if the command writes nothing.

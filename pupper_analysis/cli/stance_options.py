@@ -402,7 +402,7 @@ def _gather_options(command: Command, more: tuple[Callable[[Command], Command], 
 
     @wraps(command)
     def wrapped(**values: Any) -> None:
-        """Call the command with the option values as `RobotAndTask`."""
+        """Collect the option values in a `RobotAndTask`, and call the command with this object."""
         stance = {name: values.pop(name) for name in OPTION_FIELDS}
         which = RobotOptions.pop_from(values)
         own = {name: values.pop(name) for name in names if name in values}

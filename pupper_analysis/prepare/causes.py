@@ -185,7 +185,7 @@ def _name_actuators(model: mujoco.MjModel, actuators: Iterable[int]) -> tuple[st
     """Return the names of actuators; without a name, the name of the joint, else "#3" etc."""
 
     def find_name(actuator: int) -> str:
-        """Return the name of an actuator; see `_name_actuators`."""
+        """Return the name of an actuator; without a name, the name of its joint, else "#3" etc."""
         named = mujoco.mj_id2name(model, _OBJECT_TYPE.mjOBJ_ACTUATOR, actuator)
         if named or not is_at_one_joint(model, actuator):
             return named or f"#{actuator}"
@@ -214,7 +214,7 @@ def _make_switch(*changes: tuple[str, Any, Any]) -> Callable[[mujoco.MjModel], N
     """
 
     def switch_off(model: mujoco.MjModel) -> None:
-        """Set the elements in ``changes`` in a model, in place."""
+        """Set the elements in ``changes`` of a model, in place, to remove their effect."""
         for fields, index, value in changes:
             for field in fields.split():
                 if index is None:

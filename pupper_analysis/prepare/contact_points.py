@@ -387,7 +387,13 @@ def _make_contact_point(
 def compute_lowest_height(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]
 ) -> float:
-    """Compute the world height of the lowest point of some geoms [m]; infinite without geoms."""
+    """Compute the height of the lowest point of geoms, in the world frame [m].
+
+    Args:
+        model: Model.
+        data: Data, with kinematics.
+        geoms: Ids of the geoms; the result is infinite without geoms.
+    """
     return min(
         (
             float(point[2]) - radius
@@ -412,7 +418,10 @@ def _find_end_spheres(
     bottom = compute_lowest_height(model, data, [lowest])
 
     def rise(geom: int) -> float:
-        """Return the permitted height [m] of a sphere's lowest point above the lowest geom's."""
+        """Return the maximum height [m] of a sphere geom above the lowest geom of the foot.
+
+        Both heights are those of the lowest points of the geoms.
+        """
         away = (data.geom_xpos[geom] - data.geom_xpos[lowest])[:2]
         return _FOOT_SPHERE_RISE + math.tan(lean) * float(np.linalg.norm(away))
 

@@ -284,9 +284,10 @@ class _ServoTrials:
         return self._results[number, fed]
 
     def agrees_with_prediction(self, candidate: _ServoCandidate) -> bool:
-        """Return True if the robot rests as predicted (`_is_as_predicted`).
+        """Return True if the robot comes to rest as predicted, with the gains of a candidate.
 
-        The time step is that of the last candidate of `find_resting_candidates`.
+        The result is also True if URDF and MJCF describe different robots (`_is_as_predicted`). The
+        time step is that of the last candidate of `find_resting_candidates`.
         """
         return _is_as_predicted(self._robot, self._stand, candidate.kp, candidate.kd)
 
@@ -303,10 +304,11 @@ class _ServoTrials:
         return is_calm
 
     def choose_calm_candidate(self) -> _ServoCandidate | None:
-        """Return the first candidate that calms down, of those that rest with feed-forward.
+        """Choose a candidate with which the robot rests with feed-forward torques.
 
-        If no candidate calms down, the first candidate that comes to rest with feed-forward is
-        returned. If there is none, the result is None.
+        The first candidate whose motion after nudges decays is returned. If there is none, the
+        first candidate with which the robot rests is returned. If there is none either, the result
+        is None.
         """
         first = None
         for candidate in self.find_resting_candidates(True):

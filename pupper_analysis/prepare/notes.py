@@ -112,12 +112,12 @@ def report_tendon_joints(robot: Robot) -> Iterator[Diagnostic]:
 
 
 def report_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic:
-    """Create the message about the feet of a robot, with their bodies and contact points.
+    """Create the message about the feet of a robot, with bodies and numbers of contact points.
 
     Args:
         robot: Robot.
         feet: Feet.
-        given: True if the user named the feet, False if detected.
+        given: True if the user named the feet, False if they were detected.
     """
     messages = [
         diagnose(

@@ -166,7 +166,10 @@ class _NudgedStates:
     def advance(
         self, model: mujoco.MjModel, state: mujoco.MjData, hold: HoldCommands, seconds: float
     ) -> float:
-        """Replace a state by the last known state of the same simulation; return the time left.
+        """Advance a simulation by reusing its recorded states, to save computation time.
+
+        If the simulation is the recorded one, ``state`` is replaced by the latest recorded state
+        within the time ``seconds``.
 
         Args:
             model: Published model of the simulation.
@@ -175,8 +178,8 @@ class _NudgedStates:
             seconds: Time [s] by which the caller advances the state.
 
         Returns:
-            Time [s] by which the caller must still advance the state. It is ``seconds`` if the
-            simulation is another one.
+            Time [s] by which the caller must still simulate the state; ``seconds`` if no recorded
+            state can be used.
         """
         if model is not self.model or not _are_equal_commands(hold, self.hold):
             return seconds
@@ -542,7 +545,12 @@ def _simulate_commands(
     known = _find_nudged_run(robot)
 
     def advance(state: mujoco.MjData, seconds: float) -> None:
-        """Simulate the published model for ``seconds`` [s], in place; no effect after a reset."""
+        """Advance a state of the published model, in place; do nothing after a reset by MuJoCo.
+
+        Args:
+            state: State.
+            seconds: Simulated time [s].
+        """
         if not was_reset_by_mujoco(state):  # a reset ends the simulation
             rest = (
                 seconds if known is None else known.advance(published.model, state, hold, seconds)

@@ -249,7 +249,7 @@ def _register_pass(
     """
 
     def register(apply: Callable[[Draft], PassOutput]) -> Callable[[Draft], PassOutput]:
-        """Register a function as the next step of the robot's preparation; return it."""
+        """Register a function as the next pass of the preparation, and return the function."""
         name = apply.__name__.strip("_").replace("_", "-")
         _registered_passes.append(Pass(name, does, apply, condition, after_refusal, deferred))
         return apply
@@ -835,7 +835,7 @@ def make_robot(
     draft = _begin_preparation(urdf, mjcf, request)
 
     def complete_preparation(*, visuals: bool = visuals) -> Robot:
-        """Run the remaining preparation steps (servos, rest pose, visual meshes); return the robot.
+        """Run the postponed steps: servos, rest pose and visual meshes; return the complete robot.
 
         Args:
             visuals: True to convert the visual meshes. Default: the option of `make_robot`.
@@ -844,7 +844,7 @@ def make_robot(
         return robot if finish is None else finish(robot)
 
     def pose_without_servos() -> Robot:
-        """Return the robot in its start pose, without servo tuning and visual meshes."""
+        """Return the robot in the start pose, without added servos and visual meshes."""
         robot = _pose_without_servos(draft)
         return robot if finish is None else finish(robot)
 

@@ -110,7 +110,7 @@ class PublishedModel:
 
     @property
     def floating(self) -> bool:
-        """Whether the base body has joints with at least six degrees of freedom in the file."""
+        """Whether the base can move freely in the file, with at least six degrees of freedom."""
         return int(self.model.body_dofnum[self.base_body]) >= 6
 
 

@@ -482,12 +482,25 @@ def simulate_prediction(
     scale = torque_scale(robot, prediction.torques)
 
     def find_torque_deviations(low: Array, high: Array) -> Array:
-        """Return the torque deviations (n,) [N m] of driven joints from extreme forces (nv,)."""
+        """Compute the largest torque deviation of each driven joint from the prediction.
+
+        Args:
+            low: Minimum force on each degree of freedom, shape (nv,) [N m, N].
+            high: Maximum force on each degree of freedom, shape (nv,) [N m, N].
+
+        Returns:
+            Larger deviation of both extremes, shape (number of driven joints,) [N m, N].
+        """
         above, below = high[dofs] - prediction.torques, prediction.torques - low[dofs]
         return np.asarray(np.maximum(above, below)[driven])
 
     def find_relative_deviation(low: Array, high: Array) -> float:
-        """Return the largest torque deviation relative to the torque scale [1]."""
+        """Compute the largest torque deviation from the prediction / torque scale [1].
+
+        Args:
+            low: Minimum force on each degree of freedom, shape (nv,) [N m, N].
+            high: Maximum force on each degree of freedom, shape (nv,) [N m, N].
+        """
         return float(find_torque_deviations(low, high).max(initial=0.0)) / scale
 
     try:
@@ -815,11 +828,12 @@ def find_difference_causes(
     """
 
     def test_model(model: mujoco.MjModel) -> float | None:
-        """Simulate a changed model, and return its torque error relative to the torque scale.
+        """Simulate a changed model from the predicted stand, and return the torque error.
 
-        The error is the deviation from the predicted equilibrium. None if the robot collapses, or
-        still deviates by more than a verified stand may. If the change repairs the torques, a CoM
-        height error of up to `MAX_REMAINING_SINKAGE` is accepted.
+        Returns:
+            Torque deviation from the prediction, divided by the torque scale [1]. None if the robot
+            collapses, or still deviates. If the change repairs the torques, a CoM height error of
+            up to `MAX_REMAINING_SINKAGE` is accepted.
         """
         changed = replace(published, model=model)
         new_run = simulate_prediction(changed, robot, prediction, until_decided=True)
@@ -868,9 +882,9 @@ def _test_causes(
 
     @cache
     def deviation_without(removed: frozenset[CauseCandidate]) -> float | None:
-        """Return the result of ``test_model`` for the model with candidate causes switched off.
+        """Simulate the model with candidate causes switched off; return the remaining deviation.
 
-        None if this model is unsound.
+        None if the model still fails the test (``test_model``).
         """
         model = copy.copy(published.model)
         for candidate in removed:

@@ -401,14 +401,29 @@ def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Arr
     radii = np.array(list(robot.contact_radius.values()))
 
     def errors(joints: Array) -> Array:
-        """Return height errors of the contact points, and horizontal offset of the CoM [m]."""
+        """Compute height errors of the contact points, then the horizontal CoM offset.
+
+        Args:
+            joints: Joint positions, shape (nu,) [rad, m].
+
+        Returns:
+            Shape (number of points + 2,) [m]. The offset is that of the CoM from the mean contact
+            point.
+        """
         config = Configuration(robot, robot.make_qpos(joints))
         touching = config.foot_centres(points)
         com_offset = (config.center_of_mass() - touching.mean(axis=0))[:2]
         return np.concatenate([touching[:, 2] - radii + height, com_offset])
 
     def derivative(joints: Array) -> Array:
-        """Return the derivatives of ``errors``, shape (number of points + 2, nu) [m/rad, 1]."""
+        """Compute the derivatives of ``errors`` with respect to the joint positions.
+
+        Args:
+            joints: Joint positions, shape (nu,) [rad, m].
+
+        Returns:
+            Shape (number of points + 2, nu) [m/rad, 1].
+        """
         config = Configuration(robot, robot.make_qpos(joints))
         touching = config.foot_twist_jacobians(points)[:, :3, 6:]
         com_offset = config.com_jacobian()[:2, 6:] - touching.mean(axis=0)[:2]
@@ -552,7 +567,15 @@ def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> l
     ]
 
     def stand_at(height: float, guess: Stand | None = None) -> Stand | None:
-        """Return the stand at a base height [m], clear of the ground; None without."""
+        """Solve a stand at a base height that is clear of the ground.
+
+        Args:
+            height: Height of the base [m].
+            guess: Stand whose joint positions are the initial guess; None: the preferred positions.
+
+        Returns:
+            Stand; None without such a stand.
+        """
         joints = None if guess is None else guess.joint_positions(robot).tolist()
         task = StandTask(height=height, ik_seed=joints, joint_margin=margin)
         stand = _solve_near_pose(robot, task, pose)

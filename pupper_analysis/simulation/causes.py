@@ -124,11 +124,12 @@ def describe_refuted(stability: Stability) -> tuple[Diagnostic, ...]:
 
 
 def describe_growth(mode: Mode) -> Diagnostic:
-    """Create the message about a growing mode, for example with frequency and doubling time.
+    """Create the message about a growing mode, with the joints that move most and the growth.
 
-    A mode is an eigenvector of MuJoCo's simulation step, linearised at rest. The message contains
-    the frequency [Hz] if the mode oscillates, the joints that move most, the doubling time [s], and
-    the smallest nudge that starts the growth, if known.
+    A mode is an eigenvector of MuJoCo's simulation step, linearised at rest. The message also
+    contains the doubling time [s], if known; the frequency [Hz] of an oscillating mode; and the
+    initial deviation [rad, m] of the simulation that measured the growth, if the mode was
+    simulated.
     """
     nudge = Quantity(mode.nudge, mode.nudge_unit) if mode.nudge else None
     is_length = mode.nudge_unit == "m"

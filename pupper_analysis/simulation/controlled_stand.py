@@ -141,7 +141,10 @@ class WorstMode(Result):
 
     @property
     def stable(self) -> bool:
-        """Whether the mode decays, or grows at a rate of at most `MAX_GROWTH_RATE` [1/s]."""
+        """Whether the mode decays, or grows so slowly that a stand still holds.
+
+        This is so if the growth rate is at most `MAX_GROWTH_RATE` [1/s].
+        """
         return self.growth_rate <= MAX_GROWTH_RATE
 
 
@@ -404,7 +407,7 @@ def find_largest_damping_factor(
     """
 
     def is_stable(factor: float) -> bool:
-        """Return True if no mode grows with ``factor`` times the damping."""
+        """Return True if the stand is stable with ``factor`` times the damping."""
         return loop.is_stable(kp, factor * kd)
 
     powers = sorted(range(-MAX_POWER, MAX_POWER + 1), key=abs)

@@ -386,7 +386,7 @@ def _make_displacement(
         return displacement
 
     def scale(displacement: Array) -> Array:
-        """Scale a displacement so that neither positions nor velocities exceed their bounds."""
+        """Scale a displacement so that its largest position and speed are within the two bounds."""
         largest_angle = np.abs(displacement[:nv]).max() / angle
         largest_speed = np.abs(displacement[nv : 2 * nv]).max() / speed
         return np.asarray(displacement / max(largest_angle, largest_speed))

@@ -69,7 +69,10 @@ class StandCheck(Result):
 
     @property
     def stands(self) -> bool:
-        """Whether the robot stands upright, not collapsed, and on its feet only."""
+        """Whether the robot stands upright on the feet alone, and has not collapsed.
+
+        Upright means a tilt of at most `MAX_STANDING_TILT` (10 deg).
+        """
         return self.tilt <= MAX_STANDING_TILT and not self.touching and not self.collapses
 
 
@@ -131,7 +134,9 @@ class StandReference:
         )
 
     def tilt(self, state: Array) -> float:
-        """Return the tilt of a free base from the expected orientation [rad]; yaw has no effect.
+        """Compute the tilt of a free base relative to the expected orientation [rad].
+
+        Yaw has no effect.
 
         Args:
             state: State of a simulation (mjSTATE_FULLPHYSICS).
@@ -286,11 +291,11 @@ class ContactSampler:
 
 
 def foot_centres(robot: Robot, data: mujoco.MjData) -> dict[str, Array]:
-    """Return the centre of each contact point in the world, such as the centre of a foot sphere.
+    """Compute the centre of each contact point in the world, such as the centre of a foot sphere.
 
     Args:
         robot: Robot.
-        data: Data of the robot's model, with kinematics.
+        data: MuJoCo data of the robot's model, with kinematics.
 
     Returns:
         {contact point: centre, shape (3,) [m], in the world frame}.
@@ -302,10 +307,10 @@ def foot_centres(robot: Robot, data: mujoco.MjData) -> dict[str, Array]:
 
 
 def base_heights(robot: Robot, states: Array) -> Array:
-    """Return the world z of the base frame in each state of a rollout [m].
+    """Return the height of the base frame in each state of a rollout: world z [m].
 
     Args:
-        robot: The robot.
+        robot: Robot.
         states: States (mjSTATE_FULLPHYSICS), shape (..., size).
 
     Returns:
@@ -318,10 +323,12 @@ def base_heights(robot: Robot, states: Array) -> Array:
 
 
 def rotation_angle(robot: Robot, rotation: Array, state: Array) -> float:
-    """Compute the angle of the rotation between the base and a reference [rad]; 0 for a fixed base.
+    """Compute the angle between the orientation of the base and a reference orientation [rad].
+
+    Unlike `base_tilt`, the angle includes yaw. It is 0 for a fixed base.
 
     Args:
-        robot: The robot.
+        robot: Robot.
         rotation: Reference orientation, base to world, shape (3, 3).
         state: State of a simulation (mjSTATE_FULLPHYSICS).
     """
@@ -344,7 +351,7 @@ def base_tilt(robot: Robot, rotation: Array, state: Array) -> float:
 
 
 def has_diverged(states: Array, timestep: float) -> bool:
-    """Return True if a rollout diverged: a value is not finite, or the time has been reset.
+    """Return True if a rollout diverged: a value is not finite, or the time did not advance.
 
     MuJoCo resets the state, with the time, if the simulation diverges.
 
@@ -567,9 +574,11 @@ class _SettledMeans:
         self.positions = {foot: np.zeros(3) for foot in robot.contact_points}
 
     def add(self, data: mujoco.MjData, foot_forces: Mapping[str, Array]) -> None:
-        """Add the state in ``data`` and the ground forces on the feet in this state [N].
+        """Add the forces and positions of a simulated state to the sums.
 
-        Contacts must be evaluated in ``data``.
+        Args:
+            data: MuJoCo data of the state, with evaluated contacts.
+            foot_forces: {foot: ground force, shape (3,) [N], in world axes}.
         """
         self.count += 1
         joints = self._robot.mj_convention.qvel_index[-self._robot.nu :]

@@ -167,10 +167,16 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     normal = UP if on_planes else next(iter(stand.normals.values()), UP)
 
     def compute_surplus_force(drop: float) -> float:
-        """Return the supporting force minus the weight [N] with the base lowered by ``drop`` [m].
+        """Compute how much the supporting force exceeds the weight if the base is lowered.
 
-        Both are components along the ground normal. The supporting force is that of contacts,
-        constraints and passive elements, such as gravity compensation.
+        Both forces are components along the ground normal. The supporting force is that of
+        contacts, constraints and passive elements, such as gravity compensation.
+
+        Args:
+            drop: Distance by which the base is lowered [m].
+
+        Returns:
+            Supporting force minus weight [N].
         """
         qpos = stand.qpos.copy()
         qpos[:3] -= drop * normal
@@ -363,7 +369,14 @@ def make_forced_controls(
 
 
 def check_duration(duration: float) -> None:
-    """Raise ``ConfigurationError`` if a simulated time [s] is not between 2 and 600."""
+    """Raise an error if a simulated time is not between 2 and 600 s.
+
+    Args:
+        duration: Simulated time [s].
+
+    Raises:
+        ConfigurationError: If the time is out of range, or not finite.
+    """
     if not math.isfinite(duration) or not 2.0 <= duration <= 600.0:
         problem = diagnose("not-between", given=f"{duration} s", low=2, high=Quantity(600, "s"))
         raise ConfigurationError("duration", problem)

@@ -145,7 +145,7 @@ class ServoBounds(Result):
 
     @property
     def uniform(self) -> bool:
-        """Whether all driven joints have the same stiffness and the same damping."""
+        """Whether all driven joints have equal stiffness and equal damping."""
         return len({(bounds.kp, bounds.kd) for bounds in self.classes}) == 1
 
 

@@ -69,7 +69,7 @@ class ShakingRecord:
 
     @property
     def fastest_dof(self) -> int:
-        """Degree of freedom with the largest speed in the last interval: index in qvel."""
+        """Index in qvel of the degree of freedom with the largest speed in the last interval."""
         return self._dof
 
     @property
@@ -87,7 +87,7 @@ class ShakingRecord:
 
     @property
     def is_shaking(self) -> bool:
-        """Whether the robot shook faster than ``MIN_SHAKING_SPEED`` within the last second."""
+        """Whether the robot shook faster than `MIN_SHAKING_SPEED` within the last second."""
         return self.speed > MIN_SHAKING_SPEED
 
     @property

@@ -351,9 +351,9 @@ class Nudge(Result):
 
     @property
     def stays(self) -> bool:
-        """Whether no joint of the nudged robot moved by ``MAX_JOINT_DISPLACEMENT`` or more.
+        """Whether no joint moved by `MAX_JOINT_DISPLACEMENT` or more at any time after the nudge.
 
-        Creep is subtracted.
+        Creep, the slow motion before the nudge, is subtracted.
         """
         return self.farthest < MAX_JOINT_DISPLACEMENT
 

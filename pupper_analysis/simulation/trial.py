@@ -493,11 +493,14 @@ class _FailureConditions:
         self._linear_time = math.nan
 
     def bound_motion(self, speed: float, remaining: float) -> float:
-        """Return an upper bound of the motion of a coordinate [m, rad] in the ``remaining`` time T.
+        """Compute an upper bound of the motion of a coordinate in the remaining time [m, rad].
 
-        The bound is ``_SPEED_FACTOR`` v (exp(r T) - 1) / r. In it, v is ``speed``, the largest
-        speed of a coordinate [m/s, rad/s]; r is ``growth_rate`` [1/s]; T is ``remaining`` [s]. The
-        bound is infinite if r T exceeds ``_MAX_GROWTH_EXPONENT``.
+        The bound is ``_SPEED_FACTOR`` v (exp(r T) - 1) / r, with v = ``speed``, r = ``growth_rate``
+        [1/s] and T = ``remaining``. It is infinite if r T exceeds ``_MAX_GROWTH_EXPONENT``.
+
+        Args:
+            speed: Largest speed of a coordinate [m/s, rad/s].
+            remaining: Remaining time of the simulation [s].
         """
         growth = self.growth_rate * remaining
         if growth > _MAX_GROWTH_EXPONENT:
@@ -541,9 +544,10 @@ class _FailureConditions:
         return _PREDICTION_FACTOR * displacements, velocity + changes
 
     def displacement(self, state: Array) -> Array:
-        """Return the displacement of a state's positions from the unnudged start, (nv,) [m, rad].
+        """Compute the displacement of a state from the start without nudge, shape (nv,) [m, rad].
 
-        ``state`` is an mjSTATE_FULLPHYSICS.
+        Args:
+            state: State of a simulation (mjSTATE_FULLPHYSICS).
         """
         model, displacement = self.held.drive.model, np.empty(self.held.drive.model.nv)
         ends = slice(1, 1 + model.nq)
@@ -555,9 +559,12 @@ class _FailureConditions:
 
         No contact forces are computed, which saves most of the time.
 
+        Args:
+            state: State of a simulation (mjSTATE_FULLPHYSICS).
+
         Returns:
-            Feet on the ground; swing feet and other bodies on the ground; torques, shape (nu,)
-            [N m, N].
+            Names of the feet on the ground; names of swing feet and other bodies on the ground;
+            motor torques, shape (nu,) [N m, N].
         """
         model, data = self.held.drive.model, self.data
         mujoco.mj_setState(model, data, state, STATE_SPEC)
@@ -570,14 +577,22 @@ class _FailureConditions:
         return feet, bodies | (feet - self.carrying), torques
 
     def joint_positions(self, states: Array) -> Array:
-        """Return the joint positions in states (..., size): shape (..., nu) [rad, m]."""
+        """Extract the joint positions from simulated states.
+
+        Args:
+            states: States (mjSTATE_FULLPHYSICS), shape (..., size).
+
+        Returns:
+            Joint positions, shape (..., nu) [rad, m], in actuator order.
+        """
         positions: Array = states[..., 1 + self.robot.mj_convention.qpos_index[7:]]
         return positions
 
     def locate_feet(self) -> Array:
-        """Return the centres of the stand's contact points at the state sampled last, (n, 3) [m].
+        """Return the centres of the stand's contact points at the state sampled last.
 
-        The centres are expressed in the world frame.
+        Returns:
+            Centres, shape (number of contact points, 3) [m], in the world frame.
         """
         centres = monitor.foot_centres(self.robot, self.data)
         return np.array([centres[foot] for foot in self.stand.stance_feet]).reshape(-1, 3)
@@ -610,12 +625,12 @@ class _NudgedEvaluation:
         self._lowest, self._highest = displacement, displacement
 
     def advance(self, states: Array, stride: int, remaining: float) -> None:
-        """Evaluate the next states of this simulation: set ``failure`` and ``is_decided``.
+        """Evaluate the next interval of this simulation: update ``failure`` and ``is_decided``.
 
         Args:
-            states: States after each step of an interval, shape (n, size).
-            stride: Number of steps between two states that are evaluated, from the first one.
-            remaining: Time after these states [s]; 0 if these states are the last ones.
+            states: States after each step of the interval (mjSTATE_FULLPHYSICS), shape (n, size).
+            stride: Number of steps between two evaluated states; the first state is evaluated.
+            remaining: Simulated time that remains after the interval [s]; 0 for the last interval.
         """
         conditions = self._conditions
         successive, before = np.concatenate([self.state[None], states]), self._slips
@@ -700,17 +715,17 @@ class _NudgedEvaluation:
     def will_hold(
         self, states: Array, interval: float, slips: dict[str, float], remaining: float
     ) -> bool:
-        """Return True if no failure is expected in the remaining time.
+        """Return True if no failure is expected in the remaining time of this nudged simulation.
 
         The remaining motion of each coordinate is bounded by the largest speed of the last interval
         and the largest growth rate of the modes in the spectra so far
-        (`_FailureConditions.bound_motion`). If this bound is too large, the motion is predicted by
-        the linearised step (`_bound_motion`). The conditions of a failure are evaluated with the
-        remaining motion. False, for example, while a motor is saturated, a foot is lifted or the
-        robot shakes.
+        (`_FailureConditions.bound_motion`). If this bound is too large, the linearised step
+        predicts the motion (`_bound_motion`). The conditions of a failure are then evaluated with
+        the remaining motion. The result is False, for example, while a motor is saturated, a foot
+        is lifted or the robot shakes.
 
         Args:
-            states: States of the last interval, shape (n, size).
+            states: States of the last interval (mjSTATE_FULLPHYSICS), shape (n, size).
             interval: Duration of the interval [s].
             slips: {contact point: slip at the end of the previous interval [m]}.
             remaining: Remaining time [s].

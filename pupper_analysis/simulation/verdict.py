@@ -140,7 +140,11 @@ class Creep(Result):
 
     @property
     def is_notable(self) -> bool:
-        """Whether this creep exceeds ``NOTABLE_CREEP_SPEED`` or ``NOTABLE_CREEP_RATE``."""
+        """Whether a verdict reports this creep in the first lines.
+
+        This is so if the speed exceeds `NOTABLE_CREEP_SPEED` (1 mm/min) or the rate exceeds
+        `NOTABLE_CREEP_RATE` (10 mrad/min).
+        """
         return self.speed > NOTABLE_CREEP_SPEED or self.rate > NOTABLE_CREEP_RATE
 
 

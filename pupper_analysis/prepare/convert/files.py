@@ -68,10 +68,10 @@ class RobotFiles:
         return "+".join(Path(model).name for model in names)
 
     def load(self, **more: Any) -> Robot:
-        """Load the robot from these files, with the stored options.
+        """Load the robot from the files, with the stored options.
 
         Args:
-            **more: Further keyword arguments of ``load_robot``, in addition to ``options``.
+            **more: Further keyword arguments of ``load_robot``, which must not be in ``options``.
 
         Raises:
             ConfigurationError: If an option is invalid.

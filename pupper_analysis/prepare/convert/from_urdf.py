@@ -140,7 +140,7 @@ class MjcfXml:
         return {mesh for geom in self.geoms if (mesh := geom.get("mesh")) is not None}
 
     def remove_visuals(self) -> None:
-        """Remove the geoms of the class ``visual`` from this MJCF, in place."""
+        """Remove the visual geoms (MJCF class ``visual``) from this MJCF, in place."""
         for geom in self.geoms:
             if geom.get("class") == VISUAL_CLASS:
                 geom.getparent().remove(geom)
@@ -167,7 +167,7 @@ class MjcfXml:
 
 
 def format_xml_value(number: AttributeValue) -> str:
-    """Format a number as text for XML; text is returned unchanged."""
+    """Format a number as text for XML; a text is returned unchanged."""
     return number if isinstance(number, str) else join_numbers(number)
 
 
@@ -212,10 +212,10 @@ class UrdfBodies:
         self.frames = set(self.tree.links)
 
     def add(self, mjcf: MjcfXml, *, free: bool) -> None:
-        """Add all links of the URDF to an MJCF, as bodies.
+        """Convert all links of the URDF to bodies of an MJCF, with joints, inertials and shapes.
 
         Args:
-            mjcf: MJCF.
+            mjcf: MJCF; the bodies are added in place.
             free: True to add a free joint to the base.
 
         Raises:
@@ -551,7 +551,7 @@ class ConvertedMjcf:
         )
 
     def make_file(self, *, visuals: bool = False) -> MjcfFile:
-        """Return the new MJCF as an `MjcfFile`, as if it were read from the URDF's path.
+        """Create the converted MJCF in memory, as if it had been read from the path of the URDF.
 
         Args:
             visuals: True to include visual geoms.

@@ -85,10 +85,13 @@ class _ColladaScene:
         self._extents: dict[etree._Element, _Extent] = {}
 
     def extent(self, node: etree._Element) -> _Extent:
-        """Count the parts of a COLLADA node, and the characters that describe its shapes.
+        """Count the parts of a COLLADA node, and the characters that describe the shapes.
 
-        Parts are the node, its shapes, and the parts of all nodes in it. A node that contains
-        itself gets more parts than allowed, so that the file is refused.
+        Parts are the node, its shapes, and the parts of all contained nodes; each instance counts.
+        A node that contains itself gets more parts than allowed, so that the file is refused.
+
+        Args:
+            node: Element ``<node>``.
         """
         if node not in self._extents:
             self._extents[node] = _Extent(MAX_MESH_PARTS + 1, 0)

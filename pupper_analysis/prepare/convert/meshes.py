@@ -101,7 +101,7 @@ class MeshFiles:
 
     @property
     def missing_files(self) -> Diagnostic | None:
-        """Note on missing mesh files, with the remedy; None if all files exist."""
+        """Message about missing mesh files, with the remedy; None if all files exist."""
         files = self._left.get(diagnose("no-such-mesh-file"), [])
         packages = any("://" in file for file in files)
         return diagnose("meshes-missing", files=files, packages=packages) if files else None
@@ -514,10 +514,13 @@ _OBJ_COMMENT = "# https://github.com/mikedh/trimesh\n"
 
 
 def read_mesh_file(path: Path) -> bytes:
-    """Read a mesh file of at most `MAX_MESH_BYTES`, and return the content.
+    """Read a mesh file, if it is not too large, and return the content.
+
+    Args:
+        path: Mesh file.
 
     Raises:
-        UnreadableError: If the file is larger, or cannot be read.
+        UnreadableError: If the file is larger than `MAX_MESH_BYTES`, or cannot be read.
     """
     try:
         return read_input(path, MAX_MESH_BYTES)

@@ -74,7 +74,7 @@ class Repair(Result):
 
     @property
     def diagnostic(self) -> Diagnostic:
-        """Note about the repair of this link's mass or inertia."""
+        """Message about the repair of this link's mass or moments of inertia."""
         link = "link", self.link
         if not self.mass > 0:
             return diagnose("mass-given", subject=link, mass=Quantity(self.new_mass, "kg"))
