@@ -102,7 +102,7 @@ class LazyGroup(click.Group):
     ) -> None:
         """Write the list of all commands under headings for ``--help``; import no command."""
         tools = {**own_tools(), **other_tools()}
-        width = max(map(len, tools))  # of one column in all lists
+        width = max(map(len, tools))  # common width of the names in all lists
         for heading in HELP_HEADINGS:
             listed = [name for name in sorted(tools) if tools[name].heading == heading]
             if listed:
@@ -192,7 +192,7 @@ def _run_command(command: click.Command, arguments: list[str], *, debug: bool) -
         if error.code is None or isinstance(error.code, int):
             return error.code or EXIT_VERIFIED
         _print_error(str(error.code))
-        return EXIT_FAILED  # the status with which Python ends
+        return EXIT_FAILED  # as Python does for a text
     except Exception as error:
         raise_if_ended()
         if debug:

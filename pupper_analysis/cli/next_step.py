@@ -127,7 +127,7 @@ def _fit_robot_arguments(
         return None
     if not several:
         return robot[: len(taken)]
-    if len(robot) > 1 and arguments >= {"urdf", "mjcf"}:  # a variant and a file: two robots
+    if len(robot) > 1 and arguments >= {"urdf", "mjcf"}:  # a variant and a file are two robots
         return [word for word in robot if not is_variant(word)] or robot[:1]
     return robot
 

@@ -92,8 +92,8 @@ class OutputPath(click.Path):
         """Check that the suffix of an output file does not belong to another format.
 
         Figures and pages must have a suffix of their own format, or none, because programs choose
-        by the suffix how to open a file. Files of other kinds may have any suffix that belongs to
-        no known format (`FORMAT_SUFFIXES`).
+        by the suffix how to open a file. Files of other kinds may also have a suffix that belongs
+        to no known format (`FORMAT_SUFFIXES`). Kinds without suffixes of their own are not checked.
 
         Args:
             option: Name of the option, for errors.
@@ -386,9 +386,11 @@ _ASSIGNMENT_FORM = re.compile(r"(\[?)[A-Z][A-Z:\[\]]*=(\]?)")
 def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
     """Return the name to which a value of an option belongs, and the value as typed.
 
-    The name is empty for an option that is not repeatable. It is also empty for a value without the
-    optional name ``JOINTS=``. In other repeatable options, a value without a name is its own name,
-    so two values never contradict each other.
+    * Value ``NAME=VALUE`` of a repeatable option: ``NAME``.
+    * Value of an option that is not repeatable, or without the optional name ``JOINTS=``: empty
+      name.
+    * Other values of a repeatable option: the value itself, so that two values never contradict
+      each other.
     """
     text = str(value)
     if not option.multiple:
@@ -489,10 +491,13 @@ _SYNONYMS = {
 def _find_similar_options(unknown: str, known: Sequence[str]) -> list[str]:
     """Return the options that a user may mean by an unknown option.
 
-    The first non-empty list of three is returned: the synonyms of the option (`_SYNONYMS`); the
-    options whose names contain all words of the unknown name and more; the options with similar
-    names. Names are compared without the leading hyphens, because these make all short names
-    similar.
+    The first of these lists that is not empty is returned:
+
+    1. Synonyms of the option (`_SYNONYMS`).
+    2. Options whose names contain all words of the unknown name, and more.
+    3. Options with similar names.
+
+    Names are compared without the leading hyphens, because these make all short names similar.
 
     Args:
         unknown: Unknown option, such as ``--limit``.
@@ -587,7 +592,7 @@ def _list_named_files(command: click.Command, context: click.Context) -> Iterato
             # Further forms: a.urdf+a.xml, and REVISION:PATH.
             for word in {text, *text.split("+"), text.rpartition(":")[2]} - {""}:
                 yield Path(word)
-            if isinstance(parameter.type, click.Path) and text:  # a bag of several files
+            if isinstance(parameter.type, click.Path) and text:  # folder of a recording
                 with suppress(OSError, ValueError):
                     yield from Path(text).iterdir()
 

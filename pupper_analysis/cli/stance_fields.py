@@ -236,7 +236,7 @@ def parse_contact(option: str, text: str, given: str) -> Contact | Weld:
         unit, valid_words = "angle", (*valid_words, "uphill")
     lengths = [
         shared.parse_measure(option, unit, number, given)
-        if not 3 <= position < 6  # of a plane's normal, or a bar's direction: of any length
+        if not 3 <= position < 6  # numbers 3 to 5: normal of a plane, or direction of a bar
         else shared.parse_measure(option, "direction", number, given)
         for position, number in enumerate(numbers)
     ]
@@ -291,7 +291,7 @@ def _load_defaults(context: click.Context, _option: click.Parameter, path: Path 
 stance_option = click.option(
     "--stance",
     type=click.Path(path_type=Path),
-    is_eager=True,  # before the options whose defaults it gives
+    is_eager=True,  # processed before the options whose defaults it sets
     expose_value=False,
     callback=_load_defaults,
     help=(

@@ -206,11 +206,11 @@ causes with these codes are tested. Other changes might let the robot stand by c
 
 
 def _make_switch(*changes: tuple[str, Any, Any]) -> Callable[[mujoco.MjModel], None]:
-    """Return a function that sets elements of a model's arrays, or of the options.
+    """Return a function that sets elements of a model's arrays, or MuJoCo options, in place.
 
     Args:
-        changes: (names of the fields, joined by spaces; index of the elements; value). For options
-            the index is None.
+        changes: Triples (names of the fields, joined by spaces; index of the elements; new value).
+            The index is None for fields of ``model.opt``.
     """
 
     def switch_off(model: mujoco.MjModel) -> None:
@@ -398,8 +398,8 @@ contacts in a test simulation."""
 def _list_contact_causes(published: PublishedModel) -> Iterator[CauseCandidate]:
     """Yield slippery and soft contacts as candidate causes of a fall or a deviation.
 
-    There are at most two candidates. One contains all slippery geoms and contact pairs, the other
-    all soft ones; `_select_bad_contacts` defines both.
+    There are at most two candidates. The first contains all slippery geoms and contact pairs, the
+    second all soft geoms and contact pairs (`_select_bad_contacts`).
     """
     model = published.model
     collidable = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -461,7 +461,7 @@ def _list_exclude_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
             names = " and ".join(_list_element_names(model, _OBJECT_TYPE.mjOBJ_BODY, pair))
             yield from _yield_if_any(
                 "exclude", (names,), "exclude_signature", number
-            )  # 0: the world with itself
+            )  # signature 0 excludes contacts of the world with itself, which has no effect
 
 
 def _list_option_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:

@@ -343,7 +343,7 @@ def _sample_surface(
         return
     for point in points:
         yield point, shape.minkowski_terms.ball
-    if len(shape.minkowski_terms.radii) == 3:  # no point of the globe is lowest
+    if len(shape.minkowski_terms.radii) == 3:  # ellipsoid: the lowest point is no sample point
         yield shape.find_lowest_point((np.eye(3), np.zeros(3)), up), 0.0
 
 
@@ -432,10 +432,15 @@ def _find_end_spheres(
 
 
 def _find_sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
-    """Return (outward normal (3,) of a foot's sole, True); (``down``, False) without a sole.
+    """Find the sole of a foot: the largest flat part at the lower end that is nearly level.
 
-    The foot is the hull of spheres with centres ``points``, shape (n, 3) [m], and ``radii`` (n,)
-    [m]. The unit vector ``down`` points to the ground.
+    Args:
+        points: Centres of spheres whose convex hull is the foot, shape (n, 3) [m].
+        radii: Radii of the spheres, shape (n,) [m].
+        down: Unit vector towards the ground, shape (3,), in the frame of the points.
+
+    Returns:
+        Outward normal of the sole, shape (3,), and True; without a sole, ``down`` and False.
     """
     surface = points + radii[:, None] * down
     end = float((surface @ down).max())
@@ -460,9 +465,12 @@ def _find_sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
 def _yield_level_normals(surface: Array, down: Array) -> Iterator[Array]:
     """Yield the outward normals (3,) of the facets of a hull with a tilt up to `_MAX_SOLE_TILT`.
 
-    ``surface`` are the points of the hull, shape (n, 3) [m]. If they are on a line, the normal of
-    the line nearest to the unit vector ``down`` is yielded, if the tilt of the normal is small
-    enough. Nothing is yielded for a single point.
+    If all points are on a line, the normal of the line that is nearest to ``down`` is yielded,
+    unless the tilt is too large. Nothing is yielded for a single point.
+
+    Args:
+        surface: Points of the hull, shape (n, 3) [m].
+        down: Unit vector towards the ground, shape (3,), in the frame of the points.
     """
     middle = surface.mean(axis=0)
     spread = surface - middle

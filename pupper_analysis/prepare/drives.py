@@ -271,9 +271,13 @@ class _ServoTrials:
                 yield candidate
 
     def _comes_to_rest(self, number: int, *, fed: bool) -> bool:
-        """Return True if the robot comes to rest with the candidate of an index.
+        """Return True if the robot comes to rest with the gains and time step of a candidate.
 
-        Feed-forward of the static motor torques is used if ``fed``. Each case is simulated once.
+        The time step of the robot is set. Each case is simulated once, and the result is stored.
+
+        Args:
+            number: Index of the candidate in `candidates`.
+            fed: Whether the commands include feed-forward of the static motor torques.
         """
         divisor, kp, kd = self.candidates[number]
         self._robot.mj_model.opt.timestep = self._timestep / divisor
@@ -523,9 +527,15 @@ def _merge_gains(
 def _is_as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
     """Return True if the simulated robot comes to rest as predicted.
 
-    Also True if URDF and MJCF describe different robots, since no gains help then. The first
-    simulation lasts `_BRIEF_DURATION`. If it does not agree, the usual duration is simulated. The
-    servos have stiffness ``kp`` [N m/rad] and damping ``kd`` [N m s/rad], (nu,) each.
+    The result is also True if URDF and MJCF describe different robots, since no gains help then.
+    The first simulation lasts `_BRIEF_DURATION`. If this simulation does not agree with the
+    prediction, the default duration is simulated.
+
+    Args:
+        robot: Robot.
+        stand: Stand.
+        kp: Servo stiffness, shape (nu,) [N m/rad, N/m].
+        kd: Servo damping, shape (nu,) [N m s/rad, N s/m].
     """
     with contextlib.suppress(PupperAnalysisError):
         stand = solve_stand_on_soft_ground(robot, stand, explain=False)

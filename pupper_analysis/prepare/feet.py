@@ -179,7 +179,9 @@ def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
 def _find_lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
     """Return the feet in a pose: the limbs that end at about the height of the lowest limb.
 
-    ``joints`` are the joint positions of the pose, shape (nu,) [rad, m]; the base is level.
+    Args:
+        robot: Robot without feet.
+        joints: Joint positions of the pose, shape (nu,) [rad, m]; the base is level.
 
     Raises:
         ModelError: If no limb ends below the base.
@@ -387,7 +389,7 @@ def add_contact_frames(
         for number, point in enumerate(foot.points, start=1):
             name = foot.name if len(foot.points) == 1 else f"{foot.name}/{number}"
             frame = make_unique_name(f"{name} (contact)", site_names)
-            # MuJoCo's contact depends on the weight of this body.
+            # The site is on the body of the geom: MuJoCo's contact depends on this body's inertia.
             geom_body = int(model.geom_bodyid[point.geom])
             bodies[model.body(geom_body).name].add_site(name=frame, pos=point.center)
             world = data.xpos[geom_body] + data.xmat[geom_body].reshape(3, 3) @ point.center
@@ -472,12 +474,24 @@ def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
 def _map_to_urdf(
     robot: Robot, config: Configuration, data: mujoco.MjData, body: int, world: Array
 ) -> Array:
-    """Convert a world position (3,) [m] in the MJCF to the URDF, both at joint positions of zero.
+    """Convert a position on a body of the MJCF to the position of this point in the URDF.
 
-    The joint axes of both files may differ. The result is shifted by the perpendicular distance of
-    both axes of the last joint that is no slide; the position of a joint frame along its axis has
-    no meaning. There is an exception: if the URDF has a link at the unshifted position, or at the
-    same position relative to the joint frame, the position of this link is returned.
+    Both files may have different joint axes. The position is therefore shifted by the perpendicular
+    offset between both axes of the last joint that is no slide. The position of a joint frame along
+    its axis has no meaning.
+
+    Exception: the URDF may have a link at the unshifted position, or at the same position relative
+    to the joint frame. Then the position is that of this link.
+
+    Args:
+        robot: Robot.
+        config: Configuration of the URDF at joint positions of zero.
+        data: MuJoCo data at joint positions of zero.
+        body: MuJoCo id of the body.
+        world: Position in the MJCF, shape (3,) [m], in the world frame.
+
+    Returns:
+        Position in the URDF, shape (3,) [m], in the world frame.
     """
     joint = _find_last_joint(robot, body, turning=True)
     if joint is None:

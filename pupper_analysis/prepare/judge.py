@@ -162,9 +162,10 @@ def _apply_zero_torque_limits(
 ) -> tuple[Outcome, Outcome | None, Diagnostic | None]:
     """Add the failures that follow from motors with a torque limit of zero to both simulations.
 
-    If ``statics`` is None, or if such a motor is loaded in ``statics``, both simulations fail. If
-    no such motor is loaded and ``fed`` has failed, the message is added to the failures of ``fed``.
-    It is the first failure if more than half of the joints have such a motor, otherwise the last.
+    * If such a motor is loaded in ``statics``, or ``statics`` is None: both simulations fail.
+    * If no such motor is loaded, and ``fed`` has failed: the message is added to the failures of
+      ``fed``. It is the first failure if more than half of the joints have such a motor, otherwise
+      the last.
 
     Args:
         robot: Robot.
@@ -174,7 +175,7 @@ def _apply_zero_torque_limits(
 
     Returns:
         Both simulations, and the message about the motors. The message is None if there are no such
-        motors, or if ``fed`` contains it.
+        motors, or if ``fed`` contains the message.
     """
     null = describe_zero_torque_limits(robot)
     if null is None:
@@ -217,10 +218,10 @@ def _fail_without_torque(run: Outcome, null: Diagnostic, *, springs: bool) -> Ou
     """Return a simulation, marked as failed because motors without torque must hold a load.
 
     If ``springs`` is True and the robot stood, the simulation still counts as standing. Otherwise
-    its other failures are omitted, since they are consequences of the missing torque.
+    the other failures are omitted: they are consequences of the missing torque.
 
     Args:
-        run: Simulation, in which these motors exert no torque.
+        run: Simulation, in which motors with a torque limit of zero exert no torque.
         null: Message about the motors.
         springs: Whether springs of the MJCF act on the joints of all loaded motors without torque.
     """
@@ -251,11 +252,13 @@ def describe_frictionless_feet(robot: Robot, feet: Sequence[str]) -> Diagnostic 
 def _list_overloaded_joints(
     robot: Robot, statics: GravityCompensation, positions: NDArray[np.float64] | None
 ) -> tuple[str, ...]:
-    """Return the joints whose motor exceeds its torque limit; limits of zero or below are ignored.
+    """Return the joints whose motors exceed the torque limits; limits of zero or below are ignored.
 
-    The torques of actuators at tendons are evaluated at the joint ``positions``, shape (nu,) [rad,
-    m]. If ``positions`` is None, these actuators are not evaluated, since servos at the joints
-    replace them.
+    Args:
+        robot: Robot.
+        statics: Static motor torques.
+        positions: Joint positions, shape (nu,) [rad, m], at which the forces of actuators at
+            tendons are evaluated. None: servos at the joints replace these actuators.
     """
     null = {limit.joint for limit in robot.efforts if limit.without_torque}
     overloaded = (

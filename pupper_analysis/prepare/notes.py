@@ -88,7 +88,7 @@ def report_tendon_joints(robot: Robot) -> Iterator[Diagnostic]:
     joints = [model.joint(name).id for name in driven]
     actuators = [actuator for actuator, others in moved.items() if others & set(joints)]
     dependence = np.array([[joint in moved[cable] for cable in actuators] for joint in joints])
-    # Levers of spatial tendons change with the configuration: their rank is that of any numbers.
+    # Levers of spatial tendons depend on the configuration. Random numbers give the generic rank.
     numbers = np.random.default_rng(0).uniform(0.5, 1.5, dependence.shape)
     fixed = fixed_tendon_levers(model)
     matrix = np.where(dependence, numbers, 0.0)

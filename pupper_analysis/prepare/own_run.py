@@ -273,18 +273,21 @@ def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
 def _simulate_settling(
     model: mujoco.MjModel, robot: Robot, qpos: Array
 ) -> tuple[bool, _NudgedStates | None]:
-    """Simulate a nudged model for ``_SETTLING_TIME`` [s].
+    """Simulate a nudged model for `_SETTLING_TIME` [s], to find out if it comes to rest.
+
+    The nudge is a small initial velocity. The joint positions in ``qpos`` are commanded.
 
     Args:
-        model: Published model.
+        model: Published model: the user's file as compiled.
         robot: Prepared robot, with the gains of the added servos.
-        qpos: Configuration of the stand, shape (nq,). The joint positions are commanded.
+        qpos: Configuration of the stand, shape (nq,).
 
     Returns:
-        Whether the robot still stands and is at rest; and the simulation with its final state. The
-        simulation also contains the state at half the duration of a run from a keyframe, if this
-        time is shorter: such a run starts in the same way. (False, None) if the base cannot be
-        placed.
+        Whether the robot still stands and is at rest; and the recorded simulation. (False, None) if
+        the base cannot be placed.
+
+        The record contains the final state. It also contains the state at half the duration of a
+        run from a keyframe, if this time is shorter: such a run starts in the same way.
     """
     published = with_unstated_options(PublishedModel.from_model(model, robot), robot)
     start = place_published(published, robot, qpos)
@@ -355,16 +358,17 @@ def simulate_model_from_keyframe(published: PublishedModel, robot: Robot) -> Own
 
 
 def _select_keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) -> int | None:
-    """Return the number of the initial keyframe.
+    """Return the number of the keyframe from which the published model is simulated.
 
     Args:
-        model: Published model: compiled from the file of the robot.
+        model: Published model: the user's file as compiled.
         robot: Prepared robot: with the additions of this package.
-        wanted: Name of the keyframe. If None, keyframes whose feet are level and whose joints are
-            within their limits come first, then ``home``, then the others in the order of the file.
+        wanted: Name of the keyframe. None: keyframes whose feet are level and whose joints are
+            within the limits come first, then ``home``, then the other keyframes in the order of
+            the file.
 
     Returns:
-        Number of the keyframe. None if the model has none, or none with the wanted name.
+        Number of the keyframe. None if the model has no keyframe, or none with the wanted name.
     """
     names = [_keyframe_name(model, key) for key in range(model.nkey)]
     if wanted is not None:
@@ -382,9 +386,9 @@ def _select_keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) ->
 def _simulate_key(published: PublishedModel, robot: Robot, key: int) -> OwnRun:
     """Simulate a published model from a keyframe, with the ctrl of the keyframe.
 
-    If the keyframe specifies no ctrl, ``OwnRun.held`` is a second run. In it, the servos of the
-    file hold the joint positions of the keyframe. There is no second run if most joints have no
-    servo, or if the law of an actuator is a controller such as ``pid``.
+    If the keyframe specifies no ctrl, the result contains a second run (``OwnRun.held``), in which
+    the servos of the file hold the joint positions of the keyframe. There is no second run if most
+    joints have no servo, or if an actuator has a built-in controller such as ``pid``.
     """
     model, data = published.model, mujoco.MjData(published.model)
     mujoco.mj_resetDataKeyframe(model, data, key)
@@ -458,11 +462,11 @@ def _commands_to_hold(
 ) -> HoldCommands:
     """Return the commands with which a published model holds joint positions.
 
-    The servos that `load_robot` added are used only if most joints of the file have no servo. If
-    most joints have a servo, a joint with a torque motor is not held.
+    If most joints of the file have no servo, the servos that the preparation added are used as
+    external servos. Otherwise a joint with a torque motor is not held.
 
     Args:
-        published: Published model.
+        published: Published model: the user's file as compiled.
         robot: Prepared robot, with the gains of the added servos.
         data: State of the published model.
         pose: Joint positions to hold, shape (nu,) [rad, m].
@@ -613,10 +617,10 @@ def _joint_deviations(
 def _unheld_joints(
     published: PublishedModel, robot: Robot, joints: list[JointOff]
 ) -> list[JointOff]:
-    """Return the joints without position servo that moved by more than ``MIN_UNHELD_DISPLACEMENT``.
+    """Return the joints that nothing holds, and that moved by more than `MIN_UNHELD_DISPLACEMENT`.
 
-    Two kinds of joints are excluded: joints that a position servo at a tendon drives, and coupled
-    joints (without actuator and without added servo). The result is empty unless more than half of
+    A joint is held by its position servo, by a position servo at a tendon, or by a coupling (a
+    joint without actuator and without added servo). The result is empty unless more than half of
     the joints have a position servo.
     """
     num_servos = sum(joint.drive is Drive.SERVO for joint in joints)
@@ -667,12 +671,11 @@ def _command_offset(
 
 
 def _is_ctrl_angles(model: mujoco.MjModel, key: int) -> bool:
-    """Return True if the ctrl of a keyframe are the joint angles times the gear, and not all zero.
+    """Return True if the ctrl of a keyframe are joint angles, even if the model has torque motors.
 
-    The angles are in radians or in degrees. The first control of each actuator at a joint is
-    compared. If the result is True, the keyframe contains position commands, even if the model has
-    torque motors. Zeros are no evidence, since a torque of zero and an angle of zero are written
-    alike.
+    The first control of each actuator at a joint is compared with the joint position times the
+    gear. Angles are in radians or in degrees. The result is False if all controls are zero: a
+    torque of zero and an angle of zero are written alike.
     """
     at_joint = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value)
     ctrl = model.key_ctrl[key, model.actuator_ctrladr[at_joint]]

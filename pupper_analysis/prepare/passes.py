@@ -323,9 +323,11 @@ def _find_requested_feet(
 def _must_fix_base(draft: Draft) -> bool:
     """Return True if the base may be fixed, and the robot cannot stand with a free base.
 
-    `Draft.may_fix_base` is the first condition. The robot cannot stand if an earlier pass has
-    failed, or if it has no nominal stand. There is an exception: if the user named the feet and no
-    earlier pass has failed, the base stays free, and commands report why the robot does not stand.
+    The base may be fixed if `Draft.may_fix_base` is True. The robot cannot stand if an earlier pass
+    has failed, or if the robot has no nominal stand (default `StandTask`).
+
+    Exception: if the user named the feet and no earlier pass has failed, the base stays free.
+    Commands then report why the robot does not stand.
     """
     if not draft.may_fix_base or draft.refused:
         return draft.may_fix_base
@@ -524,10 +526,10 @@ def _add_loop_motors(draft: Draft) -> PassOutput:
 
 
 def _make_rest_depth(draft: Draft) -> Callable[[str], float | None]:
-    """Return a function that computes the penetration of the feet at rest [m].
+    """Return a function of a keyframe's name that computes the penetration of the feet at rest [m].
 
-    Its argument is the name of a keyframe. Its result is None if the unmodified file falls from
-    this keyframe, or lacks it.
+    The function simulates the unmodified file from the keyframe. It returns None if the file falls,
+    or lacks the keyframe.
     """
     return partial(start.rest_depth_from_keyframe, draft.mjcf.model)
 
@@ -607,9 +609,10 @@ def _report_uncommanded_joints(draft: Draft) -> PassOutput:
 
 
 def _describe_missing_stand(draft: Draft) -> Diagnostic:
-    """Return the reason for which a robot has no nominal stand (default `StandTask`).
+    """Create the message why a robot has no nominal stand (default `StandTask`).
 
-    If fewer than `_MIN_STANDING_FEET` feet were found, they may be the fingers of a gripper.
+    If fewer than `_MIN_STANDING_FEET` feet were found, the message names no reason: the feet may be
+    the fingers of a gripper.
     """
     names = tuple(foot.name for foot in draft.feet)
     if len(names) >= _MIN_STANDING_FEET:
@@ -756,10 +759,10 @@ _DEFERRED_PASSES = tuple(step for step in PREPARATION_PASSES if step.deferred)
 
 
 def _run_passes(passes: Iterable[Pass], draft: Draft) -> Draft:
-    """Apply passes in order to a draft, the robot in preparation, and return the new draft.
+    """Apply passes in order to a draft (the robot in preparation), and return the new draft.
 
     If a pass raises a `ModelError`, and the robot may be prepared again with a fixed base
-    (`Draft.may_fix_base`), only passes with `Pass.after_refusal` are run after it. One of them
+    (`Draft.may_fix_base`), only passes with `Pass.after_refusal` are run afterwards. Such a pass
     fixes the base.
 
     Raises:
@@ -859,9 +862,10 @@ def make_robot(
 def _keeps_joint_order(draft: Draft) -> bool:
     """Return True if the joint order does not change when servos are added.
 
-    Joints are in actuator order. If servos are added in this order to all joints, or to none, it
-    does not change. It may change if some joints have no actuator, already have a servo, or depend
-    on other joints. In these cases a robot with servos is built, and both orders are compared.
+    Joints are in actuator order. The order does not change if servos are added to all joints in
+    this order, or to none. It may change if some joints have no actuator, already have a servo, or
+    depend on other joints. In these cases a robot with servos is built, and both orders are
+    compared.
     """
     robot = draft.robot
     if not _may_get_servos(draft) or not _lacks_servos(robot):

@@ -138,11 +138,11 @@ def has_few_servos(published: PublishedModel) -> bool:
 
 
 def with_unstated_options(published: PublishedModel, robot: Robot) -> PublishedModel:
-    """Return a published model with the prepared robot's time step and integrator.
+    """Use the prepared robot's time step and integrator in a published model that states none.
 
     Reason: MuJoCo's defaults (2 ms, Euler) may be too coarse for the servos that the preparation
-    added. An attribute that the file specifies is kept. The model is returned unchanged if the
-    robot has no MJCF or no added servos, or if at most half of the joints lack a position servo.
+    added. An attribute that the file states is kept. The model is returned unchanged if the robot
+    has no MJCF or no added servos, or if at most half of the joints lack a position servo.
 
     Args:
         published: Published model: the user's file as compiled.
@@ -188,7 +188,8 @@ def with_requested_gains(
     added = []
     for index, name in enumerate(robot.joint_names):
         stiffness, damping = float(drive.kp[index]), float(drive.kd[index])
-        if stiffness == 0 or name in robot.description.passive_joints:  # or a dependent joint
+        # Dependent joints have a stiffness of zero.
+        if stiffness == 0 or name in robot.description.passive_joints:
             continue
         kind, actuators = published.drives[index], list_joint_actuators(model, model.joint(name).id)
         if kind in _NOT_POSITION_SERVOS or len(actuators) != 1:
@@ -550,17 +551,17 @@ def _set_tendon_commands(
     """Set the controls of position servos at tendons that drive joints without actuator, in place.
 
     Args:
-        published: Published model.
+        published: Published model: the user's file as compiled.
         robot: Prepared robot.
-        qpos: Configuration of the published model, shape (model.nq,). ``targets``
-            replace the positions of the robot's joints.
-        ctrl: Controls, shape (model.nu,); those of these servos are set.
+        qpos: Configuration of the published model, shape (model.nq,); ``targets`` replace the
+            positions of the robot's joints.
+        ctrl: Controls, shape (model.nu,); the controls of the servos at tendons are set.
         targets: Target positions, shape (nu,) [rad, m].
-        torques: Joint torques, shape (nu,) [N m, N]; the torques of these servos are subtracted
-            in place.
+        torques: Joint torques, shape (nu,) [N m, N]; the torques that the servos at tendons exert
+            are subtracted in place.
 
     Returns:
-        Indices of the joints without actuator that these servos drive.
+        Indices of the joints without actuator that the servos at tendons drive.
     """
     model = published.model
     joints = [model.joint(name).id for name in robot.joint_names]
@@ -721,10 +722,14 @@ def _measure_command_law(
 ) -> tuple[int, float, float] | None:
     """Measure the joint torque as a function of ctrl, for the first actuator at zero velocity.
 
-    The law is torque = offset + lever * ctrl.
+    The law is torque = offset + lever * ctrl. MuJoCo's clamping of ctrl is off during the
+    measurement, since zero may be at the end of a ctrlrange, or outside.
 
-    MuJoCo's clamping of ctrl is off during the measurement, since zero may be at the end of a
-    ctrlrange, or outside.
+    Args:
+        model: Published model; unchanged after the call.
+        data: State with the configuration; not modified.
+        dof: Degree of freedom of the joint (index in qvel).
+        actuators: Ids of the actuators at the joint.
 
     Returns:
         Index of the control, lever [N m per unit of ctrl], offset [N m]. None without actuators, or

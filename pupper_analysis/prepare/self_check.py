@@ -153,7 +153,7 @@ def compare_as_published(
         return None
     gains = (kp, kd) if servos.source is ServoSource.GIVEN else None
     loaded = get_loaded_robot(robot)
-    if not (loaded.floating or stand.stance_feet):  # in a posture
+    if not (loaded.floating or stand.stance_feet):  # posture of a fixed base
         return _compare_in(loaded, stand, gains)
     if robot.published.loaded is not None or robot.fixed_parts or not stand.task.ground.is_level:
         if gains is None:
@@ -327,22 +327,24 @@ def _find_loading_causes(
 ) -> tuple[Cause, ...]:
     """Find out if a deviation from the prediction is due to the preparation, or to the two files.
 
-    If the simulation of the prepared robot agrees with the prediction, the changes of the
-    preparation (`list_loading_changes`) are the cause.
-
-    If this simulation deviates as much as the published MJCF (as it is, or with its candidate
-    causes switched off), URDF and MJCF differ, since the prediction is computed from the URDF. The
-    cause is the first difference found by ``compare_files`` that affects mass matrix, gravity, or
-    positions of joints and feet. If no difference affects them, the cause is the first part that
-    differs. The result is empty without differences, and for a robot whose URDF or MJCF was
-    converted.
+    * If the simulation of the prepared robot agrees with the prediction, the changes of the
+      preparation (`list_loading_changes`) are the cause.
+    * If this simulation deviates as much as the published MJCF, URDF and MJCF differ, since the
+      prediction is computed from the URDF. The published MJCF is compared as it is, and with all
+      candidate causes switched off. The cause is the first difference found by ``compare_files``
+      that affects mass matrix, gravity, or positions of joints and feet. Without such a difference,
+      the cause is the first part that differs.
 
     Args:
-        published: Published model.
+        published: Published model: the user's file as compiled.
         robot: Prepared robot.
         prediction: Predicted state of rest.
         run: Simulation of the published model.
         prepared: Simulation of the prepared robot; without it, no cause is found.
+
+    Returns:
+        Causes. Empty if neither case applies, without differences, and in the second case for a
+        robot whose URDF or MJCF was converted.
     """
     file = None if robot.published is None else robot.published.file
     if prepared is None:
@@ -596,9 +598,11 @@ def _simulate_until_compared(
 def _is_lasting(earlier: float, deviation: float) -> bool:
     """Return True if the torques deviate much from the prediction, and do not approach it.
 
-    Two conditions must hold. The deviation exceeds `_MIN_LASTING_RATIO` * `TORQUE_RTOL`. It also
-    falls so slowly that after `_APPROACH_INTERVAL` it would still be above `_MAX_APPROACH_RATIO`
-    times its value.
+    Two conditions must hold:
+
+    * The deviation exceeds `_MIN_LASTING_RATIO` * `TORQUE_RTOL`.
+    * The deviation falls so slowly that after `_APPROACH_INTERVAL` more than the fraction
+      `_MAX_APPROACH_RATIO` would remain.
 
     Args:
         earlier: Largest torque deviation in the first of two successive windows of `FORCE_WINDOW`,
@@ -754,10 +758,10 @@ def _test_soft_servos(robot: Robot) -> tuple[Cause, ...]:
 
 
 def _deviating_joint(run: OwnRun) -> tuple[Cause, ...]:
-    """Return the cause for which a run of the file fails: a joint, or a divergence.
+    """Return the most probable cause of a failed run of the file, without further simulations.
 
-    The cause is a joint without servo that moved. If there is none, it is the joint that deviates
-    most. If no joint is known, the cause is that the run diverges.
+    The cause is the joint without servo that moved, else the joint that deviates most. If no joint
+    is known, the cause is that the run diverges.
     """
     joint = run.unheld or run.worst
     if joint is None:
@@ -864,20 +868,23 @@ def _test_causes(
 ) -> tuple[Cause, ...]:
     """Find the causes of a deviation by switching off candidates in copies of the model.
 
-    A model is sound if ``test_model`` returns a number. A candidate is a cause if the model becomes
-    unsound when this candidate alone is switched on again. This must be so for the group, and for
-    the largest sound set of candidates. A group passes the test if the model is sound with the
-    whole group switched off, and with only its causes switched off. The groups are, in the order of
-    the tests: integration and solver; the other candidates; both; both and ``physical``.
+    A model is sound if ``test_model`` returns a number. Groups of candidates are tested in this
+    order: integration and solver; the other candidates; both; both and ``physical``. A group passes
+    under two conditions:
+
+    * The model is sound if the complete group is switched off.
+    * The model is sound if only the causes in the group are switched off. A candidate is a cause if
+      the model becomes unsound when this candidate alone is switched on again. This must be so for
+      the group, and for the largest set of candidates that makes the model sound.
 
     Args:
-        published: Published model.
+        published: Published model: the user's file as compiled.
         candidates: Candidates that the prepared robot does not have.
         physical: Candidates that the prepared robot has, too.
         test_model: Returns the remaining deviation of a sound model; None for an unsound model.
 
     Returns:
-        Causes; empty if no group of candidates passes the test.
+        Causes of the first group that passes; empty if no group passes.
     """
 
     @cache

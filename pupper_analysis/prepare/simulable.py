@@ -138,7 +138,8 @@ def explain_refused_body(error: ModelError, urdf: UrdfFile, mjcf: MjcfFile) -> M
     Args:
         error: Error of a compilation.
         urdf: URDF.
-        mjcf: MJCF. If the MJCF was converted from the URDF, the new error names the URDF.
+        mjcf: MJCF. If the MJCF was converted from the URDF, and the URDF contains the link, the new
+            error names the URDF.
 
     Returns:
         The new error; ``error`` itself if the cause is another problem.

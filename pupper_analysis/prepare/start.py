@@ -125,7 +125,7 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
         weight = float(model.body_subtreemass[base] * np.linalg.norm(model.opt.gravity))
         level = (
             float(np.abs(data.xmat[base][6:]).max()) > 1 - _LEVEL_COSINE_ATOL
-        )  # the z axis may be horizontal: see ``place_base_frame``
+        )  # any axis: the z axis may be horizontal if the frame is not placed yet
         if level and abs(carried - weight) < _WEIGHT_RTOL * weight:
             found[model.key(key).name or f"keyframe {key + 1}"] = depth
     return found
@@ -377,19 +377,19 @@ of 1e-8 m; chosen, not tuned."""
 
 
 def _level_soles(robot: Robot, pose: Array, height: float, margin: float) -> Array | None:
-    """Bend the joints until all contact points are on the ground, with the centre below the CoM.
+    """Bend the joints until all contact points are on the ground, with their centre below the CoM.
 
-    Least squares over the joint positions with a level base; the distance from the pose is a small
-    regularisation. The horizontal positions and the yaw of the feet are free.
+    The joint positions are a least-squares solution with a level base. The distance from ``pose``
+    is a small regularisation. The horizontal positions and the yaw of the feet are free.
 
     Args:
         robot: Robot with feet.
-        pose: Joint positions that the solution is close to, shape (nu,) [rad or m].
+        pose: Joint positions that the solution is close to, shape (nu,) [rad, m].
         height: Height of the base above the ground [m].
-        margin: Distance of the joints from their limits [rad, m]; at most 40 % of a joint's range.
+        margin: Distance of the joints from the limits [rad, m]; at most 40 % of a joint's range.
 
     Returns:
-        Joint positions, shape (nu,) [rad or m]; None if an error divided by ``height`` is
+        Joint positions, shape (nu,) [rad, m]; None if an error divided by ``height`` is
         ``_MAX_SOLE_ERROR`` or more.
     """
     from scipy import optimize  # slow to import
@@ -477,14 +477,21 @@ def _choose_middle_start(starts: Sequence[Robot]) -> Robot | None:
 
 
 def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
-    """Return the robot with a nominal stand (default `StandTask`), searched from start poses.
+    """Search for a nominal stand (default `StandTask`) from several start poses.
 
-    ``poses`` are joint positions, shape (nu,) [rad, m] each.
+    1. From each pose, stands are searched at successive base heights.
+    2. The pose with the most consecutive stands is used.
+    3. The nominal stand is that at the middle height, or else the nearest valid stand.
 
-    From each pose, stands are searched at successive base heights. The pose with the most
-    consecutive stands is used. The nominal stand is the one at the middle height, or the nearest
-    valid one. The required distances from the joint limits are reduced (`_JOINT_MARGINS`) until a
-    stand is found. The result is None if there is no stand.
+    The required distances from the joint limits are reduced (`_JOINT_MARGINS`) until a stand is
+    found.
+
+    Args:
+        robot: Robot with feet.
+        poses: Joint positions of each pose, shape (nu,) [rad, m].
+
+    Returns:
+        Robot with the nominal stand; None if there is no stand.
     """
     for margin in _JOINT_MARGINS:
         best: tuple[list[Stand], Robot] = [], robot
@@ -507,14 +514,20 @@ def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
 
 
 def _spread_feet(robot: Robot, pose: Array) -> Array:
-    """Return joint positions (nu,) [rad, m] with each foot at a bounded distance from the hip.
+    """Return joint positions with each foot at a bounded horizontal distance from the hip.
 
-    The distance is horizontal. A foot that is too near or too far (`_MIN_SIDE_DISTANCE`,
-    `_MAX_SIDE_DISTANCE`) in the posture ``pose``, shape (nu,), gets a target at
-    `_TARGET_SIDE_DISTANCE`; all targets have the same height. Legs that are straight to the side,
-    such as a spider's at zero angles, cannot reach the ground below their feet. If the legs cannot
-    reach the targets, the foot errors are the smallest found. Without an IK branch, the result is
-    ``pose``. A foot on the base keeps its position.
+    A foot that is too near or too far (`_MIN_SIDE_DISTANCE`, `_MAX_SIDE_DISTANCE`) gets a target at
+    `_TARGET_SIDE_DISTANCE`. All targets have the same height. Reason: legs that are straight to the
+    side, such as a spider's at zero angles, cannot reach the ground below their feet.
+
+    Args:
+        robot: Robot with feet.
+        pose: Joint positions, shape (nu,) [rad, m].
+
+    Returns:
+        Joint positions, shape (nu,) [rad, m]; ``pose`` without an IK branch. If the legs cannot
+        reach the targets, the foot errors are the smallest found. A foot on the base keeps its
+        position.
     """
     qpos = robot.make_qpos(pose)
     config = Configuration(robot, qpos)
@@ -548,14 +561,14 @@ def _spread_feet(robot: Robot, pose: Array) -> Array:
 
 
 def _find_longest_run(robot: Robot, pose: Array, margin: float, known: int) -> list[Stand]:
-    """Return the longest series of stands at successive base heights, from high to low.
+    """Find the longest series of stands at successive base heights, from high to low.
 
     The heights are fixed fractions of the leg length. A series ends at a height without a stand.
 
     Args:
         robot: Robot.
         pose: Preferred joint positions, shape (nu,) [rad, m].
-        margin: Distance of the joints from their limits [rad, m].
+        margin: Distance of the joints from the limits [rad, m].
         known: Length of the longest series for other poses. The search ends once no longer series
             is possible; the result may then be shorter, or empty.
     """
@@ -641,9 +654,18 @@ def is_clear_of_ground(robot: Robot, stand: Stand) -> bool:
 
 
 def _solve_near_pose(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
-    """Solve a stand with all joints except the leg joints near a pose; None without a stand.
+    """Solve a stand whose joints outside the legs (arms, waist) are near a pose.
 
-    Each of `_MAX_RESET_PASSES` solves starts from the last stand with the other joints reset.
+    The stand is solved up to `_MAX_RESET_PASSES` times. Each solve after the first starts from the
+    last stand, with the joints outside the legs reset to ``pose``.
+
+    Args:
+        robot: Robot with feet.
+        task: Stand task.
+        pose: Joint positions, shape (nu,) [rad, m].
+
+    Returns:
+        Last solved stand; None without a stand.
     """
     legs = np.concatenate([limb.joints for limb in find_limbs(robot)])
     try:
@@ -679,11 +701,19 @@ def _yield_bent_legs(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
 def _solve_first_guess(
     context: SearchContext, goal: Goal, guesses: Iterable[Array]
 ) -> Stand | None:
-    """Return the first solved stand from initial guesses of the joint positions (nu,) [rad, m].
+    """Return the first stand that is solved from initial guesses of the joint positions.
 
-    If the CoM is free within the support polygon, the nonlinear program is tried, too; its stand
-    must be clear of the ground. None if all guesses fail, or if the foot errors have the same
-    minimum, out of reach, from two guesses.
+    If the CoM is free within the support polygon, the nonlinear program is tried, too; the stand of
+    the program must be clear of the ground.
+
+    Args:
+        context: Search context of the robot.
+        goal: Goal of the stand task.
+        guesses: Joint positions, shape (nu,) each [rad, m].
+
+    Returns:
+        Stand. None if all guesses fail, or if two guesses end at the same minimum of the foot
+        errors, out of reach.
     """
     misses: list[float] = []
     for joints in guesses:

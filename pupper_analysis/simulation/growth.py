@@ -370,12 +370,20 @@ def _make_displacement(
 ) -> Array:
     """Compute the initial displacement of (qpos, qvel, act) along modes, shape (2 nv + na,).
 
-    Elements are in the tangent space: positions [m, rad], velocities [m/s, rad/s] and activations.
-    The displacement is the scaled sum of the modes that were found with both finite-difference
-    steps (``repeated_at_second_step``). Each mode is first scaled to the bounds ``angle`` [rad, m]
-    and ``speed`` [rad/s, m/s]. Otherwise a fast mode, with its large velocities, would leave almost
-    no displacement along a slow mode. If no mode was found with both steps, all coordinates get a
-    velocity, and no position changes.
+    The displacement is the sum of the modes that were found with both finite-difference steps
+    (``repeated_at_second_step``). Before and after the summation, displacements are scaled to the
+    bounds. Otherwise a fast mode, with large velocities, would leave almost no displacement along a
+    slow mode. If no mode was found with both steps, all coordinates get a velocity, and no position
+    changes.
+
+    Args:
+        model: MuJoCo model.
+        modes: Modes.
+        angle: Largest displacement of a position [rad, m].
+        speed: Largest change of a velocity [rad/s, m/s].
+
+    Returns:
+        Displacement in the tangent space: positions [m, rad], velocities [m/s, rad/s], activations.
     """
     nv = model.nv
     repeated = [mode for mode in modes if mode.repeated_at_second_step]
@@ -490,11 +498,16 @@ def _crossing_time(rising: Array, level: float, window: float) -> float:
 
 
 def _make_confirmed_mode(modes: list[Mode], trial: GrowthTrial, timestep: float) -> Mode:
-    """Return the mode that a trial confirms, with the growth and the joints of the simulation.
+    """Return the mode that a growth test confirms, with growth and joints of the simulation.
 
-    The mode with the doubling time nearest to the simulated doubling time (ratio) is taken. If the
-    trial confirms only a sustained oscillation, the first oscillating mode is taken, with the
-    growth of the spectrum. ``timestep`` is the time step of the model [s].
+    The mode is that with the doubling time nearest to the simulated doubling time (as a ratio). If
+    the test confirms only a sustained oscillation, the mode is the first oscillating mode, with the
+    growth of the spectrum.
+
+    Args:
+        modes: Modes that were tested together.
+        trial: Result of the test.
+        timestep: Time step of the model [s].
     """
     if trial.doubling_time is None:
         mode = next(mode for mode in modes if mode.shakes)

@@ -263,12 +263,18 @@ def _is_refuted_by_nudge(mode: Mode, duration: float) -> bool:
 def _simulate_until_rest(
     held: StandStart, reference: monitor.StandReference, shaking: ShakingRecord
 ) -> Array | None:
-    """Simulate a stand until it rests; return the states of the last second, shape (n, size).
+    """Simulate a stand until the robot rests; return the states of the last second.
 
-    The result is None if the robot does not rest in time. It is also None if the simulation
-    diverges, the base or a foot leaves the stand (``_LOST_RATIO``), the robot shakes without decay,
-    or the base rests while a foot stays too far from its target (`_stays_displaced`). The speeds
-    are added to ``shaking``.
+    The speeds are added to ``shaking``.
+
+    Returns:
+        States, shape (n, size). None in these cases:
+
+        * The robot does not rest in time.
+        * The simulation diverges.
+        * The base or a foot leaves the stand (`_LOST_RATIO`).
+        * The robot shakes without decay.
+        * The base rests while a foot stays too far from its target (`_stays_displaced`).
     """
     model, state = held.drive.model, held.start
     timestep = float(model.opt.timestep)

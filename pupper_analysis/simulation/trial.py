@@ -395,12 +395,16 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
 
 
 def _find_failure_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
-    """Return lower and upper joint limits, shape (nu,) each [rad, m]; beyond them a stand fails.
+    """Return the joint positions beyond which a nudged stand has failed: lower and upper limits.
 
-    The limits are those of the robot, with two exceptions. A limit is infinite if a joint rests on
-    it in the stand, for example the joint of a closed gripper: a nudge presses such a joint by
-    microradians into MuJoCo's soft limit. Both limits are infinite if the range of the joint
-    permits no motion.
+    The limits are the joint limits of the robot, with two exceptions:
+
+    * A limit is infinite if a joint rests on the limit in the stand, for example the joint of a
+      closed gripper. A nudge presses such a joint by microradians into MuJoCo's soft limit.
+    * Both limits are infinite if the range of the joint permits no motion.
+
+    Returns:
+        Lower and upper limits, shape (nu,) each [rad, m].
     """
     angles = stand.qpos[7:]
     locked = robot.upper_limits - robot.lower_limits <= _LIMIT_ATOL
@@ -599,13 +603,13 @@ class _FailureConditions:
 
 
 class _NudgedEvaluation:
-    """Evaluation of one nudged simulation, interval by interval.
+    """Evaluation of a single nudged simulation, interval by interval.
 
     Attributes:
-        state: Last simulated state, shape (size,).
+        state: Last simulated state (mjSTATE_FULLPHYSICS), shape (size,).
         failure: First failure; None without a failure so far.
-        saturated: First saturation of a motor; None if no motor has saturated. It becomes the
-            failure if a motor is saturated at the end, or if another failure follows that is
+        saturated: First saturation of a motor; None if no motor has saturated. A saturation becomes
+            the failure if a motor is saturated at the end, or if another failure follows that is
             neither shaking nor divergence.
         is_decided: Whether the simulation needs no more steps.
         shaking: Speeds since the nudge.
@@ -656,11 +660,14 @@ class _NudgedEvaluation:
         )
 
     def _find_failure(self, samples: Array) -> _Event | None:
-        """Return the first failure in successive samples (n, size); None without a failure.
+        """Return the first failure in successive states; None without a failure.
 
         If a motor has saturated before a failure, the first saturation is returned as the failure.
-        A saturated motor alone is no failure here, nor is a lifted contact point with little load;
-        `advance` reports them if they remain at the end of the simulation.
+        Two conditions alone are no failure here: a saturated motor, and a lifted contact point with
+        little load. `advance` reports such a condition if it remains at the end of the simulation.
+
+        Args:
+            samples: Successive states (mjSTATE_FULLPHYSICS), shape (n, size).
         """
         conditions = self._conditions
         robot, feet = conditions.robot, tuple(conditions.stand.stance_feet)
@@ -776,18 +783,24 @@ class _NudgedEvaluation:
     def _bound_motion(
         self, states: Array, speed: float, remaining: float
     ) -> tuple[Array | None, Array]:
-        """Return upper bounds of remaining motion (nv,) [m, rad] and speeds (nv,) [m/s, rad/s].
+        """Compute upper bounds of the motion, and of the speeds, in the remaining time.
 
-        If the bound from ``speed`` is at most ``_MAX_REMAINING_MOTION``, it is the motion.
-        Otherwise the motion is the prediction of the linearised step. The motion is None instead of
-        a prediction in these cases: a motor has saturated; there is no prediction; a predicted
-        coordinate leaves the range of its values since the nudge by more than
-        ``_MAX_REMAINING_MOTION``; or a foot would slide too far.
+        If the bound from ``speed`` is at most `_MAX_REMAINING_MOTION`, the motion is this bound.
+        Otherwise the motion is the prediction of the linearised step.
 
         Args:
-            states: States of the last interval, shape (n, size).
+            states: States of the last interval (mjSTATE_FULLPHYSICS), shape (n, size).
             speed: Largest speed of a coordinate in the interval [m/s, rad/s].
             remaining: Remaining time [s].
+
+        Returns:
+            Motion, shape (nv,) [m, rad], and speeds, shape (nv,) [m/s, rad/s]. The motion is None
+            instead of a prediction in these cases:
+
+            * A motor has saturated, or there is no prediction.
+            * A predicted coordinate leaves the range of its values since the nudge by more than
+              `_MAX_REMAINING_MOTION`.
+            * A foot would slide too far.
         """
         conditions, nv = self._conditions, self._conditions.held.drive.model.nv
         motion, speeds = conditions.bound_motion(speed, remaining), np.full(nv, speed)
