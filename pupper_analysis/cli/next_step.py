@@ -36,9 +36,9 @@ def complete_command(step: NextStep | None) -> str:
 
     The line consists of:
 
-    * The command and the words of the step.
-    * The robot that the user typed, unless the step names files.
-    * The typed options that both commands have. Options for outputs, and options that the step sets
+    - The command and the words of the step.
+    - The robot that the user typed, unless the step names files.
+    - The typed options that both commands have. Options for outputs, and options that the step sets
       or omits, are left out. ``--payload-at`` is left out if the next command would refuse this
       option without ``--payload``.
 
@@ -48,9 +48,9 @@ def complete_command(step: NextStep | None) -> str:
     Returns:
         Command line. Empty in these cases:
 
-        * There is no step, or no running command.
-        * The next command is not installed, or needs more files than were typed.
-        * A typed file is standard input.
+        - There is no step, or no running command.
+        - The next command is not installed, or needs more files than were typed.
+        - A typed file is standard input.
     """
     context = click.get_current_context(silent=True)
     if step is None or context is None:

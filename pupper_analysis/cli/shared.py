@@ -386,10 +386,10 @@ _ASSIGNMENT_FORM = re.compile(r"(\[?)[A-Z][A-Z:\[\]]*=(\]?)")
 def _split_assignment(option: click.Option, value: object) -> tuple[str, str]:
     """Return the name to which a value of an option belongs, and the value as typed.
 
-    * Value ``NAME=VALUE`` of a repeatable option: ``NAME``.
-    * Value of an option that is not repeatable, or without the optional name ``JOINTS=``: empty
+    - Value ``NAME=VALUE`` of a repeatable option: ``NAME``.
+    - Value of an option that is not repeatable, or without the optional name ``JOINTS=``: empty
       name.
-    * Other values of a repeatable option: the value itself, so that two values never contradict
+    - Other values of a repeatable option: the value itself, so that two values never contradict
       each other.
     """
     text = str(value)

@@ -122,12 +122,12 @@ def place_base_frame(
 
     The frame is not raised in the following cases:
 
-    * The spec has no free joint, or the base is in a ``<frame>`` element of the MJCF.
-    * The z axis of the base is not vertical in the initial state.
-    * The base is tilted by more than 45 deg at the start. A note reports this tilt. The start is
+    - The spec has no free joint, or the base is in a ``<frame>`` element of the MJCF.
+    - The z axis of the base is not vertical in the initial state.
+    - The base is tilted by more than 45 deg at the start. A note reports this tilt. The start is
       the keyframe `home`, else the first keyframe. Without a keyframe that contains a pose of the
       base, the start is the initial state.
-    * The limbs do not hang below the CoM.
+    - The limbs do not hang below the CoM.
 
     Args:
         spec: Spec of the MJCF, in which all bodies have names; modified in place.

@@ -297,8 +297,8 @@ def find_contact_points(
 
     The foot has a single contact point, at the lower end, in two cases:
 
-    * The leg has fewer than `_MIN_SOLE_JOINTS` joints.
-    * The leg has fewer than `_NUM_SOLE_JOINTS` joints, and there is no sole or the leg cannot keep
+    - The leg has fewer than `_MIN_SOLE_JOINTS` joints.
+    - The leg has fewer than `_NUM_SOLE_JOINTS` joints, and there is no sole or the leg cannot keep
       the sole flat (`can_keep_sole_flat`).
 
     Args:

@@ -242,10 +242,10 @@ def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Ar
 
     The name in the MJCF is searched first. The contact shape depends on the named element:
 
-    * Geom: this geom.
-    * Body: the geoms of the body that can collide with the floor. Without such geoms: as for a
+    - Geom: this geom.
+    - Body: the geoms of the body that can collide with the floor. Without such geoms: as for a
       site.
-    * Site, or link of the URDF: the nearest sphere within `_MAX_SPHERE_DISTANCE`, else all geoms of
+    - Site, or link of the URDF: the nearest sphere within `_MAX_SPHERE_DISTANCE`, else all geoms of
       the moving body that can collide with the floor.
 
     Args:

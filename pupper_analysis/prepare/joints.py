@@ -69,9 +69,9 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
     Reason: MuJoCo pushes back a joint that is beyond the limits in the MJCF. A stand must not
     contain such a joint. The limits of a joint are kept in three cases:
 
-    * The MJCF does not limit the joint.
-    * The ranges of both files do not overlap.
-    * No limit of the MJCF is narrower by more than `_LIMIT_ATOL`.
+    - The MJCF does not limit the joint.
+    - The ranges of both files do not overlap.
+    - No limit of the MJCF is narrower by more than `_LIMIT_ATOL`.
 
     Returns:
         Copy of the robot's description with the new limits, and a note that lists the limits. None
@@ -110,9 +110,9 @@ def couple_mimics(matched: Match, description: Description) -> tuple[Description
     A mimic joint follows another joint, the leader. A mimic joint remains uncoupled, with a note,
     in the following cases:
 
-    * The joint has an actuator in the MJCF.
-    * A joint equality of the MJCF, active or not, refers to the joint.
-    * The MJCF lacks the joint or the leader.
+    - The joint has an actuator in the MJCF.
+    - A joint equality of the MJCF, active or not, refers to the joint.
+    - The MJCF lacks the joint or the leader.
 
     A joint whose position already depends on other joints in the MJCF is skipped without a note.
 

@@ -162,8 +162,8 @@ def _apply_zero_torque_limits(
 ) -> tuple[Outcome, Outcome | None, Diagnostic | None]:
     """Add the failures that follow from motors with a torque limit of zero to both simulations.
 
-    * If such a motor is loaded in ``statics``, or ``statics`` is None: both simulations fail.
-    * If no such motor is loaded, and ``fed`` has failed: the message is added to the failures of
+    - If such a motor is loaded in ``statics``, or ``statics`` is None: both simulations fail.
+    - If no such motor is loaded, and ``fed`` has failed: the message is added to the failures of
       ``fed``. It is the first failure if more than half of the joints have such a motor, otherwise
       the last.
 

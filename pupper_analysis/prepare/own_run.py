@@ -103,10 +103,10 @@ def own_run(robot: Robot) -> OwnRun | None:
     Returns:
         Simulation result. None in the following cases:
 
-        * The robot has no feet, or a fixed base.
-        * There is no published model (`get_published_model`).
-        * The base has fewer than six degrees of freedom in the file.
-        * There is no keyframe, and the start pose cannot be simulated
+        - The robot has no feet, or a fixed base.
+        - There is no published model (`get_published_model`).
+        - The base has fewer than six degrees of freedom in the file.
+        - There is no keyframe, and the start pose cannot be simulated
           (`simulate_model_from_keyframe`).
     """
     return get_loaded_robot(robot).compute_once(_simulate_from_keyframe)

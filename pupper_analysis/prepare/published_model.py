@@ -204,11 +204,11 @@ def with_requested_gains(
 def compile_published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
     """Compile an MJCF as published, with the changes that a simulation needs.
 
-    * A floor is added if the robot has a free base, and the world has neither a level plane nor a
+    - A floor is added if the robot has a free base, and the world has neither a level plane nor a
       collidable geom.
-    * The base is fixed, and the ground disabled, if the base is fixed in the robot and free in the
+    - The base is fixed, and the ground disabled, if the base is fixed in the robot and free in the
       file.
-    * Bodies and joints without a name get a name, in both cases above and if the file lacks a name
+    - Bodies and joints without a name get a name, in both cases above and if the file lacks a name
       of the robot.
 
     Visual geoms are kept, so that the geoms of a body have the same order as in the robot's model.

@@ -131,9 +131,9 @@ def compare_as_published(
 
     Sometimes another stand than ``stand`` is compared:
 
-    * If the robot was changed after loading, has welds or grips, or stands on ground that is not
+    - If the robot was changed after loading, has welds or grips, or stands on ground that is not
       level: the nominal stand (default `StandTask`) of the robot as loaded.
-    * If the base is fixed and no foot carries load: the same joint positions of the robot as
+    - If the base is fixed and no foot carries load: the same joint positions of the robot as
       loaded.
 
     If the caller passed gains, the model of the file gets the same gains.
@@ -327,9 +327,9 @@ def _find_loading_causes(
 ) -> tuple[Cause, ...]:
     """Find out if a deviation from the prediction is due to the preparation, or to the two files.
 
-    * If the simulation of the prepared robot agrees with the prediction, the changes of the
+    - If the simulation of the prepared robot agrees with the prediction, the changes of the
       preparation (`list_loading_changes`) are the cause.
-    * If this simulation deviates as much as the published MJCF, URDF and MJCF differ, since the
+    - If this simulation deviates as much as the published MJCF, URDF and MJCF differ, since the
       prediction is computed from the URDF. The published MJCF is compared as it is, and with all
       candidate causes switched off. The cause is the first difference found by ``compare_files``
       that affects mass matrix, gravity, or positions of joints and feet. Without such a difference,
@@ -412,10 +412,10 @@ def predict_stand(robot: Robot, stand: Stand) -> list[PredictedRest]:
             a free base cannot be solved, or is not in equilibrium. The second prediction is omitted
             in the following cases:
 
-        * The base is fixed.
-        * A joint of the prepared robot has no position servo.
-        * A servo of the file was replaced, or the file drives a joint only through a tendon.
-        * No steady state without failures is found.
+        - The base is fixed.
+        - A joint of the prepared robot has no position servo.
+        - A servo of the file was replaced, or the file drives a joint only through a tendon.
+        - No steady state without failures is found.
     """
     if not robot.floating:
         joints = stand.qpos[-robot.nu :]
@@ -600,8 +600,8 @@ def _is_lasting(earlier: float, deviation: float) -> bool:
 
     Two conditions must hold:
 
-    * The deviation exceeds `_MIN_LASTING_RATIO` * `TORQUE_RTOL`.
-    * The deviation falls so slowly that after `_APPROACH_INTERVAL` more than the fraction
+    - The deviation exceeds `_MIN_LASTING_RATIO` * `TORQUE_RTOL`.
+    - The deviation falls so slowly that after `_APPROACH_INTERVAL` more than the fraction
       `_MAX_APPROACH_RATIO` would remain.
 
     Args:
@@ -663,9 +663,9 @@ def list_command_causes(run: OwnRun, published: PublishedModel) -> tuple[Cause, 
 
     The ctrl is the cause in two cases:
 
-    * The keyframe has no ctrl, and the robot does not fall if the joint positions of the keyframe
+    - The keyframe has no ctrl, and the robot does not fall if the joint positions of the keyframe
       are commanded.
-    * The keyframe has a ctrl, and most joints have no position servo.
+    - The keyframe has a ctrl, and most joints have no position servo.
 
     Args:
         run: Simulation of the unmodified file.
@@ -872,8 +872,8 @@ def _test_causes(
     order: integration and solver; the other candidates; both; both and ``physical``. A group passes
     under two conditions:
 
-    * The model is sound if the complete group is switched off.
-    * The model is sound if only the causes in the group are switched off. A candidate is a cause if
+    - The model is sound if the complete group is switched off.
+    - The model is sound if only the causes in the group are switched off. A candidate is a cause if
       the model becomes unsound when this candidate alone is switched on again. This must be so for
       the group, and for the largest set of candidates that makes the model sound.
 

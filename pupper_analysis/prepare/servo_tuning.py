@@ -6,11 +6,11 @@ the joint, must remain well below 2.
 
 The requirement depends on the base:
 
-* Standing robot (`ServoRequirement.of_stand`): all joints hold a single posture against a single
+- Standing robot (`ServoRequirement.of_stand`): all joints hold a single posture against a single
   load, and the feet press against each other. Each hinge is as stiff as the most loaded joint. Each
   slide is as stiff as a hinge with the lever of a leg. Damping is proportional to stiffness: then
   the damping ratio of a mode is proportional to its frequency.
-* Robot with a fixed base, such as an arm (`ServoRequirement.of_fixed_base`): any posture may be
+- Robot with a fixed base, such as an arm (`ServoRequirement.of_fixed_base`): any posture may be
   commanded, and each joint moves alone. Each joint is stiff enough for the worst of random
   postures, as far as the time step permits, and critically damped.
 """

@@ -95,10 +95,10 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
     In such a keyframe the feet penetrate the ground as in a simulation at rest, so the height of
     the base is meaningful. A keyframe is used under three conditions:
 
-    * The vertical ground force equals the weight within `_WEIGHT_RTOL`: the robot would neither
+    - The vertical ground force equals the weight within `_WEIGHT_RTOL`: the robot would neither
       fall nor be thrown up.
-    * The keyframe contains a ctrl that is not zero.
-    * An axis of the base is vertical.
+    - The keyframe contains a ctrl that is not zero.
+    - An axis of the base is vertical.
 
     Args:
         model: Unmodified model of the MJCF.
@@ -263,9 +263,9 @@ def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
 
     Three conditions must hold, with the base level:
 
-    * No joint exceeds its limits by more than `_LIMIT_ATOL`.
-    * All feet are below the origin of the base.
-    * The heights of the feet differ by less than `_MAX_FOOT_HEIGHT_SPREAD` times the height of the
+    - No joint exceeds its limits by more than `_LIMIT_ATOL`.
+    - All feet are below the origin of the base.
+    - The heights of the feet differ by less than `_MAX_FOOT_HEIGHT_SPREAD` times the height of the
       base above the lowest foot.
 
     Args:
@@ -738,10 +738,10 @@ def compute_leg_length(robot: Robot, qpos: Array) -> float:
 
     The height of a leg is a sum of three terms:
 
-    * Length of the chain from the contact point over the joints of the leg to the first joint.
+    - Length of the chain from the contact point over the joints of the leg to the first joint.
       Slides have the positions in ``qpos``.
-    * Height of the base above the first joint in ``qpos``.
-    * Radius of the contact sphere. If the sphere contains the last joint, as for a nearly flat
+    - Height of the base above the first joint in ``qpos``.
+    - Radius of the contact sphere. If the sphere contains the last joint, as for a nearly flat
       sole, the chain begins at the lowest point of the sphere instead.
 
     Args:

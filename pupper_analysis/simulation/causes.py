@@ -55,10 +55,10 @@ def find_instability(
 
     There are up to two messages:
 
-    * The fastest mode that grows within ``HOLD_DURATION``, if the settled state is at rest. Without
+    - The fastest mode that grows within ``HOLD_DURATION``, if the settled state is at rest. Without
       such a mode: the motion after the nudge does not decay. A remaining speed of at most
       `_SOLVER_NOISE_RATIO` times the speed of the nudge is ignored.
-    * The nudge displaces a joint by `MAX_JOINT_DISPLACEMENT` or more, at the end or temporarily.
+    - The nudge displaces a joint by `MAX_JOINT_DISPLACEMENT` or more, at the end or temporarily.
 
     Args:
         stability: Stability at the settled state.
@@ -88,8 +88,8 @@ def proves_unrest(nudge: Nudge) -> bool:
 
     Either of two responses shows this:
 
-    * A joint moved by `MAX_JOINT_DISPLACEMENT` or more.
-    * The motion does not decay, reaches `MAX_RESTING_SPEED`, and remains faster than
+    - A joint moved by `MAX_JOINT_DISPLACEMENT` or more.
+    - The motion does not decay, reaches `MAX_RESTING_SPEED`, and remains faster than
       `_SOLVER_NOISE_RATIO` times the nudge.
 
     A slower motion proves nothing, since a foot with almost no load may bounce.

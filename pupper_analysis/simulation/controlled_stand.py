@@ -348,10 +348,10 @@ class ControlledStand:
         Returns:
             True if all conditions hold:
 
-            * The joints come to rest, or the oscillation decays.
-            * No joint displacement from the stand exceeds `_MAX_SHIFT`.
-            * All joint velocities are below `_MAX_JOINT_SPEED`.
-            * In the second half of the simulation, the largest joint displacement is at most
+            - The joints come to rest, or the oscillation decays.
+            - No joint displacement from the stand exceeds `_MAX_SHIFT`.
+            - All joint velocities are below `_MAX_JOINT_SPEED`.
+            - In the second half of the simulation, the largest joint displacement is at most
               `_MAX_SHIFT_RATIO` times its value at the middle, plus `_MIN_SHIFT`.
         """
         data = copy_data(self.model, self._start)

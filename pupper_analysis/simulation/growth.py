@@ -161,11 +161,11 @@ def confirm_growth(
         Stability with tested modes; ``stability`` itself if no mode grows within ``HOLD_DURATION``,
         or if the state is not at rest.
 
-        * ``unstable`` contains one mode for all modes that a test confirmed together. Its doubling
+        - ``unstable`` contains one mode for all modes that a test confirmed together. Its doubling
           time is that of the simulation; it may be longer than ``HOLD_DURATION``. The doubling time
           is None for a sustained oscillation.
-        * ``refuted_modes`` contains the tested modes that the simulation does not confirm.
-        * Modes that grow within ``HOLD_DURATION`` and were not tested are omitted.
+        - ``refuted_modes`` contains the tested modes that the simulation does not confirm.
+        - Modes that grow within ``HOLD_DURATION`` and were not tested are omitted.
     """
     leaving = stability.modes_growing_within()
     if not leaving or not stability.at_rest:

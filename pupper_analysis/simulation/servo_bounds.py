@@ -161,10 +161,10 @@ def bound_servo_gains(
 
     Both bounds are common factors on the present gains of all joints.
 
-    * Minimum stiffness, without feed-forward: if the robot stands, an estimate
+    - Minimum stiffness, without feed-forward: if the robot stands, an estimate
       (`estimate_minimum_stiffness`). Otherwise the result of `minimum_stiffness`; simulations then
       find a larger stiffness with which the robot stands.
-    * Maximum damping: for an explicit PD controller with a command per time step.
+    - Maximum damping: for an explicit PD controller with a command per time step.
 
     Args:
         robot: Robot, with the contacts of the stand.
@@ -283,9 +283,9 @@ def find_soft_servos(
         Servos of the first class, or of all simulated classes, with which the robot stands. None in
         these cases:
 
-        * The robot stands in ``run``, or the base is fixed.
-        * The failures name no unstable mode of servos with stiffness.
-        * The robot stands with no tried factor.
+        - The robot stands in ``run``, or the base is fixed.
+        - The failures name no unstable mode of servos with stiffness.
+        - The robot stands with no tried factor.
 
     Raises:
         ConfigurationError: If an argument is out of range, or the stand belongs to another robot.

@@ -270,11 +270,11 @@ def _simulate_until_rest(
     Returns:
         States, shape (n, size). None in these cases:
 
-        * The robot does not rest in time.
-        * The simulation diverges.
-        * The base or a foot leaves the stand (`_LOST_RATIO`).
-        * The robot shakes without decay.
-        * The base rests while a foot stays too far from its target (`_stays_displaced`).
+        - The robot does not rest in time.
+        - The simulation diverges.
+        - The base or a foot leaves the stand (`_LOST_RATIO`).
+        - The robot shakes without decay.
+        - The base rests while a foot stays too far from its target (`_stays_displaced`).
     """
     model, state = held.drive.model, held.start
     timestep = float(model.opt.timestep)

@@ -57,8 +57,8 @@ def stand_stability(
 
     The evaluated state depends on ``feedforward``:
 
-    * True: state after the stand was simulated for ``SETTLING_TIME``.
-    * False: equilibrium of the servos (`steady_state`, feet pinned), simulated for
+    - True: state after the stand was simulated for ``SETTLING_TIME``.
+    - False: equilibrium of the servos (`steady_state`, feet pinned), simulated for
       `CONTACT_SETTLING_TIME`.
 
     If a mode grows within ``HOLD_DURATION``, nudged simulations test if the mode does grow
@@ -165,9 +165,9 @@ def find_final_spectrum(
 
     The evaluated state is:
 
-    * The initial state, if the simulation has failed: the modes that upset the robot grow there.
-    * The final state, if at rest (speeds up to `MAX_RESTING_SPEED`).
-    * Otherwise, the state that `judge_settled` returns after a new simulation of `SETTLING_TIME`
+    - The initial state, if the simulation has failed: the modes that upset the robot grow there.
+    - The final state, if at rest (speeds up to `MAX_RESTING_SPEED`).
+    - Otherwise, the state that `judge_settled` returns after a new simulation of `SETTLING_TIME`
       from the initial state.
 
     Args:
@@ -467,10 +467,10 @@ def remains_small(model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge) 
     A foot with almost no load may bounce by micrometres for a long time, and shakes the robot. This
     is no failure if the motion stays small for `BOUNCING_TIME`. Three conditions must hold:
 
-    * The simulation does not diverge.
-    * The speed in the last third of the time is at most `_MAX_BOUNCE_RATIO` times the speed after
+    - The simulation does not diverge.
+    - The speed in the last third of the time is at most `_MAX_BOUNCE_RATIO` times the speed after
       the nudge, and at most `MAX_RESTING_SPEED`.
-    * No joint moves by `MAX_JOINT_DISPLACEMENT` or more from ``end``.
+    - No joint moves by `MAX_JOINT_DISPLACEMENT` or more from ``end``.
 
     Args:
         model: MuJoCo model.

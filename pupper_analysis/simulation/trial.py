@@ -399,9 +399,9 @@ def _find_failure_limits(robot: Robot, stand: Stand) -> tuple[Array, Array]:
 
     The limits are the joint limits of the robot, with two exceptions:
 
-    * A limit is infinite if a joint rests on the limit in the stand, for example the joint of a
+    - A limit is infinite if a joint rests on the limit in the stand, for example the joint of a
       closed gripper. A nudge presses such a joint by microradians into MuJoCo's soft limit.
-    * Both limits are infinite if the range of the joint permits no motion.
+    - Both limits are infinite if the range of the joint permits no motion.
 
     Returns:
         Lower and upper limits, shape (nu,) each [rad, m].
@@ -797,10 +797,10 @@ class _NudgedEvaluation:
             Motion, shape (nv,) [m, rad], and speeds, shape (nv,) [m/s, rad/s]. The motion is None
             instead of a prediction in these cases:
 
-            * A motor has saturated, or there is no prediction.
-            * A predicted coordinate leaves the range of its values since the nudge by more than
+            - A motor has saturated, or there is no prediction.
+            - A predicted coordinate leaves the range of its values since the nudge by more than
               `_MAX_REMAINING_MOTION`.
-            * A foot would slide too far.
+            - A foot would slide too far.
         """
         conditions, nv = self._conditions, self._conditions.held.drive.model.nv
         motion, speeds = conditions.bound_motion(speed, remaining), np.full(nv, speed)

@@ -571,10 +571,10 @@ class ConvertedMjcf:
 
         Some elements are changed as in the converted MJCF:
 
-        * An invalid inertial, which MuJoCo would refuse, is moved to a link that is fixed to its
+        - An invalid inertial, which MuJoCo would refuse, is moved to a link that is fixed to its
           link, or is repaired.
-        * Collision shapes of a link without inertial are moved to the link that carries this link.
-        * Shapes whose mesh is missing or cannot be used are omitted.
+        - Collision shapes of a link without inertial are moved to the link that carries this link.
+        - Shapes whose mesh is missing or cannot be used are omitted.
         """
         tree, assets = self.bodies.tree.copy(), dict[str, bytes]()
         for link in tree.links.values():

@@ -265,10 +265,10 @@ def load_robot(
     The files need not describe a robot that can stand. What is missing is added in memory, and
     reported in ``notes``:
 
-    * A missing URDF or MJCF is converted from the other model.
-    * Joints with different names are matched. Joints of a single file are held at zero.
-    * A floor, a free base and position servos are added.
-    * If the robot stands in no keyframe of the MJCF, a stand is searched.
+    - A missing URDF or MJCF is converted from the other model.
+    - Joints with different names are matched. Joints of a single file are held at zero.
+    - A floor, a free base and position servos are added.
+    - If the robot stands in no keyframe of the MJCF, a stand is searched.
 
     Errors in the files are raised here. Servos and visual meshes are made when first needed, for
     example by the first access to ``mj_model``, ``description`` or ``notes``. Access to
