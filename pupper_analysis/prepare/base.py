@@ -2,7 +2,7 @@
 
 Input is the spec of an MJCF. A robot with two or more limbs that the file fixes to the world gets a
 free base. The frame of a free base is raised to the CoM of the base if no limb ends below the
-frame, because height, roll and pitch of a stand refer to this frame.
+frame. Reason: height, roll and pitch of a stand refer to this frame.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The published model is the user's file as MuJoCo compiles it. The prepared robot is the model with
 which stands are predicted. If a simulation of the published model deviates from the prediction, an
-element of the file may be the cause, such as a servo bias, a limit or a contact exclusion. This
+element of the file may be the cause: for example a servo bias, a limit or a contact exclusion. This
 module lists such elements as candidates. Each candidate can be switched off in a copy of the model.
 If the deviation then disappears in a simulation, the element is the cause (`prepare.self_check`).
 """
@@ -61,8 +61,8 @@ moves by 1 um/s. Chosen, not tuned."""
 
 _LOCKING_BALL_DAMPING = 1e4
 """Damping that locks a ball joint in a test simulation [N m s/rad]. Measured on a quadruped with
-ball joints in its ankles (feet of 0.05 kg): the stand agrees with that of locked ankles within
-0.1 % of torque from 1e2 to 1e4, and the simulation diverges at 1e6."""
+ball joints in its ankles (feet of 0.05 kg): from 1e2 to 1e4, the torques agree with those of locked
+ankles within 0.1 %. At 1e6 the simulation diverges."""
 
 
 @dataclass(frozen=True, eq=False)

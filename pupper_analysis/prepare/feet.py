@@ -36,8 +36,8 @@ from pupper_analysis.robot.robot import Robot
 
 _MAX_LEG_HEIGHT_FRACTION = 0.15
 """Factor a [1] of a height bound. A limb counts as a leg if the lowest point of the limb is less
-than max(a h, b r) above the lowest point of the lowest limb [m]. h is the height of the base above
-the lowest limb; for b and r see `_MAX_LEG_RISE_FRACTION`. Chosen, not tuned: hands and heads are
+than max(a h, b r) above the lowest point of the lowest limb [m]. The height of the base above the
+lowest limb is h. For b and r see `_MAX_LEG_RISE_FRACTION`. Chosen, not tuned: hands and heads are
 higher; feet in a start pose rarely differ by more than a few percent."""
 
 _MAX_LEG_RISE_FRACTION = 0.05

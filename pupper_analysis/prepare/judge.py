@@ -302,10 +302,10 @@ def _fail_if_upset(
 ) -> Outcome:
     """Return the result of a simulation, marked as failed if the stand fails after a nudge.
 
-    A nudge is an initial velocity of the base. If ``trial`` is None, the stand is nudged here: in
-    all directions (`simulate_nudges`) if it is near a limit or ``fragile``, else by
-    `simulate_large_nudges`, in which only shaking and divergence are failures. Without a free base
-    or without a CoM margin, there is no nudge.
+    A nudge is an initial velocity of the base. If ``trial`` is None, the stand is nudged here. A
+    stand near a limit, or a ``fragile`` one, is nudged in all directions (`simulate_nudges`). Other
+    stands get large nudges (`simulate_large_nudges`), after which only shaking and divergence are
+    failures. Without a free base or without a CoM margin, there is no nudge.
 
     Args:
         robot: Robot.
@@ -391,9 +391,9 @@ def describe_missing_masses(robot: Robot) -> Diagnostic | None:
 def list_file_remarks(robot: Robot) -> tuple[Diagnostic, ...]:
     """Return messages about errors and assumptions in a robot's files, for verdicts.
 
-    The messages concern, for example, impossible masses and inertias, errors that loading replaced
-    by an assumption, negative friction or damping, joints with an empty range, placeholder torque
-    limits, and a URDF whose import MuJoCo refuses.
+    Examples are impossible masses and inertias, negative friction or damping, joints with an empty
+    range, and placeholder torque limits. There are also messages about errors that loading replaced
+    by an assumption, and about a URDF that MuJoCo refuses to import.
     """
     loaded = get_loaded_robot(robot)
     messages = [note for note in loaded.notes if note.code in _FILE_ERROR_CODES]

@@ -163,9 +163,9 @@ class Draft:
     def may_fix_base(self) -> bool:
         """Whether the base may be fixed although the user did not request a fixed base.
 
-        This is permitted only if the base is not free in the MJCF: the MJCF has no free joint, and
-        no child body of the world has `_MIN_PARTIAL_FREE_JOINTS` or more joints, with which it
-        moves like a free base. False if the user requested a fixed base.
+        This is permitted only if the base is not free in the MJCF. The base counts as free if the
+        MJCF has a free joint, or if a child body of the world has `_MIN_PARTIAL_FREE_JOINTS` or
+        more joints. False if the user requested a fixed base.
         """
         if self.request.fixed_base or has_free_joint(self.mjcf.spec):
             return False

@@ -164,10 +164,10 @@ def with_requested_gains(
 ) -> tuple[PublishedModel, Robot]:
     """Return a published model, and a robot, whose joints have the requested servo gains.
 
-    The actuator of a joint becomes a position servo with these gains. An external servo acts on the
-    joint instead (`HoldCommands`) if the joint has no actuator, has several, or has an actuator
-    that is not meant to hold a position, such as a torque motor. Passive joints and dependent
-    joints are unchanged.
+    The actuator of a joint becomes a position servo with these gains. Some joints get an external
+    servo instead (`HoldCommands`): joints without actuator, with several actuators, or with an
+    actuator that is not meant to hold a position, such as a torque motor. Passive joints and
+    dependent joints are unchanged.
 
     Args:
         published: Published model: the user's file as compiled.

@@ -213,9 +213,9 @@ def _compare_in(robot: Robot, stand: Stand, gains: RequestedGains | None) -> Pub
     ``gains`` are servo gains that the published model gets; None: those of the file.
 
     Returns:
-        Comparison. None if the robot has no file, or a free base without feet; if nothing is
-        predicted for the stand; if MuJoCo refuses the URDF; if there is no published model of a
-        robot with a fixed base; or if the file frees a base that the robot has fixed.
+        Comparison. None if the robot has no file, or a free base without feet. None if nothing is
+        predicted for the stand, or if MuJoCo refuses the URDF. With a fixed base, None also if
+        there is no published model, or if the file frees the base.
     """
     if robot.published is None or (robot.floating and not robot.feet):
         return None
@@ -249,10 +249,9 @@ def compare_with_file(
 ) -> Published:
     """Simulate the unmodified file from predicted equilibria, and list the causes of deviations.
 
-    The file is not simulated in two cases, and the reason is then listed as the cause: an actuator
-    has a built-in controller, or a free base has no level ground. If no cause is found, and the
-    prepared robot deviates from the prediction in the same way, the deviation does not count
-    (`_moves_alike`).
+    The file is not simulated if an actuator has a built-in controller, or if a free base has no
+    level ground. This is then listed as the cause. If no cause is found, and the prepared robot
+    deviates from the prediction in the same way, the deviation does not count (`_moves_alike`).
 
     Args:
         published: Published model: the user's file as compiled.

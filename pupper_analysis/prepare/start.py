@@ -316,9 +316,9 @@ def search_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
         poses: Joint positions of each pose, shape (nu,) [rad, m].
 
     Returns:
-        Copy of the robot with this stand as the nominal stand. None in three cases: no stand is
-        found; gravity does not press the robot onto the ground; no joint moves a contact point, as
-        with wheels, so that the base has a single height.
+        Copy of the robot with this stand as the nominal stand. None if no stand is found, or if
+        gravity does not press the robot onto the ground. None also if no joint moves a contact
+        point, as with wheels: the base then has a single height.
     """
     if robot.gravity[2] >= 0:
         return None  # no contact force balances the weight

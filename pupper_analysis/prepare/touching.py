@@ -42,9 +42,8 @@ def discard_visuals(spec: mujoco.MjSpec) -> None:
     keep the geoms.
 
     According to MuJoCo's documentation (``compiler/discardvisual``) the dynamics are the same. The
-    option is not set in two cases: with fluid forces (density or viscosity), which may act on
-    visual geoms, and with ``inertiafromgeom="true"``, because all geoms then contribute to the
-    mass.
+    option is not set with fluid forces (density or viscosity), which may act on visual geoms.
+    Neither is it set with ``inertiafromgeom="true"``: all geoms then contribute to the mass.
     """
     weighed = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     if not (weighed or spec.option.density or spec.option.viscosity):

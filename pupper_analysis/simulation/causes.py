@@ -127,9 +127,8 @@ def describe_growth(mode: Mode) -> Diagnostic:
     """Create the message about a growing mode, with the joints that move most and the growth.
 
     A mode is an eigenvector of MuJoCo's simulation step, linearised at rest. The message also
-    contains the doubling time [s], if known; the frequency [Hz] of an oscillating mode; and the
-    initial deviation [rad, m] of the simulation that measured the growth, if the mode was
-    simulated.
+    contains the doubling time [s], if known, and the frequency [Hz] of an oscillating mode. If a
+    simulation measured the growth, the message contains the initial deviation [rad, m].
     """
     nudge = Quantity(mode.nudge, mode.nudge_unit) if mode.nudge else None
     is_length = mode.nudge_unit == "m"

@@ -1,9 +1,9 @@
 """Standing robot under sampled joint PD control with a delay: linear modes, and simulation.
 
-`ControlledStand` replaces the servos of a robot in a stand by torque motors and linearises the
-robot once: with x the deviation of (qpos, qvel, act) and u the motor torques, a time step is
-x' = A x + B u (MuJoCo documentation, ``mjd_transitionFD``). The controller measures joint angles
-q and velocities v once per control period and commands
+`ControlledStand` replaces the servos of a robot in a stand by torque motors, and linearises the
+robot once. With the deviation x of (qpos, qvel, act) and the motor torques u, a time step is x' = A
+x + B u (MuJoCo documentation, ``mjd_transitionFD``). The controller measures joint angles q and
+velocities v once per control period and commands
 
     u = torque that holds the stand + kp (q of the stand - q) - kd v,
 

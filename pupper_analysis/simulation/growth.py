@@ -12,12 +12,12 @@ valid for micrometres only, and dry friction makes it depend on the finite-diffe
    within ``LONGEST_TRIAL`` seconds, without slowing down. The doubling time T is half the time of
    two successive doublings. If the simulation diverges, fewer doublings are sufficient.
 4. If a foot has almost no load (``monitor.find_light_bodies``), growth must continue until a joint
-   is displaced by ``LEAVING_ANGLE``, or for twice ``LONGEST_TRIAL``. Growth that ends earlier is
-   a transient: the foot leaves the ground, or takes load. The test starts anew at its end.
+   is displaced by ``LEAVING_ANGLE``, or for twice ``LONGEST_TRIAL``. Growth that ends earlier is a
+   transient: the foot leaves the ground, or takes load. The test starts anew at its end.
 5. Modes that shake are confirmed, too, if the oscillation of the difference is sustained: the
    growth may end in a limit cycle. A constant difference, which dry friction leaves, is none.
-6. A mode that shakes in the spectrum, but grows in the simulation more slowly than
-   ``HOLD_DURATION`` per doubling, and without an oscillation, counts as slow buckling: a foot with
+6. A mode may shake in the spectrum, but grow in the simulation without an oscillation, and more
+   slowly than ``HOLD_DURATION`` per doubling. The mode then counts as slow buckling: a foot with
    almost no load may open and close in the linearised step.
 7. Otherwise the simulation refutes the modes: the simulation decides, and the disagreement is
    reported.

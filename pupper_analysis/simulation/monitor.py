@@ -494,8 +494,8 @@ def record_contacts(
 
     The states are sampled backwards, a sample per `_SAMPLE_TIME`. All samples of the last second
     before the nudge are evaluated. To save time, another sample reuses the contacts of the sample
-    evaluated last, if both states are equal (`_EQUAL_POSITION_ATOL`, `_EQUAL_SPEED_ATOL`) and each
-    stance foot carries more than `MIN_PUSH_RATIO` of the weight.
+    evaluated last under two conditions. Both states are equal (`_EQUAL_POSITION_ATOL`,
+    `_EQUAL_SPEED_ATOL`), and each stance foot carries more than `MIN_PUSH_RATIO` of the weight.
 
     Args:
         robot: Robot.

@@ -146,9 +146,9 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     equilibrium, not with a fall of some millimetres. The normal is that at the first stance foot.
     It is vertical if feet are on separate planes, or if there are no stance feet.
 
-    The stand is not lowered in three cases: the base is fixed; a part is welded or grips; or feet
-    are on separate planes and the stand already has penetration depths. If the contacts do not
-    carry the weight at `_MAX_DROP`, the state at this depth is returned.
+    The stand is not lowered if the base is fixed, or if a part is welded or grips. It is also not
+    lowered if feet are on separate planes and the stand already has penetration depths. If the
+    contacts do not carry the weight at `_MAX_DROP`, the state at this depth is returned.
 
     Args:
         robot: Robot.

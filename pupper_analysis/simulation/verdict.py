@@ -349,8 +349,8 @@ def _find_worst_code(
     """Return the worst verdict code that applies to the simulations of a stance.
 
     Codes of `UNKNOWN_CODES` are not considered. If the robot stands, but not as predicted, the code
-    is ``FAILS`` in three cases: a motor is overloaded; the published file fails from its keyframe
-    on its own servos; or this file collapses in the computed stance.
+    is ``DISAGREES``. The code is ``FAILS`` if also a motor is overloaded, if the published file
+    fails from a keyframe on its servos, or if this file collapses in the computed stance.
 
     Args:
         fed: Simulation with feed-forward.

@@ -120,9 +120,9 @@ lift-off direction are compared relative to the predicted force. Without feed-fo
 increases the bound for torques. Chosen, not tuned."""
 
 MIN_FORCE_SCALE = 0.05
-"""Lower bound [1] of the force by which the error of a foot force is divided, as a fraction of the
-predicted vertical load on all feet (of the weight, with welds or grips). Without the bound, feet
-with almost no load would have large relative errors. Chosen, not tuned."""
+"""Lower bound [1] of the force by which the error of a foot force is divided. The bound is a
+fraction of the predicted vertical load on all feet (of the weight, with welds or grips). Without
+the bound, feet with almost no load would have large relative errors. Chosen, not tuned."""
 
 MAX_SINKING_RATIO = 0.1
 """Upper bound [1] of the height loss of a verified stand with feed-forward, divided by the CoM

@@ -219,8 +219,8 @@ class UrdfBodies:
             free: True to add a free joint to the base.
 
         Raises:
-            ModelError: If a link is named ``world`` and is not the fixed root, if a joint below the
-                base is floating or planar, or if a joint axis has length zero.
+            ModelError: If a link is named ``world`` and is not the fixed root. If a joint below the
+                base is floating or planar. If a joint axis has length zero.
         """
         links, worldbody = self.tree.links, mjcf.section("worldbody")
         if WORLD_LINK in links and (self.root != WORLD_LINK or free):

@@ -138,10 +138,9 @@ def read_pair(
         defer_visuals: True to convert the visual meshes of a URDF file later, in the preparation.
 
     Raises:
-        ConfigurationError: If there is no file, if there are two files of the same format, if
-            ``take`` names a format without a file, if ``body`` is given without an MJCF, if
-            ``xacro_args`` are given without a xacro file, or if a model is neither a name nor a
-            path.
+        ConfigurationError: If there is no file, or if two files have the same format. If ``take``
+            names a format without a file. If ``body`` is given without an MJCF, or ``xacro_args``
+            without a xacro file. If a model is neither a name, a path nor a known object.
         ModelError: If a file cannot be read, the other format cannot represent the robot, or the
             MJCF has several robots or none (`with_one_robot`).
         UnknownNameError: If the MJCF has no such body.
@@ -211,8 +210,8 @@ def _pair_files(
         defer_visuals: True to convert the visual meshes of a URDF later.
 
     Raises:
-        ConfigurationError: If there is no file, if there are two files of the same format, if
-            ``take`` names a format without a file, or if ``body`` is given without an MJCF.
+        ConfigurationError: If there is no file, or if two files have the same format. If ``take``
+            names a format without a file. If ``body`` is given without an MJCF.
         ModelError: If a file cannot be read, the other format cannot represent the robot, or the
             MJCF has several robots or none.
         UnknownNameError: If the MJCF has no such body.
@@ -310,7 +309,7 @@ def load_robot(
     Raises:
         ConfigurationError: If an argument is invalid: for example, of the wrong type, no file, two
             files of the same format, or a foot that is named twice.
-        ModelError: If no robot can be made of the files: for example, a file cannot be read, both
+        ModelError: If no robot can be made of the files. Examples: a file cannot be read, both
             files have no joint in common, no feet are found, or a joint has several motors.
         UnknownNameError: If a foot, joint, keyframe or body does not exist; the message lists valid
             names.
