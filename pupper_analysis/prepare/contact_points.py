@@ -132,15 +132,14 @@ def can_keep_sole_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
 
 
 _CAP_ANGLE = math.radians(50.0)
-"""Half opening angle [rad] of the cap around the lowest point of a fitted sphere. A sphere replaces
-the foot only if the sphere fits the foot's points in this cap (`_MAX_SPHERE_DEVIATION`). Chosen,
-not tuned."""
+"""Half opening angle [rad] of the cap around the lowest point of a fitted sphere. Only the foot's
+points in the cap must be near the surface of the sphere (`_MAX_SPHERE_DEVIATION`). Chosen, not
+tuned."""
 
 _MAX_SPHERE_DEVIATION = 0.1
-"""Upper bound of the distance between a foot's points in the cap and the surface of a fitted
-sphere, divided by the radius [1]. Below the bound, the sphere may replace the foot. Chosen, not
-tuned.
-"""
+"""Upper bound of the distance between a foot's points and the surface of a fitted sphere, divided
+by the radius [1], with which the sphere may replace the foot. The points are those in the cap of
+`_CAP_ANGLE`. Chosen, not tuned."""
 
 
 def compute_osculating_sphere(shape: Shape, down: Array) -> tuple[Array, float]:
@@ -221,16 +220,14 @@ _TEST_PENETRATION = 1e-4
 distance of the lowest point may be corners of a sole. Chosen, not tuned."""
 
 _NUM_SOLE_JOINTS = 5
-"""Number of joints between foot and base that a leg needs to lay the sole flat at any position.
+"""Number of joints between foot and base with which a leg can lay the sole flat at any position.
 Derived: three coordinates and two angles; the yaw angle is not prescribed. If a leg has fewer
-joints, `can_keep_sole_flat` tests the leg.
-"""
+joints, `can_keep_sole_flat` tests the leg."""
 
 _MIN_SOLE_JOINTS = 4
-"""Smallest number of joints between foot and base of a leg with a sole. With fewer joints, the foot
-has a single contact point. With this number, a leg may lay the sole flat at any height, but not at
-any position.
-"""
+"""Lower bound of the number of joints between foot and base of a leg with a sole. With fewer
+joints, the foot has a single contact point. With this number, a leg may lay the sole flat at any
+height, but not at any position."""
 
 _CIRCLE_ANGLES = np.linspace(0, 2 * math.pi, 24, endpoint=False)
 """Angles [rad] of the points at which the rims of cylinders, and circles on a sphere, are sampled.

@@ -62,9 +62,9 @@ def copy_visual_option(spec: mujoco.MjSpec, original: mujoco.MjSpec) -> bool:
 
 
 _MAX_FOOT_SHARE = 0.5
-"""Upper bound of the fraction [1] of a foot's load that the contact shape of the foot carries.
-Above the bound, the foot keeps its contact shape. At or below the bound, another shape of the same
-body carries more, and becomes the contact shape. Chosen, not tuned."""
+"""Bound of the fraction [1] of a foot's load that the foot's own contact shape carries. With a
+larger fraction, the foot keeps this shape. Otherwise another shape of the same body carries more,
+and becomes the contact shape. Chosen, not tuned."""
 
 
 def find_carrying_hulls(

@@ -53,17 +53,19 @@ doubles in ``HOLD_DURATION``, the time for which a stand must hold. Slower modes
 MuJoCo's friction."""
 
 _MAX_STEPS_PER_PERIOD = 64
-"""Upper bound of the number of time steps per control period. The period is divided so that the
+"""Upper bound of the number of time steps per control period [1]. The period is divided so that the
 delay is a whole number of steps. If no number up to this bound fits, the delay is rounded. The
-period has more steps only if the model's own time step requires it. Chosen, not tuned.
-"""
+period has more steps only if the model's time step requires more. Chosen, not tuned."""
 
 _DELAY_TOLERANCE = 1e-6
-"""Tolerance [1] of three comparisons. A deviation of the delay from a multiple of the time step
-counts as rounding up to this value, relative to the larger of time step and delay. So does an
-excess of the control period over a multiple of the file's time step, in time steps. An eigenvalue
-of the closed loop, or its imaginary part, counts as zero up to this absolute value. Chosen, not
-tuned.
+"""Tolerance [1] of three comparisons. Chosen, not tuned.
+
+- A deviation of the delay from a multiple of the time step counts as rounding, relative to the
+  larger of time step and delay.
+- An excess of the control period over a multiple of the file's time step counts as rounding, in
+  time steps.
+- An eigenvalue of the closed loop, or the imaginary part of an eigenvalue, counts as zero (absolute
+  value).
 """
 
 _DIFFERENCE_STEP = 1e-6
@@ -76,30 +78,27 @@ simulation that starts with a deviation along a mode. Chosen: dry friction does 
 displacement, and no foot slips."""
 
 _REST_SPEED = 0.01
-"""Upper bound of the joint velocities [rad/s, m/s] of a robot at rest. The velocities are taken in
-the last part of a simulation (``_COMPARED_SHARE``). Chosen: 5 % of ``_NUDGE_SPEED``.
-"""
+"""Upper bound of the joint velocities [rad/s, m/s] of a robot at rest, at the end of a simulation
+(in the last `_COMPARED_SHARE`). Chosen: 5 % of `_NUDGE_SPEED`."""
 
 _COMPARED_SHARE = 0.2
-"""Length of each of two intervals of a simulation, as a fraction of the simulated time. One
-interval ends at half the time, the other at the end; their largest joint velocities are compared to
-decide whether the motion decays. Chosen, not tuned."""
+"""Length of each of two intervals of a simulation, as a fraction of the simulated time [1]. The
+first interval ends at half the time, the second at the end. The largest joint velocities of both
+are compared to decide if the motion decays. Chosen, not tuned."""
 
 _MAX_DECAY_RATIO = 0.9
 """Upper bound [1] of the ratio (largest joint velocity before the end) / (largest joint velocity
-before the middle of a simulation). Below the bound, an oscillation counts as decaying. Both
-velocities are taken in intervals of ``_COMPARED_SHARE``. Chosen, not tuned.
-"""
+before the middle of a simulation) with which an oscillation counts as decaying. Both velocities are
+taken in intervals of `_COMPARED_SHARE`. Chosen, not tuned."""
 
 _MAX_JOINT_SPEED = 100.0
 """Bound of the joint velocity [rad/s, m/s]. A simulation of the controller fails if a joint reaches
 the bound. Chosen, not tuned."""
 
 _MAX_SHIFT_RATIO = 1.1
-"""Largest permitted growth of the joint displacement in the second half of a simulation [1], as a
-factor on its value at the middle. A robot leaves the stand if a later displacement exceeds factor *
-(value at the middle) + `_MIN_SHIFT`. Chosen, not tuned.
-"""
+"""Upper bound [1] of the growth of the joint displacement in the second half of a simulation, as a
+factor on the displacement at the middle. A robot leaves the stand if a later displacement exceeds
+factor * (value at the middle) + `_MIN_SHIFT`. Chosen, not tuned."""
 
 _MIN_SHIFT = 1e-3
 """Absolute part [rad, m] of the permitted growth of the joint displacement in the second half of a

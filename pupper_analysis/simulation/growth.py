@@ -40,9 +40,10 @@ from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import STATE_SPEC, full_state, roll_out
 
 DOUBLINGS = 3
-"""Number of doublings of the deviation D (module docstring, step 2) that confirm growing modes.
-Growth that is exponential only within micrometres ends earlier, when a contact opens or takes load.
-Chosen, not tuned."""
+"""Number of doublings that confirm growing modes [1]. The deviation D of a growth test must double
+so often; D is half the difference of two simulations with opposite displacements. Growth that is
+exponential only within micrometres ends earlier, when a contact opens or takes load. Chosen, not
+tuned."""
 
 MODE_NUDGE_ANGLE, MODE_NUDGE_SPEED = 1e-4, 0.1
 """Upper bounds of the initial deviation along a mode in a growth test: of a position [rad, m] and
@@ -56,66 +57,61 @@ would stop a small nudge along these modes. Chosen larger than the deviation tha
 holds: 0.01 N m at a servo of 5 N m/rad hold 2e-3 rad."""
 
 LONGEST_TRIAL = (DOUBLINGS + 1) * HOLD_DURATION
-"""Upper bound of the simulated time [s] of a growth test, if the deviation D (module docstring,
-step 2) shows no doubling time. The current `_CHUNK_DURATION` is completed. Derived: `DOUBLINGS` of
-a mode that doubles in ``HOLD_DURATION``, and one more ``HOLD_DURATION`` for the decay of other
-motion. If a foot has almost no load, growth is followed up to twice this time."""
+"""Upper bound of the simulated time [s] of a growth test without a result. The current
+`_CHUNK_DURATION` is completed. If a foot has almost no load, growth is followed up to twice this
+time. Derived: `DOUBLINGS` of a mode that doubles in ``HOLD_DURATION``, and one more
+``HOLD_DURATION`` for the decay of other motion."""
 
 LEAVING_ANGLE = 1e-2
 """Lower bound of the displacement of a joint from the tested state [rad, m] with which a growing
 mode is confirmed although a foot has almost no load. The displacement is evaluated at the end of
 each `_CHUNK_DURATION`. Chosen equal to ``stability.MAX_JOINT_DISPLACEMENT``, the bound after a
-nudge. Measured on three robots with feet that carry 1e-5 to 1e-4 of the weight: D grows by five
-doublings to 0.01 to 0.09 mrad, or by six to 2.6 mrad, and then stops."""
+nudge. Measured on three robots with feet that carry 1e-5 to 1e-4 of the weight: the difference of
+two simulations grows by five doublings to 0.01 to 0.09 mrad, or by six to 2.6 mrad, and then stops.
+"""
 
 _CHUNK_DURATION = 2.0
-"""Interval of simulated time [s] after which a growth test evaluates whether the motion has grown
-or decayed. It is rounded to whole windows of time (``_MAX_WINDOW``). Chosen, not tuned.
-"""
+"""Interval of simulated time [s] after which a growth test evaluates if the motion has grown or
+decayed. The interval is rounded to complete windows of time (`_MAX_WINDOW`). Chosen, not tuned."""
 
 _DECAYED_RATIO = 1e-2
-"""Ratio [1] of the deviation D (module docstring, step 2) below which the motion has decayed. D is
-divided by the bound of its initial value, and by its maximum in the first window. If both ratios
-are below this value, a growth test ends without a doubling time. Chosen, not tuned.
-"""
+"""Upper bound of two ratios [1] with which a growth test ends because the motion has decayed. The
+deviation D (half the difference of the two simulations) is divided by the bound of its initial
+value, and by its maximum in the first window. Chosen, not tuned."""
 
 _HALF_TIME, _HALF_GROWTH = 1.5 * HOLD_DURATION, 1.5
-"""Simulated time [s] and growth factor [1] of an early end of a growth test. The time begins at the
-start, or at the end of the last transient. After this time the test ends if the deviation D is
-below ``_HALF_GROWTH`` times its smallest value in this time. Exponential growth with T =
-``HOLD_DURATION`` has a factor of 2.8.
-"""
+"""Simulated time [s] and growth factor [1] of an early end of a growth test. After this time, the
+test ends if the deviation D (half the difference of the two simulations) is below `_HALF_GROWTH`
+times its smallest value. The time begins at the start, or at the end of the last transient.
+Exponential growth with a doubling time of ``HOLD_DURATION`` has a factor of 2.8."""
 
 _ENDED_GROWTH = 1.25
-"""Lower bound [1] of the growth of the deviation D in two doubling times. Below the bound, the
-growth has ended. The growth is (maximum so far) / (maximum up to two doubling times ago);
-exponential growth has 4. Measured: Pupper v3 with a foot on a slope and 2 kg leaves its stand, with
-1.9 when its growth slows down.
-"""
+"""Lower bound [1] of growth that has not ended. The growth is (maximum so far) / (maximum up to two
+doubling times ago) of the deviation D, half the difference of two simulations. Exponential growth
+has 4. Measured: Pupper v3 with a foot on a slope and 2 kg leaves its stand, with 1.9 when its
+growth slows down."""
 
 _MAX_DOUBLING_RATIO = 1.6
-"""Upper bound [1] of the ratio (time of a doubling) / (time of the previous doubling) of
-exponential growth. Half a window of time is added to the bound. Chosen between 1, for exponential
-growth, and 2, for a drift at constant speed, such as creep.
-"""
+"""Upper bound [1] of the ratio (time of a doubling) / (time of the previous doubling) of growth
+that counts as exponential. Half a window of time is added to the bound. Chosen between 1, for
+exponential growth, and 2, for a drift at constant speed, such as creep."""
 
 _SUSTAINED_RATIO = 0.5
 """Lower bound [1] of the ratio (final amplitude) / (first maximum of the deviation D) of a
-sustained oscillation. See step 2 of the module docstring for D. The simulation must last at least
-``_HALF_TIME`` (18 s). The amplitude is half the range of a joint's signed deviation in the last
-period of the slowest oscillating mode. Chosen, not tuned.
-"""
+sustained oscillation. D is half the difference of the two simulations of a growth test, which must
+last at least `_HALF_TIME` (18 s). The amplitude is half the range of a joint's signed deviation in
+the last period of the slowest oscillating mode. Chosen, not tuned."""
 
 _MIN_OSCILLATION_RATIO = 0.5
-"""Lower bound [1] of the ratio (amplitude) / (maximum of the deviation D) of an oscillation. Below
-the bound, a growing D counts as buckling. Both are taken when D has grown by ``2 ** DOUBLINGS``.
-The amplitude is defined as for ``_SUSTAINED_RATIO``. Chosen between 1, for an oscillation about the
-undisturbed motion, and 0.25, for exponential growth that doubles in one period.
-"""
+"""Lower bound [1] of the ratio (amplitude) / (maximum of the deviation D) of an oscillation. With a
+smaller ratio, growth counts as buckling. D is half the difference of the two simulations of a
+growth test. Both values are taken when D has grown by ``2 ** DOUBLINGS``; the amplitude is defined
+as for `_SUSTAINED_RATIO`. Chosen between 1, for an oscillation about the undisturbed motion, and
+0.25, for exponential growth that doubles in one period."""
 
 _MAX_WINDOW = 1.0
-"""Upper bound of the window of time [s] in which the maximum of the deviation D is taken, since D
-may oscillate. Chosen, not tuned.
+"""Upper bound [s] of the length of the windows of a growth test. In each window, the maximum of the
+difference of the two simulations is taken, since the difference may oscillate. Chosen, not tuned.
 """
 
 

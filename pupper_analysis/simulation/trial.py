@@ -75,11 +75,15 @@ foot without ground contact rises more, the foot has lifted. A foot with little 
 less. Chosen, not tuned."""
 
 _MIN_MARGIN_RATIO, _MAX_UTILISATION, _MIN_LIMIT_DISTANCE = 5.0, 0.9, 0.02
-"""Bounds in ``is_near_limit``. A stand beyond one of them is near a limit, and requires nudged
-simulations. First: lower bound of the CoM margin, divided by the CoM displacement by a nudge [1].
-Second: upper bound of the utilisation of motors and friction [1]. Third: lower bound of the
-distance of a joint from its limits [rad, m]. Measured on 80 random robots with 50 to 97 % of their
-payloads: robots that fell after a nudge had a CoM margin below 3 displacements.
+"""Bounds in `is_near_limit`. A stand beyond a bound is near a limit, and requires nudged
+simulations.
+
+- First: lower bound of the CoM margin, divided by the CoM displacement by a nudge [1].
+- Second: upper bound of the utilisation of motors and friction [1].
+- Third: lower bound of the distance of a joint from its limits [rad, m].
+
+Measured on 80 random robots with 50 to 97 % of their payloads: robots that fell after a nudge had a
+CoM margin below 3 displacements.
 """
 
 _MIN_LOAD_RATIO = 0.02
@@ -88,10 +92,9 @@ may lift a foot with less load. On unequal slopes, contact forces with minimum t
 load two of four feet with only 1/10,000 of the weight. Chosen, not tuned."""
 
 _LIMIT_ATOL = 1e-6
-"""Two tolerances [rad, m]. A joint rests on its limit if its distance from the limit is below this
-value. A joint range permits no motion if its width is at most this value. Chosen as the
-rounding of configurations in files.
-"""
+"""Tolerance of joint positions [rad, m], used twice. A joint rests on a limit if the distance from
+the limit is below the tolerance. A joint range permits no motion if the width is at most the
+tolerance. Chosen as the rounding of configurations in files."""
 
 _SAMPLE_TIME = 0.05
 """Time between the states that are evaluated [s]. Chosen, not tuned."""
@@ -101,11 +104,10 @@ _CHECK_INTERVAL = 0.5
 Chosen, not tuned."""
 
 _MAX_REMAINING_MOTION = 1e-3
-"""Upper bound of the predicted motion of a coordinate in the remaining time [m, rad]. Up to the
-bound, the robot counts as at rest and the simulation ends early. A predicted coordinate may also
-leave the range of its values since the nudge by at most this distance
-(`_NudgedEvaluation._bound_motion`). Chosen as a hundredth of ``MAX_JOINT_DEVIATION``.
-"""
+"""Upper bound of the predicted motion of a coordinate in the remaining time [m, rad], used twice.
+Within the bound, the robot counts as at rest and the simulation ends early. A predicted coordinate
+may also leave the range of its values since the nudge by at most this distance
+(`_NudgedEvaluation._bound_motion`). Chosen as a hundredth of `MAX_JOINT_DEVIATION`."""
 
 _SPEED_FACTOR = 1.5
 """Safety factor [1] on the largest measured speed, in the upper bound of the motion in the
@@ -118,15 +120,14 @@ _PREDICTION_FACTOR = 1.25
 time of a nudged simulation. Chosen, not tuned."""
 
 _MAX_GROWTH_EXPONENT = 20.0
-"""Upper bound [1] of the product (growth rate of a mode) * (remaining time). Above the bound, the
-motion counts as unbounded: growth by a factor of 5e8. Chosen, not tuned.
-"""
+"""Upper bound [1] of the product (growth rate of a mode) * (remaining time) with which the
+remaining motion can be bounded. A larger product, growth by a factor of more than 5e8, counts as
+unbounded motion. Chosen, not tuned."""
 
 _CLEARANCE_FACTOR = 2.0
 """Factor [1] on the largest predicted motion of a coordinate in the remaining time. The base of a
 robot at rest is lowered by the product, to test if another part could reach the ground. Chosen, not
-tuned: the motion of the base is counted once, and that of the joints once.
-"""
+tuned: the motion of the base is counted once, and the motion of the joints once."""
 
 
 class Failure(StrEnum):
