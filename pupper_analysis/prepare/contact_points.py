@@ -289,8 +289,10 @@ def find_contact_points(
 
     The sole is the largest flat part at the lower end of the convex hull of the geoms, if it is
     nearly level in the pose in ``data``. The sole is laid flat, and MuJoCo's contacts with the
-    floor are the contact points. Without a flat part, the orientation of the foot is that in the
-    pose. If sphere geoms are at the lower end of the foot, all other geoms are ignored.
+    floor are the contact points. If the contacts of a mesh change with a small tilt, small balls at
+    the corners of the sole are the contact points instead. Without a flat part, the orientation of
+    the foot is that in the pose. If sphere geoms are at the lower end of the foot, all other geoms
+    are ignored.
 
     The foot has a single contact point, at the lower end, in two cases:
 

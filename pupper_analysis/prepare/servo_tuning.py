@@ -132,7 +132,8 @@ class ServoRequirement:
 
         All hinges have the same design torque: the largest static torque, but at least
         `_MIN_LEVER_FRACTION` times weight times base height. ``max_stiffness`` follows from the
-        time step and the inertia.
+        time step and the inertia. With closed loops, ``soft_limit`` bounds the stiffness of the
+        driving joints.
 
         Args:
             robot: Robot.
