@@ -87,8 +87,8 @@ def get_loaded_robot(robot: Robot) -> Robot:
     """Return the robot as loaded from files: before later changes, and without task contacts.
 
     Later changes are those that rebuilt the models, for example an added payload. Other changes
-    remain: MuJoCo options (`with_options`), and gains of a study's design if the models were not
-    rebuilt before.
+    remain: MuJoCo options (`with_options`); and servo gains that a design of the tool ``study``
+    set, if the models were not rebuilt before.
     """
     published = robot.published
     loaded = robot if published is None or published.loaded is None else published.loaded
