@@ -55,7 +55,7 @@ def find_sole_corners(points: Array, out: Array, flat: float) -> list[int]:
     """Find the corners of a sole among the points of a foot.
 
     The corners are the vertices of the convex hull of the sole, projected along the normal. If
-    there are more than `_MAX_CORNERS`, the corner that spans the smallest triangle with its
+    there are more than 8 (`_MAX_CORNERS`), the corner that spans the smallest triangle with its
     neighbours is removed repeatedly.
 
     Args:
@@ -95,8 +95,8 @@ def can_keep_sole_flat(model: mujoco.MjModel, body: int, out: Array) -> bool:
 
     Rotation about the normal is permitted. With four joints this is possible if three axes are
     parallel (for example hip, knee and ankle) and the fourth joint keeps these axes level. The
-    Jacobian is evaluated at `_NUM_POSES` random joint positions; the result is True if the motion
-    is possible in all samples.
+    Jacobian is evaluated at three random joint positions (`_NUM_POSES`); the result is True if the
+    motion is possible in all samples.
 
     Args:
         model: Model.
@@ -296,9 +296,9 @@ def find_contact_points(
 
     The foot has a single contact point, at the lower end, in two cases:
 
-    - The leg has fewer than `_MIN_SOLE_JOINTS` joints.
-    - The leg has fewer than `_NUM_SOLE_JOINTS` joints, and there is no sole or the leg cannot keep
-      the sole flat (`can_keep_sole_flat`).
+    - The leg has fewer than four joints (`_MIN_SOLE_JOINTS`).
+    - The leg has fewer than five joints (`_NUM_SOLE_JOINTS`), and there is no sole or the leg
+      cannot keep the sole flat (`can_keep_sole_flat`).
 
     Args:
         model: Model, with a floor.

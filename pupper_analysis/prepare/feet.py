@@ -245,8 +245,8 @@ def find_named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Ar
     - Geom: this geom.
     - Body: the geoms of the body that can collide with the floor. Without such geoms: as for a
       site.
-    - Site, or link of the URDF: the nearest sphere within `_MAX_SPHERE_DISTANCE`, else all geoms of
-      the moving body that can collide with the floor.
+    - Site, or link of the URDF: the nearest sphere within 20 mm (`_MAX_SPHERE_DISTANCE`), else all
+      geoms of the moving body that can collide with the floor.
 
     Args:
         robot: Robot without feet; the MJCF has a floor.

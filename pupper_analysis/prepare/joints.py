@@ -71,7 +71,7 @@ def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
 
     - The MJCF does not limit the joint.
     - The ranges of both files do not overlap.
-    - No limit of the MJCF is narrower by more than `_LIMIT_ATOL`.
+    - No limit of the MJCF is narrower by more than 1e-3 rad or m (`_LIMIT_ATOL`).
 
     Returns:
         Copy of the robot's description with the new limits, and a note that lists the limits. None

@@ -257,7 +257,7 @@ def _import_urdf(
 
 
 def settles_in_place(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
-    """Return True if a nudged model still stands, and is at rest, after ``_SETTLING_TIME``.
+    """Return True if a nudged model still stands, and is at rest, after 2 s (``_SETTLING_TIME``).
 
     The nudge is a small initial velocity. The result is False if the base cannot be placed at the
     configuration.

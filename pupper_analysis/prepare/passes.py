@@ -164,8 +164,8 @@ class Draft:
         """Whether the base may be fixed although the user did not request a fixed base.
 
         This is permitted only if the base is not free in the MJCF. The base counts as free if the
-        MJCF has a free joint, or if a child body of the world has `_MIN_PARTIAL_FREE_JOINTS` or
-        more joints. False if the user requested a fixed base.
+        MJCF has a free joint, or if a child body of the world has four or more joints
+        (`_MIN_PARTIAL_FREE_JOINTS`). False if the user requested a fixed base.
         """
         if self.request.fixed_base or has_free_joint(self.mjcf.spec):
             return False

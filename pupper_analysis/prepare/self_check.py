@@ -448,10 +448,10 @@ def simulate_prediction(
 ) -> PublishedRun | None:
     """Simulate the published model from the predicted state of rest, and compare both.
 
-    The model settles for `SETTLING_TIME`, is nudged (gets a small velocity), and is then simulated
-    for `NUDGED_TIME`. The simulation continues, up to `_MAX_NUDGED_TIME`, while the torques deviate
-    but approach the prediction. CoM height [m] and joint positions [rad, m] are compared at the
-    end; joint torques [N m, N] over the last second.
+    The model settles for `SETTLING_TIME` (1 s), is nudged (gets a small velocity), and is then
+    simulated for `NUDGED_TIME` (4 s). The simulation continues, up to `_MAX_NUDGED_TIME` (40 s),
+    while the torques deviate but approach the prediction. CoM height [m] and joint positions [rad,
+    m] are compared at the end; joint torques [N m, N] over the last second.
 
     Args:
         published: Published model: the user's file as compiled.

@@ -130,10 +130,10 @@ class ServoRequirement:
     ) -> ServoRequirement:
         """Compute the requirements on the servos of a standing robot: torques, inertia, bounds.
 
-        All hinges have the same design torque: the largest static torque, but at least
-        `_MIN_LEVER_FRACTION` times weight times base height. ``max_stiffness`` follows from the
-        time step and the inertia. With closed loops, ``soft_limit`` bounds the stiffness of the
-        driving joints.
+        All hinges have the same design torque: the largest static torque, but at least 2 % of
+        weight times base height (`_MIN_LEVER_FRACTION`). ``max_stiffness`` follows from the time
+        step and the inertia. With closed loops, ``soft_limit`` bounds the stiffness of the driving
+        joints.
 
         Args:
             robot: Robot.
@@ -177,9 +177,9 @@ class ServoRequirement:
     def of_fixed_base(cls, model: mujoco.MjModel) -> ServoRequirement:
         """Compute the requirements on the servos of a robot with a fixed base, such as an arm.
 
-        The design torque of a joint is the largest gravity torque in random poses, but at least
-        `_MIN_TORQUE_FRACTION` times the torque of the most loaded joint. The lower bound of the
-        stiffness gives the joint a natural frequency of `_MIN_FREQUENCY`. The bound uses the
+        The design torque of a joint is the largest gravity torque in random poses, but at least 2 %
+        of the torque of the most loaded joint (`_MIN_TORQUE_FRACTION`). The lower bound of the
+        stiffness gives the joint a natural frequency of 2 Hz (`_MIN_FREQUENCY`). The bound uses the
         largest inertia in the random poses, with the other joints locked. The upper bound follows
         from the time step.
 

@@ -197,7 +197,7 @@ def compute_solver_residual(model: mujoco.MjModel, data: mujoco.MjData, base: in
     """Compute the error of MuJoCo's constraint solver for a robot whose free base is pushed.
 
     The error is the residual of M qacc = f in the three translational equations of the base. The
-    push has `_PUSH_FRACTION` of the robot's weight along each axis. A push is needed because
+    push is 10 % of the robot's weight along each axis (`_PUSH_FRACTION`). A push is needed because
     otherwise an inaccurate solver is not detected. If the model has no gravity, the weight is that
     on Earth.
 
@@ -230,8 +230,8 @@ Chosen, not tuned."""
 def find_solver_error(robot: Robot) -> float | None:
     """Return the residual of MuJoCo's constraint solver for a robot, if the residual is too large.
 
-    The residual is that of `compute_solver_residual` at the start pose, with the feet
-    `_TEST_PENETRATION` in the ground.
+    The residual is that of `compute_solver_residual` at the start pose, with the feet 1 mm deeper
+    in the ground (`_TEST_PENETRATION`).
 
     Returns:
         Residual, divided by the robot's weight [1]; None if the residual is at most

@@ -95,8 +95,8 @@ def compute_resting_depths(model: mujoco.MjModel) -> dict[str, float]:
     In such a keyframe the feet penetrate the ground as in a simulation at rest, so the height of
     the base is meaningful. A keyframe is used under three conditions:
 
-    - The vertical ground force equals the weight within `_WEIGHT_RTOL`: the robot would neither
-      fall nor be thrown up.
+    - The vertical ground force equals the weight within 1 % (`_WEIGHT_RTOL`): the robot would
+      neither fall nor be thrown up.
     - The keyframe contains a ctrl that is not zero.
     - An axis of the base is vertical.
 
@@ -263,10 +263,10 @@ def is_standing_pose(robot: Robot, joints: Mapping[str, float]) -> bool:
 
     Three conditions must hold, with the base level:
 
-    - No joint exceeds its limits by more than `_LIMIT_ATOL`.
+    - No joint exceeds its limits by more than 1e-3 rad or m (`_LIMIT_ATOL`).
     - All feet are below the origin of the base.
-    - The heights of the feet differ by less than `_MAX_FOOT_HEIGHT_SPREAD` times the height of the
-      base above the lowest foot.
+    - The heights of the feet differ by less than 10 % of the height of the base above the lowest
+      foot (`_MAX_FOOT_HEIGHT_SPREAD`).
 
     Args:
         robot: Robot with feet.
@@ -642,8 +642,8 @@ def list_foot_bodies(robot: Robot) -> set[int]:
 def is_clear_of_ground(robot: Robot, stand: Stand) -> bool:
     """Return True if in a stand no body except the bodies of the feet is near the ground.
 
-    A body is near the ground if a geom of the body touches the ground when the base is lowered by
-    `_MIN_GROUND_CLEARANCE`.
+    A body is near the ground if a geom of the body touches the ground when the base is lowered by 1
+    cm (`_MIN_GROUND_CLEARANCE`).
     """
     model = robot.mj_model
     foot_bodies = list_foot_bodies(robot)
@@ -934,8 +934,8 @@ def make_start_keyframe(
 def round_start_configuration(robot: Robot, stand: Stand) -> Array:
     """Return the rounded configuration of a stand for a keyframe, shape (nq,), with x = y = 0.
 
-    Base height [m] and joint positions [rad, m] are rounded to `_NUM_KEYFRAME_DIGITS` decimals. The
-    quaternion is not rounded.
+    Base height [m] and joint positions [rad, m] are rounded to six decimals
+    (`_NUM_KEYFRAME_DIGITS`). The quaternion is not rounded.
     """
     qpos = stand.qpos.copy()
     qpos[:2] = 0.0

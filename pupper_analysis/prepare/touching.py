@@ -148,7 +148,7 @@ def disable_shapes_beside_feet(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
 
     Reason: the statics assume that only the feet touch the ground. The contacts of the foot geoms
     themselves are kept. The stand is the nominal stand (default `StandTask`) on soft ground. A
-    shape is near the ground if the height is at most `_MAX_SHAPE_CLEARANCE`.
+    shape is near the ground if the height is at most 5 mm (`_MAX_SHAPE_CLEARANCE`).
 
     Returns:
         Robot, and a list with a note about the bodies. The list is empty, and the robot unchanged,

@@ -56,8 +56,8 @@ def find_instability(
     There are up to two messages:
 
     - The fastest mode that grows within ``HOLD_DURATION``, if the settled state is at rest. Without
-      such a mode: the motion after the nudge does not decay. A remaining speed of at most
-      `_SOLVER_NOISE_RATIO` times the speed of the nudge is ignored.
+      such a mode: the motion after the nudge does not decay. A remaining speed of at most 20 % of
+      the speed of the nudge (`_SOLVER_NOISE_RATIO`) is ignored.
     - The nudge displaces a joint by `MAX_JOINT_DISPLACEMENT` or more, at the end or temporarily.
 
     Args:
@@ -89,8 +89,8 @@ def proves_unrest(nudge: Nudge) -> bool:
     Either of two responses shows this:
 
     - A joint moved by `MAX_JOINT_DISPLACEMENT` or more.
-    - The motion does not decay, reaches `MAX_RESTING_SPEED`, and remains faster than
-      `_SOLVER_NOISE_RATIO` times the nudge.
+    - The motion does not decay, reaches `MAX_RESTING_SPEED`, and remains faster than 20 % of the
+      nudge (`_SOLVER_NOISE_RATIO`).
 
     A slower motion proves nothing, since a foot with almost no load may bounce.
     """
@@ -146,9 +146,9 @@ def describe_growth(mode: Mode) -> Diagnostic:
 def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> list[Diagnostic]:
     """Report contact chatter: ground forces on a standing robot that vary from step to step.
 
-    Chatter is reported if the standard deviation of the total vertical force on the feet exceeds
-    `_MAX_FORCE_VARIATION` times the weight. The deviation is taken over the last `_CHATTER_STATES`
-    states.
+    Chatter is reported if the standard deviation of the total vertical force on the feet exceeds 5
+    % of the weight (`_MAX_FORCE_VARIATION`). The deviation is taken over the last 50 states
+    (`_CHATTER_STATES`).
 
     A possible cause is a pyramidal friction cone with an ``impratio`` above 1: MuJoCo's solver
     resolves the edges of the cone to a limited accuracy. Another cause is stiff ground, which

@@ -29,7 +29,7 @@ class ClearanceBounds:
         dp| + 2 L sin(a / 2) + L sum |dq_hinge| + sum |dq_slide|
 
     with the displacement p and the rotation angle a of the base, and the length L of the longest
-    chain of bodies. A slide joint is assumed to stay within `_MAX_LIMIT_RATIO` times its limits.
+    chain of bodies. A slide joint is assumed to stay within twice its limits (`_MAX_LIMIT_RATIO`).
     The bounds are not available if a geom of the ground is no plane, or if a joint is a ball joint,
     a second free joint, or a slide joint without limits.
 

@@ -348,8 +348,8 @@ class ControlledStand:
             True if all conditions hold:
 
             - The joints come to rest, or the oscillation decays.
-            - No joint displacement from the stand exceeds `_MAX_SHIFT`.
-            - All joint velocities are below `_MAX_JOINT_SPEED`.
+            - No joint displacement from the stand exceeds 0.1 rad or m (`_MAX_SHIFT`).
+            - All joint velocities are below 100 rad/s or m/s (`_MAX_JOINT_SPEED`).
             - In the second half of the simulation, the largest joint displacement is at most
               `_MAX_SHIFT_RATIO` times its value at the middle, plus `_MIN_SHIFT`.
         """

@@ -148,7 +148,8 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
 
     The stand is not lowered if the base is fixed, or if a part is welded or grips. It is also not
     lowered if feet are on separate planes and the stand already has penetration depths. If the
-    contacts do not carry the weight at `_MAX_DROP`, the state at this depth is returned.
+    contacts do not carry the weight at a depth of 66 mm (`_MAX_DROP`), the state at this depth is
+    returned.
 
     Args:
         robot: Robot.

@@ -267,8 +267,8 @@ def find_soft_servos(
     """Find the servos whose low gains alone make a stand with feed-forward fail.
 
     The failures of ``run`` name the joints of unstable modes. The classes of these joints
-    (corresponding joints of similar limbs, with equal gains) are simulated, at most
-    `_MAX_SUSPECTS`. First each class is simulated alone, then all of them together. Stiffness and
+    (corresponding joints of similar limbs, with equal gains) are simulated, at most three
+    (`_MAX_SUSPECTS`). First each class is simulated alone, then all of them together. Stiffness and
     damping of the simulated classes are multiplied by `_SINGLE_FACTORS` in turn, until the robot
     stands.
 

@@ -186,9 +186,9 @@ def calms_after_base_nudges(
 
     Each simulation starts in the stand, with feed-forward torques. The base has the velocity
     `LARGE_NUDGE_SPEED` along +x, -x, +y, -y, +z or -z of the world. A simulation ends once the
-    robot no longer shakes (speeds below ``MIN_SHAKING_SPEED``), or after `_MAX_BASE_NUDGE_TIME`.
-    The result is False as soon as a simulation diverges, the robot leaves the stand, or it shakes
-    without decay for ``SHAKING_SECONDS``.
+    robot no longer shakes (speeds below ``MIN_SHAKING_SPEED``), or after 6 s
+    (`_MAX_BASE_NUDGE_TIME`). The result is False as soon as a simulation diverges, the robot leaves
+    the stand, or it shakes without decay for ``SHAKING_SECONDS``.
 
     This test finds chatter that `comes_to_rest` may miss. The larger nudge may lift a sole, which
     then chatters without end.

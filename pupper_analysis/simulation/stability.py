@@ -468,8 +468,8 @@ def remains_small(model: mujoco.MjModel, end: Array, ctrl: Array, nudge: Nudge) 
     is no failure if the motion stays small for `BOUNCING_TIME`. Three conditions must hold:
 
     - The simulation does not diverge.
-    - The speed in the last third of the time is at most `_MAX_BOUNCE_RATIO` times the speed after
-      the nudge, and at most `MAX_RESTING_SPEED`.
+    - The speed in the last third of the time is at most 1.5 times the speed after the nudge
+      (`_MAX_BOUNCE_RATIO`), and at most `MAX_RESTING_SPEED`.
     - No joint moves by `MAX_JOINT_DISPLACEMENT` or more from ``end``.
 
     Args:

@@ -358,11 +358,12 @@ def is_near_limit(robot: Robot, stand: Stand, statics: GravityCompensation) -> b
     A nudge with speed v moves a CoM at height h by about v sqrt(h/g), and changes torques and
     forces by about one percent. A stand is near a limit in any of the following cases:
 
-    - The CoM margin is below `_MIN_MARGIN_RATIO` times the displacement of the CoM.
-    - A motor utilisation or friction utilisation is above `_MAX_UTILISATION`.
-    - A foot bears less than `_MIN_LOAD_RATIO` times the mean load, and there are no welds or grips.
-    - A joint is less than `_MIN_LIMIT_DISTANCE` from a limit. Joints whose range permits no motion
-      are ignored. A joint that moves no foot may rest on a limit.
+    - The CoM margin is below 5 times the displacement of the CoM (`_MIN_MARGIN_RATIO`).
+    - A motor utilisation or friction utilisation is above 90 % (`_MAX_UTILISATION`).
+    - A foot bears less than 2 % of the mean load (`_MIN_LOAD_RATIO`), and there are no welds or
+      grips.
+    - A joint is less than 0.02 rad or m from a limit (`_MIN_LIMIT_DISTANCE`). Joints whose range
+      permits no motion are ignored. A joint that moves no foot may rest on a limit.
 
     The result is False if the statics have no CoM margin, or if the base is fixed or welded.
 
