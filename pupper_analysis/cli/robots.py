@@ -1,8 +1,9 @@
 """Arguments and options that select a robot, shared by all commands.
 
-A robot is the name of a variant, a scaled variant (``--base``, ``--leg-scale``,
-``--torso-mass-scale``), the name of a published robot, or one or two model files. `RobotOptions`
-collects the typed options and returns the selected robots; `load_selected_robot` loads a robot.
+A robot is the name of a variant of the package's own robot (such as ``v3``), a scaled variant
+(``--base``, ``--leg-scale``, ``--torso-mass-scale``), the name of a published robot, or one or two
+model files. `RobotOptions` collects the typed options and returns the selected robots;
+`load_selected_robot` loads a robot.
 """
 
 from __future__ import annotations
@@ -182,7 +183,8 @@ class RobotOptions:
             words: Words that name a robot, or its model files.
 
         Returns:
-            Name or specification of a variant, or files; None if no robot is specified.
+            Name or specification of a variant of the package's own robot, or files; None if no
+            robot is specified.
 
         Raises:
             ConfigurationError: If several robots are specified, or an option for files is not valid
@@ -211,7 +213,8 @@ class RobotOptions:
             words: Words that name robots, or model files.
 
         Returns:
-            Names or specifications of variants, and files; empty if no robot is specified.
+            Names or specifications of variants of the package's own robot, and files; empty if no
+            robot is specified.
 
         Raises:
             ConfigurationError: If an option for files is not valid or is typed without a file.
@@ -307,10 +310,10 @@ def load_files(files: RobotFiles, **more: Any) -> Robot:
 def load_selected_robot(
     meant: str | VariantSpec | RobotFiles, *, fixed_base: bool = False, **more: bool
 ) -> Robot:
-    """Load a robot that the user selected: a variant, or files.
+    """Load a robot that the user selected: a variant of the package's own robot, or files.
 
     Args:
-        meant: Selection: name or specification of a variant, or files of the user.
+        meant: Selection: name (such as ``v3``) or specification of a variant, or files of the user.
         fixed_base: True to fix the base in the world.
         **more: Further arguments of ``load_robot``, ignored for a variant.
 

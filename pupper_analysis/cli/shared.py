@@ -743,8 +743,9 @@ MODEL_FILE = ModelFileType()
 def sort_model_paths(one: Path, other: Path) -> tuple[Path, Path]:
     """Sort two model files by format: the URDF first; the user may type both in any order.
 
-    A path may be the name of a variant, which has both formats. It then replaces the format that
-    the other file does not have. The typed order is kept if a file cannot be read.
+    A path may be the name of a variant of the package's own robot (such as ``v3``), which has both
+    formats. The variant then stands for the format that the other file does not have. The typed
+    order is kept if a file cannot be read.
 
     Args:
         one: First typed path.

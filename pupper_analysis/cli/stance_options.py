@@ -220,7 +220,8 @@ class RobotAndTask:
         Args:
             words: Words that name the robots.
             visuals: False if the robots are not drawn: visual meshes are then not converted.
-            default: Names of variants that are loaded if no robot is selected.
+            default: Names of variants of the package's own robot that are loaded if no robot is
+                selected.
 
         Raises:
             ConfigurationError: If an option is not valid, or has no effect for the robots or
