@@ -33,7 +33,7 @@ tolerance covers rounding of a wheel's height and radius. Chosen, not tuned."""
 
 _MIN_LEVEL_COSINE = 0.7
 """Lower bound of the cosine of the base tilt [1], about 45 deg. If the cosine is below the bound,
-`place_base_frame` does not raise the base frame, and a note reports the tilt. The tilt refers to
+`place_base_frame` does not raise the base frame, and a note reports the tilt. The tilt is taken in
 the keyframe `home`, else in the first keyframe, else in the initial state. Chosen, not tuned."""
 
 

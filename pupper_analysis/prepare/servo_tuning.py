@@ -77,10 +77,11 @@ _NUM_POSES = 64
 design of its servos are computed. Chosen, not tuned."""
 
 TIMESTEP_DIVISORS = (1, 2, 4, 8)
-"""Divisors of the model's time step [1]. If a robot with added servos does not come to rest, the
-time step is divided by the next number. Measured: a light foot without armature oscillates between
-a stiff servo and the ground at 2 ms. With an inertia of 3e-4 kg m^2 about the ankle (G1) the foot
-is at rest at 0.5 ms; with 2e-4 kg m^2 (the biped HECTOR) at 0.25 ms."""
+"""Divisors of the model's time step [1]. If a robot with added servos does not come to rest, or
+keeps shaking after a nudge, the time step is divided by the next number. Measured: a light foot
+without armature oscillates between a stiff servo and the ground at 2 ms. With an inertia of 3e-4 kg
+m^2 about the ankle (G1) the foot is at rest at 0.5 ms; with 2e-4 kg m^2 (the biped HECTOR) at 0.25
+ms."""
 
 
 @dataclass(frozen=True, eq=False)
