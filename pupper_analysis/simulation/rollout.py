@@ -28,9 +28,9 @@ from pupper_analysis.stance.stand import Stand, stand_contacts, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 _MIN_DROP, _MAX_DROP = 1e-6, 0.065536
-"""First and largest distance [m] by which `place_on_ground` lowers the base. The distance is
-doubled until the contacts carry the weight, or until the largest distance is reached. Chosen, not
-tuned."""
+"""First and largest distance [m] by which ``place_on_ground`` lowers the base. The distance is
+doubled until the contacts carry the weight, or until it is the largest. Chosen, not tuned.
+"""
 
 _DROP_RESOLUTION = 1e-12
 """Tolerance [m] of the bisection in ``place_on_ground``. The bisected quantity is the distance by
@@ -39,19 +39,17 @@ which the base is lowered. Chosen, not tuned.
 
 
 FILTER_DYNAMICS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
-"""MuJoCo's actuator dynamics types of servos with ``timeconst``. The activation follows the
-command, clipped to ``ctrlrange``, as a first-order filter. At rest the activation equals the
-clipped command."""
+"""MuJoCo's types of actuator dynamics for servos with ``timeconst``. The activation follows the
+command, clipped to ``ctrlrange``, as a first-order filter. At rest it equals the clipped command.
+"""
 
 STATE_SPEC = int(mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
-"""MuJoCo's bit mask (mjtState) of the states that rollouts return: mjSTATE_FULLPHYSICS, with time,
-qpos, qvel, act and more."""
+"""MuJoCo's specification of the states that rollouts return: time, qpos, qvel, act and more."""
 
 FORCED_CONTROL_SPEC = int(
     mujoco.mjtState.mjSTATE_CTRL.value | mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
 )
-"""MuJoCo's bit mask (mjtState) of the controls of rollouts with forces on bodies: ctrl, then
-xfrc_applied."""
+"""MuJoCo's specification of the controls of rollouts with forces on bodies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +84,9 @@ def make_stand_start(
 ) -> StandStart:
     """Compute the initial state and servo commands for the simulation of a stand.
 
-    The robot is placed on the ground of the stand, lowered into the soft ground until the contacts
-    carry the weight (`place_on_ground`).
-
     Args:
-        robot: Robot.
-        stand: Stand.
+        robot: The robot.
+        stand: The stand.
         feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
         kp: Servo stiffness [N m/rad], scalar or shape (nu,); the model's own by default.
         kd: Servo damping [N m s/rad], scalar or shape (nu,); the model's own by default.
@@ -121,17 +116,9 @@ def make_stand_start(
 def weld_generalized_forces(
     robot: Robot, stand: Stand, prediction: GravityCompensation
 ) -> dict[str, Array]:
-    """Compute the generalised force of each weld or grip in a stand.
+    """Compute the generalised force of each weld or grip in a stand: {part: (nv,)} [N, N m].
 
-    A weld or grip fixes a part of the robot in the world.
-
-    Args:
-        robot: Robot.
-        stand: Stand.
-        prediction: Statics of the stand, with the wrenches of welds and grips.
-
-    Returns:
-        {part: generalised force, shape (nv,) [N, N m], in the order of qvel}.
+    The order is that of qvel. The wrenches are those of ``prediction``, the statics of the stand.
     """
     columns = stand_contacts(robot, stand).weld_columns(Configuration(robot, stand.qpos))
     wrenches = prediction.weld_wrenches
@@ -141,24 +128,23 @@ def weld_generalized_forces(
 def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -> Array:
     """Lower a stand into MuJoCo's soft ground until the contacts carry the weight.
 
-    Feet that just touch soft ground carry nothing. The base is lowered, with constant joint
-    positions, until the forces along the ground normal balance. The simulation then starts near
-    equilibrium, not with a fall of some millimetres. The normal is that at the first stance foot.
-    It is vertical if feet are on separate planes, or if there are no stance feet.
+    Feet that just touch soft ground carry nothing. The base is lowered along the ground normal at
+    the first stance foot, with constant joint positions, until the forces along this direction
+    balance. The direction is vertical if feet are on separate planes, or if there are no stance
+    feet. The simulation then starts near equilibrium, not with a fall of some millimetres.
 
-    The stand is not lowered if the base is fixed, or if a part is welded or grips. It is also not
-    lowered if feet are on separate planes and the stand already has penetration depths. If the
-    contacts do not carry the weight at a depth of 66 mm (`_MAX_DROP`), the state at this depth is
-    returned.
+    The stand is not lowered in three cases: the base is fixed; a part is welded or grips; or feet
+    are on separate planes and the stand already has penetration depths. If the contacts do not
+    carry the weight at `_MAX_DROP`, the state at this depth is returned.
 
     Args:
-        robot: Robot.
+        robot: The robot.
         drive: Servos and MuJoCo model of the robot.
-        stand: Stand.
-        torques: Motor torques that balance the stand, shape (nu,) [N m, N].
+        stand: The stand.
+        torques: Motor torques that balance the stand, shape (nu,) [N m].
 
     Returns:
-        State (mjSTATE_FULLPHYSICS), with zero velocities.
+        The state (mjSTATE_FULLPHYSICS), with zero velocities.
     """
     model = drive.model
     data = mujoco.MjData(model)
@@ -168,16 +154,10 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
     normal = UP if on_planes else next(iter(stand.normals.values()), UP)
 
     def compute_surplus_force(drop: float) -> float:
-        """Compute how much the supporting force exceeds the weight if the base is lowered.
+        """Return the supporting force minus the weight [N] with the base lowered by ``drop`` [m].
 
-        Both forces are components along the ground normal. The supporting force is that of
-        contacts, constraints and passive elements, such as gravity compensation.
-
-        Args:
-            drop: Distance by which the base is lowered [m].
-
-        Returns:
-            Supporting force minus weight [N].
+        Both are components along the ground normal. The supporting force is that of contacts,
+        constraints and passive elements, such as gravity compensation.
         """
         qpos = stand.qpos.copy()
         qpos[:3] -= drop * normal
@@ -204,10 +184,8 @@ def place_on_ground(robot: Robot, drive: Servos, stand: Stand, torques: Array) -
 def rest_state(robot: Robot, drive: Servos, qpos: Array, ctrl: Array) -> Array:
     """Return the state (mjSTATE_FULLPHYSICS) of a robot in a configuration, with zero velocities.
 
-    Actuator filters have their settled values.
-
     Args:
-        robot: Robot, on the ground.
+        robot: The robot, on the ground.
         drive: Servos and MuJoCo model.
         qpos: Configuration, shape (nq,).
         ctrl: Actuator commands, shape (model.nu,).
@@ -221,19 +199,12 @@ def rest_state(robot: Robot, drive: Servos, qpos: Array, ctrl: Array) -> Array:
 def settled_activations(
     model: mujoco.MjModel, ctrl: Array, max_time_constant: float = math.inf
 ) -> Array:
-    """Compute the activations of filtered actuators at rest, for a constant command.
+    """Compute the activations of filtered actuators at rest, shape (model.na,).
 
-    The activation of an actuator with filter dynamics (`FILTER_DYNAMICS`) is its command, clipped
-    to ``ctrlrange`` if this range is a limit. The activation of other actuators is zero.
-
-    Args:
-        model: MuJoCo model.
-        ctrl: Actuator commands, shape (model.nu,).
-        max_time_constant: Upper bound of the time constant [s] of a filter. Slower filters have the
-            activation zero.
-
-    Returns:
-        Activations, shape (model.na,).
+    The activation of an actuator with filter dynamics (`FILTER_DYNAMICS`) is its command in
+    ``ctrl``, shape (model.nu,). The command is clipped to ``ctrlrange`` if this range is a limit.
+    The activation is zero for other actuators, and for time constants above ``max_time_constant``
+    [s].
     """
     activations = np.zeros(model.na)
     for motor in range(model.nactuator) if model.na else ():
@@ -251,9 +222,9 @@ def settled_activations(
 
 
 def full_state(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Return the state in MuJoCo's data as an array (mjSTATE_FULLPHYSICS), shape (size,).
+    """Return the state in MuJoCo's data, shape (size,): time, qpos, qvel, act and more.
 
-    The order is: time, qpos, qvel, act and more.
+    The order is that of mjSTATE_FULLPHYSICS.
     """
     state = np.empty(mujoco.mj_stateSize(model, STATE_SPEC))
     mujoco.mj_getState(model, data, state, STATE_SPEC)
@@ -269,14 +240,14 @@ def roll_out(
     control_spec: int = int(mujoco.mjtState.mjSTATE_CTRL.value),
     warmstarts: Array | None = None,
 ) -> Array:
-    """Simulate a model from several initial states in parallel threads.
+    """Simulate a model from several initial states, in one thread per element of ``workers``.
 
-    MuJoCo's warnings about diverging simulations are suppressed, and no log file is written.
+    MuJoCo's warnings about diverging simulations are suppressed, and no log file is written:
     ``monitor`` detects divergence.
 
     Args:
         model: MuJoCo model.
-        workers: MuJoCo data, one per thread, or a single one. The data are changed.
+        workers: MuJoCo data, one or one per thread. The data are changed.
         starts: Initial states (mjSTATE_FULLPHYSICS), shape (runs, size) or (size,).
         control: Controls in each step, shape (runs, steps, n), or (1, steps, n) if equal in all
             runs.
@@ -286,7 +257,7 @@ def roll_out(
             [rad/s^2, m/s^2]; zero by default.
 
     Returns:
-        States after each step (mjSTATE_FULLPHYSICS), shape (runs, steps, size).
+        States after each step, shape (runs, steps, size).
     """
     with silence_mujoco():
         states, _ = mujoco.rollout.rollout(
@@ -300,18 +271,20 @@ def roll_out(
     return np.asarray(states)
 
 
-def simulate_commands(model: mujoco.MjModel, start: Array, ctrl: Array) -> Array:
-    """Simulate a model from an initial state, with given actuator commands in each step.
+def simulate_commands(
+    model: mujoco.MjModel, start: Array, ctrl: Array, data: mujoco.MjData | None = None
+) -> Array:
+    """Simulate a model from an initial state, with given actuator commands.
 
     Args:
         model: MuJoCo model.
-        start: Initial state (mjSTATE_FULLPHYSICS), shape (size,).
+        start: Initial state (mjSTATE_FULLPHYSICS).
         ctrl: Actuator commands in each step, shape (n, model.nu).
         data: MuJoCo data for the simulation. The data are changed, and do not change the result.
             Default: new data. To allocate the data of a quadruped takes as long as 25 steps.
 
     Returns:
-        States after each step (mjSTATE_FULLPHYSICS), shape (n, size).
+        States after each step, shape (n, size).
     """
     worker = mujoco.MjData(model) if data is None else data
     states: Array = roll_out(model, worker, start, ctrl[None])[0]
@@ -347,21 +320,19 @@ def simulate_in_intervals(
 def make_forced_controls(
     robot: Robot, model: mujoco.MjModel, ctrl: Array, runs: int, steps: int
 ) -> tuple[Array, Array]:
-    """Create the controls of rollouts with a force on the base.
-
-    The controls have the format `FORCED_CONTROL_SPEC` of `roll_out`.
+    """Create the controls of rollouts with a force on the base, for ``FORCED_CONTROL_SPEC``.
 
     Args:
-        robot: Robot.
+        robot: The robot.
         model: MuJoCo model that is simulated.
         ctrl: Actuator commands of all steps, shape (model.nu,).
         runs: Number of rollouts.
         steps: Number of steps of each rollout.
 
     Returns:
-        Two arrays. The controls, shape (runs, steps, model.nu + 6 model.nbody), in which all forces
-        are zero. A view into the controls, shape (runs, steps, 3) [N]: the force on the base at the
-        CoM of the base body, in world axes. The caller sets this force.
+        Two arrays. The controls have the shape (runs, steps, model.nu + 6 model.nbody); all forces
+        are zero. The second array is a view into the controls, shape (runs, steps, 3) [N]: the
+        force on the base at the CoM of the base body, in world axes. The caller sets this force.
     """
     control = np.zeros((runs, steps, model.nu + 6 * model.nbody))
     control[:, :, : model.nu] = ctrl
@@ -370,25 +341,14 @@ def make_forced_controls(
 
 
 def check_duration(duration: float) -> None:
-    """Raise an error if a simulated time is not between 2 and 600 s.
-
-    Args:
-        duration: Simulated time [s].
-
-    Raises:
-        ConfigurationError: If the time is out of range, or not finite.
-    """
+    """Raise ``ConfigurationError`` if a simulated time [s] is not between 2 and 600."""
     if not math.isfinite(duration) or not 2.0 <= duration <= 600.0:
         problem = diagnose("not-between", given=f"{duration} s", low=2, high=Quantity(600, "s"))
         raise ConfigurationError("duration", problem)
 
 
 def with_stand_contacts(robot: Robot, stand: Stand) -> Robot:
-    """Return the robot that is simulated in a stand: with the contacts of the stand's task.
-
-    Args:
-        robot: Robot.
-        stand: Stand.
+    """Return the robot that is simulated in a stand: with the contacts of the stand.
 
     Raises:
         ConfigurationError: If the stand belongs to another robot, or the base is fixed and the

@@ -1,8 +1,9 @@
 """Write the repairs of an audit into the files: a patch, and the changed bytes.
 
-Inputs are audits. Only repairs of findings with a single repair are applied. Attribute values are
-replaced, and missing attributes and elements inserted, in the bytes of the file. All other bytes
-stay. Files with uncommitted changes in git are not written.
+Inputs are audits, of whose findings only those with a single repair are applied. A repair that
+estimates a value (`ValueRepair.is_estimate`) is not applied. Attribute values
+are replaced, and missing attributes and elements inserted, in the bytes of the file, so that all
+other bytes stay. Files with uncommitted changes in git are not written.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ from pupper_analysis.tools.audit.registry import Audit, ValueRepair
 
 
 def apply_repairs(audits: Iterable[Audit]) -> tuple[list[XmlDocument], int]:
-    """Apply the repairs of audits to the files in memory, to prepare a patch.
+    """Change the files of audits in memory, by the findings that have a single repair.
 
     Args:
-        audits: Results of audits. Only findings with a single repair are applied.
+        audits: Results of audits.
 
     Returns:
         Changed files, and the number of applied repairs. The files on disk are unchanged.
@@ -40,10 +41,10 @@ def apply_repairs(audits: Iterable[Audit]) -> tuple[list[XmlDocument], int]:
 
 
 def _change_elements(document: XmlDocument, repair: ValueRepair) -> bool:
-    """Apply a repair to a file in memory; return True if the repair was applied.
+    """Apply a repair to a file in memory; return True if it was applied.
 
-    A repair is not applied if an element is missing or not unique. A repair is not applied either
-    if an element has other values than the repair expects, for example after another repair.
+    A repair is not applied if an element has other values than the repair expects, for example
+    because another repair has changed the element, or if an element is missing or not unique.
     """
     changes = repair.list_changes()
     for change in changes:
@@ -61,10 +62,20 @@ def _change_elements(document: XmlDocument, repair: ValueRepair) -> bool:
 
 
 def list_unique_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
-    """List the repairs of audits that can be applied without a choice, without repetitions.
+    """Return the repairs of the findings that have exactly one repair, without repetitions.
 
-    Findings without a repair, or with several candidate repairs, are left out.
+    Estimates are left out (`list_estimates`).
     """
+    return [repair for repair in _list_single_repairs(audits) if not repair.is_estimate]
+
+
+def list_estimates(audits: Iterable[Audit]) -> list[ValueRepair]:
+    """Return the single repairs of findings that estimate a value; these are not written."""
+    return [repair for repair in _list_single_repairs(audits) if repair.is_estimate]
+
+
+def _list_single_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
+    """Return the repairs of the findings that have exactly one repair, without repetitions."""
     found = [
         finding.repairs[0]
         for audit in audits
@@ -91,13 +102,13 @@ def _list_owners(document: XmlDocument, repair: ValueRepair) -> list[XmlElement]
 
 
 def _find_owner(document: XmlDocument, repair: ValueRepair) -> XmlElement | None:
-    """Return the only child of the root with the tag and name of a repair; None if not unique."""
+    """Return the child of the root with the tag and name of a repair; None unless it is unique."""
     found = [one for one in _list_owners(document, repair) if one.parent is document.root]
     return found[0] if len(found) == 1 else None
 
 
 def _ensure_element(document: XmlDocument, repair: ValueRepair) -> XmlElement:
-    """Return the element that a repair changes; create missing elements on the path."""
+    """Return the element that a repair changes, and create the missing elements on its path."""
     element = _find_owner(document, repair)
     assert element is not None
     for tag in repair.child.split("/"):
@@ -108,7 +119,7 @@ def _ensure_element(document: XmlDocument, repair: ValueRepair) -> XmlElement:
 def _descend(element: XmlElement, path: str) -> XmlElement | None:
     """Return the element at a path of tags below an element; None if a tag is missing.
 
-    A number from 1 in brackets selects a child among several: ``visual[2]/geometry/mesh``.
+    A number from 1 in brackets selects one of several children: ``visual[2]/geometry/mesh``.
     """
     current: XmlElement | None = element
     for step in path.split("/") if path else ():
@@ -120,12 +131,12 @@ def _descend(element: XmlElement, path: str) -> XmlElement | None:
 
 
 def locate_repair(repair: ValueRepair) -> tuple[tuple[int, int, str], ...]:
-    """Locate the byte ranges that a repair replaces in the file on disk.
+    """Return the byte ranges that a repair replaces in the file on disk.
 
     Returns:
         (start [bytes], length [bytes], new text) of each changed value, new attribute or new
-        element. Empty if the repair cannot be applied: no or several elements fit the repair, or
-        the file has other values than the repair expects.
+        element; empty if no or several elements fit the repair, or the file has other values than
+        the repair expects.
     """
     document = read_xml_bytes(Path(repair.file))
     if not _change_elements(document, repair):
@@ -135,7 +146,7 @@ def locate_repair(repair: ValueRepair) -> tuple[tuple[int, int, str], ...]:
 
 
 def make_patch(document: XmlDocument) -> str:
-    """Create a unified diff, without context lines, of the changes of a file in memory."""
+    """Return the changes of a file in memory as a unified diff without context lines."""
     before, after = (
         data.decode("utf-8", "replace").splitlines(keepends=True)
         for data in (document.data, document.render())
@@ -145,11 +156,11 @@ def make_patch(document: XmlDocument) -> str:
 
 
 def write_documents(documents: Iterable[XmlDocument]) -> None:
-    """Write changed files. Only changed or new attributes and new elements differ.
+    """Write changed files. Only changed or new attributes and new elements differ from before.
 
     Raises:
         OutputError: If a file cannot be written, has uncommitted changes in a git repository, or
-            was changed after the audit read the file.
+            was changed since it was read.
         InputError: If a file of a git repository cannot be read.
     """
     changed = list(documents)

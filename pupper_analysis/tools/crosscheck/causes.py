@@ -1,8 +1,8 @@
 """Search for a single mistake that explains many differences between a URDF and an MJCF.
 
 Examples: wrong units, another Euler sequence, exchanged limbs, dropped products of inertia. Most
-hypotheses are tested: the mistake is undone in a tree, and the differences that disappear are
-explained. Some mistakes, such as wrong units, follow from the numbers alone.
+hypotheses are tested: the mistake is undone in one of the trees, and the differences that disappear
+are explained. Some mistakes, such as wrong units, follow from the numbers alone.
 
 Before files are compared, links on fixed joints are combined with the moving body. Mass, first and
 second moments about the frame's origin are additive, so the difference of two combined bodies is
@@ -48,7 +48,7 @@ from pupper_analysis.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class ComparedLink:
-    """Inertial of a link of the URDF or a body of the MJCF, in the frame of the moving body.
+    """Inertial of a link, in the frame of the moving body.
 
     Attributes:
         name: Link of the URDF, or body of the MJCF.
@@ -73,11 +73,11 @@ Links = Mapping[str, tuple[ComparedLink, ...]]
 
 
 def list_urdf_links(robot: Robot) -> Links:
-    """List the links of each moving body of the URDF, with inertials in the frame of the body.
+    """Return the inertials of the links of each body of the URDF, in the frame of the body.
 
     Returns:
-        {base or joint: links with mass that move with this joint}. A link has mass [kg], CoM [m],
-        inertia about the CoM [kg m^2], and the rotation from the link's axes to the body's axes.
+        {base or joint: links with mass that move with it}: mass [kg], CoM [m], inertia about the
+        CoM [kg m^2], and rotation from the link's axes to the body's axes.
     """
     model = robot.pin_model
     links_by_joint: dict[str, list[ComparedLink]] = {}
@@ -100,7 +100,7 @@ def list_urdf_links(robot: Robot) -> Links:
 
 
 def list_mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) -> Links:
-    """List the MJCF bodies that move with each joint, with inertials in the URDF's body frames.
+    """Return the inertials of the links of each body of the MJCF, in the URDF's body frames.
 
     Args:
         robot: Robot.
@@ -108,9 +108,8 @@ def list_mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) ->
         aligned: The same tree, in the body frames of the URDF.
 
     Returns:
-        {base or joint: bodies with mass that move with this joint}. A body has mass [kg], CoM [m],
-        inertia about the CoM [kg m^2], and the rotation from the body's axes to the axes of the
-        moving body.
+        {base or joint: links with mass that move with this joint}: mass [kg], CoM [m], inertia
+        [kg m^2] and axes.
     """
     model, mujoco_model = pinocchio_from_mujoco(robot.mj_model), robot.mj_model
     raw_poses, aligned_poses = compute_poses_at_zero(raw), compute_poses_at_zero(aligned)
@@ -128,7 +127,7 @@ def list_mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) ->
 
 
 def _get_moving_joint(robot: Robot, model: pin.Model, joint: int) -> str:
-    """Return the name of a joint of a Pinocchio model; the base for a joint of another robot.
+    """Return the name of a joint of a Pinocchio model if it is a joint of the robot, else the base.
 
     ``joint`` is the index of the parent joint of a link; the result names the body with the link.
     """
@@ -137,7 +136,7 @@ def _get_moving_joint(robot: Robot, model: pin.Model, joint: int) -> str:
 
 
 def combine_bodies(*bodies: TreeBody) -> TreeBody:
-    """Combine bodies to a rigid body: mass [kg], CoM [m] and inertia about the CoM [kg m^2].
+    """Combine bodies to one rigid body: mass [kg], CoM [m] and inertia about the CoM [kg m^2].
 
     The bodies and the result are expressed in a common frame.
     """
@@ -160,7 +159,7 @@ def compute_moments(body: TreeBody) -> Array:
 
 
 def body_from_moments(values: Array) -> TreeBody:
-    """Compute mass, CoM and inertia about the CoM of a body from moments about the origin.
+    """Compute mass, CoM and inertia about the CoM of a body from its moments about the origin.
 
     Inverse of `compute_moments`. The CoM of a body without mass is set to zero.
 
@@ -175,7 +174,7 @@ def body_from_moments(values: Array) -> TreeBody:
 
 @dataclass(frozen=True, eq=False)
 class PatternCase:
-    """Input of a search for causes: the trees of URDF and MJCF, and the differences.
+    """Two different trees and the differences between both.
 
     Attributes:
         robot: Robot.
@@ -250,7 +249,7 @@ class PatternCase:
 
 @dataclass(frozen=True, eq=False)
 class PatternFinding:
-    """Single mistake that explains several differences between URDF and MJCF.
+    """Mistake that explains differences.
 
     Attributes:
         kind: Kind of the cause.
@@ -275,9 +274,9 @@ axes. Each is also tested in upper case, for fixed axes."""
 def find_angle_settings(case: PatternCase) -> PatternFindings:
     """Find another ``eulerseq`` or ``angle`` unit of the MJCF with which differences disappear.
 
-    Each ``eulerseq`` and ``angle`` unit is tested by a new comparison. A setting is a finding if at
-    least 60 % of the differences in rotations and axes disappear. If no rotation or axis differs,
-    at least 60 % of the differences in joint limits must disappear.
+    Each ``eulerseq`` and ``angle`` unit is tested by a new comparison. It is a finding if at least
+    60 % of the differences in rotations and axes disappear. If no rotation or axis differs, at
+    least 60 % of the differences in joint limits must disappear.
     """
     if not {"rotation", "axis", "lower limit", "upper limit", "zero", "base frame"} & {
         kind for kind, _ in case.keys
@@ -336,9 +335,8 @@ def _has_euler(spec: mujoco.MjSpec) -> bool:
 def find_exchanged(case: PatternCase) -> PatternFindings:
     """Find pairs of limbs whose names are exchanged in either file.
 
-    A pair counts if the pair has two or more differences, and at most the fraction
-    `_MAX_REMAINING_FRACTION` remains when the joint names are exchanged. All pairs together are a
-    single finding.
+    A pair counts if it has two or more differences, of which at most `_MAX_REMAINING_FRACTION`
+    remain when the joint names are exchanged. All pairs together are one finding.
     """
     tops = case.first.children(case.first.base)
     limbs = {top: [top, *case.first.list_descendants(top)] for top in tops}
@@ -385,7 +383,7 @@ def find_exchanged(case: PatternCase) -> PatternFindings:
 
 
 _MAX_REMAINING_FRACTION = 0.2
-"""Largest fraction of the differences of two limbs that may remain after an exchange of the limbs'
+"""Largest fraction of the differences of two limbs that may remain after an exchange of their
 names. If more differences remain, the exchange is not reported as a cause. Chosen, not tuned.
 """
 
@@ -397,7 +395,7 @@ eleven limbs. Chosen, to bound the time."""
 def _exchange_names(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
     """Exchange joint names in a tree in both directions, also in parents, bodies and frame owners.
 
-    ``names`` is {first joint: second joint} of each pair whose names are exchanged.
+    ``names`` is {joint: joint with which it exchanges its name}.
     """
     exchanged = {**names, **{new_name: old_name for old_name, new_name in names.items()}}
     joints = {
@@ -446,8 +444,8 @@ def find_scaled_quantities(case: PatternCase) -> PatternFindings:
 
     The message names the wrong unit (such as degrees, g or mm) or a wrong decimal point, if this
     explains the factor. Only the limits of hinges are compared. The factor of lengths is computed
-    from the joint positions. Differences of CoMs and frames are explained if the same factor
-    removes the differences.
+    from the joint positions. Differences of CoMs and frames are explained only if they have the
+    same factor.
     """
     first, raw = case.first, case.raw
     bodies = [(body, raw.bodies[name]) for name, body in first.bodies.items() if body.mass]
@@ -510,7 +508,7 @@ def _scale_lengths(tree: MultibodyTree, factor: float) -> MultibodyTree:
 
 
 def _find_common_factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
-    """Compute the factor second / first that pairs of proportional arrays have in common.
+    """Return the factor second / first that pairs of proportional arrays have in common.
 
     Returns:
         Common factor of all pairs of elements. None if fewer than two pairs are nonzero, if the
@@ -547,10 +545,10 @@ def _guess_unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagno
 
 
 def find_efforts_before_gears(case: PatternCase) -> PatternFindings:
-    """Find efforts of the URDF that equal the efforts of the MJCF [N m] divided by the gear ratio.
+    """Find efforts in the URDF [N m] that equal those in the MJCF if multiplied by the gear ratio.
 
-    The joint must have a single actuator with a gear ratio other than 1. Differences that another
-    cause explains are skipped.
+    The joint has a single actuator, whose gear ratio is not 1. Differences that another cause
+    explains are skipped.
     """
     model = case.robot.mj_model
     joints_by_gear: dict[tuple[float, float], list[str]] = defaultdict(list)
@@ -577,7 +575,7 @@ def find_efforts_before_gears(case: PatternCase) -> PatternFindings:
 
 
 def find_dropped_products(case: PatternCase, lacking: str) -> PatternFindings:
-    """Find inertias that differ only because a file has no products of inertia.
+    """Find inertias that differ only because one file has no products of inertia.
 
     For the test, the products are removed from the other file, and the inertias are compared again.
     The products are removed in the axes of each link, or in the axes of the combined body. At least
@@ -647,7 +645,7 @@ def _keep_diagonal(inertia: Array) -> Array:
 
 
 def _is_diagonal(inertia: Array) -> bool:
-    """Return True if the products of an inertia, (3, 3), are at most 1e-9 of the largest entry."""
+    """Return True if the products of an inertia, (3, 3), are at most 1e-9 of its largest entry."""
     off = inertia - _keep_diagonal(inertia)
     return float(np.abs(off).max()) <= 1e-9 * max(float(np.abs(inertia).max()), 1e-300)
 
@@ -709,8 +707,8 @@ def _list_tensor_pairs(case: PatternCase) -> Iterator[_TensorPair]:
         )
 
 
-def _compute_origin_shift(link: ComparedLink, offset: Array) -> Array:
-    """Compute the difference of a link's tensors about the origin and the CoM, (3, 3) [kg m^2].
+def _compute_origin_shift(link: ComparedLink) -> Array:
+    """Compute a link's tensor about its origin minus that about the CoM, shape (3, 3) [kg m^2].
 
     This is m (c.c E - c c^T), with the mass m, the identity E, and the CoM c relative to the origin
     of the link (`ComparedLink.offset`). The tensor is in the axes of the moving body.
@@ -748,15 +746,10 @@ tested as a cause. Chosen, not tuned."""
 def find_tensor_mistakes(case: PatternCase) -> PatternFindings:
     """Find mistakes that explain different inertia tensors of bodies with equal mass and CoM.
 
-    Tested mistakes:
-
-    - A file states tensors about the origin of the link instead of the CoM.
-    - The MJCF lacks the rotation of ``<inertial><origin>``.
-    - A file has the inverse rotation of the principal axes.
-
-    The mistake that explains most bodies is reported first. A single body is sufficient for a
-    finding, since six equal numbers are no coincidence. Inverse axes require two bodies, since an
-    order of axes may be a coincidence.
+    Tested mistakes: a file states tensors about the origin of the link instead of the CoM; the MJCF
+    lacks the rotation of ``<inertial><origin>``; one file has the inverse rotation of the principal
+    axes. The mistake that explains most bodies is reported first. One body is sufficient, except
+    for inverse axes: six equal numbers are no coincidence, an order of axes may be.
     """
     pairs = list(_list_tensor_pairs(case))
     total, tolerances = len(pairs), case.tolerances
@@ -813,8 +806,7 @@ def _describe_tensor_mistake(
 def find_lost_mimics(case: PatternCase) -> PatternFindings:
     """Find joints that mimic another joint in the URDF, without a coupling in the MJCF.
 
-    If such a joint has no motor in the MJCF, the cause also explains a different effort of the
-    joint.
+    The cause also explains the different efforts of these joints if they have no motor in the MJCF.
     """
     lost = [name for kind, name in case.unexplained if kind == "mimic"]
     if lost:
@@ -826,16 +818,15 @@ def find_lost_mimics(case: PatternCase) -> PatternFindings:
 
 
 _SINGLE_KINDS = ("inertia origin", "inertia turn")
-"""Kinds of causes that are reported even for a single explained difference. Other causes must
-explain at least two differences. The message of such a cause names the repair, while the message of
-the difference only contains six numbers.
-"""
+"""Kinds of causes that are reported even if they explain a single difference; other causes must
+explain at least two. The message of such a cause names the repair, while the message of the
+difference only contains six numbers."""
 
 
 _MAX_SUBSET_LINKS = 12
-"""Largest number of links of a body of which all subsets are tested as the links that a file lacks:
-2^12 = 4096 subsets take a millisecond. If a body has more links, only the heaviest are tested.
-"""
+"""Largest number of links of a body of which all subsets are tested as the links that one file
+lacks: 2^12 = 4096 subsets take a millisecond. If a body has more links, only the heaviest are
+tested."""
 
 _MAX_RESIDUAL = 0.02
 """Largest fraction of the inertial difference of a body that may remain after a tested mistake is
@@ -846,16 +837,14 @@ wrong subset of links leaves about as much as the subset removes."""
 
 
 _INERTIA_ALWAYS_FROM_GEOM = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-"""Value of the MJCF's compiler option ``inertiafromgeom`` with which geoms override <inertial>.
-`find_masses_of_geoms` reports this value.
-"""
+"""Value of the MJCF's compiler option ``inertiafromgeom`` with which geoms override <inertial>;
+`find_masses_of_geoms` reports it."""
 
 
 def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
     """Find inertial differences of bodies whose mass MuJoCo computes from geoms.
 
-    Such bodies have no ``<inertial>`` in the MJCF, or ``inertiafromgeom`` overrules the
-    ``<inertial>``.
+    Such bodies have no ``<inertial>`` in the MJCF, or ``inertiafromgeom`` overrules it.
     """
     geom_links = {
         moving_joint: [link.name for link in links if link.name in case.from_geoms]
@@ -881,7 +870,7 @@ def find_masses_of_geoms(case: PatternCase) -> PatternFindings:
 
 
 def find_closed_loops(case: PatternCase) -> PatternFindings:
-    """Report a common cause for all equality constraints that are missing in the URDF.
+    """Report one common cause for all equality constraints that are missing in the URDF.
 
     Nothing is reported if there are fewer than two constraints. Constraints that an earlier cause
     explains are not counted.
@@ -899,7 +888,8 @@ class _LinkMistake:
     Attributes:
         moving_joint: Joint that moves the body, or the base.
         links: Links concerned.
-        lacks: File without the links, ``URDF`` or ``MJCF``; empty if the mass differs by a factor.
+        lacks: File without these links, ``URDF`` or ``MJCF``; empty if the mass differs by a
+            factor.
         factor: Mass in the MJCF divided by mass in the URDF; 0 if a file lacks the links.
         inertia: Whether the inertia has the same factor; False if a file lacks the links.
     """
@@ -912,10 +902,9 @@ class _LinkMistake:
 
 
 def find_link_mistakes(case: PatternCase) -> PatternFindings:
-    """Find single links that explain different inertials of bodies (links that move together).
+    """Find links that explain why bodies (links that move together) differ in their inertia.
 
-    Two mistakes are tested: a file lacks some links of the body, or the mass of a link differs by a
-    factor.
+    One file lacks some links of the body, or the mass of one link differs by a factor.
     """
     bodies = dict.fromkeys(name for kind, name in case.unexplained if kind in INERTIAL_KINDS)
     if not bodies:
@@ -940,9 +929,9 @@ def find_link_mistakes(case: PatternCase) -> PatternFindings:
 def _find_link_mistake(case: PatternCase, name: str) -> _LinkMistake | None:
     """Return the mistake in a body's links that explains the inertial difference of this body.
 
-    Two mistakes are tested: a file lacks links, or the mass of a link differs by a factor. The
+    Two mistakes are tested: one file lacks links, or the mass of one link differs by a factor. The
     result is None if no mistake explains the difference, if a mass is 0, or if the masses are
-    equal. If the body has a single link and only the mass differs, the factor must be a power of
+    equal. If the body has a single link and only its mass differs, the factor must be a power of
     ten. ``name`` is the joint that moves the body, or the base.
     """
     first, second = case.first.bodies[name], case.second.bodies[name]
@@ -1026,10 +1015,10 @@ def _explains_difference(
     Args:
         case: Both trees.
         name: Joint that moves the body, or the base.
-        first: Body of a file, without the mistake.
+        first: Body of one file, without the mistake.
         second: Body of the other file.
         removed: Moments that the mistake adds, shape (10,), as from `compute_moments`.
-        difference: Moments of the URDF's body minus moments of the MJCF's body, shape (10,).
+        difference: Moments of the URDF's body minus those of the MJCF's body, shape (10,).
     """
     explained_kinds = {kind for kind, element in case.explained if element == name}
     changes = {change.kind for change in body_changes(name, first, second, case.tolerances)}
@@ -1112,13 +1101,9 @@ def _is_scaling_by_ten(factor: float) -> bool:
 
 
 def group_by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
-    """Group names by a common prefix or suffix, for short messages.
+    """Group names by a common prefix that ends with a separator, or a suffix that begins with one.
 
-    The prefix ends with a separator, and the suffix begins with a separator. The largest group is
-    first. Names without a common part form a group each.
-
-    Args:
-        names: Names, for example of links.
+    The largest group is first. Names without a common part form a group each.
 
     Returns:
         {``*_rotor``, ``sensor_*``, or the complete name: names}.
@@ -1150,7 +1135,7 @@ Chosen, not tuned.
 def find_foreign_inertials(case: PatternCase) -> PatternFindings:
     """Find bodies with the inertial of another body: mass, CoM and inertia all differ.
 
-    The mass must differ by at least 10 %. No earlier cause may explain any of the three
+    The mass must differ by at least 10 %, and no cause found before may explain one of the
     differences.
     """
     kinds = ("mass", "com", "inertia")
@@ -1175,8 +1160,8 @@ def find_foreign_inertials(case: PatternCase) -> PatternFindings:
 
 
 _MIN_AXIS_SINE = 1e-9
-"""Lower bound of the sine of the angle between two joint axes [1]. Below the bound, the axes count
-as parallel in the computation of the distance, since the angle may be rounding. Chosen, not tuned.
+"""Sine of the angle between two joint axes [1]. Below, the axes count as parallel when the distance
+between them is computed, since the angle may be rounding. Chosen, not tuned.
 """
 
 _MAX_MOVED_JOINTS = 20
@@ -1189,9 +1174,9 @@ def find_moved_axes(case: PatternCase) -> PatternFindings:
     """Find joints whose axis differs between the files, although no body is elsewhere.
 
     At zero angles all bodies have the same poses in both files. Nevertheless CoM, children and
-    frames differ, since the numbers are expressed in the frame of the joint. Only joints with
-    different positions are tested. If more than `_MAX_MOVED_JOINTS` joints have different
-    positions, nothing is searched.
+    frames differ, since they are expressed in the frame of the joint. Only joints with different
+    positions are tested. If more than `_MAX_MOVED_JOINTS` joints have different positions, nothing
+    is searched.
     """
     names = [element for kind, element in case.keys if kind == "position"]
     for name in names if len(names) <= _MAX_MOVED_JOINTS else ():
@@ -1257,7 +1242,7 @@ def find_causes(
     tolerances: Tolerances,
     from_geoms: Collection[str] = (),
 ) -> tuple[PatternCause, ...]:
-    """Find single mistakes that explain several differences between a URDF and an MJCF.
+    """Find mistakes that explain two or more differences each, or a single different tensor.
 
     Args:
         robot: Robot.
@@ -1267,8 +1252,7 @@ def find_causes(
         from_geoms: Bodies of the MJCF whose mass is computed from geoms.
 
     Returns:
-        Causes, each with the indices of explained differences. A difference belongs to at most one
-        cause. A cause explains at least two differences, or a single different inertia tensor.
+        Causes, each with the indices of differences. A difference belongs to at most one cause.
     """
     if not differences:
         return ()
@@ -1309,5 +1293,4 @@ _SEARCHES = (
     find_moved_axes,
 )
 """Functions that search for causes of differences, in the order of execution. A difference belongs
-to the first cause that explains the difference.
-"""
+to the first cause that explains it."""
