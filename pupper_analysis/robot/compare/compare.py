@@ -660,6 +660,7 @@ def _compare_ground_contact(
         matched: Matched files.
         urdf: The URDF.
         mjcf: The MJCF.
+        mjcf_model: The model read from the MJCF.
         found: Other differences. Feet that these differences displace are not compared.
 
     Returns:

@@ -105,6 +105,7 @@ def test_meanings_are_in_both_languages_with_the_same_units() -> None:
     assert set(list_entries("meanings.toml")) == set(list_meanings())
     for key, both in list_meanings().items():
         assert set(both) == set(LANGUAGES), key
+        assert both["en"].endswith("."), key  # not cut at a line with too little indentation
         assert re.findall(units, both["en"]) == re.findall(units, both["zh"]), key
         if re.search("[a-z]{4}", both["en"]):
             assert HAN.search(both["zh"]), key
