@@ -1196,8 +1196,8 @@ def show_report(
 def confirm_written(path: Path | str) -> None:
     """Print the path of a written file, unless the file was standard output.
 
-    The path is printed on standard output if the output format of the command is text (``--format
-    text``, or no such option). Otherwise it is printed on standard error.
+    The path is printed on standard output if the output format of the command is text, that is
+    ``--format text`` or no such option. Otherwise it is printed on standard error.
     """
     from pupper_analysis.base.files import STANDARD_OUTPUT
     from pupper_analysis.present.formats import escape_control

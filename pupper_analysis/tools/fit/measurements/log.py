@@ -189,8 +189,8 @@ def read_log(
     """Read a log of a motion from a CSV file, an ``.mcap`` file or a ROS bag.
 
     CSV columns are ``time``, ``position.<joint>`` and ``command.<joint>``; ``velocity.<joint>`` and
-    ``torque.<joint>`` are accepted and ignored. Units are SI units, or stated in brackets: ``time
-    [ms]``, ``position.FL_knee [deg]``. Empty cells are missing values.
+    ``torque.<joint>`` are accepted and ignored. Units are SI units, or stated in brackets, for
+    example ``time [ms]`` and ``position.FL_knee [deg]``. Empty cells are missing values.
 
     Messages in a bag:
 
