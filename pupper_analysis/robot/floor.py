@@ -64,10 +64,16 @@ def disable_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
         geom for geom in spec.geoms if geom.type in ground_types and is_fixed(geom.parent)
     ]
     for geom in ground_geoms:
-        geom.contype = geom.conaffinity = 0
-        for pair in [pair for pair in spec.pairs if geom.name in (pair.geomname1, pair.geomname2)]:
-            spec.delete(pair)
+        _disable_contacts(spec, geom)
     return [diagnose("ground-touches-nothing")] if ground_geoms else []
+
+
+def _disable_contacts(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> None:
+    """Disable all contacts of a geom, in place: by contact masks, and by ``<pair>`` elements."""
+    geom.contype = geom.conaffinity = 0
+    for pair in list(spec.pairs):
+        if geom.name and geom.name in (pair.geomname1, pair.geomname2):
+            spec.delete(pair)
 
 
 def rotate_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
@@ -86,7 +92,7 @@ def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
       is replaced by a level floor at z = 0. A missing floor is added.
     - If no plane can collide, the first plane of the world body is the floor, and is not changed.
     - Contacts of other fixed geoms (stairs, tables, walls) are disabled, because slopes and steps
-      are part of the task. Planes at z = 0 are excepted.
+      are part of the task. Level planes of the world body at z = 0 are excepted.
     - Contact parameters of a ``<pair>`` with the floor are moved to the other geom.
 
     Returns:
@@ -111,7 +117,7 @@ def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
         notes = [] if existing else [diagnose("ground-added")]
     notes += _replace_pairs(spec, floor)
     scenery = [*others, *(geom for geom in floors[1:] if not _is_level_at_zero(geom))]
-    return notes + _disable_geoms(scenery)
+    return notes + _disable_geoms(spec, scenery)
 
 
 def is_fixed(body: mujoco.MjsBody | None) -> bool:
@@ -200,14 +206,14 @@ def _compiled_planes(
     return data.geom_xmat[geoms, 8].tolist(), data.geom_xpos[geoms, 2].tolist()
 
 
-def _disable_geoms(geoms: list[mujoco.MjsGeom]) -> list[Diagnostic]:
+def _disable_geoms(spec: mujoco.MjSpec, geoms: list[mujoco.MjsGeom]) -> list[Diagnostic]:
     """Disable the contacts of geoms, in place, and report each geom by name.
 
     A geom without a name is reported by the name of its body, or, in the world body, by its type.
     """
     names: list[str | Diagnostic] = []
     for geom in geoms:
-        geom.contype = geom.conaffinity = 0
+        _disable_contacts(spec, geom)
         name = geom.name or (geom.parent.name if geom.parent.name != "world" else "")
         kind = Term(geom.type.name.removeprefix("mjGEOM_").lower())
         names.append(name or diagnose("geom-without-name", kind=kind))

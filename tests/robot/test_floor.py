@@ -107,6 +107,23 @@ def test_the_level_plane_is_the_floor_if_a_wall_comes_first(tmp_path: Path) -> N
     assert {foot.friction[::2][:2] for foot in robot.contacts.values()} == {(1, 0.01)}
 
 
+def test_contact_pairs_of_objects_in_the_scene_are_left_out(tmp_path: Path) -> None:
+    """Reference: MuJoCo's contacts with a foot in the stair, before and after."""
+    stair = '<geom name="stair" type="box" size="1 1 0.1" pos="0 0 0"/>'
+    contacts = "".join(f'<pair geom1="stair" geom2="foot{leg}"/>' for leg in range(4))
+    spec = mujoco.MjSpec.from_file(str(write_scene(tmp_path, PLANE + "/>" + stair, contacts).mjcf))
+    names = []
+    for change in (lambda _: [], level_ground):
+        change(spec)
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        data.qpos[2] = 0.45
+        mujoco.mj_forward(model, data)
+        names.append({model.geom(geom).name for geom in data.contact.geom.ravel()})
+    assert names[0] > {"stair", "foot0"}
+    assert "stair" not in names[1]
+
+
 @pytest.mark.slow
 def test_objects_of_the_scene_are_left_out_with_a_note(tmp_path: Path) -> None:
     """A box as ground, stairs under the robot, and a table that no joint moves."""
