@@ -380,8 +380,9 @@ def list_urdf_files(urdf: UrdfFile) -> FileLayout:
     """List the files of a URDF that a copy needs: meshes and textures at relative paths.
 
     If the URDF is inside a ROS package, a ``package://`` path to this package counts as relative,
-    and the ``package.xml`` is included. Files at absolute paths and in other packages are left out,
-    since such paths do not depend on the location of the URDF.
+    and the ``package.xml`` is included. A relative path may begin with ``file://``. Files at
+    absolute paths and in other packages are left out, since such paths do not depend on the
+    location of the URDF.
     """
     files: list[Path] = []
     packages: list[Path] = []
@@ -390,10 +391,11 @@ def list_urdf_files(urdf: UrdfFile) -> FileLayout:
         name = element.get("filename") or ""
         scheme, separator, rest = name.partition("://")
         file = urdf.resolve_mesh(name) if name else None
-        if file is None or (not separator and Path(name).is_absolute()) or scheme == "file":
+        if file is None:
             continue
-        if not separator:
-            files.append(file)
+        if not separator or scheme == "file":
+            if not Path(rest if separator else name).is_absolute():
+                files.append(file)
             continue
         relative_path = rest.lstrip("/").partition("/")[2]
         package = (

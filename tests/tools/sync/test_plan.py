@@ -23,12 +23,13 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ModelError, OutputError
 from pupper_analysis.models.git import refuse_uncommitted
+from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.xml_bytes import read_xml_bytes
 from pupper_analysis.tools.sync import models
 from pupper_analysis.tools.sync.digits import format_numbers, format_shortest
 from pupper_analysis.tools.sync.document import sync_document
 from pupper_analysis.tools.sync.frames import is_same_body
-from pupper_analysis.tools.sync.plan import UnwrittenCause
+from pupper_analysis.tools.sync.plan import UnwrittenCause, list_urdf_files
 from tests.support.hidden_files import leave_hidden_file
 from tests.support.robots import (
     Files,
@@ -543,6 +544,22 @@ def test_leftovers_of_a_killed_sync_are_removed(tmp_path: Path, done: bool) -> N
 
 
 # ------------------------------------------------------------------------------------- its parts
+
+
+def test_copy_contains_files_at_relative_paths_only(tmp_path: Path) -> None:
+    """A path with ``file://`` is relative as well, unless a slash follows."""
+    (tmp_path / "meshes").mkdir()
+    names = ["plain.stl", "scheme.stl", "whole.stl"]
+    for name in names:
+        (tmp_path / "meshes" / name).write_bytes(bytes(84))
+    paths = ["meshes/plain.stl", "file://meshes/scheme.stl", f"file://{tmp_path}/meshes/whole.stl"]
+    meshes = "".join(
+        f'<visual><geometry><mesh filename="{path}"/></geometry></visual>' for path in paths
+    )
+    file = tmp_path / "robot.urdf"
+    file.write_text(f'<robot name="robot"><link name="base">{meshes}</link></robot>')
+    layout = list_urdf_files(read_urdf(file))
+    assert layout.files == (file, *(tmp_path / "meshes" / name for name in names[:2]))
 
 
 def test_copied_placeholder_effort_gives_a_note(tmp_path: Path) -> None:
