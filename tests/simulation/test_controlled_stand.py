@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import mujoco
@@ -144,6 +145,27 @@ def test_stable_dampings_decay_in_bare_mujoco(name: str, kp: float) -> None:
         speeds = velocities(held, kp, kd, timestep=loop.timestep, steps=1, delay=0, periods=400)
         grows.append(bool(speeds[-50:].max() > speeds[:50].max()))
     assert grows == [False, True]
+
+
+def test_joint_inertias_equal_the_acceleration_by_a_torque_in_mujoco() -> None:
+    """Reference: difference of joint velocities after one step with and without 1 mN m.
+
+    The dry friction of the joints, which would hold the joints at rest, is zero.
+    """
+    robot = load("v3")
+    loop = ControlledStand(make_stand_start(robot, pa.solve_stand_as_simulated(robot)))
+    model, torque, speeds = copy.copy(loop.model), 1e-3, []
+    model.dof_frictionloss[:] = 0.0
+    for joint in (None, *range(robot.nu)):
+        data = mujoco.MjData(model)
+        mujoco.mj_copyData(data, model, loop._start)
+        if joint is not None:
+            data.ctrl[loop._controls[joint]] += torque
+        mujoco.mj_step(model, data)
+        speeds.append(data.qvel[loop._dofs].copy())
+    gained = np.diag(np.array(speeds[1:]) - speeds[0])
+    expected = torque * model.opt.timestep / gained
+    assert loop.compute_joint_inertias() == pytest.approx(expected, rel=0.02)
 
 
 def test_shorter_periods_and_delays_allow_more_damping() -> None:

@@ -1,7 +1,9 @@
 """Document of stable gains: bounds of stiffness and damping, by joint class and as a plot.
 
 Input is a `GainStudy`; output is a document that is independent of the output format. The answer
-states bounds as factors on the present gains, or as gains if all joints have equal gains.
+states bounds as factors on the present gains, or as gains if all joints have equal gains. If no
+factors on the present gains are stable, the answer states the range of gains that are proportional
+to inertia.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from pupper_analysis.base.diagnostics import format_number
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import NextStep, join_words, text
 from pupper_analysis.present.documents.registry import build_document
@@ -64,7 +67,7 @@ def _describe_failures(study: GainStudy) -> Iterable[doc.Words]:
         joints = join_words([doc.Name(name) for name in study.worst.joints])
         time = f"{1e3 * math.log(2) / study.worst.growth_rate:.3g}"
         if study.worst.frequency:
-            frequency = f"{study.worst.frequency:.3g}"
+            frequency = format_number(study.worst.frequency, ".3g")
             yield text("gains-oscillate", joints=joints, frequency=frequency, time=time)
         else:
             yield text("gains-buckle", joints=joints, time=time)
@@ -92,8 +95,21 @@ def _describe_added_servos(study: GainStudy) -> Iterable[doc.Words]:
 
 
 def _describe_stable_gains(study: GainStudy) -> doc.Words:
-    """State the smallest kp and largest kd of a stable stand, as factors if joints differ."""
+    """State the smallest kp and largest kd of a stable stand, as factors if joints differ.
+
+    For reference gains that are proportional to inertia, the range of the recommended gains is
+    stated, or that of the reference gains if there is no recommendation.
+    """
     largest = study.largest_kd.factor
+    if study.by_inertia:
+        is_recommended = study.recommended_kp_factor is not None
+        stiffnesses = [one.recommended_kp or one.reference_kp for one in study.classes]
+        dampings = [one.recommended_kd or one.reference_kd for one in study.classes]
+        return text(
+            "gains-by-inertia-recommended" if is_recommended else "gains-by-inertia",
+            kp=_format_range(stiffnesses, study.units.stiffness),
+            kd=_format_range(dampings, study.units.damping),
+        )
     if study.uniform:
         kp, kd = study.classes[0].kp, study.classes[0].kd
         least = max(kp * (study.least_kp.factor or 0.0), study.least_kp_alone or 0.0)
@@ -111,6 +127,14 @@ def _describe_stable_gains(study: GainStudy) -> doc.Words:
     )
 
 
+def _format_range(gains: Iterable[float], unit: str) -> str:
+    """Return the smallest and the largest positive gain with three digits, and the unit."""
+    used = sorted(gain for gain in gains if gain > 0)
+    if not used:
+        return f"0 {unit}"
+    return f"{format_number(used[0], '.3g')} to {format_number(used[-1], '.3g')} {unit}"
+
+
 def _describe_controller(study: GainStudy) -> doc.Words:
     """Return the text of rate and delay of the controller, and of the mode at the largest kd."""
     implicit = study.integrator.startswith("implicit")
@@ -120,7 +144,7 @@ def _describe_controller(study: GainStudy) -> doc.Words:
         delay=f"{1e3 * study.delay:.3g}",
         joints=join_words([doc.Name(name) for name in study.largest_kd.joints[:1]])
         or doc.Name("-"),
-        frequency=f"{study.largest_kd.frequency:.3g}",
+        frequency=format_number(study.largest_kd.frequency, ".3g"),
         integrator=doc.Name(study.integrator),
     )
 
@@ -138,19 +162,23 @@ def _select_next_step(study: GainStudy) -> NextStep:
 def _make_class_table(study: GainStudy) -> doc.Table:
     """Create the table of the joint classes (joints with equal gains), a row per class.
 
-    The columns of kp are the present value, the smallest stable value, the limit by the torque and
-    the recommended value. The columns of kd are the present value, the largest stable value if all
-    classes are scaled, the largest stable value if only this class is scaled, the limit by the
-    encoder and the recommended value. Units are N m/rad and N m s/rad, or N/m and N s/m for slides.
+    The columns of kp are the present value, the reference value if it differs from the present
+    value (`GainStudy.by_inertia`), the smallest stable value, the limit by the torque and the
+    recommended value. The columns of kd are the present value, the reference value, the largest
+    stable value if all classes are scaled, the largest stable value if only this class is scaled,
+    the limit by the encoder and the recommended value. Units are N m/rad and N m s/rad, or N/m and
+    N s/m for slides.
     """
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(one.name),
             doc.number_cell(one.kp, ".4g"),
+            *_reference_cells(study, one.reference_kp),
             doc.number_cell(one.least_kp, ".3g"),
             doc.number_cell(one.largest_kp_of_torque, ".3g"),
             doc.number_cell(one.recommended_kp, ".3g"),
             doc.number_cell(one.kd, ".4g"),
+            *_reference_cells(study, one.reference_kd),
             doc.number_cell(one.largest_kd, ".3g"),
             doc.number_cell(one.largest_kd_alone, ".3g"),
             doc.number_cell(one.largest_kd_of_encoder, ".3g"),
@@ -164,10 +192,12 @@ def _make_class_table(study: GainStudy) -> doc.Table:
         (
             doc.Column(text("gains-joints"), left=True),
             doc.Column(doc.Name("kp"), stiffness),
+            *_reference_columns(study, stiffness),
             doc.Column(text("gains-least"), stiffness),
             doc.Column(text("gains-torque"), stiffness),
             doc.Column(text("gains-recommended"), stiffness),
             doc.Column(doc.Name("kd"), damping),
+            *_reference_columns(study, damping),
             doc.Column(text("gains-largest"), damping),
             doc.Column(text("gains-largest-alone"), damping),
             doc.Column(text("gains-encoder"), damping),
@@ -178,8 +208,20 @@ def _make_class_table(study: GainStudy) -> doc.Table:
     )
 
 
+def _reference_columns(study: GainStudy, unit: str) -> tuple[doc.Column, ...]:
+    """Return the column of reference gains; none if these are the present gains."""
+    return (doc.Column(text("gains-reference"), unit),) if study.by_inertia else ()
+
+
+def _reference_cells(study: GainStudy, gain: float) -> tuple[doc.Cell, ...]:
+    """Return the cell of a reference gain; none if this is the present gain."""
+    return (doc.number_cell(gain, ".3g"),) if study.by_inertia else ()
+
+
 def _class_notes(study: GainStudy) -> Iterable[doc.Words]:
     """Yield the explanations of the columns of the table of joint classes."""
+    if study.by_inertia:
+        yield text("gains-note-reference")
     yield text("gains-note-together")
     if study.error is not None:
         yield text("gains-note-torque", error=f"{math.degrees(study.error):.3g}")
@@ -193,7 +235,7 @@ def _class_notes(study: GainStudy) -> Iterable[doc.Words]:
 def _make_bound_table(study: GainStudy) -> doc.Table:
     """Create the table of three bounds: smallest kp, largest kp and largest kd.
 
-    A row has the factor on the present gains of all joints [1] by the linear model and by
+    A row has the factor on the reference gains of all joints [1] by the linear model and by
     simulation, the frequency of the growing mode [Hz], and the two joints that move most in
     the mode.
     """
@@ -239,10 +281,10 @@ def _name_first_joints(bound: GainBound) -> doc.Words:
 
 
 def gain_plot(study: GainStudy) -> doc.LinePlot:
-    """Create the plot of the largest stable damping over the stiffness, with present gains.
+    """Create the plot of the largest stable damping over the stiffness, with the reference gains.
 
     Recommended gains are also marked, if there are any. Points without a finite bound are left out.
-    Axes are absolute if all joints have equal gains, otherwise factors on the present gains.
+    Axes are absolute if all joints have equal gains, otherwise factors on the reference gains.
     """
     kp, kd = (study.classes[0].kp, study.classes[0].kd) if study.uniform else (1.0, 1.0)
     known = np.isfinite(study.curve_dampings)
@@ -252,7 +294,13 @@ def gain_plot(study: GainStudy) -> doc.LinePlot:
             kp * study.curve_factors[known],
             kd * study.curve_dampings[known],
         ),
-        doc.Series(text("gains-present"), [kp], [kd], points=True, marked_index=0),
+        doc.Series(
+            text("gains-reference" if study.by_inertia else "gains-present"),
+            [kp],
+            [kd],
+            points=True,
+            marked_index=0,
+        ),
     ]
     if study.recommended_kp_factor is not None and study.recommended_kd_factor is not None:
         recommended = kp * study.recommended_kp_factor, kd * study.recommended_kd_factor

@@ -1,9 +1,11 @@
 """Bounds of the stiffness and damping of a standing robot's servos.
 
 `study_gains` scales the gains of all joints together, and finds the factors between which the robot
-on its feet is stable under a sampled PD controller with a delay (`ControlledStand`). Each bound of
-the linear model is repeated by bisection in simulations with all friction. Torque limits and
-encoders bound the gains of each joint separately.
+on its feet is stable under a sampled PD controller with a delay (`ControlledStand`). The scaled
+gains are the present gains. If no factors on the present gains are stable, the scaled gains are
+proportional to the inertia that each motor accelerates. Each bound of the linear model is repeated
+by bisection in simulations with all friction. Torque limits and encoders bound the gains of each
+joint separately.
 """
 
 from __future__ import annotations
@@ -93,6 +95,18 @@ within a control period, divided by the torque limit [1]. It limits
 MIN_ENCODER_BITS, MAX_ENCODER_BITS = 6, 32
 """Bounds of the accepted resolution of a joint encoder [bits per turn]. Chosen, not tuned."""
 
+_REFERENCE_FREQUENCY = 50.0
+"""Natural frequency sqrt(kp / inertia) [rad/s] of the first tried gains that are proportional to
+inertia. Chosen: 8 Hz, within a factor of 4096 of all servos. The bounds do not depend on it."""
+
+_NEAR_POWER = 6
+"""Largest sum of the exponents of two factors on kp and kd up to which all powers of two are tried
+[1]. Chosen: a G1 with delay then needs 10 s instead of 28 s to find that no factors are stable."""
+
+_SAG_RATIO = 2.0**0.5
+"""Ratio of successive factors on the stiffness in the search for a stand without feed-forward.
+Chosen: a recommended stiffness is at most 1.4 times the smallest that the margins permit."""
+
 _CURVE_RATIO = 2.0**0.5
 """Ratio of successive stiffnesses in the plot of the largest stable damping over the stiffness.
 Chosen, not tuned."""
@@ -107,8 +121,9 @@ class GainBound(Result):
     """Factor on the gains of all joints at which a standing robot becomes unstable.
 
     Attributes:
-        factor: Factor on the present gains, in the linear model without dry friction; None if the
-            robot is stable up to ``MAX_FACTOR``, or down to its inverse.
+        factor: Factor on the reference gains (``JointClass.reference_kp``), in the linear model
+            without dry friction; None if the robot is stable up to ``MAX_FACTOR``, or down to its
+            inverse.
         simulated: Factor found by simulation of the unmodified model. None if ``factor`` is None,
             or if no bound was found between 1/2 and 2 times ``factor``.
         frequency: Frequency of the mode that grows beyond the bound (Hz); 0 without oscillation.
@@ -130,12 +145,16 @@ class JointClass(Result):
         joints: Joints.
         kp: Present stiffness (N m/rad or N/m).
         kd: Present damping (N m s/rad or N s/m).
+        reference_kp: Stiffness that the factors of a study multiply (N m/rad or N/m): ``kp``,
+            unless ``GainStudy.by_inertia``.
+        reference_kd: Damping that the factors of a study multiply (N m s/rad or N s/m): ``kd``,
+            unless ``GainStudy.by_inertia``.
         least_kp: Smallest stable stiffness, if the stiffness of all joints is scaled together
             (N m/rad or N/m); None without a bound.
         largest_kd: Largest stable damping, if the damping of all joints is scaled together
             (N m s/rad or N s/m); None without a bound.
         largest_kd_alone: Largest stable damping, if only the damping of this class changes
-            (N m s/rad or N s/m); None without a bound, or if ``kd`` is 0.
+            (N m s/rad or N s/m); None without a bound, or if ``reference_kd`` is 0.
         largest_kp_of_torque: Stiffness with which the requested position error reaches the torque
             limit (N m/rad or N/m). None if no error was requested, if there is no positive limit,
             and for slides.
@@ -151,6 +170,8 @@ class JointClass(Result):
     joints: tuple[str, ...]
     kp: float = field(metadata={"unit": STIFFNESS_UNIT})
     kd: float = field(metadata={"unit": DAMPING_UNIT})
+    reference_kp: float = field(metadata={"unit": STIFFNESS_UNIT})
+    reference_kd: float = field(metadata={"unit": DAMPING_UNIT})
     least_kp: float | None = field(metadata={"unit": STIFFNESS_UNIT})
     largest_kd: float | None = field(metadata={"unit": DAMPING_UNIT})
     largest_kd_alone: float | None = field(metadata={"unit": DAMPING_UNIT})
@@ -184,11 +205,13 @@ class GainStudy(Result):
         encoder_bits: Number of bits of the encoders: 2^bits counts per turn; None: not
             requested.
         classes: Joint classes with their bounds.
+        by_inertia: Whether the reference gains are proportional to the inertia that each motor
+            accelerates, because no tried factors on the present gains are stable.
         least_kp: Lower bound of the stiffness, with the torques of the stand as feed-forward.
         largest_kp: Upper bound of the stiffness.
         largest_kd: Upper bound of the damping.
         least_kp_alone: Smallest stiffness, equal at all joints, with which the robot stands without
-            feed-forward (N m/rad or N/m); None if there is none, or the base is fixed.
+            feed-forward (N m/rad or N/m). None if there is none, or the base is fixed.
         sag_failure: Reason why the robot does not stand with the present stiffness if there is no
             feed-forward. None if the robot stands, or if the base is fixed.
         worst: Mode with the largest growth rate at the present gains.
@@ -210,6 +233,7 @@ class GainStudy(Result):
     error: float | None = field(metadata={"unit": "rad"})
     encoder_bits: int | None = field(metadata={"unit": "1"})
     classes: tuple[JointClass, ...]
+    by_inertia: bool
     least_kp: GainBound
     largest_kp: GainBound
     largest_kd: GainBound
@@ -236,8 +260,8 @@ class GainStudy(Result):
 
     @property
     def uniform(self) -> bool:
-        """Whether all driven joints have the same stiffness and the same damping."""
-        return len({(one.kp, one.kd) for one in self.classes}) == 1
+        """Whether all driven joints have the same reference stiffness and reference damping."""
+        return len({(one.reference_kp, one.reference_kd) for one in self.classes}) == 1
 
     @property
     def units(self) -> JointUnits:
@@ -308,17 +332,21 @@ def study_gains(
     held = make_stand_start(robot, settled, kp=kp, kd=kd)
     _check_motor_torques(held)
     loop = ControlledStand(held, rate, delay)
-    gains = _Gains(loop, np.array(held.drive.kp), np.array(held.drive.kd))
-    groups = group_joints(robot, gains.kp, gains.kd)
+    present = np.array(held.drive.kp), np.array(held.drive.kd)
+    groups = group_joints(robot, *present)
     num_parts = _NUM_BOUNDS + len(groups) + 2 * _CURVE_HALF_LENGTH + 1
-    stable_pair = gains.find_stable_pair()
+    gains, stable_pair, by_inertia = _select_reference(loop, present, groups)
     stable, least_kp, largest_kp, largest_kd = _find_common_bounds(gains, stable_pair, num_parts)
     alone = failure = None
     if robot.floating:
-        failure = find_sag_failure(held.robot, settled, kp=gains.kp)
+        failure = find_sag_failure(held.robot, settled, kp=present[0])
         with contextlib.suppress(NoStiffnessError):
             alone = minimum_stiffness(robot, settled)
-    recommended = gains.recommend_factors(stable, alone)
+    if by_inertia and robot.floating:
+        least_alone = gains.find_factor_without_sag(held.robot, settled)
+    else:
+        least_alone = gains.find_smallest_factor(alone or 0.0)
+    recommended = gains.recommend_factors(stable, least_alone)
     classes = []
     for count, members in enumerate(groups):
         report_progress(_STAGE, _NUM_BOUNDS + count, num_parts)
@@ -326,6 +354,7 @@ def study_gains(
             gains.describe_class(
                 robot,
                 members,
+                present,
                 least_kp,
                 largest_kd,
                 stable_pair,
@@ -351,18 +380,58 @@ def study_gains(
         error=error,
         encoder_bits=encoder_bits,
         classes=tuple(classes),
+        by_inertia=by_inertia,
         least_kp=least_kp,
         largest_kp=largest_kp,
         largest_kd=largest_kd,
         least_kp_alone=alone,
         sag_failure=failure,
-        worst=loop.find_worst_mode(gains.kp, gains.kd),
-        damping_ratio=loop.find_smallest_damping_ratio(gains.kp, gains.kd),
+        worst=loop.find_worst_mode(*present),
+        damping_ratio=loop.find_smallest_damping_ratio(*present),
         curve_factors=curve,
         curve_dampings=np.array(dampings),
         recommended_kp_factor=recommended[0],
         recommended_kd_factor=recommended[1],
     )
+
+
+def _select_reference(
+    loop: ControlledStand, present: _Pair, groups: Sequence[Sequence[int]]
+) -> tuple[_Gains, tuple[float, float], bool]:
+    """Select the reference gains, which all factors of a study multiply.
+
+    The reference gains are the present gains if two factors, on all kp and on all kd, make the
+    stand stable. An example without such factors is a humanoid with equal gains at ankles and
+    wrists: the weight requires a stiff ankle, and a wrist with this kd oscillates. The reference
+    gains are then proportional to the inertia that each motor accelerates, times a stable pair of
+    factors. The inertia of a joint class is the geometric mean of its joints.
+
+    Args:
+        loop: Controlled stand.
+        present: Present kp and kd of all joints, shape (nu,) each.
+        groups: Indices of the joints of each joint class.
+
+    Returns:
+        Reference gains; stable factors on kp and kd; whether the gains are proportional to inertia.
+
+    Raises:
+        ConfigurationError: If no tried gains are stable.
+    """
+    gains = _Gains(loop, *present)
+    stable_pair = gains.find_stable_pair()
+    if stable_pair is not None:
+        return gains, stable_pair, False
+    inertias = loop.compute_joint_inertias()
+    for members in groups:
+        inertias[list(members)] = np.exp(np.log(inertias[list(members)]).mean())
+    driven = np.isfinite(inertias)
+    shape = np.where(driven, inertias, 0.0)
+    if driven.any():
+        kp, kd = shape * _REFERENCE_FREQUENCY**2, shape * _REFERENCE_FREQUENCY
+        stable_pair = _Gains(loop, kp, kd).find_stable_pair()
+        if stable_pair is not None:
+            return _Gains(loop, stable_pair[0] * kp, stable_pair[1] * kd), (1.0, 1.0), True
+    raise ConfigurationError("kp", diagnose("no-stable-gains", most=MAX_FACTOR))
 
 
 def _find_common_bounds(
@@ -461,8 +530,8 @@ class _Gains:
 
     Args:
         loop: The controlled stand.
-        kp: Present stiffness, shape (nu,) [N m/rad].
-        kd: Present damping, shape (nu,) [N m s/rad].
+        kp: Reference stiffness, which the factors multiply, shape (nu,) [N m/rad].
+        kd: Reference damping, which the factors multiply, shape (nu,) [N m s/rad].
     """
 
     def __init__(self, loop: ControlledStand, kp: Array, kd: Array) -> None:
@@ -472,21 +541,51 @@ class _Gains:
         """Return kp [N m/rad] times a factor, and kd [N m s/rad] times another, (nu,) each."""
         return stiffness * self.kp, damping * self.kd
 
-    def find_stable_pair(self) -> tuple[float, float]:
+    def find_stable_pair(self) -> tuple[float, float] | None:
         """Find a stable pair of factors on stiffness and damping, both powers of two.
 
-        Pairs are tried in the order of their distance from (1, 1). The distance is the sum of the
-        absolute values of both exponents.
-
-        Raises:
-            ConfigurationError: If no pair within `MAX_FACTOR` is stable.
+        Pairs are tried in the order of their distance from (1, 1), up to `MAX_FACTOR`. The distance
+        is the sum of the absolute values of both exponents. Beyond a distance of `_NEAR_POWER`,
+        only powers of four are tried. None if no tried pair is stable.
         """
         powers = range(-MAX_POWER, MAX_POWER + 1)
         pairs = sorted(product(powers, powers), key=lambda pair: abs(pair[0]) + abs(pair[1]))
         for stiffness, damping in pairs:
+            is_near = abs(stiffness) + abs(damping) <= _NEAR_POWER
+            if not is_near and (stiffness % 2 or damping % 2):
+                continue
             if self._is_stable(self.scale_gains(2.0**stiffness, 2.0**damping)):
                 return 2.0**stiffness, 2.0**damping
-        raise ConfigurationError("kp", diagnose("no-stable-gains", most=MAX_FACTOR))
+        return None
+
+    def find_smallest_factor(self, stiffness: float) -> float:
+        """Return the factor with which the smallest positive reference kp equals a stiffness.
+
+        ``stiffness`` is in N m/rad or N/m. Zero if no reference kp is positive.
+        """
+        return stiffness / float(self.kp[self.kp > 0].min(initial=math.inf))
+
+    def find_factor_without_sag(self, robot: Robot, stand: Stand) -> float:
+        """Find the smallest tried factor on the stiffness that holds a stand without feed-forward.
+
+        The factors differ by `_SAG_RATIO`, from 1 / 4096 to 4096. Infinite if no tried factor
+        suffices.
+
+        Args:
+            robot: Robot, with the contacts of the stand.
+            stand: Stand.
+        """
+        count = round(math.log(MAX_FACTOR) / math.log(_SAG_RATIO))
+        factors = [_SAG_RATIO**power for power in range(-count, count + 1)]
+        smallest = math.inf
+        low, high = 0, len(factors)
+        while low < high:  # a stiffer robot sags less
+            middle = (low + high) // 2
+            if find_sag_failure(robot, stand, kp=factors[middle] * self.kp) is None:
+                smallest, high = factors[middle], middle
+            else:
+                low = middle + 1
+        return smallest
 
     def find_stable_factors(
         self, gains: Callable[[float], _Pair], inside: float
@@ -571,7 +670,7 @@ class _Gains:
         return find_largest_damping_factor(self.loop, kp, self.kd)
 
     def recommend_factors(
-        self, stiffness: tuple[float | None, float | None], least_kp_alone: float | None
+        self, stiffness: tuple[float | None, float | None], least_alone: float
     ) -> tuple[float | None, float | None]:
         """Recommend factors on the gains with a margin of ``GAIN_MARGIN`` to each stability bound.
 
@@ -582,18 +681,17 @@ class _Gains:
 
         Args:
             stiffness: Lower and upper bound of the factor on the stiffness; None without a bound.
-            least_kp_alone: Smallest stiffness, equal at all joints, with which the robot stands
-                without feed-forward [N m/rad]; None if there is none.
+            least_alone: Lower bound of the factor on the stiffness with which the robot stands
+                without feed-forward; 0 without a bound.
 
         Returns:
             Factors on stiffness and damping; (None, None) if the margins exclude all gains, all
-            present dampings are 0, or no tried damping is stable.
+            reference dampings are 0, or no tried damping is stable.
         """
         low, high = stiffness
         if not self.kd.any():
             return None, None
-        used = self.kp[self.kp > 0]
-        least = max(low or 0.0, (least_kp_alone or 0.0) / float(used.min(initial=math.inf)))
+        least = max(low or 0.0, least_alone)
         least, most = least * GAIN_MARGIN, (math.inf if high is None else high / GAIN_MARGIN)
         if least > most:
             return None, None
@@ -616,6 +714,7 @@ class _Gains:
         self,
         robot: Robot,
         members: Sequence[int],
+        present: _Pair,
         least_kp: GainBound,
         largest_kd: GainBound,
         stable_pair: tuple[float, float],
@@ -628,6 +727,7 @@ class _Gains:
         Args:
             robot: Robot.
             members: Indices of the joints of the class.
+            present: Present kp and kd of all joints, shape (nu,) each.
             least_kp: Lower bound of the stiffness of all joints.
             largest_kd: Upper bound of the damping of all joints.
             stable_pair: Stable factors on the stiffness and damping of all joints.
@@ -636,7 +736,7 @@ class _Gains:
                 limit [rad]; None if not requested.
             encoder_bits: Encoder resolution of hinges [bits per turn]; None if not requested.
         """
-        kp, kd = float(self.kp[members[0]]), float(self.kd[members[0]])
+        kp, kd = (float(gain[members[0]]) for gain in (self.kp, self.kd))
         limit = float(robot.effort_limits[list(members)].min())
         limited = math.isfinite(limit) and limit > 0
 
@@ -654,8 +754,10 @@ class _Gains:
         return JointClass(
             name=name_joints([robot.joint_names[joint] for joint in members]),
             joints=tuple(robot.joint_names[joint] for joint in members),
-            kp=kp,
-            kd=kd,
+            kp=float(present[0][members[0]]),
+            kd=float(present[1][members[0]]),
+            reference_kp=kp,
+            reference_kd=kd,
             least_kp=_scale_gain(kp, least_kp.factor),
             largest_kd=_scale_gain(kd, largest_kd.factor),
             largest_kd_alone=_scale_gain(kd * stable_pair[1], alone),

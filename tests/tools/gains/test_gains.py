@@ -126,6 +126,35 @@ def test_columns_of_the_table_are_the_fields_of_the_classes() -> None:
         ]
 
 
+@pytest.mark.slow
+def test_gains_in_proportion_to_inertia_are_found_if_no_multiples_are_stable() -> None:
+    """No common factor suits the gains of one joint and those of the others.
+
+    References: the simulated bounds, and `verify_stand` with the recommended gains.
+    """
+    robot, stiffness = load("v3"), np.full(12, 5.0)
+    stiffness[0] *= 1e6
+    study = study_gains(robot, pa.StandTask(), kp=stiffness, kd=0.02 * stiffness, delay=0.004)
+    assert study.by_inertia
+    assert not study.passed
+    for bound in (study.least_kp, study.largest_kd):
+        assert bound.factor is not None
+        assert bound.simulated == pytest.approx(bound.factor, rel=0.12)
+    kp, kd = np.zeros(12), np.zeros(12)
+    for bounds in study.classes:
+        indices = [robot.joint_names.index(joint) for joint in bounds.joints]
+        kp[indices], kd[indices] = bounds.recommended_kp, bounds.recommended_kd
+        assert bounds.kp == stiffness[indices[0]]
+    assert pa.verify_stand(robot, pa.solve_stand_as_simulated(robot), kp=kp, kd=kd).passed
+    document = gains_document(study)
+    assert "in proportion to joint inertia, kp" in printed(document)
+    table = document.blocks[0]
+    assert isinstance(table, Table)
+    column = [get_english(column.name) for column in table.columns].index("reference")
+    shown = [row[column].value for row in table.rows if isinstance(row[column], Number)]
+    assert shown == [bounds.reference_kp for bounds in study.classes]
+
+
 def test_joints_of_similar_limbs_form_a_class() -> None:
     """Reference: the three joints of v3's legs, by name."""
     robot = load("v3")
