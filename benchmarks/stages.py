@@ -80,28 +80,28 @@ def _make_stand_job(robot: pa.Robot, watch: Stopwatch) -> Callable[[], None]:
 
     def run() -> None:
         goal = make_goal(robot, None, {})
-        watch.stop("the nominal task in numbers")
+        watch.stop("numerical targets of the nominal task")
         point = solver.solve_from_joints(goal, home)
-        watch.stop("PlaCo: aiming and steps")
+        watch.stop("PlaCo: targets and solver steps")
         stand = evaluate_stand(shapes, goal, point.qpos, point.iterations)
-        watch.stop("errors by Pinocchio, clearance, result")
+        watch.stop("task errors (Pinocchio), clearance, result")
         pa.solve_stand(robot)
-        watch.stop("solve_stand, all of it")
+        watch.stop("solve_stand, total")
         # What another task takes, and what some of these are made of.
         make_goal(robot, pa.StandTask(height=0.95 * robot.stand_height), {})
-        watch.stop("another task: checked, in numbers")
+        watch.stop("another task: checks, numerical targets")
         solver.set_initial_guess(goal, home)
         watch.start()
         for _ in range(point.iterations):
             solver.tasks.solver.solve(True)
             solver.placo_robot.wrapper.update_kinematics()
-        watch.stop("of PlaCo: as many programmes alone")
+        watch.stop("part of PlaCo: the same number of solves alone")
         shapes.kinematics.update(point.qpos)
-        watch.stop("of the errors: where com and feet are")
+        watch.stop("part of the errors: positions of CoM and feet")
         shapes.find_lowest_part(shapes.kinematics, goal.task.ground, goal.targets, goal.depths)
-        watch.stop("of the errors: how high all parts are")
+        watch.stop("part of the errors: heights of all parts")
         pa.Stand(**vars(stand))
-        watch.stop("of the errors: a Stand that is there already")
+        watch.stop("part of the errors: construction of a Stand")
 
     return run
 
@@ -126,7 +126,7 @@ def _make_configuration_job(robot: pa.Robot, watch: Stopwatch) -> Callable[[], N
         np.array(local)
         watch.stop("one array of four Jacobians")
         config = pa.Configuration(robot, stand.qpos)
-        watch.stop("Configuration: checked, Jacobians computed")
+        watch.stop("Configuration: checks, Jacobians")
         config.foot_jacobians()
         watch.stop("foot_jacobians")
         config.mass_matrix()
@@ -151,7 +151,7 @@ def _make_forces_job(robot: pa.Robot, watch: Stopwatch) -> Callable[[], None]:
         problem.minimum_tangential(carrying.friction, carrying.metric)
         watch.stop("forces: a least-squares problem of 6 by 12")
         pa.gravity_compensation(config)
-        watch.stop("gravity_compensation, all of it")
+        watch.stop("gravity_compensation, total")
 
     return run
 
@@ -162,18 +162,18 @@ def _make_sag_job(robot: pa.Robot, watch: Stopwatch) -> Callable[[], None]:
 
     def run() -> None:
         system = SagEquilibrium(robot, stand, None, "pinned")
-        watch.stop("the equations")
+        watch.stop("setup of the equations")
         way = HomotopyPath(system)
-        watch.stop("statics, and steps to the stand on soft ground")
+        watch.stop("statics, Newton steps to the stand on soft ground")
         way.follow(1.0)
-        watch.stop("steps without feed-forward, stiffness")
+        watch.stop("Newton steps without feed-forward, stiffness")
         collect_steady_state(way, release_margin(way))
-        watch.stop("what is told of the end")
+        watch.stop("results of the equilibrium")
         derivative = system.derivative(way.solution.qpos, system.stack_forces(way.solution))
-        watch.stop("of a step: the derivative")
+        watch.stop("part of a step: derivative")
         lapack.dgesv(derivative, derivative[0])
-        watch.stop("of a step: the linear equations")
+        watch.stop("part of a step: linear equations")
         pa.steady_state(robot, stand)
-        watch.stop("steady_state, all of it")
+        watch.stop("steady_state, total")
 
     return run
