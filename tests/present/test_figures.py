@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 from matplotlib.figure import Figure
 
 import pupper_analysis as pa
@@ -20,11 +21,13 @@ from pupper_analysis.present.documents.standing import height_plot
 from pupper_analysis.present.figures import drawing
 from pupper_analysis.present.figures.pose import (
     compute_skeleton,
-    hull_corners,
+    make_pose_figure,
     write_pose_figure,
 )
 from pupper_analysis.present.scene import describe_scene
 from pupper_analysis.simulation.verify import verify_stand
+from tests.support.legged import ARM, quadruped, rewrite_file, with_arm
+from tests.support.repository import ROOT
 from tests.support.variants import load, stand_of
 
 
@@ -65,23 +68,64 @@ def test_skeleton_legs_have_the_lengths_of_the_model(name: str, thigh: float, ca
     np.testing.assert_allclose(lengths, (0.0, thigh, calf), atol=1e-12)
 
 
-def test_hull_corners_are_those_of_a_polygon_a_line_or_a_point() -> None:
-    """Reference: by hand; the point (1, 0.5) is inside the triangle."""
-    points = [np.array(point, float) for point in ((0, 0, 1), (2, 0, 0), (2, 2, 0), (1, 0.5, 0))]
-    assert {tuple(corner) for corner in hull_corners(points)} == {(0, 0), (2, 0), (2, 2)}
-    assert len(hull_corners(points[:2])) == 2
-    assert len(hull_corners(points[:1])) == 1
+FROM_ABOVE = np.eye(3)[:2]
+"""Projection onto the x-y plane."""
 
 
-@pytest.mark.parametrize(("name", "count"), [("original", 1), ("heavy", 2), ("v3", 1)])
-def test_skeleton_base_consists_of_its_boxes(name: str, count: int) -> None:
-    """Reference: edge lengths [m] of the boxes in the model files."""
+def test_silhouette_of_the_base_is_that_of_its_mesh() -> None:
+    """Reference: union of all triangles of the STL file, whose vertices are in the base frame.
+
+    Vertices in cells of 4 mm were merged.
+    """
+    triangle = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    content = (ROOT / "mjcf/meshes/torso.stl").read_bytes()[84:]
+    corners = np.frombuffer(content, triangle)["corners"].astype(float)
+    robot = load("v3")
+    qpos = robot.neutral()
+    qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
+    skeleton = compute_skeleton(robot, qpos)
+    assert skeleton.has_visuals
+    (part,) = skeleton.base
+    for projection in (FROM_ABOVE, np.eye(3)[[0, 2]]):
+        expected = shapely.union_all(shapely.polygons(corners @ projection.T))
+        drawn = part.silhouette(lambda points, projection=projection: points @ projection.T)
+        assert drawn.symmetric_difference(expected).area < 0.03 * expected.area
+        np.testing.assert_allclose(drawn.bounds, expected.bounds, atol=4e-3)
+        assert drawn.area < 0.95 * drawn.convex_hull.area
+
+
+@pytest.mark.parametrize("name", ["original", "heavy"])
+def test_silhouettes_of_the_base_are_those_of_its_boxes(name: str) -> None:
+    """Reference: edge lengths [m] of the boxes in the model file."""
     robot = load(name)
-    boxes = compute_skeleton(robot, robot.neutral()).boxes
-    assert boxes.shape == (count, 8, 3)
-    edges = [np.linalg.norm(boxes[0, 0] - boxes[0, corner]) for corner in (4, 2, 1)]
-    sizes = {"v3": (0.09014, 0.12758, 0.25943)}.get(name, (0.2, 0.11, 0.05))
-    np.testing.assert_allclose(sorted(edges), sorted(sizes), atol=1e-12)
+    qpos = robot.neutral()
+    qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
+    parts = compute_skeleton(robot, qpos).base
+    assert len(parts) == {"original": 1, "heavy": 2}[name]
+    outline = parts[0].silhouette(lambda points: points @ FROM_ABOVE.T)
+    assert outline.area == pytest.approx(0.2 * 0.11, rel=1e-9)
+
+
+def test_base_without_visual_shapes_is_drawn_by_its_collision_shapes(tmp_path: Path) -> None:
+    """Reference: box of the trunk, and the three links of the arm, in the MJCF [m].
+
+    MuJoCo's viewer hides group 3.
+    """
+    pair = with_arm(quadruped(tmp_path))
+    rewrite_file(pair.mjcf, ('<geom type="box" size="0.2', '<geom group="3" type="box" size="0.2'))
+    robot = pa.load_robot(*pair)
+    stand = pa.solve_stand(robot)
+    skeleton = compute_skeleton(robot, stand.qpos)
+    assert not skeleton.has_visuals
+    (part,) = skeleton.base
+    outline = part.silhouette(lambda points: points @ FROM_ABOVE.T)
+    x, y = stand.qpos[:2]
+    np.testing.assert_allclose(outline.bounds, (x - 0.2, y - 0.1, x + 0.2, y + 0.1), atol=1e-6)
+    assert len(skeleton.links) == len(ARM)
+    assert set(skeleton.legs) == set(robot.contact_points)
+    figure = make_pose_figure(robot, stand, pa.stance.stand_statics(robot, stand))
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert {"base (collision shapes)", "other link"} <= set(labels)
 
 
 # ------------------------------------------------------------------------------------- figures

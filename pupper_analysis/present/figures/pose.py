@@ -12,22 +12,30 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Polygon
+from matplotlib.patches import Patch, PathPatch, Polygon
+from matplotlib.path import Path as Path2D
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # type: ignore[import-untyped]
 
-from pupper_analysis.base.array_types import Array
+from pupper_analysis.base.array_types import Array, IntArray
+from pupper_analysis.models.shapes import Mesh, Shape, get_mesh, read_shape
 from pupper_analysis.present.figures import drawing
-from pupper_analysis.present.scene import StandingScene, describe_scene
+from pupper_analysis.present.scene import (
+    NUM_VISIBLE_GROUPS,
+    StandingScene,
+    coarsen_mesh,
+    describe_scene,
+)
 from pupper_analysis.robot.robot import Robot
 
 if TYPE_CHECKING:
     from pupper_analysis.stance.stand import Stand
     from pupper_analysis.statics.equilibrium import GravityCompensation
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -36,63 +44,165 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.robot.contact import foot_site
 
-BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
-"""Corner indices of the six faces of a box, with the corners in the order of
-``Skeleton.boxes``."""
+_FINEST_CELLS, _COARSEST_CELLS = 64, 16
+"""Number of cells along the longest side of the base, in the first and in the last grid in which
+the vertices of its meshes are merged. Each further grid has 3/4 of the cells per side. Chosen, not
+tuned.
+"""
+_MAX_BASE_FACES = 2500
+"""Number of triangles of the base up to which no coarser grid is used. Chosen for speed: the
+silhouettes of 2000 triangles take 0.1 s, those of Go2's 78,000 triangles 5 s.
+"""
+_MIN_DETAIL = 1 / 80
+"""Width of the gaps and needles that a silhouette of meshes omits, relative to the size of the
+silhouette. Chosen, not tuned: the merging of vertices causes such gaps and needles.
+"""
+
+_NUM_GLOBE_POINTS = 200
+"""Number of points that represent a ball or an ellipsoid: the outline of a ball is then smaller
+than the ball by at most 2 %. Chosen, not tuned."""
+
+
+def _make_globe_points() -> Array:
+    """Return points on the unit sphere with about equal distances, shape (n, 3)."""
+    numbers = np.arange(_NUM_GLOBE_POINTS)
+    height = 1.0 - (2.0 * numbers + 1.0) / _NUM_GLOBE_POINTS
+    angle = numbers * math.pi * (3.0 - math.sqrt(5.0))  # golden angle
+    radius = np.sqrt(1.0 - height**2)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), height])
+
+
+_GLOBE_POINTS = _make_globe_points()
+"""Points of the unit sphere, shape (n, 3), that represent a ball or an ellipsoid."""
+_CIRCLE_POINTS = np.array([(math.cos(a), math.sin(a)) for a in np.linspace(0, 2 * np.pi, 49)[:-1]])
+"""Points of the unit circle, shape (48, 2), that represent an ellipse."""
+
+
+@dataclass(frozen=True, eq=False)
+class BasePart:
+    """Convex shape of the base, or all meshes of the base, in the world frame.
+
+    Attributes:
+        points: Points, shape (n, 3) [m]: vertices of the meshes, or points on the surface of the
+            convex shape.
+        faces: Triangles, shape (m, 3), as row indices of ``points``. None: the shape is the convex
+            hull of the points.
+    """
+
+    points: Array
+    faces: IntArray | None
+
+    def silhouette(self, project: Callable[[Array], Array]) -> shapely.Geometry:
+        """Return the silhouette in a parallel projection, with holes and separate parts.
+
+        Args:
+            project: Function that projects points, shape (n, 3) [m], from the world into the image,
+                shape (n, 2).
+
+        Returns:
+            Polygons in the units of the image.
+        """
+        seen = project(self.points)
+        if self.faces is None:
+            return shapely.MultiPoint(seen).convex_hull
+        corners = seen[self.faces]
+        (x, y), (u, v) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+        whole = shapely.union_all(shapely.polygons(corners[x * v != y * u]))
+        margin = _MIN_DETAIL / 2 * float(np.ptp(seen, axis=0).max())
+        closed = whole.buffer(margin, join_style="mitre").buffer(-2 * margin, join_style="mitre")
+        return closed.buffer(margin, join_style="mitre")
 
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
-    """Lines that represent a robot, from MuJoCo's kinematics of the MJCF, in the world frame [m].
+    """Legs and base of a robot in a configuration, from MuJoCo's kinematics of the MJCF.
 
     Attributes:
-        legs: {foot: points of shape (n, 3)}. The points are the joints from the base to the foot,
-            then the contact point of the foot. If the foot has a contact sphere, the last point is
-            the centre of the sphere.
-        boxes: Corners of the boxes of the base, shape (n, 8, 3). The boxes are the box geoms of the
-            base. Without box geoms, the boxes are the bounding boxes of all geoms of the base.
-            Corner 4 i + 2 j + k has the signs i, j, k along the edges (0: negative side, 1:
-            positive side).
+        legs: {foot: points of shape (n, 3) [m], in the world frame}. The points are the joints from
+            the base to the foot, then the contact point of the foot. If the foot has a contact
+            sphere, the last point is the centre of the sphere.
+        links: Lines of the limbs without feet, such as arms, each of shape (2, 3) [m], in the world
+            frame: from a joint to the next joint, or to the frame of the last body.
+        base: Geoms of the base, and of the bodies without joints on the base.
+        has_visuals: True if ``base`` contains the geoms that MuJoCo's viewer shows by default.
+            False: the base has no such geoms, and ``base`` contains the collision geoms.
     """
 
     legs: dict[str, Array]
-    boxes: Array
+    links: tuple[Array, ...]
+    base: tuple[BasePart, ...]
+    has_visuals: bool
 
     def points(self) -> Array:
-        """Return all points of the skeleton, shape (n, 3) [m], expressed in the world frame.
-
-        The first points are the corners of the boxes of the base, followed by the points of the
-        legs.
-        """
-        return np.concatenate([self.boxes.reshape(-1, 3), *self.legs.values()])
+        """Return all points of base and limbs, shape (n, 3) [m], expressed in the world frame."""
+        base = (part.points for part in self.base)
+        return np.concatenate([*base, *self.legs.values(), *self.links])
 
 
 def compute_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
-    """Compute the legs and the boxes of the base that a figure draws for a configuration.
+    """Compute the legs and the geoms of the base that a figure draws for a configuration.
 
     Args:
         robot: Robot.
         qpos: Configuration in MuJoCo's coordinates, shape (nq,).
-
-    Returns:
-        Points of each leg and corners of the boxes, expressed in the world frame [m].
     """
     model, data = robot.mj_model, robot.compute_kinematics(qpos)
     base = model.body(robot.mj_base).id
     legs: dict[str, Array] = {}
+    leg_bodies: set[int] = set()
     for foot, (_, frame) in robot.description.contact_points.items():
         body, position = foot_site(model, frame, robot.name)
         tip = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
         legs[foot] = np.array([*_list_joint_positions(model, data, base, body), tip])
-    geoms = np.flatnonzero(model.geom_bodyid == base)
-    drawn = geoms[model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_BOX.value]
-    signs = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
-    boxes = []
-    for geom in drawn if len(drawn) else geoms:
-        centre, half_size = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-        rotation = data.geom_xmat[geom].reshape(3, 3)
-        boxes.append(data.geom_xpos[geom] + (centre + signs * half_size) @ rotation.T)
-    return Skeleton(legs, np.array(boxes).reshape(-1, 8, 3))
+        while body not in (base, 0):
+            leg_bodies.add(body)
+            body = int(model.body_parentid[body])
+    on_base = model.body_weldid[model.geom_bodyid] == model.body_weldid[base]
+    own = [geom for geom in range(model.ngeom) if on_base[geom] and model.geom_bodyid[geom] > 0]
+    visible = [geom for geom in own if model.geom_group[geom] < NUM_VISIBLE_GROUPS]
+    shapes = [(geom, read_shape(model, geom, data)) for geom in visible or own]
+    meshes = [
+        Mesh(mesh.vertices @ shape.pose.rotation.T + shape.pose.position, mesh.faces)
+        for geom, shape in shapes
+        if shape.kind == "mesh"
+        for mesh in [get_mesh(model, int(model.geom_dataid[geom]))]
+    ]
+    convex = [_sample_surface(shape) for _, shape in shapes if shape.kind != "mesh"]
+    base_parts = [BasePart(points, None) for points in convex if points is not None]
+    if meshes:
+        base_parts.insert(0, _merge_meshes(meshes))
+    of_legs = {int(model.body_weldid[body]) for body in leg_bodies}
+    limbs = _list_links(robot, qpos)
+    links = [line for body, line in limbs if int(model.body_weldid[body]) not in of_legs]
+    return Skeleton(legs, tuple(links), tuple(base_parts), bool(visible))
+
+
+def _merge_meshes(meshes: Sequence[Mesh]) -> BasePart:
+    """Return all meshes as one part, with at most about `_MAX_BASE_FACES` triangles.
+
+    The vertices in the same cell of a grid are merged, in each mesh.
+    """
+    sizes = [float(np.ptp(mesh.vertices, axis=0).max()) for mesh in meshes]
+    longest, cells = max(sizes), _FINEST_CELLS
+    while sum(len(mesh.faces) for mesh in meshes) > _MAX_BASE_FACES and cells >= _COARSEST_CELLS:
+        meshes = [
+            coarsen_mesh(mesh, max(round(cells * size / longest), 1)) if len(mesh.faces) else mesh
+            for mesh, size in zip(meshes, sizes, strict=True)
+        ]
+        cells = round(0.75 * cells)
+    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + start for mesh, start in zip(meshes, first[:-1], strict=True)]
+    return BasePart(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
+
+
+def _sample_surface(shape: Shape) -> Array | None:
+    """Return points on the surface of a convex shape, shape (n, 3) [m]; None for a plane."""
+    centres = shape.outline(_CIRCLE_POINTS, _GLOBE_POINTS)
+    if centres is None or shape.minkowski_terms is None:
+        return None
+    ball = shape.minkowski_terms.ball
+    globe = ball * _GLOBE_POINTS if ball else np.zeros((1, 3))
+    return (centres[:, None] + globe).reshape(-1, 3)
 
 
 def _list_joint_positions(
@@ -106,20 +216,6 @@ def _list_joint_positions(
         points += [data.xanchor[joint].copy() for joint in reversed(joints)]
         body = int(model.body_parentid[body])
     return points[::-1]
-
-
-def hull_corners(points: Iterable[Array]) -> Array:
-    """Compute the corners of the convex hull of points in the x-y plane, shape (n, 2) [m].
-
-    If the hull is a polygon, the last corner is equal to the first. Points on a line give the two
-    end points, equal points one corner.
-
-    Args:
-        points: Points, shape (2,) or (3,) [m]; z is ignored.
-    """
-    hull = shapely.MultiPoint([point[:2] for point in points]).convex_hull
-    line = hull.exterior if hull.geom_type == "Polygon" else hull
-    return np.array(line.coords)
 
 
 def _make_projection(elevation: float, azimuth: float) -> Array:
@@ -153,7 +249,7 @@ not tuned."""
 _NEAR_COLOUR, _FAR_COLOUR = "#374151", "#A3AAB5"
 """Colours of the legs on the side of the viewer, and on the other side of the base."""
 _BASE_FILL_COLOUR, _BASE_EDGE_COLOUR = "#FBE3AE", "#7A5300"
-"""Colours of the boxes of the base: faces, and edges with the polygon of the hips."""
+"""Colours of the base: faces, and edges with the polygon of the hips."""
 _SUPPORT_COLOUR = "#CFE8F7"
 """Fill colour of the support polygon."""
 _RING_STYLE: dict[str, Any] = {"marker": "o", "ls": "", "mfc": "white"}
@@ -222,12 +318,18 @@ def make_pose_figure(
         drawing.title_panel(axes, f"{side}{largest}")
         axes.set_axis_off()
     _draw_scale(axes, seen)
+    base_label = "base" if lines.has_visuals else "base (collision shapes)"
     leg: dict[str, Any] = {"marker": "o", "mfc": "white", "mec": drawing.BLACK_COLOUR, "ms": 4}
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=_NEAR_COLOUR, lw=3, **leg, label="leg"),
+        *(
+            [Line2D([], [], color=_FAR_COLOUR, lw=2, **{**leg, "ms": 3}, label="other link")]
+            if lines.links
+            else []
+        ),
         Line2D([], [], color=drawing.BLACK_COLOUR, marker="o", ls="", ms=6, label="foot"),
         *([Line2D([], [], **_SWING_STYLE, label="swing foot")] if stand.task.swing else []),
-        Patch(facecolor=_BASE_FILL_COLOUR, edgecolor=_BASE_EDGE_COLOUR, label="base (boxes)"),
+        Patch(facecolor=_BASE_FILL_COLOUR, edgecolor=_BASE_EDGE_COLOUR, label=base_label),
         Line2D(
             [],
             [],
@@ -264,27 +366,37 @@ def make_skeleton_figure(
         create: Creates an empty figure from ``figsize``, ``dpi`` and ``layout``, such as ``Figure``
             or ``pyplot.figure``.
     """
-    segments = _list_links(robot, qpos)
+    segments = [line for _, line in _list_links(robot, qpos)]
     title, height = f"{robot.name}: joints and links", 0.6 * drawing.PAGE_WIDTH
     figure = drawing.make_page_figure(title, height, create=create)
-    for place, (projection, side) in zip((0.08, 0.6), _PROJECTIONS, strict=True):
-        axes = figure.add_axes((place, 0.12, 0.46 if place < 0.5 else 0.36, 0.74))
+    for place, (projection, side) in zip((0.11, 0.62), _PROJECTIONS, strict=True):
+        axes = figure.add_axes((place, 0.19, 0.42 if place < 0.5 else 0.34, 0.68))
         for segment in segments:
             axes.plot(*(projection @ segment.T) * 1e3, color=_NEAR_COLOUR, lw=3, zorder=2)
             axes.plot(*(projection @ segment[1]) * 1e3, "o", color="white",
                       mec=drawing.BLACK_COLOUR, mew=0.8, ms=5, zorder=3)  # fmt: skip
         drawing.title_panel(axes, side)
         axes.set_aspect("equal", adjustable="datalim")
-        axes.set_xlabel("horizontal (mm)" if place < 0.5 else "-y (mm)")
-        axes.set_ylabel("vertical in the view (mm)" if place < 0.5 else "x (mm)")
+        axes.set_xlabel("right in the view (mm)" if place < 0.5 else "-y (mm)")
+        axes.set_ylabel("up in the view (mm)" if place < 0.5 else "x (mm)")
+    joint: dict[str, Any] = {**_RING_STYLE, "mec": drawing.BLACK_COLOUR, "mew": 0.8, "ms": 5}
+    handles: list[Artist] = [
+        Line2D([], [], color=_NEAR_COLOUR, lw=3, label="link"),
+        Line2D([], [], **joint, label="joint, or frame of the last body"),
+    ]
+    drawing.add_legend(figure, handles)
     return figure
 
 
-def _list_links(robot: Robot, qpos: ArrayLike) -> list[Array]:
-    """Return the lines between successive joints of a robot, each of shape (2, 3) [m].
+def _list_links(robot: Robot, qpos: ArrayLike) -> list[tuple[int, Array]]:
+    """Return the lines between successive joints of a robot.
 
     The first point of a line is the joint nearer to the base, or the base frame. A chain ends at
-    the frame of the last body. If a body has several joints, the first joint is used.
+    the frames of the bodies without joints on the last link. Such frames on other links, for
+    example of sensors, are omitted. If a body has several joints, the first joint is used.
+
+    Returns:
+        (index of the body at the end of the line, line of shape (2, 3) [m] in the world frame).
     """
     model, data = robot.mj_model, robot.compute_kinematics(qpos)
     base = model.body(robot.mj_base).id
@@ -295,20 +407,24 @@ def _list_links(robot: Robot, qpos: ArrayLike) -> list[Array]:
         model.body_rootid[base]
     }  # fmt: skip
     parents = {int(model.body_parentid[body]) for body in range(1, model.nbody)}
-    lines = []
+    previous = dict[int, int]()  # joint, or base, before each body
     for body in range(1, model.nbody):
-        if body not in jointed and (body in parents or body == base):
-            continue
         ancestor = int(model.body_parentid[body])
         while ancestor not in jointed and ancestor not in (base, 0):
             ancestor = int(model.body_parentid[ancestor])
-        if ancestor == 0 and base != 0:
-            continue  # another object
+        if ancestor or not base:  # without other objects
+            previous[body] = ancestor
+    continued = {previous[body] for body in jointed}
+    lines = list[tuple[int, Array]]()
+    for body, ancestor in previous.items():
+        is_end = body not in parents and body != base and ancestor not in continued
+        if body not in jointed and not is_end:
+            continue
         ends = [
             data.xanchor[model.body_jntadr[place]] if place in jointed else data.xpos[place]
             for place in (ancestor, body)
         ]
-        lines.append(np.array(ends))
+        lines.append((body, np.array(ends)))
     return lines
 
 
@@ -317,7 +433,7 @@ def _draw_stand(
 ) -> None:
     """Draw the parts of a stand other than forces, from the world frame [m] into axes.
 
-    The parts are the boxes of the base, legs, support polygon, feet and centre of mass.
+    The parts are the silhouettes of the base, legs, support polygon, feet and centre of mass.
     ``projection`` is the matrix, shape (2, 3), from the world to the image.
     """
 
@@ -325,12 +441,16 @@ def _draw_stand(
         """Draw a polyline through ``points``, shape (n, 3) [m], in the projection."""
         axes.plot(*(projection @ np.atleast_2d(points).T), *marks, **how)
 
-    for box in lines.boxes:
-        outline = hull_corners(box @ projection.T)
-        base = Polygon(
-            outline, fc=_BASE_FILL_COLOUR, ec=_BASE_EDGE_COLOUR, alpha=0.4, lw=0.8, zorder=3
+    for part in lines.base:
+        draw_silhouette(
+            axes,
+            part.silhouette(lambda points: points @ projection.T),
+            fc=_BASE_FILL_COLOUR,
+            ec=_BASE_EDGE_COLOUR,
+            alpha=0.4,
+            lw=0.8,
+            zorder=3,
         )
-        axes.add_patch(base)
     support: dict[str, Any] = {
         "fc": _SUPPORT_COLOUR,
         "ec": drawing.BLUE_COLOUR,
@@ -338,6 +458,9 @@ def _draw_stand(
         "zorder": 1,
     }
     axes.add_patch(Polygon(seen.polygon @ projection.T, alpha=0.7, lw=1.2, **support))
+    for segment in lines.links:
+        line(segment, color=_FAR_COLOUR, lw=2, zorder=3)
+        line(segment[1], "o", color="white", mec=drawing.BLACK_COLOUR, mew=0.6, ms=3, zorder=3)
     hips = np.array([leg[0] for leg in lines.legs.values()])
     # Feet with several contact points have smaller marks.
     small = 1.0 if len(seen.contacts) >= len(seen.contact_positions) else 0.45
@@ -367,6 +490,21 @@ def _draw_stand(
     line(seen.com_projection, **_COM_PROJECTION_STYLE, zorder=6)
     axes.set_aspect("equal")
     axes.margins(0.06)
+
+
+def draw_silhouette(axes: Axes, silhouette: shapely.Geometry, **style: Any) -> None:
+    """Fill a silhouette and draw its edges, with holes and separate parts.
+
+    Args:
+        axes: Axes.
+        silhouette: Silhouette in the units of the axes. Points and lines are omitted.
+        **style: Options of Matplotlib's patches.
+    """
+    polygons = [part for part in shapely.get_parts(silhouette) if part.geom_type == "Polygon"]
+    rings = [ring for part in polygons for ring in (part.exterior, *part.interiors)]
+    if rings:
+        paths = [Path2D(np.array(ring.coords), closed=True) for ring in rings]
+        axes.add_patch(PathPatch(Path2D.make_compound_path(*paths), **style))
 
 
 def _draw_forces(axes: Axes, projection: Array, seen: StandingScene) -> None:

@@ -31,9 +31,9 @@ from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.models.mjcf import JointKind, compile_spec
 from pupper_analysis.present.figures.drawing import save_figure
 from pupper_analysis.present.figures.pose import (
-    BOX_FACES,
     Skeleton,
     compute_skeleton,
+    draw_silhouette,
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
@@ -452,7 +452,7 @@ def _draw_scale_bar(canvas: Axes, tile: Tile, picture_height: int) -> None:
 
 
 def _draw_lines(canvas: Axes, tile: Tile) -> None:
-    """Draw a robot as legs and boxes on its piece of ground, in place of a rendered picture.
+    """Draw a robot as legs and base on its piece of ground, in place of a rendered picture.
 
     The projection is that of the rendered picture. ``canvas`` has the picture's pixels as unit.
     """
@@ -467,7 +467,7 @@ def _draw_lines(canvas: Axes, tile: Tile) -> None:
         seen = tile.pixels(leg).T
         canvas.plot(*seen, color=colour, lw=thick, solid_capstyle="round", zorder=order)
         canvas.plot(*seen[:, -1:], "o", color="#111827", ms=2 * thick, zorder=order)
-    for box in lines.boxes:
-        for face in BOX_FACES:
-            corners = tile.pixels(box[list(face)]).T
-            canvas.fill(*corners, fc="#F3C453", ec="#7A5300", alpha=0.6, lw=thick / 10, zorder=3)
+    for part in lines.base:
+        silhouette = part.silhouette(tile.pixels)
+        style = {"fc": "#F3C453", "ec": "#7A5300", "alpha": 0.6, "lw": thick / 10, "zorder": 3}
+        draw_silhouette(canvas, silhouette, **style)
