@@ -255,6 +255,9 @@ def check_type(name: str, value: object, hint: Any) -> None:
     wanted = [_describe_type(option) for option in options]
     given = " ".join(reprlib.repr(value).split())
     names = [getattr(option, "__name__", "") for option in options]
+    code = next((_UNION_CODES[name] for name in names if name in _UNION_CODES), None)
+    if code is not None:
+        raise ConfigurationError(name, diagnose(code, value=given))
     remedy = next((_REMEDIES[name] for name in names if name in _REMEDIES), None)
     message = diagnose("of-another-type", value=given, wanted=wanted, remedy=remedy)
     raise ConfigurationError(name, message)
@@ -285,6 +288,10 @@ _REMEDIES = {
     "Stand": "pa.solve_stand (or posture.stand of a solved posture)",
 }
 """{name of a required class: text that names functions which return an object of this class}."""
+
+_UNION_CODES = {"UrdfObject": "no-robot"}
+"""{name of a class in a union: code of the message that lists all types of the union}, for unions
+that are too long for a list of class names."""
 
 _TYPE_NAMES: dict[Any, str] = {
     float: "a number",

@@ -11,13 +11,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, cast
 
-from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.runs import register_input
 from pupper_analysis.base.tools import find_format
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from, read_mjcf
-from pupper_analysis.models.objects import ModelObject, is_object, read_objects
+from pupper_analysis.models.objects import ModelObject, check_model, is_object, read_objects
 from pupper_analysis.models.places import Place, forget_lines, make_element_error
 from pupper_analysis.models.published import XACRO_SUFFIX, expand_xacro, find_file
 from pupper_analysis.models.stated.model import RobotModel
@@ -114,7 +113,7 @@ def reader_of(path: str | Path | ModelObject) -> FormatReader | None:
     """
     if is_object(path):
         return None
-    check_type("path", path, str | Path)
+    check_model("path", path)
     model_format = find_format(Path(cast(str | Path, path)))
     return (
         None
@@ -152,7 +151,7 @@ def read_model(
     if is_object(path):
         with read_objects([cast(ModelObject, path)], packages) as in_memory:
             return in_memory.files[0]
-    check_type("path", path, str | Path)
+    check_model("path", path)
     path = find_file(cast(str | Path, path), packages)
     register_input(path)
     if path.suffix == XACRO_SUFFIX:

@@ -6,9 +6,11 @@ numbers are unknown; a note states this.
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Protocol, TypeAlias, runtime_checkable
@@ -62,6 +64,21 @@ def is_object(model: object) -> bool:
     return isinstance(model, kinds) or (
         not isinstance(model, Path | type) and isinstance(model, UrdfObject)
     )
+
+
+def check_model(argument: str, model: object) -> None:
+    """Check that a model is a path, a text or a robot in memory.
+
+    Args:
+        argument: Name of the argument, for the message.
+        model: Model of the caller.
+
+    Raises:
+        ConfigurationError: If the model has another type; the message lists the accepted types.
+    """
+    if not isinstance(model, str | PathLike) and not is_object(model):
+        given = " ".join(reprlib.repr(model).split())
+        raise ConfigurationError(argument, diagnose("no-robot", value=given))
 
 
 def require_path(argument: str, model: object) -> None:

@@ -160,7 +160,7 @@ def test_invalid_field_of_a_dataclass_raises(kind: type, junk: Any) -> None:
         (lambda: pa.stance.stance_path(load("v3"), ["x"], 1.0), "each element a StandTask"),
         (lambda: pa.load_variant(5), "name 5 is not valid; known variants"),
         (lambda: pa.cross_check(load("v3"), seed=-1), "seed: -1 is not a whole number"),
-        (lambda: pa.audit_model(5), "path: 5 is not a text or a path"),
+        (lambda: pa.audit_model(5), "path: 5 is no robot; give a path, a name"),
         (lambda: pa.StandTask(height=1e6), "height: 1000000 m is beyond 1000 m"),
         (lambda: pa.load_variant(pa.pupper.VariantSpec(leg_scale=1e-6)), "try scales nearer to 1"),
         (lambda: pa.load_variant(pa.pupper.VariantSpec("v3", 1e300)), "it must be at most 1000"),

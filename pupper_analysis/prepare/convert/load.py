@@ -23,7 +23,7 @@ from pupper_analysis.models.conversion import UrdfImport
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
-from pupper_analysis.models.objects import ModelObject, is_object, read_objects
+from pupper_analysis.models.objects import ModelObject, check_model, is_object, read_objects
 from pupper_analysis.models.published import XACRO_SUFFIX, find_file
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.xml import parse_text
@@ -152,7 +152,7 @@ def read_pair(
     paths: list[str | Path] = []
     for model in models:
         if not is_object(model):
-            check_type("model", model, str | Path)
+            check_model("model", model)
             paths.append(cast(str | Path, model))
     named = [*paths, *(path for path in (urdf, mjcf) if path is not None)]
     if xacro_args and not any(_is_xacro(path, folders) for path in named):

@@ -121,7 +121,10 @@ def test_one_of_two_different_files_can_be_loaded(tmp_path: Path) -> None:
         ({}, "give one file, or a URDF and an MJCF"),
         ({"models": (URDF, URDF)}, "pupper_v3.urdf: give one file"),
         ({"models": (URDF,), "urdf": URDF}, "give one file"),
-        ({"models": (5,)}, "5 is not a text or a path"),
+        *(
+            ({"models": (junk,)}, "is no robot; give a path, a name .*mujoco.MjSpec.*yourdfpy.URDF")
+            for junk in (5, None, b"v3", [URDF], pa.Robot)
+        ),
         ({"urdf": URDF, "take": "mjcf"}, "take: there is no such file among those given: mjcf"),
         ({"mjcf": MJCF, "take": "both"}, "give .urdf. or .mjcf."),
         ({"models": (Path("no/such.urdf"),)}, "no/such.urdf: there is no such file"),
