@@ -33,18 +33,28 @@ def _accept_variants(load_files: Callable[P, Robot]) -> Callable[P, Robot]:
         Raises:
             VariantError: If a word is probably a misspelled variant.
             ConfigurationError: If options other than ``fixed_base`` and ``visuals`` are given for a
-                variant.
+                variant, or if a variant is given together with another model, or as ``urdf`` or
+                ``mjcf``.
         """
-        for model in models:
+        named = [*models, *(options.get(argument) for argument in ("urdf", "mjcf"))]
+        given = [model for model in named if model is not None]
+        for model in given:
             if isinstance(model, str | Path) and not is_object(model):
                 refuse_unknown_variant(str(model))
+            if is_variant(model) and (len(given) > 1 or not models):
+                name = model.name if isinstance(model, VariantSpec) else str(model)
+                raise ConfigurationError("model", diagnose("variant-with-models", variant=name))
         if len(models) != 1 or not is_variant(models[0]):
             return load_files(*models, **options)
-        given = {name: value for name, value in options.items() if value not in (None, False)}
-        fixed_base: Any = given.pop("fixed_base", False)
-        given.pop("visuals", None)  # MuJoCo reads the meshes of variants without conversion
-        if given:
-            raise ConfigurationError(next(iter(given)), diagnose("options-of-files-alone"))
+        used = {
+            name: value
+            for name, value in options.items()
+            if value is not None and value is not False
+        }
+        fixed_base: Any = used.pop("fixed_base", False)
+        used.pop("visuals", None)  # MuJoCo reads the meshes of variants without conversion
+        if used:
+            raise ConfigurationError(next(iter(used)), diagnose("options-of-files-alone"))
         variant: Any = models[0]
         if not isinstance(variant, VariantSpec):
             variant = str(variant)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,6 +32,22 @@ def test_load_robot_refuses_options_of_files_for_a_variant() -> None:
         pa.load_robot("v3", feet=["foot"])
     with pytest.raises(pa.VariantError, match=r"known variants: original, .* give a file"):
         pa.load_robot("v4")
+
+
+@pytest.mark.parametrize("spec", ["v3", pa.pupper.VariantSpec("v3")])
+def test_load_robot_refuses_a_variant_beside_another_model(spec: Any) -> None:
+    """A variant has both models: each place of a second model is refused, also for variants."""
+    for models, options in (
+        ((spec, "v3"), {}),
+        ((spec, "robot.urdf"), {}),
+        ((), {"urdf": spec}),
+        ((), {"mjcf": spec}),
+        ((spec,), {"mjcf": "robot.xml"}),
+    ):
+        with pytest.raises(pa.ConfigurationError, match="is a variant.*give no other model"):
+            pa.load_robot(*models, **options)
+    with pytest.raises(pa.ConfigurationError, match="feet"):
+        pa.load_robot(spec, feet=np.zeros(3))  # type: ignore[arg-type]
 
 
 def test_file_takes_precedence_over_a_variant_of_its_name(
