@@ -10,14 +10,19 @@ import importlib
 import os
 import re
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
+from pupper_analysis.models.places import one_line
 
 MENAGERIE_FOLDER: Final = "mujoco_menagerie"
 """Name of the folder of a clone, and prefix of robot names, as in
 ``mujoco_menagerie/unitree_go2``."""
+
+MENAGERIE_PACKAGE: Final = ("mujoco_menagerie", "mujoco-menagerie")
+"""Module and distribution of the package ``mujoco-menagerie``."""
 
 _ROBOT_NAME_PATTERN: Final = re.compile(r"[a-z0-9_]+")
 """Pattern of the name of a robot of MuJoCo Menagerie, such as ``unitree_go2``."""
@@ -65,8 +70,8 @@ def find_menagerie_file(word: str) -> Path:
         word: Name; `is_menagerie_name` states the valid forms.
 
     Raises:
-        ModelError: If the package is not installed and there is no clone, if the robot is not
-            downloaded, or if the robot has no such file.
+        ModelError: If the package is not installed and there is no clone, if the package cannot be
+            imported, if the robot is not downloaded, or if the robot has no such file.
         UnknownNameError: If neither the package nor the clone has such a robot.
     """
     name, *rest = Path(word.removeprefix(f"{MENAGERIE_FOLDER}/")).parts
@@ -103,14 +108,41 @@ def _find_default_file(folder: Path, name: str, robot: Any) -> Path | None:
     return max(candidates, key=lambda path: len(path.stem), default=None)
 
 
-def _import_package() -> Any:
-    """Return the package ``mujoco_menagerie``; None if it is not installed, or is a clone only."""
+def import_source(module: str, package: str) -> ModuleType | None:
+    """Import a module of a package that lists robots; None if the package is not installed.
+
+    A folder of that name in the current folder, such as a clone, is no package.
+
+    Args:
+        module: Full name of the module.
+        package: Name of the distribution, for the message.
+
+    Raises:
+        ModelError: If the package is installed and its import raises an exception.
+    """
     try:
-        package = importlib.import_module("mujoco_menagerie")
-    except ImportError:
-        return None
-    # A clone in the current folder is a namespace package of the same name.
-    return package if hasattr(package, "Cache") else None
+        imported = importlib.import_module(module)
+    except Exception as error:  # code of another package
+        names = (module, module.partition(".")[0])
+        if isinstance(error, ModuleNotFoundError) and error.name in names:
+            return None
+        problem = diagnose("source-not-importable", message=describe_error(error), package=package)
+        raise ModelError(package, problem) from error
+    return None if getattr(imported, "__file__", "") is None else imported
+
+
+def describe_error(error: Exception) -> str:
+    """Return type and message of an exception of another package, on one line."""
+    return one_line(f"{type(error).__name__}: {error}")
+
+
+def _import_package() -> Any:
+    """Return the package ``mujoco_menagerie``; None if it is not installed.
+
+    Raises:
+        ModelError: If the package is installed and cannot be imported.
+    """
+    return import_source(*MENAGERIE_PACKAGE)
 
 
 def _find_clone() -> Path | None:
@@ -130,9 +162,13 @@ def _find_clone() -> Path | None:
 def list_menagerie_robots() -> tuple[str, ...]:
     """Return the names of the robots of MuJoCo Menagerie in the installed package and in a clone.
 
-    The names are sorted.
+    The names are sorted. A package that cannot be imported has no names.
     """
-    package, clone = _import_package(), _find_clone()
+    clone = _find_clone()
+    try:
+        package = _import_package()
+    except ModelError:
+        package = None
     names = set(package.names()) if package is not None else set()
     if clone is not None and clone.is_dir():
         names |= {path.parent.name for path in clone.glob("*/*.xml")}

@@ -17,17 +17,20 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final
 
-from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ModelError, UnknownNameError
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.base.runs import register_input
 from pupper_analysis.models.menagerie import (
     MENAGERIE_FOLDER,
+    MENAGERIE_PACKAGE,
+    describe_error,
     find_menagerie_file,
+    import_source,
     is_menagerie_name,
     list_menagerie_robots,
 )
 from pupper_analysis.models.places import Place, make_file_error, one_line
-from pupper_analysis.models.xml import LFS_POINTER
+from pupper_analysis.models.xml import LFS_POINTER, blank_faulty_declaration
 
 
 def existing_file(path: Path) -> Path | None:
@@ -114,6 +117,10 @@ _BARE_DESCRIPTION: Final = re.compile(r"[a-z0-9_]+_description")
 PACKAGE_PREFIX: Final = "package://"
 """Prefix that marks a file of a ROS package, as in ``package://go2_description/urdf/go2.urdf``."""
 
+_PACKAGE_START: Final = re.compile(r"package:(//?|$)")
+"""Pattern of `PACKAGE_PREFIX` at the start of a text. ``Path`` merges two slashes, and removes a
+slash at the end."""
+
 
 def is_published_name(word: str) -> bool:
     """Return True if a word names a published robot, and is no existing path.
@@ -124,6 +131,15 @@ def is_published_name(word: str) -> bool:
     return _is_description(word) or is_menagerie_name(word)
 
 
+_DESCRIPTIONS_PACKAGE: Final = ("robot_descriptions", "robot_descriptions")
+"""Module and distribution of the package ``robot_descriptions``."""
+
+_DESCRIPTION_SUFFIX: Final = re.compile(r"(_mj)?_description$")
+"""Pattern of the end of a description's name, behind the name of the robot."""
+
+_NUM_SIMILAR_NAMES: Final = 3
+"""Largest number of similar published names in an error message. Chosen, not tuned."""
+
 _MIN_NAME_SIMILARITY: Final = 0.75
 """Smallest similarity (`difflib`, 0 to 1) of a published name that an error message proposes.
 Chosen, not tuned."""
@@ -133,20 +149,39 @@ def list_similar_published_names(word: str) -> list[str]:
     """Return up to three names of published robots that are similar to a word, the best first.
 
     The names are robots of MuJoCo Menagerie (installed package or clone), and descriptions of the
-    package ``robot_descriptions``, if installed.
+    package ``robot_descriptions``, if installed. Names that contain the word between underscores,
+    such as ``unitree_go2`` for ``go2``, follow those with the most equal characters.
     """
     name = word.removeprefix(DESCRIPTION_PREFIX).removeprefix(f"{MENAGERIE_FOLDER}/").lower()
     known = [*_list_descriptions(), *list_menagerie_robots()]
-    return difflib.get_close_matches(name, known, cutoff=_MIN_NAME_SIMILARITY)
+    similar = difflib.get_close_matches(name, known, cutoff=_MIN_NAME_SIMILARITY)
+    robot = _DESCRIPTION_SUFFIX.sub("", name)
+    similar += [other for other in known if f"_{robot}_" in f"_{other}_" and other not in similar]
+    return similar[:_NUM_SIMILAR_NAMES]
+
+
+def list_source_problems() -> list[Diagnostic]:
+    """Return a diagnostic for each package of published names that is missing or not importable.
+
+    The diagnostic names the command that installs the package, or the error of the import.
+    """
+    problems = []
+    for module, package in (_DESCRIPTIONS_PACKAGE, MENAGERIE_PACKAGE):
+        try:
+            if import_source(module, package) is None:
+                problems.append(diagnose("source-not-installed", package=package))
+        except ModelError as error:
+            problems.append(error.diagnostic)
+    return problems
 
 
 def _list_descriptions() -> list[str]:
-    """Return the names of all descriptions of ``robot_descriptions``; empty if not installed."""
+    """Return the names of all descriptions of ``robot_descriptions``; empty if not importable."""
     try:
-        package = importlib.import_module("robot_descriptions")
-    except ImportError:
+        package = import_source(*_DESCRIPTIONS_PACKAGE)
+    except ModelError:
         return []
-    modules = pkgutil.iter_modules(package.__path__)
+    modules = [] if package is None else pkgutil.iter_modules(package.__path__)
     return [module.name for module in modules if _BARE_DESCRIPTION.fullmatch(module.name)]
 
 
@@ -179,26 +214,24 @@ def find_file(model: str | Path, packages: Mapping[str, Path] | None = None) -> 
     Raises:
         ModelError: In these cases (see also `find_menagerie_file`):
 
-            - A ROS package or its file is not found.
-            - ``robot_descriptions`` is not installed, has no such description, or has not cached
-              its files.
+            - A ROS package or its file is not named, or is not found.
+            - ``robot_descriptions`` is not installed or cannot be imported, has no such
+              description, or has not cached its files.
             - The description contains no model file.
         UnknownNameError: If MuJoCo Menagerie has no such robot.
     """
     word = str(model)
-    # `Path` merges the slashes.
-    for prefix in (PACKAGE_PREFIX, PACKAGE_PREFIX[:-1]):
-        if word.startswith(prefix):
-            return _find_in_package(word.removeprefix(prefix), packages or {})
+    if found := _PACKAGE_START.match(word):
+        return _find_in_package(word[found.end() :], packages or {})
     if is_menagerie_name(word):
         return find_menagerie_file(word)
     if not _is_description(word):
         return Path(model)
     name = word.removeprefix(DESCRIPTION_PREFIX)
-    try:
-        cache = importlib.import_module("robot_descriptions._cache")
-    except ImportError as error:
-        raise ModelError(word, diagnose("descriptions-not-installed")) from error
+    cache = import_source("robot_descriptions._cache", _DESCRIPTIONS_PACKAGE[1])
+    if cache is None:
+        similar = list_similar_published_names(name)
+        raise ModelError(word, diagnose("descriptions-not-installed", alike=similar))
     if not _DESCRIPTION_NAME.fullmatch(name):
         raise ModelError(word, diagnose("no-such-description", name=name, alike=[]))
     description = _import_cached_description(word, name, cache)
@@ -233,12 +266,15 @@ def _find_in_package(name: str, packages: Mapping[str, Path]) -> Path:
     """Return the file of a ROS package, given as ``NAME/FILE``.
 
     Raises:
-        ModelError: If the package is not found, or does not contain the file.
+        ModelError: If the name of the package or the file is missing, the package is not found, or
+            the package does not contain the file.
     """
     package, _, rest = name.partition("/")
+    if not package or not rest:
+        raise ModelError(f"{PACKAGE_PREFIX}{name}", diagnose("package-path-incomplete"))
     folders = find_packages(package, Path.cwd(), packages)
     for candidate in folders:
-        if rest and (candidate / rest).is_file():
+        if (candidate / rest).is_file():
             return candidate / rest
     problem = diagnose("package-not-found", package=package, file=rest, found=bool(folders))
     raise ModelError(f"{PACKAGE_PREFIX}{name}", problem)
@@ -251,7 +287,8 @@ def _import_cached_description(source: str, name: str, cache: ModuleType) -> Mod
     is the module with the function that downloads; the function is replaced during the import.
 
     Raises:
-        ModelError: If there is no such description, or its repository is not in the cache.
+        ModelError: If there is no such description, its repository is not in the cache, or its
+            module cannot be imported.
     """
 
     def find_in_cache(repository: str, commit: str | None = None) -> str:
@@ -268,12 +305,14 @@ def _import_cached_description(source: str, name: str, cache: ModuleType) -> Mod
     clone, cache.clone_to_cache = cache.clone_to_cache, find_in_cache  # type: ignore[attr-defined]
     try:
         return importlib.import_module(f"robot_descriptions.{name}")
-    except ModuleNotFoundError as error:
-        similar = list_similar_published_names(name)
-        problem = diagnose("no-such-description", name=name, alike=similar)
-        raise ModelError(source, problem) from error
     except _NotCachedError as error:
         raise ModelError(source, diagnose("description-not-cached", name=name)) from error
+    except Exception as error:  # the module of a description is code of another package
+        problem = diagnose("description-not-importable", name=name, message=describe_error(error))
+        if isinstance(error, ModuleNotFoundError) and error.name == f"robot_descriptions.{name}":
+            similar = list_similar_published_names(name)
+            problem = diagnose("no-such-description", name=name, alike=similar)
+        raise ModelError(source, problem) from error
     finally:
         cache.clone_to_cache = clone  # type: ignore[attr-defined]
 

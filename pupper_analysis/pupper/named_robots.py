@@ -13,7 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, VariantError
 from pupper_analysis.base.inputs import find_similar_files
-from pupper_analysis.models.published import is_published_name, list_similar_published_names
+from pupper_analysis.models.published import (
+    is_published_name,
+    list_similar_published_names,
+    list_source_problems,
+)
 from pupper_analysis.pupper.variants import (
     BASE_MODELS,
     VARIANTS,
@@ -174,7 +178,16 @@ def refuse_unknown_variant(word: str, *, is_robot: bool = True) -> None:
 
 
 def make_unknown_robot_error(word: str) -> VariantError:
-    """Return the error for a word that names no robot, with similar variants, files and names."""
+    """Return the error for a word that names no robot, with similar variants, files and names.
+
+    The message also names the packages of published names that are not installed.
+    """
     files = map(str, find_similar_files(Path(word)))
     similar = [*list_similar_variants(word), *files, *list_similar_published_names(word)]
-    return VariantError("name", word, diagnose("known-robots", alike=similar, variants=VARIANTS))
+    problem = diagnose(
+        "known-robots",
+        alike=list(dict.fromkeys(similar)),
+        variants=VARIANTS,
+        missing=list_source_problems(),
+    )
+    return VariantError("name", word, problem)

@@ -102,6 +102,7 @@ def test_description_without_prefix_is_found_unless_a_file_has_its_name(
         ("rex_descripton", ["rex_description"]),
         ("rexx_description", ["rex_description"]),
         ("unitree_g02", ["unitree_go2"]),
+        ("go2", ["unitree_go2"]),
         ("mujoco_menagerie/unitree_g02", ["unitree_go2"]),
         ("nobody", []),
     ],
@@ -149,8 +150,11 @@ def test_missing_ros_package_names_the_option(tmp_path: Path) -> None:
         find_file("package://rex/rex.urdf")
     with pytest.raises(ModelError, match=r"has no file 'rex\.urdf'"):
         find_file("package://rex/rex.urdf", {"rex": tmp_path})
-    with pytest.raises(ModelError, match="rex"):
-        find_file("package://rex", {"rex": tmp_path})
+    for incomplete in ("rex", "rex/", "", "/rex.urdf"):
+        for path in (f"package://{incomplete}", Path(f"package://{incomplete}")):
+            if path != Path("package:/rex.urdf"):  # the same path as that of the package rex.urdf
+                with pytest.raises(ModelError, match="name a package and a file"):
+                    find_file(path, {"rex": tmp_path, "rex.urdf": tmp_path})
 
 
 @pytest.mark.usefixtures("descriptions")
@@ -175,8 +179,38 @@ def test_word_longer_than_a_file_name_is_no_path() -> None:
 def test_error_names_the_package_if_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
     monkeypatch.setitem(sys.modules, "robot_descriptions._cache", None)
-    with pytest.raises(ModelError, match="pip install robot_descriptions"):
-        find_file("robot_descriptions:rex_description")
+    for name, similar in (("robot_descriptions:rex_description", ""), ("go2_mj_description", "go2")):
+        with pytest.raises(ModelError, match=f"{similar}.*pip install robot_descriptions"):
+            find_file(name)
+    with pytest.raises(VariantError, match=r"robot_descriptions.*pip install robot_descriptions"):
+        load_robot("nobody")
+    monkeypatch.setitem(sys.modules, "mujoco_menagerie", None)
+    with pytest.raises(VariantError, match="pip install mujoco-menagerie"):
+        load_robot("unitree_go2")
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "cause"),
+    [
+        ("_cache", "raise ImportError('Bad git executable')", "ImportError: Bad git executable"),
+        ("__init__", "import no_such_module", "No module named 'no_such_module'"),
+        ("_repositories", "REPOSITORIES = {}", "KeyError: 'zoo'"),
+        ("rex_description", "import no_such_module", "No module named 'no_such_module'"),
+        ("rex_description", "1 / 0", "ZeroDivisionError"),
+        ("rex_description", "def", "SyntaxError"),
+    ],
+)
+def test_error_names_the_cause_if_the_import_of_descriptions_fails(
+    file: str, text: str, cause: str, descriptions: Path
+) -> None:
+    """The package is installed: to install it again would not help without its cause."""
+    package = descriptions.parent / "site" / "robot_descriptions"
+    (package / f"{file}.py").write_text(text)
+    with pytest.raises(ModelError, match=cause) as caught:
+        load_robot("rex_description")
+    assert "not installed" not in str(caught.value)
+    with pytest.raises(VariantError, match="known variants"):
+        load_robot("nobody")
 
 
 class _Expanded:
