@@ -18,7 +18,7 @@ from types import ModuleType
 from typing import Final
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
+from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.base.runs import register_input
 from pupper_analysis.models.menagerie import (
     MENAGERIE_FOLDER,
@@ -30,7 +30,7 @@ from pupper_analysis.models.menagerie import (
     list_menagerie_robots,
 )
 from pupper_analysis.models.places import Place, make_file_error, one_line
-from pupper_analysis.models.xml import LFS_POINTER, blank_faulty_declaration
+from pupper_analysis.models.xml import LFS_POINTER
 
 
 def existing_file(path: Path) -> Path | None:

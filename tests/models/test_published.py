@@ -179,7 +179,10 @@ def test_word_longer_than_a_file_name_is_no_path() -> None:
 def test_error_names_the_package_if_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
     monkeypatch.setitem(sys.modules, "robot_descriptions._cache", None)
-    for name, similar in (("robot_descriptions:rex_description", ""), ("go2_mj_description", "go2")):
+    for name, similar in (
+        ("robot_descriptions:rex_description", ""),
+        ("go2_mj_description", "go2"),
+    ):
         with pytest.raises(ModelError, match=f"{similar}.*pip install robot_descriptions"):
             find_file(name)
     with pytest.raises(VariantError, match=r"robot_descriptions.*pip install robot_descriptions"):

@@ -44,7 +44,7 @@ def test_load_robot_refuses_a_variant_beside_another_model(spec: Any) -> None:
         ((), {"mjcf": spec}),
         ((spec,), {"mjcf": "robot.xml"}),
     ):
-        with pytest.raises(pa.ConfigurationError, match="is a variant.*give no other model"):
+        with pytest.raises(pa.ConfigurationError, match=r"is a variant.*give no other model"):
             pa.load_robot(*models, **options)
     with pytest.raises(pa.ConfigurationError, match="feet"):
         pa.load_robot(spec, feet=np.zeros(3))  # type: ignore[arg-type]
