@@ -148,6 +148,28 @@ def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]
     return vector
 
 
+def check_direction(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    """Return the unit vector (3,) of a direction of any length.
+
+    The vector is first divided by its largest component: the squares of components below 1e-162 or
+    above 1e154 would underflow or overflow.
+
+    Args:
+        name: Name of the argument, for the message.
+        values: Vector (3,).
+
+    Raises:
+        ConfigurationError: If the values are no real numbers (`real_array`), not three, not finite,
+            or all zero.
+    """
+    vector = real_array(name, values)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+        given = " ".join(reprlib.repr(values).split())
+        raise ConfigurationError(name, diagnose("direction-not-a-vector", given=given))
+    vector /= np.abs(vector).max()
+    return vector / math.hypot(*vector.tolist())
+
+
 def check_names(name: str, values: Iterable[str]) -> tuple[str, ...]:
     """Return an iterable of names as a tuple; the elements are not checked.
 

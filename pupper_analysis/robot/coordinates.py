@@ -42,6 +42,9 @@ def normalise_quaternion(qpos: Array) -> None:
         ConfigurationError: If the quaternion is zero (norm below 1e-9).
     """
     norm = math.hypot(*qpos[3:7].tolist())
+    if math.isinf(norm):  # the norm of finite components overflows
+        qpos[3:7] /= np.abs(qpos[3:7]).max()
+        norm = math.hypot(*qpos[3:7].tolist())
     if norm < 1e-9:
         raise ConfigurationError("qpos", diagnose("quaternion-is-zero"))
     if norm != 1.0:

@@ -13,7 +13,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pupper_analysis.base.arguments import check_finite, check_length, check_type, check_vector
+from pupper_analysis.base.arguments import (
+    check_direction,
+    check_finite,
+    check_length,
+    check_type,
+    check_vector,
+)
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -554,7 +560,7 @@ def _check_friction(name: str, value: float | None) -> float | None:
 
 
 def _check_direction(name: str, value: Any) -> Position3:
-    """Return a vector (x, y, z) divided by its norm, after a check.
+    """Return the unit vector (x, y, z) of a vector (`check_direction`).
 
     Args:
         name: Name of the argument, for messages.
@@ -563,11 +569,8 @@ def _check_direction(name: str, value: Any) -> Position3:
     Raises:
         ConfigurationError: If the vector is zero, or is no vector of three finite numbers.
     """
-    x, y, z = check_vector(name, value, 3).tolist()
-    size = math.hypot(x, y, z)
-    if not size:
-        raise ConfigurationError(name, diagnose("normal-has-no-direction"))
-    return x / size, y / size, z / size
+    x, y, z = check_direction(name, value).tolist()
+    return x, y, z
 
 
 def _check_position(name: str, value: Any) -> Position3:

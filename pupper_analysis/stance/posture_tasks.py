@@ -16,7 +16,13 @@ import numpy as np
 import placo
 from numpy.typing import ArrayLike
 
-from pupper_analysis.base.arguments import MAX_LENGTH, check_fields, check_finite, real_array
+from pupper_analysis.base.arguments import (
+    MAX_LENGTH,
+    check_direction,
+    check_fields,
+    check_finite,
+    real_array,
+)
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -278,11 +284,11 @@ class AxisAlignTask(PostureTask):
 
     def __post_init__(self) -> None:
         check_fields(self)
-        _freeze_array(self, "axis", _make_direction("axis", self.axis))
+        _freeze_array(self, "axis", check_direction("axis", self.axis))
         if (self.direction is None) == (self.point is None):
             raise ConfigurationError("direction", diagnose("direction-or-point"))
         if self.direction is not None:
-            _freeze_array(self, "direction", _make_direction("direction", self.direction))
+            _freeze_array(self, "direction", check_direction("direction", self.direction))
         else:
             _freeze_array(self, "point", _make_vector("point", self.point))
 
@@ -443,15 +449,6 @@ def _make_vector(name: str, value: Any) -> Array:
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise ConfigurationError(name, diagnose("no-vector-of-three", given=repr(value)))
     return np.array(vector)
-
-
-def _make_direction(name: str, value: Any) -> Array:
-    """Return a unit vector (3,); ConfigurationError if the value is zero or no finite vector."""
-    vector = _make_vector(name, value)
-    if not vector.any():
-        raise ConfigurationError(name, diagnose("direction-not-a-vector", given=repr(value)))
-    unit: Array = vector / np.linalg.norm(vector)
-    return unit
 
 
 def _check_rotation(value: Any) -> Array:

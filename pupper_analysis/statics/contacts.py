@@ -15,7 +15,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pupper_analysis.base.arguments import MAX_LENGTH, check_length, real_array
+from pupper_analysis.base.arguments import MAX_LENGTH, check_direction, check_length
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.base.diagnostics import diagnose
@@ -268,7 +268,9 @@ def _make_contacts(
             robot.check_foot(foot)
     unit_normals = np.array(
         [
-            UP if normals is None or foot not in normals else _to_unit_vector(foot, normals[foot])
+            UP
+            if normals is None or foot not in normals
+            else check_direction(f"normals[{foot}]", normals[foot])
             for foot in feet
         ]
     )
@@ -346,16 +348,6 @@ def list_grips(robot: Robot, places: Mapping[str, Array]) -> Array | None:
         (*places[robot.feet[foot][0]], limit / robot.weight) for foot, limit in robot.grips.items()
     ]
     return np.array(rows) if rows else None
-
-
-def _to_unit_vector(foot: str, normal: ArrayLike) -> Array:
-    """Return the unit vector (3,); ConfigurationError if ``normal`` is zero or no finite vector."""
-    vector = real_array("normals", normal)
-    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-        problem = diagnose("normal-not-a-direction", subject=("foot", foot), given=repr(normal))
-        raise ConfigurationError("normals", problem)
-    unit: Array = vector / np.linalg.norm(vector)
-    return unit
 
 
 def _friction_of(robot: Robot, foot: str, friction: float | Mapping[str, float] | None) -> float:

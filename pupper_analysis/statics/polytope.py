@@ -15,10 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.base.arguments import check_arguments, real_array
+from pupper_analysis.base.arguments import check_arguments, check_direction
 from pupper_analysis.base.array_types import Array
-from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import FramePoint, Tool, find_place, find_tool
@@ -94,7 +92,7 @@ class ForcePolytope(Tabular):
         Raises:
             ConfigurationError: If the direction is not a vector of finite numbers, or is zero.
         """
-        return self.largest_force(-real_array("direction", direction))
+        return self.largest_force(-check_direction("direction", direction))
 
     def limiting_joint(self, direction: ArrayLike) -> str | None:
         """Return the joint whose motor limits ``largest_force`` along a direction.
@@ -118,13 +116,9 @@ class ForcePolytope(Tabular):
         Raises:
             ConfigurationError: If the direction is no finite vector (3,), or zero.
         """
-        vector = real_array("direction", direction)
-        if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-            problem = diagnose("direction-not-a-vector", given=repr(direction))
-            raise ConfigurationError("direction", problem)
+        unit = check_direction("direction", direction)
         if not self.joints:
             return float("inf"), -1
-        unit = vector / np.linalg.norm(vector)
         forces, limiting = force_limits_along(*self._inequalities(), unit[None])
         return float(forces[0]), int(limiting[0])
 

@@ -92,7 +92,7 @@ def test_options_take_precedence_over_the_stance_file(tmp_path: Path) -> None:
         ("FL=wall:0.4m,mu=slippery", "'slippery' in"),
         ("FL=wall:0.4m,foo=1", "'foo' is none of 'mu', 'place', 'offset', 'radius'"),
         ("FL=plane:0,0,0,1", "is not of the form"),
-        ("FL=plane:0,0,0,0,0,0", "is no direction"),
+        ("FL=plane:0,0,0,0,0,0", "is not a direction"),
         ("FL=table:1cm,radius=0", "radius: 0 is not more than 0"),
         ("FL=bar:0,0,0,0,1,0,0", "bar.radius: 0 is not more than 0"),
         ("FL=bar:0,0,0,0,0,0,1cm", "bar.direction: "),

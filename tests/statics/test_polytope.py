@@ -140,6 +140,21 @@ def test_force_polytope_accepts_links_and_places_of_the_base() -> None:
     assert at_base.largest_push([1, 0, 0]) == np.inf
 
 
+@pytest.mark.parametrize("length", [1e-320, 1e-200, 1e200, 1e308])
+def test_direction_of_any_length_gives_the_push_of_the_unit_vector(length: float) -> None:
+    """Squares of such components underflow or overflow; the reference has components of 1."""
+    config = pa.Configuration(load("v3"), stand_of("v3").qpos)
+    polytope = pa.statics.force_polytope(config, "FR")
+    expected = polytope.largest_push([0, 1, -1])
+    assert polytope.largest_push([0, length, -length]) == pytest.approx(expected, rel=1e-12)
+    assert polytope.limiting_joint([0, 0, length]) == polytope.limiting_joint([0, 0, 1])
+    plane = pa.Plane((0, 0, 0), (0, length, length))
+    assert plane.normal == pytest.approx((0, 0.5**0.5, 0.5**0.5), rel=1e-12)
+    qpos = config.qpos.copy()
+    qpos[3:7] = (1e308, 1e308, 1e308, -1e308)
+    assert pa.Configuration(config.robot, qpos).qpos[3:7] == pytest.approx([0.5, 0.5, 0.5, -0.5])
+
+
 @pytest.mark.parametrize("direction", [[0, 0, 0], [1, 2], [0, 0, np.nan]])
 def test_direction_of_zero_length_or_wrong_shape_is_refused(direction: list[float]) -> None:
     """The message names the argument; an unknown point raises another error."""
