@@ -175,12 +175,12 @@ class Pictured:
                 in MuJoCo's convention [deg].
 
         Raises:
-            ConfigurationError: If the result has no picture, an option is out of range, or the
-                robot is missing.
+            ConfigurationError: If the result has no picture, an option is unknown or out of range,
+                or the robot is missing.
             DisplayError: If there is no OpenGL.
         """
         pictures = import_module("pupper_analysis.present.pictures")
-        image: Image | None = pictures.show_result(self, robot, **options)
+        image: Image | None = pictures.show_result(self, robot, **pictures.check_options(options))
         return image
 
     def animate(self, robot: object = None, **options: Any) -> Any:
@@ -195,12 +195,12 @@ class Pictured:
                 in MuJoCo's convention [deg].
 
         Raises:
-            ConfigurationError: If the result has no picture, an option is out of range, or the
-                robot is missing.
+            ConfigurationError: If the result has no picture, an option is unknown or out of range,
+                or the robot is missing.
             DisplayError: If there is no OpenGL.
         """
         pictures = import_module("pupper_analysis.present.pictures")
-        return pictures.animate_result(self, robot, **options)
+        return pictures.animate_result(self, robot, **pictures.check_options(options))
 
 
 class Tabular(Result):

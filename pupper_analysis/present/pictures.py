@@ -10,10 +10,11 @@ import base64
 import io
 import math
 import os
+import reprlib
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import singledispatch
 from importlib import import_module
@@ -25,7 +26,7 @@ import numpy as np
 from PIL import Image
 
 from pupper_analysis import __version__
-from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.arguments import check_arguments, check_finite
 from pupper_analysis.base.array_types import Array, Pixels
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
@@ -65,6 +66,13 @@ configurations of a verification have a time step of 0.1 s. Chosen, not tuned.
 _MAX_FRAMES = 600
 """Largest number of frames of an animation of a motion: 300 MB in memory for `ANIMATION_SIZE`.
 Chosen, not tuned."""
+
+_MAX_SIDE = 8192
+"""Largest width and height of a picture [pixel]. Chosen: half of 16384, the size of a frame buffer
+that OpenGL 4.1 requires of each implementation; with larger sizes, MuJoCo's renderer may fail."""
+
+_MAX_PIXELS = 300_000_000
+"""Largest number of pixels of all frames together: 0.9 GB in memory. Chosen, not tuned."""
 
 _DRAWING_TIMEOUT = 300.0
 """Time [s] after which a drawing process is ended. A frame takes 0.1 s without a graphics card.
@@ -194,6 +202,9 @@ def show_result(
             out of range.
         DisplayError: If the picture cannot be drawn, for example without OpenGL.
     """
+    check_finite("azimuth", azimuth)
+    check_finite("elevation", elevation)
+    _check_size(size, 1)
     view = make_view(result, robot)
     if not in_notebook() and _can_open_window():
         data = mujoco.MjData(view.robot.mj_model)
@@ -234,6 +245,9 @@ def animate_result(
             out of range.
         DisplayError: If the pictures cannot be drawn, for example without OpenGL.
     """
+    check_finite("azimuth", azimuth)
+    check_finite("elevation", elevation)
+    _check_size(size, 1)
     view = make_view(result, robot)
     if len(view.qpos) == 1:
         count = round(_TURN_SECONDS * _FRAMES_PER_SECOND)
@@ -338,6 +352,42 @@ def _place_on_ground(robot: Robot, stand: Stand) -> Robot:
     return build_on_ground(stand.check(robot), stand.task.ground, stand.rigid_targets)
 
 
+def check_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of a picture; ConfigurationError if there is no option of a name."""
+    known = ("size", "azimuth", "elevation")
+    for name in options:
+        if name not in known:
+            raise ConfigurationError(name, diagnose("picture-option-unknown", known=known))
+    return {**options}
+
+
+def _check_size(size: Any, frames: int) -> None:
+    """Check the size of pictures.
+
+    Args:
+        size: Width and height [pixel].
+        frames: Number of pictures.
+
+    Raises:
+        ConfigurationError: If the size is no pair of whole numbers from 1 to `_MAX_SIDE`, or all
+            frames have more than `_MAX_PIXELS` pixels.
+    """
+    given = [*size] if isinstance(size, Sequence | np.ndarray) else []
+    whole = all(isinstance(side, int | np.integer) and type(side) is not bool for side in given)
+    if len(given) != 2 or not whole or not all(1 <= side <= _MAX_SIDE for side in given):
+        text = " ".join(reprlib.repr(size).split())
+        raise ConfigurationError(
+            "size", diagnose("picture-without-pixels", given=text, most=_MAX_SIDE)
+        )
+    width, height = map(int, given)
+    most = _MAX_PIXELS // frames
+    if width * height > most:
+        problem = diagnose(
+            "picture-too-large", frames=frames, width=width, height=height, most=most
+        )
+        raise ConfigurationError("size", problem)
+
+
 def _can_open_window() -> bool:
     """Return True if MuJoCo's viewer can open a window."""
     try:
@@ -401,11 +451,10 @@ def draw_views(
         Pixels, shape (n, height, width, 3).
 
     Raises:
-        ConfigurationError: If the size is not positive.
+        ConfigurationError: If the size is not valid (`_check_size`).
         DisplayError: If the drawing process fails or takes too long, for example without OpenGL.
     """
-    if min(size) < 1:
-        raise ConfigurationError("size", diagnose("picture-without-pixels"))
+    _check_size(size, len(qpos))
     data = mujoco.MjData(robot.mj_model)
     states = np.empty((len(qpos), robot.mj_model.nq))
     for index, state in enumerate(qpos):

@@ -9,6 +9,7 @@ first plot.
 
 from __future__ import annotations
 
+import reprlib
 from functools import singledispatch
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -33,10 +34,13 @@ def plot_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:
     """Draw a result in a new figure of ``pyplot``, and return the axes of its panels.
 
     Raises:
-        ConfigurationError: If the result has no plot, or the robot is missing or is not the robot
-            of the result.
+        ConfigurationError: If the result has no plot, or the robot is missing, is no `Robot`, or is
+            not the robot of the result.
         StaticsInfeasibleError: If no contact forces balance a stand that is drawn.
     """
+    if robot is not None and not isinstance(robot, Robot):
+        given = " ".join(reprlib.repr(robot).split())
+        raise ConfigurationError("robot", diagnose("plot-of-no-robot", value=given))
     import_module("pupper_analysis.present.stand_plots")  # registers its plots
 
     load_builder(type(result))

@@ -104,8 +104,15 @@ def test_picture_of_a_result_without_view_is_refused(
     stand = stand_of("v3")
     with pytest.raises(pa.ConfigurationError, match=r"result\.show\(robot\)"):
         pickle.loads(pickle.dumps(stand)).show()
-    with pytest.raises(pa.ConfigurationError, match="1 pixel or more"):
-        stand.show(size=(0, 10))
+    for size in ((0, 10), (-1, 9), (9,), (1, 2, 3), 3, "ab", (1.5, 2), (True, 2), (9, 8193)):
+        for draw in (stand.show, stand.animate):
+            with pytest.raises(pa.ConfigurationError, match="two whole numbers from 1 to 8192"):
+                draw(size=size)
+    with pytest.raises(pa.ConfigurationError, match="at most 7500000 pixels per frame"):
+        stand.animate(size=(8192, 8192))
+    for option in ({"azimuth": np.nan}, {"elevation": np.inf}, {"width": 640}):
+        with pytest.raises(pa.ConfigurationError, match=rf"{next(iter(option))}: .*(finite|size=)"):
+            stand.show(**option)
     with pytest.raises(pa.ConfigurationError, match="contains no configuration"):
         pictures.show_result(pa.gravity_compensation(pa.Configuration(load("v3"), stand.qpos)))
     movie = pictures.Animation(np.zeros((2, 4, 4, 3), np.uint8), 10.0)

@@ -45,6 +45,17 @@ def test_plot_of_a_stand_has_the_two_views_of_its_figure() -> None:
     assert np.linalg.norm(places[:, 0] - [-com[1], com[0]], axis=1).min() < 1e-9
 
 
+@pytest.mark.parametrize("junk", [3, "v3", object()])
+def test_plot_for_no_robot_names_what_is_valid(junk: object) -> None:
+    """The argument of ``plot`` is often taken for the axes to draw in."""
+    stand = stand_of("v3")
+    statics = pa.gravity_compensation(pa.Configuration(load("v3"), stand.qpos))
+    for result in (stand, statics):
+        with pytest.raises(pa.ConfigurationError, match=r"not a Robot.*returns the Axes"):
+            result.plot(junk)
+    assert not plt.get_fignums()
+
+
 def test_plot_of_a_comparison_contains_each_deviation() -> None:
     """Reference: deviations and tolerance of the comparison, on a logarithmic axis."""
     files = [
