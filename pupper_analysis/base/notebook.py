@@ -35,9 +35,9 @@ NUMBER_FORMAT = ".4g"
 """Format of floats in a cell, with 4 significant digits; ``to_dict`` returns all digits."""
 
 ROUNDING_RTOL = 1e-12
-"""Relative threshold up to which a table cell shows a number of a short array as 0. The reference
-is the largest absolute number of the array, or 1 if this is larger. Smaller numbers are rounding
-errors of double precision. Chosen, not tuned.
+"""Relative threshold up to which a table cell shows a number of an array, a mapping or a sequence
+of numbers as 0. The reference is the largest absolute number of these, or 1 if this is larger.
+Smaller numbers are rounding errors of double precision. Chosen, not tuned.
 """
 
 _NOTHING = "&ndash;"
@@ -97,11 +97,29 @@ def format_value(value: object) -> str:
     if isinstance(value, np.ndarray):
         return _array_html(value)
     if isinstance(value, Mapping):
-        lines = [f"{escape(str(name))}: {format_value(item)}" for name, item in value.items()]
+        items = _zero_rounding_errors_of_items([*value.values()])
+        lines = [
+            f"{escape(str(name))}: {format_value(item)}"
+            for name, item in zip(value, items, strict=True)
+        ]
         return _lines_html(lines)
     if isinstance(value, Sequence):
         return _sequence_html(value)
     return escape(_summarise(value))
+
+
+def zero_rounding_errors(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return a copy of an array of real numbers with 0 for rounding errors (`ROUNDING_RTOL`)."""
+    scale = float(np.abs(values[np.isfinite(values)]).max(initial=1.0))
+    return np.where(np.abs(values) <= ROUNDING_RTOL * scale, 0.0, values)
+
+
+def _zero_rounding_errors_of_items(items: Sequence[object]) -> Sequence[object]:
+    """Return items with 0 for rounding errors, if each item is a float; otherwise the items."""
+    if not items or not all(isinstance(item, float) for item in items):
+        return items
+    kept: list[float] = zero_rounding_errors(np.array(items, dtype=float)).tolist()
+    return kept
 
 
 def _number_text(value: float) -> str:
@@ -119,11 +137,11 @@ def _array_html(values: np.ndarray[Any, Any]) -> str:
     if values.dtype.kind not in "fiub":
         return escape(f"array of {' x '.join(map(str, values.shape))}")
     if values.ndim <= 1 and values.size <= MAX_SHOWN_NUMBERS:
-        scale = float(np.abs(values[np.isfinite(values)]).max(initial=1.0))
-        kept = np.where(np.abs(values) <= ROUNDING_RTOL * scale, 0.0, values)
+        kept = zero_rounding_errors(values)
         return escape(", ".join(_number_text(float(value)) for value in kept.ravel()))
     shape = " x ".join(map(str, values.shape))
-    low, high = _number_text(float(values.min())), _number_text(float(values.max()))
+    kept = zero_rounding_errors(values)
+    low, high = _number_text(float(kept.min())), _number_text(float(kept.max()))
     return escape(f"array of {shape}, {low} to {high}")
 
 
@@ -136,9 +154,10 @@ def _sequence_html(values: Sequence[object]) -> str:
     if not values:
         return _NOTHING
     simple = all(isinstance(value, str | int | float | np.number) for value in values)
+    items = _zero_rounding_errors_of_items(values)
     if simple and len(values) <= MAX_SHOWN_NUMBERS:
-        return ", ".join(format_value(value) for value in values)
-    return _lines_html([format_value(value) for value in values])
+        return ", ".join(format_value(value) for value in items)
+    return _lines_html([format_value(value) for value in items])
 
 
 def _lines_html(lines: Sequence[str]) -> str:

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from pupper_analysis.base.diagnostics import Diagnostic, Phrase, diagnose, format_pair
 from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
 from pupper_analysis.base.frozen import FrozenDict, freeze
+from pupper_analysis.base.notebook import zero_rounding_errors
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -260,9 +261,12 @@ def shorten(value: object, other: object = None) -> str:
 def _shorten_items(values: Sequence[object] | np.ndarray, other: object) -> list[str]:
     """Return a short text of each item of a vector, by `shorten`.
 
+    Rounding errors in a vector that is not compared are written as 0 (`zero_rounding_errors`).
     ``other`` is the vector that is printed beside ``values``: two different numbers at the same
     position get different texts. An ``other`` of another length is ignored.
     """
+    if other is None and isinstance(values, np.ndarray) and values.dtype.kind == "f":
+        values = zero_rounding_errors(values)
     items = list(values)
     compared = list(other) if isinstance(other, tuple | list | np.ndarray) else []
     if len(compared) != len(items):

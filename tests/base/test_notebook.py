@@ -12,6 +12,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base.notebook import format_value
 from pupper_analysis.base.results import Result
+from pupper_analysis.statics.equilibrium import FootLoad
 from tests.support.variants import load, stand_of
 
 
@@ -49,8 +50,14 @@ def test_names_in_a_mapping_are_escaped() -> None:
     assert format_value({"<script>": 1.0}) == "&lt;script&gt;: 1"
 
 
-def test_rounding_noise_of_an_array_is_shown_as_zero() -> None:
+def test_rounding_noise_is_shown_as_zero() -> None:
     assert format_value(np.array([1e-17, 2.0, -3e-18])) == "0, 2, 0"
+    assert format_value({"knee": -1e-16, "hip": 2.0}) == "knee: 0<br>hip: 2"
+    assert format_value((-1e-16, 2.0)) == "0, 2"
+    assert format_value(np.append(np.full(20, -1e-17), 3.0)) == "array of 21, 0 to 3"
+    assert repr(FootLoad(np.array([-1e-17, 0.0, 7.5]), np.zeros(3), 0.0)).startswith(
+        "FootLoad(force=[0, 0, 7.5]"
+    )
     assert format_value(np.array([1e-6, 2.0])) == "0.000001, 2"
 
 
@@ -79,8 +86,11 @@ def test_robot_configuration_stand_and_statics_have_tables() -> None:
     assert unit == "m"
     assert float(position.split(", ")[2]) == pytest.approx(stand.qpos[2], rel=1e-3)
     assert rows_of(stand)["foot_error"][1] == "m or rad"
-    torques, unit = rows_of(pa.gravity_compensation(config))["joint_torques"]
+    statics = rows_of(pa.gravity_compensation(config))
+    torques, unit = statics["joint_torques"]
     assert (len(torques.split(", ")), unit) == (robot.nu, "N m or N")
+    # The stand is symmetric: joint positions and tangential forces are zero up to rounding.
+    assert "e-" not in rows_of(config)["joint positions"][0] + statics["foot_loads"][0]
 
 
 def test_the_repr_of_a_configuration_states_robot_and_base() -> None:

@@ -62,6 +62,7 @@ def format_number(value: float, spec: str) -> str:
 
     - Absolute values from 1e-6 to below 1e9 are written without exponent; a width in the
       specification is then ignored. Exceptions are the formats ``e``, ``E`` and ``G``.
+    - A negative number that is rounded to zero is written without minus sign.
     - With ``%``, the number is shown in percent: 0.039 by ``".1%"`` or ``".2g%"`` is ``"3.9 %"``.
       Percentages from 1e-6 % to below 1e11 % are written without exponent.
     """
@@ -74,6 +75,8 @@ def format_number(value: float, spec: str) -> str:
 def _format_without_exponent(value: float, spec: str, bound: float) -> str:
     """Format a number, without exponent if its absolute value is from 1e-6 to below ``bound``."""
     written = format(value, spec)
+    if written.startswith("-") and float(written) == 0.0:
+        written = format(0.0, spec)
     if "e" in written and not spec.endswith("e") and 1e-6 <= abs(value) < bound:
         return format(Decimal(written), "+f" if written.startswith("+") else "f")
     return written

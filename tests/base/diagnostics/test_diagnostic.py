@@ -387,6 +387,25 @@ def test_package_never_searches_its_own_messages() -> None:
 @pytest.mark.parametrize(
     ("value", "spec", "expected"),
     [
+        (-0.0, ".1f", "0.0"),
+        (-0.04, ".1f", "0.0"),
+        (-0.04, "+.1f", "+0.0"),
+        (-1e-5, ".0%", "0 %"),
+        (-0.0, "g", "0"),
+        (-0.0, ".1e", "0.0e+00"),
+        (-0.06, ".1f", "-0.1"),
+        (-1e-30, "g", "-1e-30"),
+    ],
+)
+def test_number_that_is_rounded_to_zero_has_no_minus(
+    value: float, spec: str, expected: str
+) -> None:
+    assert format_number(value, spec) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "spec", "expected"),
+    [
         (0.0556, ".1%", "5.6 %"),
         (0.16, ".0%", "16 %"),
         (0.039, ".2g%", "3.9 %"),
