@@ -7,6 +7,7 @@ for `Study.run`. If a worker ends, Dask evaluates the designs of the worker agai
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
@@ -18,6 +19,18 @@ from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
 
 LOCAL_PREFIX: Final = "local:"
 """Start of an address that requests workers on this machine: ``local:4``."""
+
+_MAX_LOCAL_WORKERS: Final = 1024
+"""Largest number of worker processes on this machine. Chosen, not tuned."""
+
+_SCHEDULER_ADDRESS: Final = re.compile(
+    r"(?:(?:tcp|tls|ucx|wss?)://)?(?:\[[0-9A-Fa-f:.]+\]|[^\s:/\[\]]+):([0-9]+)(?:/\S*)?"
+)
+"""Pattern of the address of a scheduler: protocol of Dask, host and port, as in
+``tcp://host:8786``. The group is the port."""
+
+_MAX_PORT: Final = 65535
+"""Largest number of a TCP port."""
 
 CONNECT_SECONDS: Final = 30.0
 """Maximum time to wait for the scheduler of a cluster [s]. Chosen, not tuned."""
@@ -43,11 +56,15 @@ def connect_dask(address: str) -> Iterator[tuple[Executor, int]]:
     except ImportError as error:
         raise MissingPackageError("distributed", "dask") from error
     cluster = None
+    found = _SCHEDULER_ADDRESS.fullmatch(address)
+    if not address.startswith(LOCAL_PREFIX) and (
+        found is None or not 1 <= int(found[1]) <= _MAX_PORT
+    ):
+        raise ConfigurationError("dask", diagnose("no-cluster-address", given=address))
     if address.startswith(LOCAL_PREFIX):
         number = address.removeprefix(LOCAL_PREFIX)
-        if not number.isdecimal() or not 1 <= int(number) <= 1024:
-            form = "local:N, e.g. local:4, or tcp://host:8786"
-            raise ConfigurationError("dask", diagnose("not-of-the-form", given=address, form=form))
+        if not number.isdecimal() or not 1 <= int(number) <= _MAX_LOCAL_WORKERS:
+            raise ConfigurationError("dask", diagnose("no-cluster-address", given=address))
         # Port 0: any free port. Without an address Dask uses port 8787, and warns if another
         # cluster of this machine uses it.
         cluster = distributed.LocalCluster(
@@ -61,8 +78,9 @@ def connect_dask(address: str) -> Iterator[tuple[Executor, int]]:
         try:
             client = distributed.Client(cluster or address, timeout=CONNECT_SECONDS)
             client.wait_for_workers(1, timeout=CONNECT_SECONDS)
-        except (OSError, ValueError, RuntimeError) as error:
-            problem = diagnose("no-cluster", address=address, problem=str(error) or "no answer")
+        except Exception as error:  # for example TypeError, if TLS is not configured
+            reason = " ".join(str(error).split()) or "no answer"
+            problem = diagnose("no-cluster", address=address, problem=reason)
             raise ConfigurationError("dask", problem) from error
         with client:
             yield client.get_executor(), max(1, sum(client.nthreads().values()))

@@ -202,9 +202,36 @@ def test_module_that_workers_lack_is_named_with_a_remedy(tmp_path: Path) -> None
         make_study(24).run(tmp_path, executor=executor)
 
 
-@pytest.mark.parametrize("address", ["local:0", "local:two", "local:"])
-def test_invalid_local_address_is_refused(address: str) -> None:
-    with pytest.raises(ConfigurationError, match="local:4"), connect_dask(address):
+@pytest.mark.parametrize(
+    "address",
+    [
+        *(
+            "local:0",
+            "local:two",
+            "local:",
+            "local:1025",
+            "",
+            "host",
+            "tls://",
+            "tcp://",
+            "tcp://host",
+        ),
+        *("tcp://:8786", "tcp://host:x", "tcp://host:0", "tcp://host:65536", "tcp://a b:1"),
+        *("inproc://", "http://host:80", "scheduler.json"),
+    ],
+)
+def test_invalid_address_of_workers_is_refused(address: str) -> None:
+    """Nothing is contacted: Dask would wait for an answer, or raise exceptions of its own."""
+    with (
+        pytest.raises(ConfigurationError, match=r"local:4.*tcp://host:8786"),
+        connect_dask(address),
+    ):
+        pass
+
+
+def test_scheduler_with_tls_is_refused_without_a_certificate() -> None:
+    """Dask raises TypeError before it connects."""
+    with pytest.raises(ConfigurationError, match="TLS"), connect_dask("tls://localhost:1"):
         pass
 
 
