@@ -75,16 +75,10 @@ DETECTION_OPTIONS = (
         help=("Root body of the robot in an MJCF with several robots; e.g. base."),
     ),
     shared.package_option,
-    click.option(
-        "--xacro-arg",
-        "xacro_args",
-        multiple=True,
-        metavar="NAME=VALUE",
-        help="Argument of a xacro file; e.g. arm=true. Repeatable.",
-    ),
+    *shared.XACRO_OPTIONS,
 )
 """Options for loading the files of a robot: properties that are otherwise detected, the file that
-has priority if both files disagree, and the arguments of a xacro file."""
+has priority if both files disagree, and the expansion of a xacro file."""
 
 FILE_OPTIONS = (
     shared.file_option("--urdf", help="URDF of your own robot, if not given as ROBOT."),
@@ -160,6 +154,7 @@ class RobotOptions:
     pairs: tuple[str, ...]
     keyframe: str | None
     packages: tuple[str, ...]
+    xacro: bool | None
     xacro_args: tuple[str, ...]
     base: str | None
     leg_scale: float | None
@@ -288,10 +283,8 @@ class RobotOptions:
             "joints": dict(shared.parse_assignment("map", text) for text in self.pairs or ()),
             "keyframe": self.keyframe,
             "packages": {name: str(path) for name, path in folders.items()},
-            "xacro_args": dict(
-                shared.parse_assignment("xacro-arg", text.replace(":=", "=", 1))
-                for text in self.xacro_args or ()
-            ),
+            "xacro": self.xacro,
+            "xacro_args": shared.parse_xacro_args(self.xacro_args or ()),
         }
         return {name: value for name, value in options.items() if value}
 

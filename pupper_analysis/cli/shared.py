@@ -61,6 +61,32 @@ package_option = click.option(
 """Option ``--package``: folders of ROS packages. The command receives ``packages``."""
 
 
+XACRO_OPTIONS = (
+    click.option(
+        "--xacro",
+        is_flag=True,
+        help="Expand a xacro file. This evaluates the Python expressions in the file: only for "
+        "files that you trust.",
+    ),
+    click.option(
+        "--xacro-arg",
+        "xacro_args",
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="Argument of a xacro file, with --xacro; e.g. arm=true. Repeatable.",
+    ),
+)
+"""Options ``--xacro`` and ``--xacro-arg``: expansion of a xacro file. The command receives
+``xacro`` and ``xacro_args``."""
+
+
+def xacro_options(command: CommandFunction) -> CommandFunction:
+    """Add the options `XACRO_OPTIONS` to a command."""
+    for option in reversed(XACRO_OPTIONS):
+        command = option(command)
+    return command
+
+
 class OutputPath(click.Path):
     """Parameter type of an option whose value is the path of an output file or folder.
 
@@ -372,6 +398,7 @@ _OPTIONS_OF_ARGUMENTS = {
     "point": ("--payload-at", "--added-at"),
     "effort": ("--continuous",),
     "disabled": ("--disable",),
+    "xacro_args": ("--xacro-arg",),
     "count": ("--plan",),
 }
 """{argument of a function: options of commands that specify the argument}, if the names differ."""
@@ -1323,6 +1350,18 @@ def parse_place(option: str, text: str) -> tuple[str | float, ...]:
     zero = (0.0, 0.0, 0.0)
     point = parse_point(option, place, 3) if place or not frame else zero
     return (frame, *point) if frame else point
+
+
+def parse_xacro_args(texts: Sequence[str]) -> dict[str, str]:
+    """Parse the values ``NAME=VALUE`` of ``--xacro-arg``; xacro's own ``NAME:=VALUE`` is accepted.
+
+    Returns:
+        {argument: value}.
+
+    Raises:
+        ConfigurationError: If a text has another form.
+    """
+    return dict(parse_assignment("xacro-arg", text.replace(":=", "=", 1)) for text in texts)
 
 
 def parse_packages(packages: tuple[str, ...]) -> dict[str, Path]:

@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any, Protocol, cast
 
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
-from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.runs import register_input
 from pupper_analysis.base.tools import find_format
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from, read_mjcf
 from pupper_analysis.models.objects import ModelObject, check_model, is_object, read_objects
 from pupper_analysis.models.places import Place, forget_lines, make_element_error
-from pupper_analysis.models.published import XACRO_SUFFIX, expand_xacro, find_file
+from pupper_analysis.models.published import expand_xacro, find_file, is_xacro
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.xacro_declarations import remove_declarations
@@ -125,25 +125,27 @@ def reader_of(path: str | Path | ModelObject) -> FormatReader | None:
 def read_model(
     path: str | Path | ModelObject,
     packages: Mapping[str, Path] | None = None,
-    xacro_args: Mapping[str, str] | None = None,
+    xacro: Mapping[str, str] | None = None,
 ) -> UrdfFile | MjcfFile:
     """Read a URDF or an MJCF from a file or from memory; the root element determines the format.
 
-    A xacro file is expanded if the package xacro is installed; the elements have no line numbers.
-    An MJCF that MuJoCo parses but does not compile is also returned, with the error in ``refusal``.
+    A xacro file is read as a URDF if its xacro elements are unused declarations. Otherwise it is
+    expanded if ``xacro`` is given; the elements then have no line numbers. An MJCF that MuJoCo
+    parses but does not compile is also returned, with the error in ``refusal``.
 
     Args:
         path: The file, the name of a published robot, ``package://NAME/FILE``, or a robot in memory
             (see `read_objects`).
         packages: Folders of ROS packages, for ``package://`` in a URDF and ``$(find)`` in a xacro
             file.
-        xacro_args: {argument of a xacro file: value}; ignored for a robot in memory.
+        xacro: {argument: value} with which a xacro file is expanded, which evaluates the Python
+            expressions in the file. None: nothing is evaluated. Ignored for other models.
 
     Raises:
         ConfigurationError: If ``path`` is neither a path, a text nor a robot in memory, or is a
-            ``pin.GeometryModel``. Also if ``xacro_args`` are given, but the file is no xacro file.
-        ModelError: If the file cannot be loaded. The message is a single line with location and
-            reason.
+            ``pin.GeometryModel``.
+        ModelError: If the file cannot be loaded, or must be expanded and ``xacro`` is None. The
+            message is a single line with location and reason.
         UnknownNameError: If MuJoCo Menagerie has no such robot, or a xacro file declares no such
             argument.
         OutputError: If the present command also writes the file.
@@ -154,14 +156,12 @@ def read_model(
     check_model("path", path)
     path = find_file(cast(str | Path, path), packages)
     register_input(path)
-    if path.suffix == XACRO_SUFFIX:
-        text = expand_xacro(path, packages, xacro_args)
+    if xacro is not None and is_xacro(path):
+        text = expand_xacro(path, packages, xacro)
         root = parse_file_text(path, text)
         forget_lines(root)
-    elif xacro_args:
-        raise ConfigurationError("xacro_args", diagnose("no-xacro-file", file=str(path)))
-    else:
-        text, root = parse_xml(path)
+        return urdf_from(path, text, root, packages)
+    text, root = parse_xml(path)
     if root.tag in ("mujoco", "mujocoinclude"):
         return mjcf_from(path, root)
     if root.tag != "robot":
@@ -170,7 +170,9 @@ def read_model(
 
 
 def read_as_urdf(
-    model: str | Path | ModelObject, packages: Mapping[str, Path] | None = None
+    model: str | Path | ModelObject,
+    packages: Mapping[str, Path] | None = None,
+    xacro: Mapping[str, str] | None = None,
 ) -> UrdfFile:
     """Read a robot as a URDF: a URDF, a file that is converted to a URDF, or a URDF in memory.
 
@@ -178,6 +180,7 @@ def read_as_urdf(
         model: Path, name of a published robot, or robot in memory. The suffix of the path selects
             the reader of another format.
         packages: {ROS package: its folder}, for ``package://`` in a URDF.
+        xacro: {argument: value} with which a xacro file is expanded; None: nothing is evaluated.
 
     Raises:
         ConfigurationError: If ``model`` is neither a path, a text nor a robot in memory, or is a
@@ -191,8 +194,11 @@ def read_as_urdf(
     if reader is not None:
         return reader.read_as_urdf(Path(cast(str | Path, model)))
     if not is_object(model):
-        return read_urdf(find_file(cast(str | Path, model), packages), packages)
-    file = read_model(model, packages)
+        path = find_file(cast(str | Path, model), packages)
+        if xacro is None or not is_xacro(path):
+            return read_urdf(path, packages)
+        model = path
+    file = read_model(model, packages, xacro)
     if not isinstance(file, UrdfFile):
         raise ModelError(file.path, diagnose("object-of-other-format", wanted="URDF"))
     return file

@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import io
 import os
 import pkgutil
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
-from typing import Final
+from typing import Any, Final
 
+from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import ModelError, UnknownNameError
+from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.base.runs import register_input
 from pupper_analysis.models.menagerie import (
     MENAGERIE_FOLDER,
@@ -30,7 +32,7 @@ from pupper_analysis.models.menagerie import (
     list_menagerie_robots,
 )
 from pupper_analysis.models.places import Place, make_file_error, one_line
-from pupper_analysis.models.xml import LFS_POINTER
+from pupper_analysis.models.xml import LFS_POINTER, XACRO_PREFIX, blank_faulty_declaration
 
 
 def existing_file(path: Path) -> Path | None:
@@ -120,6 +122,11 @@ PACKAGE_PREFIX: Final = "package://"
 _PACKAGE_START: Final = re.compile(r"package:(//?|$)")
 """Pattern of `PACKAGE_PREFIX` at the start of a text. ``Path`` merges two slashes, and removes a
 slash at the end."""
+
+
+def is_package_path(word: str) -> bool:
+    """Return True if a word begins like the path of a file of a ROS package (`PACKAGE_PREFIX`)."""
+    return _PACKAGE_START.match(word) is not None
 
 
 def is_published_name(word: str) -> bool:
@@ -317,6 +324,48 @@ def _import_cached_description(source: str, name: str, cache: ModuleType) -> Mod
         cache.clone_to_cache = clone  # type: ignore[attr-defined]
 
 
+def make_xacro_request(
+    models: Iterable[object],
+    packages: Mapping[str, Path] | None,
+    *,
+    xacro: bool,
+    arguments: Mapping[str, str] | None,
+) -> Mapping[str, str] | None:
+    """Return the arguments with which xacro files are expanded; None if they are not expanded.
+
+    Args:
+        models: Models of the user: paths, names, or robots in memory.
+        packages: {ROS package: its folder}.
+        xacro: Whether the user accepts that xacro evaluates the Python expressions in the files.
+        arguments: {argument of a xacro file: value}; None or empty for the default values.
+
+    Raises:
+        ConfigurationError: If a value is no text, or there are arguments without ``xacro`` or
+            without a xacro file.
+        ModelError: If the file of a model is not found (`find_file`).
+    """
+    given = dict(arguments or {})
+    for name, value in given.items():
+        check_type(f"xacro_args[{name}]", value, str)
+    if given and not xacro:
+        raise ConfigurationError("xacro_args", diagnose("xacro-args-alone"))
+    named = [model for model in models if isinstance(model, str | Path)]
+    if given and not any(is_xacro(find_file(model, packages)) for model in named):
+        problem = diagnose("no-xacro-file", file=", ".join(map(str, named)) or "the robot")
+        raise ConfigurationError("xacro_args", problem)
+    return given if xacro else None
+
+
+def is_xacro(path: Path) -> bool:
+    """Return True if a file is a xacro file by its suffix, or contains xacro elements."""
+    if path.suffix.lower() == XACRO_SUFFIX:
+        return True
+    try:
+        return path.is_file() and f"<{XACRO_PREFIX}:".encode() in path.read_bytes()
+    except (OSError, ValueError):
+        return False
+
+
 def expand_xacro(
     path: Path,
     packages: Mapping[str, Path] | None = None,
@@ -325,7 +374,7 @@ def expand_xacro(
     """Expand a xacro file, and return the URDF text. Python expressions in the file are evaluated.
 
     ``$(find NAME)`` is resolved as ``package://NAME``, from the folder of the file; a ROS
-    installation is not necessary.
+    installation is not necessary. An XML declaration behind blank lines is accepted, as in a URDF.
 
     Args:
         path: The file.
@@ -333,15 +382,14 @@ def expand_xacro(
         arguments: {argument of the file: value}; other arguments have their default values.
 
     Raises:
-        ModelError: If xacro is not installed, the file does not exist, a package is not found, or
-            the expansion fails.
+        ModelError: If xacro is not installed or cannot be imported, the file does not exist, a
+            package is not found, or the expansion fails.
         UnknownNameError: If neither the file nor an included file declares an argument.
         OutputError: If the present command also writes an included file.
     """
-    try:
-        xacro = importlib.import_module("xacro")
-    except ImportError as error:
-        raise make_file_error(Place(path), diagnose("file-is-xacro")) from error
+    xacro = import_source("xacro", "xacro")
+    if xacro is None:
+        raise make_file_error(Place(path), diagnose("xacro-not-installed"))
     if not path.is_file():
         raise make_file_error(Place(path), diagnose("file-not-read", message="no such file"))
     given = dict(arguments or {})
@@ -349,7 +397,7 @@ def expand_xacro(
     before = len(getattr(xacro, "all_includes", ()))
     options = {"mappings": given} if given else {}
     try:
-        with _find_xacro_packages(path, packages or {}):
+        with _find_xacro_packages(path, packages or {}), _blank_faulty_declarations(xacro):
             text = str(xacro.process_file(str(path), **options).toxml())
     except ModelError:
         raise
@@ -397,6 +445,33 @@ def _find_xacro_packages(path: Path, packages: Mapping[str, Path]) -> Iterator[N
         yield
     finally:
         substitution._eval_find = find_by_ros  # type: ignore[attr-defined]
+
+
+@contextmanager
+def _blank_faulty_declarations(xacro: Any) -> Iterator[None]:
+    """Let xacro read files with blank lines in front of the XML declaration, in a ``with`` block.
+
+    ``xacro`` is the package; its function that parses each file is replaced during the block.
+    """
+    parse = getattr(xacro, "parse", None)
+    if parse is None:  # another package with the name xacro
+        yield
+        return
+
+    def parse_blanked(content: Any, filename: str | None = None) -> Any:
+        """Parse a file as xacro does, but with a declaration that parsers reject replaced."""
+        if content is None and filename is not None:
+            with suppress(OSError):  # xacro reports the error
+                data = Path(filename).read_bytes()
+                if (blanked := blank_faulty_declaration(data)) != data:
+                    content = io.BytesIO(blanked)
+        return parse(content, filename)
+
+    xacro.parse = parse_blanked
+    try:
+        yield
+    finally:
+        xacro.parse = parse
 
 
 _XACRO_ARGUMENT: Final = re.compile(r"<xacro:arg\s[^>]*?\bname\s*=\s*[\"']([^\"']+)")

@@ -30,7 +30,7 @@ tuned.
 """
 
 
-def plot_result(result: Any, robot: Robot | None = None) -> tuple[Axes, ...]:
+def plot_result(result: Any, robot: object = None) -> tuple[Axes, ...]:
     """Draw a result in a new figure of ``pyplot``, and return the axes of its panels.
 
     Raises:

@@ -113,8 +113,15 @@ def test_a_result_is_not_written_under_another_formats_suffix(
         (("stand", "robot.udrf"), "did you mean robot.urdf?"),
         (("stand", "v3-heavy.urdf"), "did you mean v3-heavy?"),
         (("stand", "zebra.urdf"), "zebra.urdf: there is no such file\n"),
-        (("audit", "GO2"), "name 'GO2' is not valid; known variants: original, long-leg"),
-        (("diff", "v3", "GO2"), "v3-heavy; or give a file: a URDF or an MJCF\n"),
+        (
+            ("audit", "GO2"),
+            "'GO2' is not valid; did you mean unitree_go2? known variants: original",
+        ),
+        (("diff", "v3", "nobody"), "'nobody' is not valid; known variants: original, long-leg"),
+        (("stand", "package://"), "name a package and a file in it: package://NAME/FILE"),
+        (("stand", "package:///x"), "name a package and a file in it: package://NAME/FILE"),
+        (("convert", "package:", "-o", "x.xml"), "name a package and a file in it: package://NAME"),
+        (("audit", "rex.xacro"), "rex.xacro:2: it is a xacro file; expand it with --xacro"),
         (("stand", "go2.srdf"), "go2.srdf: this is an SRDF, which only adds groups"),
         (("stand", "folder"), "it is a folder; give the path of a file"),
         (("stand", "deploy.yaml"), "the file does not begin with <"),
@@ -127,6 +134,8 @@ def test_error_of_a_wrong_robot_names_the_nearest(
     shutil.copy(ROOT / "urdf" / "pupper_v3.urdf", tmp_path / "robot.urdf")
     (tmp_path / "folder").mkdir()
     (tmp_path / "deploy.yaml").write_text("kp: 5\n")
+    xacro = '<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro">\n<xacro:leg/></robot>'
+    (tmp_path / "rex.xacro").write_text(xacro)
     (tmp_path / "go2.srdf").write_text('<robot name="go2"><group name="legs"/></robot>')
     assert suggested in run_refused(*arguments, folder=tmp_path)
 

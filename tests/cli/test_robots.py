@@ -84,7 +84,7 @@ def test_robots_with_equal_names_get_unique_names() -> None:
         (("v3", "original"), {}, "are several robots"),
         (("a.urdf", "v3"), {}, "are several robots"),
         (("a.urdf", "b.xml", "c.xml"), {}, "are several robots"),
-        (("spot",), {}, "name 'spot' is not valid; known variants"),
+        (("nobody",), {}, "name 'nobody' is not valid; known variants"),
         (("v3",), {"base": "v3"}, "give the robot once"),
         (("a.urdf",), {"mjcf": Path("a.xml")}, "give the robot once"),
         (("v3",), {"keyframe": "home"}, "are for a robot of your own"),

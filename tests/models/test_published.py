@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import sys
 import types
+from collections.abc import Iterator
 from pathlib import Path
 
+import mujoco
 import pytest
 
-from pupper_analysis import load_robot
+from pupper_analysis import (
+    audit_model,
+    compare_models,
+    convert_model,
+    diff_models,
+    load_robot,
+)
 from pupper_analysis.base.errors import (
     ConfigurationError,
     ModelError,
@@ -46,7 +54,7 @@ URDF = '<robot name="rex"><link name="base"/></robot>'
 
 
 @pytest.fixture
-def descriptions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def descriptions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Write a package ``robot_descriptions`` with one description and an empty cache."""
     package = tmp_path / "site" / "robot_descriptions"
     package.mkdir(parents=True)
@@ -62,7 +70,9 @@ def descriptions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.syspath_prepend(str(package.parent))
     monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "cache"))
-    return tmp_path / "cache"
+    yield tmp_path / "cache"
+    for module in [name for name in sys.modules if name.startswith("robot_descriptions")]:
+        del sys.modules[module]  # before monkeypatch restores the modules
 
 
 def test_description_is_read_only_from_its_cache(descriptions: Path) -> None:
@@ -242,7 +252,7 @@ def test_xacro_is_expanded_if_it_is_installed(
     package.process_file = expand  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "xacro", package)
     with ensure_run() as run:
-        read = read_model(file)
+        read = read_model(file, None, {})
         # The included file counts as an input, so it must not be an output.
         with pytest.raises(OutputError, match="which this run reads"):
             run.register_output(part)
@@ -256,10 +266,10 @@ def test_xacro_is_expanded_if_it_is_installed(
 
     package.process_file = refuse  # type: ignore[attr-defined]
     with pytest.raises(ModelError, match=r"xacro cannot expand it: .*name 'mass' is not defined"):
-        read_model(file)
+        read_model(file, None, {})
     monkeypatch.setitem(sys.modules, "xacro", None)
-    with pytest.raises(ModelError, match="or install xacro"):
-        read_model(file)
+    with pytest.raises(ModelError, match="pip install xacro"):
+        read_model(file, None, {})
 
 
 ARM = """<?xml version="1.0"?>
@@ -293,13 +303,14 @@ def test_packages_and_arguments_of_xacro_are_resolved_without_ros(tmp_path: Path
     with_arm = read_model(file, None, {"arm": "true"})
     assert isinstance(with_arm, UrdfFile)
     assert [*with_arm.tree.links] == ["base", "tool"]
-    without = read_model(file)
+    without = read_model(file, None, {})
     assert isinstance(without, UrdfFile)
     assert [*without.tree.links] == ["base"]
     with pytest.raises(UnknownNameError, match=r"xacro argument 'leg'.*arm"):
         read_model(file, None, {"leg": "true"})
-    with pytest.raises(ConfigurationError, match="no xacro file"):
-        read_model(tmp_path / "rex.urdf", None, {"arm": "true"})
+    for model in (tmp_path / "rex.urdf", "v3", URDF):
+        with pytest.raises(ConfigurationError, match=r"no xacro file|robot of your own"):
+            load_robot(model, xacro=True, xacro_args={"arm": "true"})
 
 
 def test_missing_package_of_xacro_names_the_option(tmp_path: Path) -> None:
@@ -307,10 +318,99 @@ def test_missing_package_of_xacro_names_the_option(tmp_path: Path) -> None:
     file = tmp_path / "rex.urdf.xacro"
     file.write_text(ARM)
     with pytest.raises(ModelError, match="--package rex_parts=FOLDER") as caught:
-        read_model(file)
+        read_model(file, None, {})
     assert "\n" not in str(caught.value)
     assert str(caught.value).count("rex_parts=") == 1  # xacro encloses and repeats the error
     folder = tmp_path / "elsewhere"
     folder.mkdir()
     (folder / "parts.xacro").write_text(PARTS)
-    assert isinstance(read_model(file, {"rex_parts": folder}), UrdfFile)
+    assert isinstance(read_model(file, {"rex_parts": folder}, {}), UrdfFile)
+
+
+LEG = """
+
+<?xml version="1.0"?>
+<robot xmlns:xacro="http://ros.org/wiki/xacro">
+  <xacro:macro name="leg" params="mass"><link name="leg"><inertial><mass value="${mass}"/>
+    <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link></xacro:macro>
+</robot>
+"""
+LEGGED = """
+<?xml version="1.0"?>
+<robot name="rex" xmlns:xacro="http://ros.org/wiki/xacro">
+  <xacro:arg name="load" default="1"/>
+  <xacro:include filename="leg.xacro"/>
+  <link name="base"><inertial><mass value="1"/>
+    <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+  <xacro:leg mass="${2 * $(arg load) + mark()}"/>
+  <joint name="hip" type="revolute"><parent link="base"/><child link="leg"/><axis xyz="1 0 0"/>
+    <limit effort="1" lower="-1" upper="1" velocity="1"/></joint>
+</robot>
+"""
+
+
+@pytest.fixture
+def evaluated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Write ``rex.urdf.xacro`` and return a list that grows if xacro evaluates its expressions.
+
+    Both files of the robot begin with blank lines.
+    """
+    xacro = pytest.importorskip("xacro")
+    calls: list[str] = []
+    monkeypatch.setitem(xacro._global_symbols, "mark", lambda: calls.append("evaluated") or 0)
+    (tmp_path / "leg.xacro").write_text(LEG)
+    (tmp_path / "rex.urdf.xacro").write_text(LEGGED)
+    (tmp_path / "rex.urdf").write_text(LEGGED)
+    return calls
+
+
+@pytest.mark.parametrize("name", ["rex.urdf.xacro", "rex.urdf"])
+def test_expressions_of_xacro_are_evaluated_only_on_request(
+    name: str, evaluated: list[str], tmp_path: Path
+) -> None:
+    """The stand-in for Python code in a file is called only with ``xacro=True``. Reference: masses
+    [kg] of the expression; blank lines in front of the declaration are accepted."""
+    file = tmp_path / name
+    for read in (
+        load_robot,
+        audit_model,
+        lambda path: convert_model(path, tmp_path / "rex.xml"),
+        lambda path: compare_models(path, "v3"),
+        lambda path: diff_models(path, path),
+    ):
+        with pytest.raises(ModelError, match=r"--xacro \(in Python: xacro=True\)"):
+            read(file)
+    with pytest.raises(ConfigurationError, match="--xacro only"):
+        load_robot(file, xacro_args={"load": "3"})
+    with pytest.raises(ConfigurationError, match=r"xacro_args\[load\]: 3 is not a text"):
+        load_robot(file, xacro=True, xacro_args={"load": 3})  # type: ignore[dict-item]
+    assert not evaluated
+    robot = load_robot(file, feet=[], xacro=True, xacro_args={"load": "3"})
+    assert evaluated
+    assert robot.total_mass == pytest.approx(1 + 2 * 3)
+
+
+def test_other_functions_read_the_expanded_xacro(evaluated: list[str], tmp_path: Path) -> None:
+    """Reference: the mass [kg] of the expression, read by MuJoCo from the converted MJCF."""
+    file, arguments = tmp_path / "rex.urdf.xacro", {"load": "3"}
+    converted = tmp_path / "rex.xml"
+    convert_model(file, converted, fixed_base=True, xacro=True, xacro_args=arguments)
+    mass = mujoco.MjModel.from_xml_path(str(converted)).body("leg").mass
+    assert mass == pytest.approx(6)
+    assert compare_models(file, converted, xacro=True, xacro_args=arguments).agree
+    assert not compare_models(file, converted, xacro=True).agree
+    changed = diff_models(file, file, xacro=True, xacro_args=arguments)
+    assert changed.same
+    audit = audit_model(file, xacro=True, xacro_args=arguments)
+    assert audit.findings
+    assert {finding.line for finding in audit.findings} == {None}
+    assert len(evaluated) >= 5
+
+
+def test_xacro_without_expressions_is_read_as_a_urdf(tmp_path: Path) -> None:
+    """Nothing is evaluated, so no consent is necessary; blank lines are accepted as in a URDF."""
+    file = tmp_path / "rex.xacro"
+    file.write_text('\n<?xml version="1.0"?>\n' + URDF)
+    read = read_model(file)
+    assert isinstance(read, UrdfFile)
+    assert [*read.tree.links] == ["base"]

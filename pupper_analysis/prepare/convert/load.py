@@ -24,7 +24,7 @@ from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.objects import ModelObject, check_model, is_object, read_objects
-from pupper_analysis.models.published import XACRO_SUFFIX, find_file
+from pupper_analysis.models.published import find_file, make_xacro_request
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.prepare.convert.from_urdf import convert_urdf_in_memory
@@ -120,6 +120,7 @@ def read_pair(
     take: str | None = None,
     body: str | None = None,
     packages: Mapping[str, str | Path] | None = None,
+    xacro: bool = False,
     xacro_args: Mapping[str, str] | None = None,
     defer_visuals: bool = False,
 ) -> ModelPair:
@@ -134,13 +135,15 @@ def read_pair(
             robot is detected if there is no URDF.
         packages: {ROS package: folder}, for ``package://`` paths of the URDF and ``$(find)`` of a
             xacro file.
+        xacro: True to expand xacro files, which evaluates the Python expressions in the files.
         xacro_args: {argument of the xacro file: value}; other arguments have default values.
         defer_visuals: True to convert the visual meshes of a URDF file later, in the preparation.
 
     Raises:
         ConfigurationError: If there is no file, or if two files have the same format. If ``take``
             names a format without a file. If ``body`` is given without an MJCF, or ``xacro_args``
-            without a xacro file. If a model is neither a name, a path nor a known object.
+            without ``xacro`` or a xacro file. If a model is neither a name, a path nor a known
+            object.
         ModelError: If a file cannot be read, the other format cannot represent the robot, or the
             MJCF has several robots or none (`with_one_robot`).
         UnknownNameError: If the MJCF has no such body.
@@ -155,13 +158,11 @@ def read_pair(
             check_model("model", model)
             paths.append(cast(str | Path, model))
     named = [*paths, *(path for path in (urdf, mjcf) if path is not None)]
-    if xacro_args and not any(_is_xacro(path, folders) for path in named):
-        problem = diagnose("no-xacro-file", file=", ".join(map(str, named)) or "the robot")
-        raise ConfigurationError("xacro_args", problem)
+    request = make_xacro_request(named, folders, xacro=xacro, arguments=xacro_args)
 
     def read(path: str | Path) -> UrdfFile | MjcfFile:
         """Read a URDF or MJCF from a path."""
-        return read_model(path, folders, xacro_args if _is_xacro(path, folders) else None)
+        return read_model(path, folders, request)
 
     with read_objects(objects, folders) as in_memory:
         files = [*in_memory.files, *map(read, paths)]
@@ -179,11 +180,6 @@ def read_pair(
             return pair
         # MuJoCo's import of the URDF would lack the armature.
         return replace(pair, mjcf=in_memory.add_pinocchio_values(pair.mjcf), imported=None)
-
-
-def _is_xacro(model: str | Path, packages: Mapping[str, Path]) -> bool:
-    """Return True if the file of a robot is a xacro file, by its suffix."""
-    return find_file(model, packages).suffix == XACRO_SUFFIX
 
 
 def _pair_files(
@@ -255,6 +251,7 @@ def load_robot(
     joints: Mapping[str, str] | None = None,
     keyframe: str | None = None,
     packages: Mapping[str, str | Path] | None = None,
+    xacro: bool = False,
     xacro_args: Mapping[str, str] | None = None,
     as_is: bool = False,
     visuals: bool = True,
@@ -295,7 +292,11 @@ def load_robot(
             robot stands.
         packages: {ROS package: folder}, for ``package://`` paths of the URDF and ``$(find)`` of a
             xacro file.
-        xacro_args: {argument of the xacro file: value}; other arguments have default values.
+        xacro: True to expand xacro files by the package ``xacro``, which evaluates the Python
+            expressions in the files: only for files that you trust. Without it, a xacro file is
+            read if all its xacro elements are unused declarations.
+        xacro_args: {argument of the xacro file: value}, with ``xacro=True``; other arguments have
+            default values.
         as_is: True to add no servos, motors and contact exclusions, and to keep the solver and the
             contacts of all shapes. Soles are then not replaced by balls.
         visuals: Whether to convert the visual meshes of a URDF that MuJoCo cannot read (.dae, .glb,
@@ -321,6 +322,7 @@ def load_robot(
         take=take,
         body=body,
         packages=packages,
+        xacro=xacro,
         xacro_args=xacro_args,
         defer_visuals=feet is None,  # a named foot may be a visual geom
     )

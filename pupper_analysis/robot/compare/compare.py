@@ -520,6 +520,7 @@ def compare_files(
     feet: Sequence[str] = (),
     tolerances: Tolerances | None = None,
     strict_names: bool = False,
+    xacro: Mapping[str, str] | None = None,
 ) -> Compared:
     """Compare a URDF with an MJCF of the same robot, and evaluate the effect of each difference.
 
@@ -533,6 +534,7 @@ def compare_files(
         tolerances: Tolerances of the comparison; by default for files with 5 to 6 digits.
         strict_names: If True, different joint names, missing damping or friction in the URDF, and
             the tilt of a fixed base count as disagreement.
+        xacro: {argument: value} with which a xacro file is expanded; None: nothing is evaluated.
 
     Raises:
         ModelError: If a file cannot be read, the files cannot be matched, or the robot has no mass.
@@ -541,7 +543,7 @@ def compare_files(
         ConfigurationError: If an argument is out of range.
     """
     tolerances = tolerances or Tolerances()
-    urdf_file, mjcf_file = read_as_urdf(urdf, packages), read_as_mjcf(mjcf, packages)
+    urdf_file, mjcf_file = read_as_urdf(urdf, packages, xacro), read_as_mjcf(mjcf, packages)
     matched = match_models(
         urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances, strict=strict_names
     )

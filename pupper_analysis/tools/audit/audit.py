@@ -24,6 +24,7 @@ from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.objects import ModelObject, is_object
 from pupper_analysis.models.places import NO_LINE, Place
+from pupper_analysis.models.published import make_xacro_request
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
@@ -50,6 +51,8 @@ def audit_model(
     *,
     packages: Mapping[str, Path] | None = None,
     disabled: Iterable[str] = (),
+    xacro: bool = False,
+    xacro_args: Mapping[str, str] | None = None,
 ) -> Audit:
     """Find physical and practical errors in a model file of any supported format.
 
@@ -59,14 +62,16 @@ def audit_model(
             or a xacro file have no lines.
         packages: {ROS package: folder}, for ``package://`` paths in a URDF.
         disabled: Ids of rules that are not run.
+        xacro: True to expand a xacro file, which evaluates the Python expressions in the file.
+        xacro_args: {argument of the xacro file: value}, with ``xacro=True``.
 
     Returns:
         Audit with the findings, sorted by severity. At equal severity, causes precede consequences.
 
     Raises:
         ModelError: If the file cannot be read.
-        ConfigurationError: If a rule in ``disabled`` does not exist, or an argument has a wrong
-            type.
+        ConfigurationError: If a rule in ``disabled`` does not exist, an argument has a wrong type,
+            or there are ``xacro_args`` without ``xacro`` or a xacro file.
         MissingPackageError: If the package that reads the format is not installed, for example
             usd-core.
         VariantError: If ``path`` is a word without suffix that names no variant, existing path or
@@ -94,7 +99,8 @@ def audit_model(
             assert isinstance(path, str | Path)  # objects have no reader
             read = reader.read_file(Path(path))
             return _run_rules(str(path), read, reader.read_model(read), unwanted, reader.CHECKS)
-        file = read_model(path, packages)
+        request = make_xacro_request([path], packages, xacro=xacro, arguments=xacro_args)
+        file = read_model(path, packages, request)
         name = str(file.path if is_object(path) else path)
         return _run_rules(name, file, _read_stated_model(file), unwanted, {})
 

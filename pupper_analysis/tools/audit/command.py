@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 @shared.command("audit")
 @click.argument("file", required=False, type=shared.MODEL_FILE)
 @shared.package_option
+@shared.xacro_options
 @click.option(
     "--disable",
     "disabled",
@@ -49,6 +50,8 @@ if TYPE_CHECKING:
 def command(
     file: Path | None,
     packages: tuple[str, ...],
+    xacro: bool,
+    xacro_args: tuple[str, ...],
     disabled: tuple[str, ...],
     list_rules: bool,
     fail_on: str,
@@ -73,7 +76,7 @@ def command(
       pupper-analysis audit robot.urdf --fix         a patch, then the question
       pupper-analysis audit v3                       both files of a variant
       pupper-analysis audit --list-rules
-      xacro robot.urdf.xacro | pupper-analysis audit -
+      pupper-analysis audit robot.urdf.xacro --xacro --xacro-arg arm=true
 
     Exit status: 0 no finding as severe as --fail-on, 1 there is such a finding, 2 bad input.
     """  # noqa: D301 - click reads the \b
@@ -99,11 +102,20 @@ def command(
     refuse_unknown_variant(str(file))
     folders = shared.parse_packages(packages)
     named = is_variant(file)
-    if fix and (named or not file.is_file()):
+    if fix and (named or xacro or not file.is_file()):
         raise ConfigurationError("--fix", diagnose("nothing-to-fix", file=str(file)))
     with shared.show_progress("checking the model against the rules"):
         models = [find_model(file, "urdf"), find_model(file, "mjcf")] if named else [file]
-        results = [audit_model(model, packages=folders, disabled=disabled) for model in models]
+        results = [
+            audit_model(
+                model,
+                packages=folders,
+                disabled=disabled,
+                xacro=xacro,
+                xacro_args=shared.parse_xacro_args(xacro_args),
+            )
+            for model in models
+        ]
     if style in ("text", "markdown"):
         shown = [("", result) for result in results]
         step = NextStep("crosscheck") if len(results) > 1 else None  # files of a variant

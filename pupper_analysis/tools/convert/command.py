@@ -20,7 +20,10 @@ _MJCF_OPTIONS = {
 }
 """Parameters of the command that are used only if the output is an MJCF (``.xml``)."""
 
-_USED_OPTIONS = {".urdf": _COMMON_OPTIONS, ".xml": _COMMON_OPTIONS | _MJCF_OPTIONS}
+_XACRO_OPTIONS = {"xacro", "xacro_args"}
+"""Parameters of ``convert`` that only a URDF as source uses."""
+
+_USED_OPTIONS = {".urdf": _COMMON_OPTIONS, ".xml": _COMMON_OPTIONS | _MJCF_OPTIONS | _XACRO_OPTIONS}
 """{suffix of the output file: parameters of ``convert`` that have an effect for this format}. An
 option without an effect is refused if the user typed it."""
 
@@ -63,6 +66,7 @@ option without an effect is refused if the user typed it."""
     "--copy-meshes", is_flag=True, help="Copy all meshes into NAME_meshes/ beside the output file."
 )
 @shared.package_option
+@shared.xacro_options
 @shared.json_option
 @shared.text_format_option
 @shared.verbose_option
@@ -75,6 +79,8 @@ def command(
     repair_inertia: bool,
     copy_meshes: bool,
     packages: tuple[str, ...],
+    xacro: bool,
+    xacro_args: tuple[str, ...],
     json_path: Path | None,
     style: str,
     everything: bool,
@@ -91,6 +97,7 @@ def command(
       pupper-analysis convert robot.urdf -o new.xml
       pupper-analysis convert robot.urdf -o new.xml --armature 0.005
       pupper-analysis convert arm.urdf -o arm.xml --fixed-base
+      pupper-analysis convert robot.urdf.xacro -o new.xml --xacro
       pupper-analysis convert robot.xml -o new.urdf
       pupper-analysis convert v3-long-leg -o long-leg.xml
 
@@ -106,9 +113,10 @@ def command(
     folders = shared.parse_packages(packages)
     named = dict(shared.parse_assignment("foot", foot) for foot in feet if "=" in foot)
     named |= {foot: foot for foot in feet if "=" not in foot}
-    rotors = {}
+    rotors, arguments = {}, shared.parse_xacro_args(xacro_args)
     if armature:
-        joints = read_as_urdf(find_model(source, "urdf"), folders).tree.joints.values()
+        request = arguments if xacro else None
+        joints = read_as_urdf(find_model(source, "urdf"), folders, request).tree.joints.values()
         moving = [joint.name for joint in joints if not joint.is_fixed]
         rotors = _assign_by_pattern(armature, moving)
     with shared.show_progress("converting, and standing it for 12 s"):
@@ -121,6 +129,8 @@ def command(
             repair_inertia=repair_inertia,
             copy_meshes=copy_meshes,
             packages=folders,
+            xacro=xacro,
+            xacro_args=arguments,
         )
     shared.show_results([("", result)], style, everything=everything)
     meshes = [path for path in result.written if Path(path) != Path(result.output)]

@@ -65,7 +65,9 @@ def _select_next_step(conversion: Conversion) -> doc.NextStep:
     if not conversion.passed:
         return doc.NextStep("audit")
     command = "stand" if conversion.floating else "hold"
-    return doc.NextStep(command, (conversion.output,), robot_typed=False)
+    # The new file is no xacro file.
+    omitted = ("--xacro", "--xacro-arg")
+    return doc.NextStep(command, (conversion.output,), robot_typed=False, omitted=omitted)
 
 
 def _get_verdict_key(conversion: Conversion) -> str:

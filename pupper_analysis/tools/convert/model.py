@@ -32,7 +32,7 @@ from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.objects import ModelObject, is_object
-from pupper_analysis.models.published import find_file
+from pupper_analysis.models.published import find_file, make_xacro_request
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare.convert.from_urdf import MjcfOptions
 from pupper_analysis.prepare.convert.repair import Repair
@@ -77,6 +77,8 @@ def convert_model(
     repair_inertia: bool = False,
     copy_meshes: bool = False,
     packages: Mapping[str, Path] | None = None,
+    xacro: bool = False,
+    xacro_args: Mapping[str, str] | None = None,
     force: bool = False,
 ) -> Conversion:
     """Convert a URDF to an MJCF, or an MJCF to a URDF, and verify the new file.
@@ -108,6 +110,8 @@ def convert_model(
         copy_meshes: Copy all meshes to the folder ``NAME_meshes`` beside the new file. Default: the
             new file contains relative paths to the existing meshes.
         packages: Folder of each ROS package, for ``package://`` paths.
+        xacro: True to expand a xacro file, which evaluates the Python expressions in the file.
+        xacro_args: {argument of the xacro file: value}, with ``xacro=True``.
         force: Replace existing outputs. Input files are never replaced.
 
     Returns:
@@ -133,7 +137,10 @@ def convert_model(
         source = find_file(cast(str | Path, source), packages)
         register_input(source)
     _check_output(output, force=force)
-    file = read_model(source, packages)
+    request = make_xacro_request([source], packages, xacro=xacro, arguments=xacro_args)
+    file = read_model(source, packages, request)
+    if request is not None and isinstance(file, UrdfFile):
+        source = file  # the comparison reads the expanded model
     name = name or str(file.path)
     if isinstance(source, pin.Model) and armature is None:
         armature = _list_armatures(source)

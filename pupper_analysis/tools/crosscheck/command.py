@@ -26,6 +26,7 @@ from pupper_analysis.cli.shared import (
 @click.argument("mjcf", type=shared.MODEL_FILE, required=False)
 @map_option
 @shared.package_option
+@shared.xacro_options
 @frame_option
 @click.option(
     "--tolerance",
@@ -51,6 +52,8 @@ def command(
     mjcf: Path | None,
     pairs: tuple[str, ...],
     packages: tuple[str, ...],
+    xacro: bool,
+    xacro_args: tuple[str, ...],
     feet: tuple[str, ...],
     changes: tuple[str, ...],
     strict: bool,
@@ -77,7 +80,7 @@ def command(
       pupper-analysis crosscheck a1.urdf a1.xml --map lf_haa=FL_hip \\
         --tolerance mass=1e-3
       pupper-analysis crosscheck robot.urdf robot.xml --strict --format github
-      xacro robot.urdf.xacro | pupper-analysis crosscheck - robot.xml
+      pupper-analysis crosscheck robot.urdf.xacro robot.xml --xacro
 
     Exit status: 0 the files agree within the tolerances (a tilted base counts with --strict alone),
     1 the files differ, 2 bad input.
@@ -107,6 +110,8 @@ def command(
             feet=feet,
             tolerances=tolerances,
             strict_names=strict,
+            xacro=xacro,
+            xacro_args=shared.parse_xacro_args(xacro_args),
         )
     if style in ("text", "markdown"):
         shared.show_results([("", comparison)], style, everything=everything)

@@ -55,6 +55,7 @@ from pupper_analysis.models.mjcf import (
 )
 from pupper_analysis.models.multibody import joint_placements
 from pupper_analysis.models.objects import ModelObject
+from pupper_analysis.models.published import make_xacro_request
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
@@ -115,6 +116,8 @@ def compare_models(
     strict_names: bool = False,
     configurations: int = 20,
     seed: int = 0,
+    xacro: bool = False,
+    xacro_args: Mapping[str, str] | None = None,
 ) -> Comparison:
     """Compare a URDF with an MJCF of the same robot, and explain the differences.
 
@@ -136,6 +139,8 @@ def compare_models(
             Otherwise the assumptions are reported in ``guessed``, ``notes`` and ``mount``.
         configurations: Number of random configurations of the cross-check.
         seed: Seed of the random numbers, at least 0.
+        xacro: True to expand a xacro file, which evaluates the Python expressions in the file.
+        xacro_args: {argument of the xacro file: value}, with ``xacro=True``.
 
     Returns:
         Differences with causes, lines and effects; deviations of models and engines; verdict.
@@ -160,6 +165,7 @@ def compare_models(
         feet=feet,
         tolerances=tolerances,
         strict_names=strict_names,
+        xacro=make_xacro_request([urdf], packages, xacro=xacro, arguments=xacro_args),
     )
     check = cross_check(
         compared.matched.robot,

@@ -20,6 +20,7 @@ from pupper_analysis.cli.shared import change_tolerances, fine_tolerance_option
 @click.argument("old", type=click.Path())
 @click.argument("new", type=click.Path())
 @shared.package_option
+@shared.xacro_options
 @fine_tolerance_option
 @shared.json_option
 @shared.text_format_option
@@ -28,6 +29,8 @@ def command(
     old: str,
     new: str,
     packages: tuple[str, ...],
+    xacro: bool,
+    xacro_args: tuple[str, ...],
     changes: tuple[str, ...],
     json_path: Path | None,
     style: str,
@@ -55,6 +58,13 @@ def command(
     tolerances = change_tolerances(Tolerances.strict(), changes)
     folders = shared.parse_packages(packages)
     with shared.show_progress("comparing both versions"):
-        result = diff_models(old, new, packages=folders, tolerances=tolerances)
+        result = diff_models(
+            old,
+            new,
+            packages=folders,
+            tolerances=tolerances,
+            xacro=xacro,
+            xacro_args=shared.parse_xacro_args(xacro_args),
+        )
     shared.show_results([("", result)], style, everything=everything)
     shared.finish_command(json_path, result, passed=result.same)

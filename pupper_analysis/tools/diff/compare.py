@@ -30,6 +30,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.models.objects import ModelObject
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.published import make_xacro_request
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.pupper.named_robots import find_model, is_variant
 from pupper_analysis.pupper.variants import VariantSpec
@@ -142,6 +143,8 @@ def diff_models(
     *,
     packages: Mapping[str, Path] | None = None,
     tolerances: Tolerances | None = None,
+    xacro: bool = False,
+    xacro_args: Mapping[str, str] | None = None,
 ) -> ModelDiff:
     """List the changes between two versions of a model (two URDFs or two MJCFs), with effects.
 
@@ -158,6 +161,8 @@ def diff_models(
         new: New version, in the same forms as ``old``.
         packages: {ROS package: folder}, for ``package://`` paths.
         tolerances: Largest ignored changes; by default rounding errors.
+        xacro: True to expand xacro files, which evaluates the Python expressions in the files.
+        xacro_args: {argument of a xacro file: value}, with ``xacro=True``.
 
     Returns:
         Changes, with effects.
@@ -168,12 +173,13 @@ def diff_models(
         VariantError: If an argument is probably a misspelled variant name.
     """
     tolerances = tolerances or Tolerances.strict()
+    request = make_xacro_request([old, new], packages, xacro=xacro, arguments=xacro_args)
     with (
-        _open_version_or_variant(old, new, packages) as before,
-        _open_version_or_variant(new, old, packages) as after,
+        _open_version_or_variant(old, new, packages, request) as before,
+        _open_version_or_variant(new, old, packages, request) as after,
     ):
         old_version, new_version = (
-            read_version(source.read(lambda path: read_model(path, packages)))
+            read_version(source.read(lambda path: read_model(path, packages, request)))
             for source in (before, after)
         )
         before, after = (
@@ -190,6 +196,7 @@ def _open_version_or_variant(
     given: str | Path | ModelObject | VariantSpec,
     other: str | Path | ModelObject | VariantSpec,
     packages: Mapping[str, Path] | None,
+    xacro: Mapping[str, str] | None,
 ) -> Iterator[VersionedFile]:
     """Yield a version of a model; the file of a variant gets the format of the other version.
 
@@ -197,6 +204,7 @@ def _open_version_or_variant(
         given: Version to open: file, robot in memory or variant.
         other: Version with which ``given`` is compared. If both are variants, the format is MJCF.
         packages: {ROS package: folder}.
+        xacro: {argument: value} with which xacro files are expanded; None: nothing is evaluated.
     """
     if not is_variant(given):
         with open_version(find_model(given, "mjcf")) as version:
@@ -205,7 +213,7 @@ def _open_version_or_variant(
     is_urdf = False
     if not is_variant(other):
         with open_version(find_model(other, "mjcf")) as version:
-            file = version.read(lambda path: read_model(path, packages))
+            file = version.read(lambda path: read_model(path, packages, xacro))
             is_urdf = isinstance(file, UrdfFile)
     name = given.name if isinstance(given, VariantSpec) else str(given)
     yield VersionedFile(find_model(given, "urdf" if is_urdf else "mjcf"), name)

@@ -168,6 +168,7 @@ def _explain_preparation(
             take=options.get("take"),
             body=options.get("body"),
             packages=options.get("packages"),
+            xacro=options.get("xacro", False),
             xacro_args=options.get("xacro_args"),
             defer_visuals=load_request.feet is None,
         )

@@ -147,7 +147,17 @@ def _decode_value(encoded: Any) -> Value:
 # Sources of the robots of a study.
 
 
-_FILE_OPTIONS = ("take", "body", "feet", "name", "joints", "keyframe", "packages", "xacro_args")
+_FILE_OPTIONS = (
+    "take",
+    "body",
+    "feet",
+    "name",
+    "joints",
+    "keyframe",
+    "packages",
+    "xacro",
+    "xacro_args",
+)
 """Options that a study may specify in addition to the files: arguments of `load_robot`."""
 
 
