@@ -150,6 +150,16 @@ def test_pose_figure_draws_lifted_feet_and_a_scene_has_its_steps(
     )
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     assert "swing foot" in labels
+    # The task of this stand has two lines, and the legend eight symbols.
+    figure.canvas.draw()
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    boxes = [part.get_window_extent() for part in (*figure.texts, *figure.legends)]
+    boxes += [axes._left_title.get_window_extent() for axes in figure.axes]  # type: ignore[attr-defined]
+    assert len(boxes) >= len(titles) + 2
+    for box in boxes:
+        assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
+        assert figure.bbox.y0 <= box.y0 < box.y1 <= figure.bbox.y1
+        assert sum(box.overlaps(other) for other in boxes) == 1  # itself
     for axes in figure.axes:
         arrows = [text for text in axes.texts if text.arrow_patch is not None]  # type: ignore[attr-defined]
         assert len(arrows) == 3

@@ -13,6 +13,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.base.results import Result
+from pupper_analysis.present.figures.pose import make_skeleton_figure
 from tests.support.arm import load_arm
 from tests.support.repository import ROOT
 from tests.support.variants import load, stand_of
@@ -126,6 +127,11 @@ def test_plot_of_a_posture_is_that_of_its_stand_or_its_links(tmp_path: Path) -> 
     robot, stand = load("v3"), stand_of("v3")
     posture = pa.solve_posture(robot, [pa.stance.CoMTask((0, 0, 0.1))], start=stand)
     assert "forces up to" in posture.plot()[0].get_title(loc="left")
+    drawn = np.concatenate(
+        [line.get_xydata() for line in make_skeleton_figure(robot, stand.qpos).axes[1].lines]
+    )
+    for x, y, _ in pa.Configuration(robot, stand.qpos).foot_positions().values():
+        assert np.linalg.norm(drawn / 1e3 - [-y, x], axis=1).min() < 1e-9
     arm = load_arm(tmp_path)
     posture = pa.solve_posture(arm, [pa.stance.JointsTask({arm.joint_names[0]: 0.3})])
     axes = posture.plot()

@@ -312,10 +312,15 @@ def title_panel(axes: Axes, title: str) -> None:
 
 
 def add_legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """Add a legend with the given symbols, in a single row below a figure."""
-    figure.legend(handles=list(handles), loc="lower center", ncols=len(handles), fontsize=FONT_SIZE,
-                  frameon=False, handletextpad=0.5, columnspacing=0.8,
-                  handlelength=1.6)  # fmt: skip
+    """Add a legend with the given symbols below a figure, in as few rows as its width permits."""
+    for rows in range(1, len(handles) + 1):
+        legend = figure.legend(handles=list(handles), loc="lower center",
+                               ncols=-(-len(handles) // rows), fontsize=FONT_SIZE,
+                               frameon=False, handletextpad=0.5, columnspacing=0.8,
+                               handlelength=1.6)  # fmt: skip
+        if legend.get_window_extent().width <= figure.bbox.width or rows == len(handles):
+            return
+        legend.remove()
 
 
 def save_figure(figure: Figure, path: str | Path, *, force: bool = False) -> None:

@@ -7,7 +7,6 @@ above.
 from __future__ import annotations
 
 import math
-import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -308,10 +307,10 @@ def make_pose_figure(
     title, height = f"{robot.name}: stance", 0.6 * drawing.PAGE_WIDTH
     figure = drawing.make_page_figure(title, height, create=create)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
-    figure.text(0.012, 0.925, textwrap.fill(text, 120), size=drawing.FONT_SIZE, va="top",
+    figure.text(0.012, 0.94, text, size=drawing.FONT_SIZE, va="top", wrap=True,
                 parse_math=False)  # fmt: skip
     for place, (projection, side) in zip((0.01, 0.6), _PROJECTIONS, strict=True):
-        axes = figure.add_axes((place, 0.09, 0.57 if place < 0.5 else 0.39, 0.74))
+        axes = figure.add_axes((place, 0.12, 0.57 if place < 0.5 else 0.39, 0.67))
         _draw_stand(axes, projection, lines, stand, seen)
         _draw_forces(axes, projection, seen)
         largest = f", forces up to {_find_largest_force(seen):.3g} N" if place < 0.5 else ""
@@ -389,11 +388,12 @@ def make_skeleton_figure(
 
 
 def _list_links(robot: Robot, qpos: ArrayLike) -> list[tuple[int, Array]]:
-    """Return the lines between successive joints of a robot.
+    """Return the lines between successive joints of a robot, and to the contact points.
 
     The first point of a line is the joint nearer to the base, or the base frame. A chain ends at
-    the frames of the bodies without joints on the last link. Such frames on other links, for
-    example of sensors, are omitted. If a body has several joints, the first joint is used.
+    the frames of the bodies without joints on the last link, or at a contact point. Such frames on
+    other links, for example of sensors, are omitted. If a body has several joints, the first joint
+    is used.
 
     Returns:
         (index of the body at the end of the line, line of shape (2, 3) [m] in the world frame).
@@ -425,6 +425,13 @@ def _list_links(robot: Robot, qpos: ArrayLike) -> list[tuple[int, Array]]:
             for place in (ancestor, body)
         ]
         lines.append((body, np.array(ends)))
+    for _, frame in robot.description.contact_points.values():
+        foot, position = foot_site(model, frame, robot.name)
+        tip, body = data.xpos[foot] + data.xmat[foot].reshape(3, 3) @ position, foot
+        while body not in jointed and body not in (base, 0):
+            body = int(model.body_parentid[body])
+        start = data.xanchor[model.body_jntadr[body]] if body in jointed else data.xpos[body]
+        lines.append((foot, np.array([start, tip])))
     return lines
 
 
