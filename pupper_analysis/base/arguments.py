@@ -151,8 +151,8 @@ def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]
 def check_direction(name: str, values: ArrayLike) -> NDArray[np.float64]:
     """Return the unit vector (3,) of a direction of any length.
 
-    The vector is first divided by its largest component: the squares of components below 1e-162 or
-    above 1e154 would underflow or overflow.
+    The vector is first multiplied by the power of two that makes its largest component about 1: the
+    squares of components below 1e-162 or above 1e154 would underflow or overflow.
 
     Args:
         name: Name of the argument, for the message.
@@ -166,8 +166,9 @@ def check_direction(name: str, values: ArrayLike) -> NDArray[np.float64]:
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         given = " ".join(reprlib.repr(values).split())
         raise ConfigurationError(name, diagnose("direction-not-a-vector", given=given))
-    vector /= np.abs(vector).max()
-    return vector / math.hypot(*vector.tolist())
+    scaled = np.ldexp(vector, -math.frexp(np.abs(vector).max())[1])  # without rounding
+    unit: NDArray[np.float64] = scaled / math.hypot(*scaled.tolist())
+    return unit
 
 
 def check_names(name: str, values: Iterable[str]) -> tuple[str, ...]:

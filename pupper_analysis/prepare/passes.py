@@ -165,12 +165,25 @@ class Draft:
 
         This is permitted only if the base is not free in the MJCF. The base counts as free if the
         MJCF has a free joint, or if a child body of the world has four or more joints
-        (`_MIN_PARTIAL_FREE_JOINTS`). False if the user requested a fixed base.
+        (`_MIN_PARTIAL_FREE_JOINTS`). False if the user requested a fixed base, or if the URDF has a
+        free base and the user requested no feet.
         """
         if self.request.fixed_base or has_free_joint(self.mjcf.spec):
             return False
+        if self.urdf_is_free and self.request.feet is not None and not self.request.feet:
+            return False
         tops = (len(list(body.joints)) for body in self.mjcf.spec.worldbody.bodies)
         return max(tops, default=0) < _MIN_PARTIAL_FREE_JOINTS
+
+    @property
+    def urdf_is_free(self) -> bool:
+        """Whether a massless root link of the URDF has a single joint, and this joint is floating.
+
+        For example, a URDF of a ``pin.Model`` with a free flyer.
+        """
+        tree = self.urdf.tree
+        joints = tree.child_joints.get(tree.base.name, [])
+        return not tree.base.mass and [joint.kind for joint in joints] == ["floating"]
 
     @property
     def match(self) -> Match:
@@ -632,11 +645,14 @@ stand. Fewer feet may be the fingers of a gripper. Chosen, not tuned."""
 def _fix_base(draft: Draft) -> PassOutput:
     """Prepare the robot again with the base fixed, because the robot does not stand.
 
+    If the URDF has a free base, the base stays free, and the robot gets no feet.
+
     Raises:
         ModelError: Error of the preparation with a free base, if there is such an error; otherwise
-            the error with a fixed base.
+            the error of the second preparation.
     """
-    refused, request = draft.refused, replace(draft.request, fixed_base=True)
+    refused, free = draft.refused, draft.urdf_is_free
+    request = replace(draft.request, feet={}) if free else replace(draft.request, fixed_base=True)
     why = _describe_missing_stand(draft) if refused is None else refused.cause
     try:
         fixed = _run_passes(
@@ -646,6 +662,8 @@ def _fix_base(draft: Draft) -> PassOutput:
         if refused is None:
             raise
         raise refused from None
+    if free:
+        return fixed, (diagnose("base-free-without-feet", why=why),)
     if refused is None:
         why = (*report_sideways_limbs(fixed.robot), why)[0]
     return fixed, (diagnose("base-kept-in-the-world", why=why),)

@@ -45,7 +45,7 @@ def test_commands_share_their_options_of_robot_and_stance() -> None:
     base = [
         field for field in OPTION_FIELDS.values() if field.slider and field.slider.folder == "Base"
     ]
-    assert len(common) == 14 + len(base)
+    assert len(common) == 15 + len(base)
     for name in common:
         assert analyze[name].to_info_dict() == stand[name].to_info_dict()
 

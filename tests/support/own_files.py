@@ -128,6 +128,10 @@ def _quadruped(file: Path, text: str) -> str:
     if urdf:
         robot = (ROOT / "urdf/pupper_v3.urdf").read_text()
         robot = robot.replace("../mjcf/meshes", str(ROOT / "mjcf/meshes"))
+        if file.suffix == ".xacro":
+            start = '<robot xmlns:xacro="http://ros.org/wiki/xacro"\\1>'
+            argument = '<xacro:arg name="camera" default="false"/>'
+            robot = re.sub(r"<robot(.*?)>", start + argument, robot, count=1)
     else:
         robot = _one_mjcf()
     for words, (old, new) in OTHER_NAMES.items():

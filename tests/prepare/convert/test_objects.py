@@ -386,6 +386,27 @@ def shapes_of_other_model() -> tuple[pin.Model, pin.GeometryModel]:
     return model, pin.buildGeomFromUrdf(free, str(V3_URDF), pin.GeometryType.COLLISION)
 
 
+@pytest.mark.parametrize("feet", [None, []])
+def test_free_flyer_without_shapes_stays_free(feet: list[str] | None) -> None:
+    """Without shapes there are no feet. Reference: Pinocchio's model of the same URDF: number of
+    degrees of freedom, mass [kg] and gravity torques [N m] in the neutral configuration.
+    """
+    model = pin.buildModelFromUrdf(str(V3_URDF), pin.JointModelFreeFlyer())
+    robot = pa.load_robot(model, feet=feet)
+    assert robot.floating
+    assert not robot.feet
+    assert robot.pin_model.nv == robot.mj_model.nv == model.nv
+    assert robot.total_mass == pytest.approx(pin.computeTotalMass(model), rel=1e-12)
+    expected = pin.computeGeneralizedGravity(model, model.createData(), pin.neutral(model))
+    found = pin.computeGeneralizedGravity(
+        robot.pin_model, robot.pin_data(), pin.neutral(robot.pin_model)
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    codes = [note.code for note in robot.notes]
+    assert "base-kept-in-the-world" not in codes
+    assert ("base-free-without-feet" in codes) == (feet is None)
+
+
 TWO_ROBOTS = ARM_MJCF.replace(
     "</worldbody>",
     """<body name="other"><body name="lower"><joint name="elbow"/><geom size="0.1"/></body></body>
@@ -396,8 +417,8 @@ TWO_ROBOTS = ARM_MJCF.replace(
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: (3,), "a text"),
-        (lambda: (mujoco.MjSpec,), "a text"),
+        (lambda: (3,), "is no robot"),
+        (lambda: (mujoco.MjSpec,), "is no robot"),
         (lambda: (mujoco.MjSpec(),), "joint"),
         (lambda: ("<foo/>",), "<foo>"),
         (lambda: ("<mujoco><worldbody></mujoco>",), "XML"),
