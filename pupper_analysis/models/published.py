@@ -32,7 +32,12 @@ from pupper_analysis.models.menagerie import (
     list_menagerie_robots,
 )
 from pupper_analysis.models.places import Place, make_file_error, one_line
-from pupper_analysis.models.xml import LFS_POINTER, XACRO_PREFIX, blank_faulty_declaration
+from pupper_analysis.models.xml import (
+    LFS_POINTER,
+    XACRO_PREFIX,
+    XACRO_SUFFIX,
+    blank_faulty_declaration,
+)
 
 
 def existing_file(path: Path) -> Path | None:
@@ -103,9 +108,6 @@ DESCRIPTION_PREFIX: Final = "robot_descriptions:"
 
 _DESCRIPTION_NAME: Final = re.compile(r"[a-z0-9_]+")
 """Pattern of a robot's name in the package ``robot_descriptions``, without `DESCRIPTION_PREFIX`."""
-
-XACRO_SUFFIX: Final = ".xacro"
-"""Suffix of xacro files."""
 
 
 class _NotCachedError(Exception):

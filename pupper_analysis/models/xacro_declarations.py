@@ -17,7 +17,7 @@ from lxml import etree
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.places import make_element_error
-from pupper_analysis.models.xml import XACRO_PREFIX, parse_xml
+from pupper_analysis.models.xml import XACRO_EXPRESSION, XACRO_PREFIX, parse_xml
 
 _DECLARATIONS: Final = ("property", "arg", "macro")
 """Xacro elements that do not change links or joints by themselves: only a macro call or an
@@ -30,9 +30,6 @@ only these and declarations is accepted, and ignored."""
 _HARMLESS_NAMES: Final = re.compile(r"materials?|colou?rs?|transmissions?|gazebo|ros2_control")
 """Pattern of the names of included files without links and joints. A file that does not exist on
 this computer is assumed to be harmless if its name matches."""
-
-_EXPRESSION: Final = re.compile(r"\$[{(]")
-"""Start of a xacro expression, ``${...}`` or ``$(...)``."""
 
 _FIND: Final = re.compile(r"^\$\(find\s+([\w.-]+)\)/")
 """Pattern of ``$(find NAME)/`` at the start of a path."""
@@ -80,7 +77,7 @@ def remove_declarations(path: Path, root: etree._Element, resolve: ResolveMesh) 
         _remove(element)
     for element in root.iter():
         texts = (*map(str, element.attrib.values()), element.text or "")
-        if any(map(_EXPRESSION.search, texts)):
+        if any(map(XACRO_EXPRESSION.search, texts)):
             raise make_element_error(path, element, diagnose("file-is-xacro"))
     return [diagnose("xacro-ignored", names=names)]
 

@@ -43,6 +43,9 @@ NaN."""
 XACRO_PREFIX: Final = "xacro"
 """Namespace prefix of xacro elements, by convention of ROS."""
 
+XACRO_SUFFIX: Final = ".xacro"
+"""Suffix of xacro files."""
+
 _FAULTY_DECLARATION: Final = re.compile(
     rb"(?:\A|(?<=\A\xef\xbb\xbf))"
     rb"(?:\s+<\?xml\s[^>]*\?>|<\?xml\s(?!\s*version\s*=\s*[\"']1\.\d+[\"'])[^>]*\?>)"
@@ -71,10 +74,29 @@ def parse_xml(path: Path) -> tuple[str, etree._Element]:
             - The file cannot be read, is empty, is a Git LFS pointer, or has another format.
             - The XML has a DOCTYPE, is not well-formed, or exceeds a limit.
             - A file that is no URDF uses xacro.
+            - A file with the suffix ``.xacro`` has an expression outside of its xacro elements.
         OutputError: If the present command also writes this file.
     """
     text = _read_model_text(path)
-    return text, parse_file_text(path, text)
+    root = parse_file_text(path, text)
+    if path.suffix.lower() == XACRO_SUFFIX and root.tag == "robot":
+        _refuse_expressions(path, root)
+    return text, root
+
+
+XACRO_EXPRESSION: Final = re.compile(r"\$[{(]")
+"""Start of a xacro expression, ``${...}`` or ``$(...)``."""
+
+
+def _refuse_expressions(path: Path, root: etree._Element) -> None:
+    """Raise a ModelError if a xacro file has an expression outside of its xacro elements."""
+    if root.prefix == XACRO_PREFIX:
+        return
+    texts = (*map(str, root.attrib.values()), root.text or "", root.tail or "")
+    if any(map(XACRO_EXPRESSION.search, texts)):
+        raise make_element_error(path, root, diagnose("file-is-xacro"))
+    for child in root:
+        _refuse_expressions(path, child)
 
 
 def parse_file_text(path: Path, text: str) -> etree._Element:

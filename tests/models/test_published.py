@@ -407,6 +407,17 @@ def test_other_functions_read_the_expanded_xacro(evaluated: list[str], tmp_path:
     assert len(evaluated) >= 5
 
 
+def test_expression_without_xacro_element_is_not_read_as_a_name(tmp_path: Path) -> None:
+    file = tmp_path / "rex.xacro"
+    file.write_text('<robot name="rex">\n<link name="${1 + 1}"/></robot>')
+    with pytest.raises(ModelError, match=r"rex.xacro:2: it is a xacro file"):
+        read_model(file)
+    # xacro expands $$ to a dollar sign: the expanded text may contain such texts.
+    file.write_text('<robot name="rex"><link name="base"/><gazebo>$${later}</gazebo></robot>')
+    pytest.importorskip("xacro")
+    assert "${later}" in read_model(file, None, {}).text  # type: ignore[union-attr]
+
+
 def test_xacro_without_expressions_is_read_as_a_urdf(tmp_path: Path) -> None:
     """Nothing is evaluated, so no consent is necessary; blank lines are accepted as in a URDF."""
     file = tmp_path / "rex.xacro"

@@ -227,6 +227,9 @@ _T = TypeVar("_T")
 
 _MODEL_SUFFIXES = (
     ".urdf",
+    ".xacro",
+    ".yaml",
+    ".yml",
     ".xml",
     ".mjcf",
     ".stl",

@@ -383,6 +383,26 @@ def test_links_that_lead_out_of_a_revision_are_not_followed(repository: Path, li
     assert run(repository, "@:./robot.urdf", "robot.urdf").returncode == 0
 
 
+def test_xacro_of_a_revision_is_expanded_with_its_included_files(repository: Path) -> None:
+    """Reference: the masses [kg] in the included file, at the revision and now."""
+    pytest.importorskip("xacro")
+    part, robot = repository / "mass.xacro", repository / "robot.urdf.xacro"
+    space = 'xmlns:xacro="http://ros.org/wiki/xacro"'
+    part.write_text(f'<robot {space}><xacro:property name="extra" value="0"/></robot>')
+    text = urdf_text(ROBOT)
+    mass = re.findall(r'<mass value="([^"]+)"', text)[0]
+    text = text.replace("<robot", f"<robot {space}", 1)
+    text = text.replace("<link", '<xacro:include filename="mass.xacro"/><link', 1)
+    robot.write_text(text.replace(f'<mass value="{mass}"', f'<mass value="${{{mass} + extra}}"', 1))
+    git(repository, "add", ".")
+    _commit(repository)
+    part.write_text(part.read_text().replace('"0"', '"2"'))
+    found = pa.diff_models("HEAD:./robot.urdf.xacro", "robot.urdf.xacro", xacro=True)
+    assert found.mass[1] - found.mass[0] == pytest.approx(2)
+    with pytest.raises(pa.ModelError, match="--xacro"):
+        pa.diff_models("HEAD:./robot.urdf.xacro", "robot.urdf.xacro")
+
+
 def _commit(repository: Path) -> None:
     git(repository, "add", ".")
     git(repository, "-c", "user.name=a", "-c", "user.email=a@b.c", "commit", "-qm", "odd")
