@@ -43,6 +43,11 @@ if TYPE_CHECKING:
     help="Print a patch with all findings that have a single repair, and write it if confirmed.",
 )
 @click.option("--yes", "confirmed", is_flag=True, help="Write the patch of --fix unasked.")
+@click.option(
+    "--force",
+    is_flag=True,
+    help=f"With --fix, write to a file with uncommitted changes. {shared.FORCE_HELP}",
+)
 @shared.verbose_option
 @shared.json_option
 @shared.report_option
@@ -57,6 +62,7 @@ def command(
     fail_on: str,
     fix: bool,
     confirmed: bool,
+    force: bool,
     everything: bool,
     json_path: Path | None,
     report_path: Path | None,
@@ -82,7 +88,7 @@ def command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.base.diagnostics import Severity
     from pupper_analysis.present import formats
-    from pupper_analysis.present.document import NextStep
+    from pupper_analysis.present.document import NextStep, text
     from pupper_analysis.pupper.named_robots import (
         find_model,
         is_variant,
@@ -127,8 +133,13 @@ def command(
             for annotation in audit_report.make_audit_annotations(result)
         ]
         click.echo(formats.write_annotations(style, found, f"pupper-analysis audit {file.name}"))
-    if fix and _fix_files(results, confirmed=confirmed):
+    is_text = style == "text"
+    if fix and (
+        count := _fix_files(results, confirmed=confirmed, force=force, prints_patch=is_text)
+    ):
         results = [audit_model(file, packages=folders, disabled=disabled)]
+        left = audit_report.describe_counts(results[0])
+        click.echo(text("repairs-written", count=count, left=left).en, err=True)
     least = Severity(fail_on).rank
     passed = all(finding.severity.rank > least for result in results for finding in result.findings)
     content = (
@@ -146,20 +157,29 @@ def _print_rules() -> None:
     print_table(make_console(), make_rules_table())
 
 
-def _fix_files(audits: Sequence[Audit], *, confirmed: bool) -> bool:
+def _fix_files(audits: Sequence[Audit], *, confirmed: bool, force: bool, prints_patch: bool) -> int:
     """Print the patch of all findings with a single repair, and write the files if confirmed.
 
     ``confirmed`` is True with ``--yes``; otherwise the user is asked, and without a terminal
-    nothing is written. The patch is on standard output, questions and remarks are on standard
-    error. Estimates are named on standard error, and not written. Return True if the files were
-    written.
+    nothing is written. Questions and remarks are on standard error. Estimates are named on standard
+    error, and not written.
+
+    Args:
+        audits: Results of audits.
+        confirmed: Whether the files are written without a question.
+        force: Whether files with uncommitted changes are written.
+        prints_patch: Whether the patch is on standard output. Otherwise the patch is on standard
+            error, since standard output is a document of another format.
+
+    Returns:
+        Number of repairs in the written files; 0 if nothing was written.
     """
+    from pupper_analysis.base.patches import make_patch
     from pupper_analysis.present.document import text
     from pupper_analysis.tools.audit.document import describe_repair
     from pupper_analysis.tools.audit.fix import (
         apply_repairs,
         list_estimates,
-        make_patch,
         write_documents,
     )
 
@@ -167,16 +187,16 @@ def _fix_files(audits: Sequence[Audit], *, confirmed: bool) -> bool:
     for repair in list_estimates(audits):
         click.echo(describe_repair(repair).en, err=True)
     for document in documents:
-        click.echo(make_patch(document), nl=False)
+        patch = make_patch(document.path, document.data, document.render())
+        click.echo(patch, nl=False, err=not prints_patch)
     if not documents:
         click.echo(str(text("no-unique-repair").en), err=True)
-        return False
+        return 0
     may_ask = sys.stdin.isatty()
     if not confirmed and not (
         may_ask and click.confirm(text("write-repairs", count=count).en, err=True)
     ):
         click.echo(text("repairs-not-written", count=count).en, err=True)
-        return False
-    write_documents(documents)
-    click.echo(text("repairs-written", count=count).en, err=True)
-    return True
+        return 0
+    write_documents(documents, force=force)
+    return count

@@ -39,10 +39,6 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
 
     `build_document` calls this function for an `Audit`.
     """
-    counts = [
-        text("count-severity", count=count, severity=word(_pluralise_severity(severity, count)))
-        for severity, count in audit.counts.items()
-    ]
     rules = text("by-count-rules", count=len(audit.rules_run))
     suspect = bool(audit.counts.get(Severity.WARNING))
     passed = text("audit-warnings") if suspect else text("audit-ok")  # no error, but likely a slip
@@ -53,9 +49,17 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
         passed=audit.passed,
         verdict=passed if audit.passed else text("audit-errors"),
         warned=audit.passed and suspect,
-        findings=(join_words([*counts, rules]), *_describe_worst_finding(audit)),
+        findings=(join_words([describe_counts(audit), rules]), *_describe_worst_finding(audit)),
         next_step=_select_next_step(audit),
         notes=tuple(map(doc.diagnostic_text, audit.notes)),
+    )
+
+
+def describe_counts(audit: Audit) -> doc.Words:
+    """Return the number of findings of each severity, as ``1 error, 2 warnings, 0 notes``."""
+    return join_words(
+        text("count-severity", count=count, severity=word(_pluralise_severity(severity, count)))
+        for severity, count in audit.counts.items()
     )
 
 

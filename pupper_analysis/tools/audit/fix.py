@@ -8,7 +8,6 @@ other bytes stay. Files with uncommitted changes in git are not written.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -145,25 +144,20 @@ def locate_repair(repair: ValueRepair) -> tuple[tuple[int, int, str], ...]:
     return tuple((start, end - start, text.decode()) for start, end, text in splices)
 
 
-def make_patch(document: XmlDocument) -> str:
-    """Return the changes of a file in memory as a unified diff without context lines."""
-    before, after = (
-        data.decode("utf-8", "replace").splitlines(keepends=True)
-        for data in (document.data, document.render())
-    )
-    name = str(document.path)
-    return "".join(difflib.unified_diff(before, after, f"a/{name}", f"b/{name}", n=0))
-
-
-def write_documents(documents: Iterable[XmlDocument]) -> None:
+def write_documents(documents: Iterable[XmlDocument], *, force: bool = False) -> None:
     """Write changed files. Only changed or new attributes and new elements differ from before.
 
+    Args:
+        documents: Changed files.
+        force: Whether files with uncommitted changes in a git repository are written.
+
     Raises:
-        OutputError: If a file cannot be written, has uncommitted changes in a git repository, or
-            was changed since it was read.
+        OutputError: If a file cannot be written, or was changed since it was read. Unless
+            ``force``, also if a file has uncommitted changes in a git repository.
         InputError: If a file of a git repository cannot be read.
     """
     changed = list(documents)
-    for document in changed:
-        refuse_uncommitted(document.path)
+    if not force:
+        for document in changed:
+            refuse_uncommitted(document.path)
     write_all([Writing(d.path, d.render(), EDITED_KIND, before=d.data) for d in changed])

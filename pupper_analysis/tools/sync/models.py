@@ -7,7 +7,6 @@ written together. If a chosen change is impossible, nothing is written, unless `
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -22,6 +21,7 @@ from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.files import Writing, remove_stale_files, resolve_target, write_all
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, read_input
 from pupper_analysis.base.kinds import EDITED_KIND
+from pupper_analysis.base.patches import make_patch
 from pupper_analysis.base.results import Result, shorten_paths
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.git import refuse_uncommitted
@@ -228,7 +228,7 @@ def _sync_files(
         edits=plan.edits(),
         not_mended=tuple(_list_unmended(plan, comparison, after, keys, labels)),
         notes={labels[key]: note for key, note in plan.notes.items() if key not in plan.left},
-        diff="".join(make_unified_diff(d.path, d.data, d.render()) for d in plan.documents()),
+        diff="".join(make_patch(d.path, d.data, d.render()) for d in plan.documents()),
         written=written,
         backups=backups,
         withheld=withheld,
@@ -358,15 +358,6 @@ def _list_unmended(
     if not after.differences:
         for objection in after.objections:
             yield Unmended("agreement", objection, UnwrittenCause.NO_WORDS)
-
-
-def make_unified_diff(path: Path, before: bytes, after: bytes) -> str:
-    """Return the changes of a UTF-8 file in the format of ``diff -u``; empty without changes."""
-    old_lines, new_lines = (text.decode("utf-8").split("\n") for text in (before, after))
-    lines = difflib.unified_diff(
-        old_lines, new_lines, f"a/{path.name}", f"b/{path.name}", lineterm=""
-    )
-    return "\n".join(lines) + "\n" if before != after else ""
 
 
 # Choice of the source of the value, per difference.

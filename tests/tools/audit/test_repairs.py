@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -146,6 +148,29 @@ def test_nothing_is_written_without_a_confirmation(tmp_path: Path) -> None:
     assert path.read_bytes() == read_original()
     assert CliRunner().invoke(group, ["audit", str(path), "--yes"]).exit_code != 0
     assert CliRunner().invoke(group, ["audit", "v3", "--fix"]).exit_code != 0
+
+
+def test_patch_of_a_machine_format_is_on_standard_error(tmp_path: Path) -> None:
+    """Standard output is a SARIF document; the last message counts the findings that are left."""
+    path = write_arm(tmp_path, '<mass value="0.06"/>' + TENSOR_OF_ZEROS, SPHERE)
+    typed = ["audit", str(path), "--fix", "--yes", "--format", "sarif"]
+    shown = CliRunner().invoke(group, typed)
+    assert json.loads(shown.stdout)["runs"]
+    assert "+++ b/arm.urdf\n@@ " in shown.stderr
+    assert shown.stderr.endswith("1 repair written; left: 0 errors, 2 warnings, 0 notes\n")
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
+def test_only_force_writes_a_file_with_uncommitted_changes(tmp_path: Path) -> None:
+    path = write_arm(tmp_path, '<mass value="0.06"/>' + TENSOR_OF_ZEROS, SPHERE)
+    for words in (["init", "--quiet"], ["add", path.name]):  # added, but not committed
+        subprocess.run(["git", *words], cwd=tmp_path, check=True)
+    before, typed = path.read_bytes(), ["audit", str(path), "--fix", "--yes"]
+    refused = CliRunner().invoke(group, typed)
+    assert "commit them, or add --force" in str(refused.exception)
+    assert path.read_bytes() == before
+    CliRunner().invoke(group, [*typed, "--force"])
+    assert audit_model(path).passed
 
 
 def test_sarif_contains_the_bytes_of_the_repair(tmp_path: Path) -> None:
@@ -407,6 +432,7 @@ def write_arm(folder: Path, inertial: str, shape: str) -> Path:
     return path
 
 
+SPHERE = '<geometry><sphere radius="0.036"/></geometry>'
 TENSOR_OF_ZEROS = '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/>'
 
 
