@@ -161,8 +161,8 @@ def _fix_files(audits: Sequence[Audit], *, confirmed: bool, force: bool, prints_
     """Print the patch of all findings with a single repair, and write the files if confirmed.
 
     ``confirmed`` is True with ``--yes``; otherwise the user is asked, and without a terminal
-    nothing is written. Questions and remarks are on standard error. Estimates are named on standard
-    error, and not written.
+    nothing is written. Questions and remarks are on standard error. Estimates, and repairs of
+    values that a macro computes, are named on standard error, and not written.
 
     Args:
         audits: Results of audits.
@@ -179,6 +179,7 @@ def _fix_files(audits: Sequence[Audit], *, confirmed: bool, force: bool, prints_
     from pupper_analysis.tools.audit.document import describe_repair
     from pupper_analysis.tools.audit.fix import (
         apply_repairs,
+        list_computed_repairs,
         list_estimates,
         write_documents,
     )
@@ -186,6 +187,8 @@ def _fix_files(audits: Sequence[Audit], *, confirmed: bool, force: bool, prints_
     documents, count = apply_repairs(audits)
     for repair in list_estimates(audits):
         click.echo(describe_repair(repair).en, err=True)
+    for repair in list_computed_repairs(audits):
+        click.echo(describe_repair(repair, is_stated=False).en, err=True)
     for document in documents:
         patch = make_patch(document.path, document.data, document.render())
         click.echo(patch, nl=False, err=not prints_patch)

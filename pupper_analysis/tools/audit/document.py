@@ -153,7 +153,12 @@ def _describe_repairs(finding: Finding) -> Iterable[doc.Words]:
         (_format_change(repair), doc.diagnostic_text(repair.reason)) for repair in finding.repairs
     ]
     if len(candidates) == 1:
-        yield describe_repair(finding.repairs[0])
+        (repair,) = finding.repairs
+        # Only values of an expanded text, or of a robot in memory, have no line.
+        is_stated = finding.line is not None or (
+            Path(repair.file).is_file() and bool(locate_repair(repair))
+        )
+        yield describe_repair(repair, is_stated=is_stated)
     elif candidates:
         changes = join_words(
             text("repair-candidate", change=change, reason=reason) for change, reason in candidates
@@ -161,10 +166,19 @@ def _describe_repairs(finding: Finding) -> Iterable[doc.Words]:
         yield text("repair-candidates", changes=changes)
 
 
-def describe_repair(repair: ValueRepair) -> doc.Text:
-    """Describe the only repair of a finding, and whether `audit --fix` writes the repair."""
+def describe_repair(repair: ValueRepair, *, is_stated: bool = True) -> doc.Text:
+    """Describe the only repair of a finding, and whether `audit --fix` writes the repair.
+
+    Args:
+        repair: The repair.
+        is_stated: Whether a file states the old value. A xacro macro, for example, computes it.
+    """
+    if repair.is_estimate:
+        key = "repair-estimate"
+    else:
+        key = "repair-unique" if is_stated else "repair-computed"
     return text(
-        "repair-estimate" if repair.is_estimate else "repair-unique",
+        key,
         change=_format_change(repair),
         reason=doc.diagnostic_text(repair.reason),
     )

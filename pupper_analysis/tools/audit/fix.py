@@ -45,19 +45,35 @@ def _change_elements(document: XmlDocument, repair: ValueRepair) -> bool:
     A repair is not applied if an element has other values than the repair expects, for example
     because another repair has changed the element, or if an element is missing or not unique.
     """
-    changes = repair.list_changes()
-    for change in changes:
+    if not _has_old_values(document, repair):
+        return False
+    for change in repair.list_changes():
+        element = _find_repaired_element(document, change) or _ensure_element(document, change)
+        for word, text in change.new.items():
+            element.set(word, text)
+    return True
+
+
+def _has_old_values(document: XmlDocument, repair: ValueRepair) -> bool:
+    """Return True if all elements of a repair are unique, and have the values to be replaced."""
+    for change in repair.list_changes():
         element = _find_repaired_element(document, change)
         if element is None:
             if any(change.old.values()) or _find_owner(document, change) is None:
                 return False
         elif any((element.get(word) or "") != text for word, text in change.old.items()):
             return False
-    for change in changes:
-        element = _find_repaired_element(document, change) or _ensure_element(document, change)
-        for word, text in change.new.items():
-            element.set(word, text)
     return True
+
+
+def list_computed_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:
+    """Return the unique repairs of values that the file on disk does not contain.
+
+    A xacro macro, for example, computes such values. The repairs are not written.
+    """
+    repairs = list_unique_repairs(audits)
+    documents = {file: read_xml_bytes(Path(file)) for file in {repair.file for repair in repairs}}
+    return [repair for repair in repairs if not _has_old_values(documents[repair.file], repair)]
 
 
 def list_unique_repairs(audits: Iterable[Audit]) -> list[ValueRepair]:

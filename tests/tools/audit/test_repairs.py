@@ -173,6 +173,27 @@ def test_only_force_writes_a_file_with_uncommitted_changes(tmp_path: Path) -> No
     assert audit_model(path).passed
 
 
+def test_repair_of_a_value_from_a_xacro_macro_is_named_and_not_written(tmp_path: Path) -> None:
+    """Two joints have limits in degrees; a macro states one, the file itself the other."""
+    path = write_arm(tmp_path, '<mass value="0.06"/>' + TENSOR_OF_ZEROS, SPHERE)
+    begin, end = path.read_text().split('<joint name="turn"')
+    joint = f'<joint name="turn"{end}'.replace('lower="-1"', 'lower="-90"').removesuffix("</robot>")
+    macro = joint.replace('"turn"', '"${name}"').replace('"rod"', '"${name}rod"')
+    begin = begin.replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"')
+    path = tmp_path / "arm.urdf.xacro"
+    path.write_text(
+        f'{begin}<link name="arod"/><xacro:macro name="part" params="name">{macro}</xacro:macro>'
+        f'<xacro:part name="a"/>{joint}</robot>'
+    )
+    shown = CliRunner().invoke(group, ["audit", str(path), "--fix"])
+    change = "joint 'a': limit lower -90 -> -1.5708, upper 1 -> 0.0174533 (degrees to radians)"
+    assert f"repair: {change}; --fix does not write it" in shown.stdout
+    assert f"repair: {change}; --fix does not write it" in shown.stderr
+    added = [line for line in shown.stdout.splitlines() if line.startswith("+<")]
+    assert added
+    assert all(line.count('lower="-1.5708"') == line.count('lower="-90"') == 1 for line in added)
+
+
 def test_sarif_contains_the_bytes_of_the_repair(tmp_path: Path) -> None:
     """Reference: the original file, after replacing the byte region of SARIF."""
     path = plant_text(tmp_path, '<link name="FR_calf">', 'value="0.05"', 'value="0.5"')
@@ -446,21 +467,23 @@ def test_tensor_of_zeros_becomes_that_of_the_solid_sphere(tmp_path: Path) -> Non
     assert set(repair) == {"ixx", "iyy", "izz"}  # the products are zero already
 
 
-@pytest.mark.parametrize("faces", [12, 11])
-def test_impossible_tensor_becomes_that_of_the_solid_mesh(tmp_path: Path, faces: int) -> None:
+@pytest.mark.parametrize(("mesh", "faces"), [("b.stl", 12), ("b.stl", 11)])
+def test_impossible_tensor_becomes_that_of_the_solid_mesh(
+    tmp_path: Path, mesh: str, faces: int
+) -> None:
     """Reference: closed form of a box in mm, turned about z by its origin; a face may be open.
 
     The CoM, which is 1 m outside, becomes the middle of the box.
     """
     box = trimesh.creation.box((40.0, 60.0, 200.0))
-    trimesh.Trimesh(box.vertices, box.faces[:faces], process=False).export(tmp_path / "box.stl")
+    trimesh.Trimesh(box.vertices, box.faces[:faces], process=False).export(tmp_path / mesh)
     inertial = (
         '<origin xyz="0 0 1" rpy="0 0 0.3"/><mass value="0.5"/>'
         '<inertia ixx="-0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/>'
     )
     shape = (
         '<origin xyz="0 0 0.1" rpy="0 0 1.5707963267948966"/>'
-        '<geometry><mesh filename="box.stl" scale="0.001 0.001 0.001"/></geometry>'
+        f'<geometry><mesh filename="{mesh}" scale="0.001 0.001 0.001"/></geometry>'
     )
     audit = audit_model(write_arm(tmp_path, inertial, shape))
     _, _, (repair,) = find_first(audit)
