@@ -1,7 +1,7 @@
 """Reading of the `stated` robot model of a URDF from XML, including meshes.
 
 `read_urdf_model` returns the links and joints of a URDF, expressed in the frame of its root link at
-zero joint positions. Convex hulls and integrals of STL and OBJ meshes are computed on demand. The
+zero joint positions. Convex hulls and integrals of meshes are computed on demand. The
 results of the last 256 files are cached until the file changes.
 """
 
@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import INERTIA_ENTRIES
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.inputs import read_change_time
+from pupper_analysis.base.inputs import read_change_time, read_input
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, UNSTATED, known_limit
+from pupper_analysis.models.mesh_limits import MAX_MESH_BYTES
+from pupper_analysis.models.mesh_scenes import read_merged_mesh
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.shapes import Mesh, Pose, Shape
 from pupper_analysis.models.stated.model import (
@@ -212,16 +214,16 @@ def _read_solid(file: UrdfFile, tag: etree._Element) -> pin.Inertia | None:
     return pin.Inertia(size * volume, scale * com, np.trace(second) * np.eye(3) - second)
 
 
-MESH_SUFFIXES = (".stl", ".obj")
-"""Suffixes of the mesh files that are read, in lower case. Other formats, such as COLLADA, contain
-units and poses, and are not supported."""
+MESH_SUFFIXES = (".stl", ".obj", ".dae")
+"""Suffixes of the mesh files that are read, in lower case. A COLLADA file contains several parts
+with poses, and states the unit of length. Other formats, such as glTF, are not supported."""
 
 
 def mesh_hull(path: Path) -> Mesh | None:
-    """Return the convex hull of an STL or OBJ file; None if missing, invalid or of another type.
+    """Return the convex hull of an STL, OBJ or COLLADA file; None if missing, invalid or other.
 
-    The vertices are in the file's unit of length, which counts as metre in a URDF. The scale of a
-    ``<mesh>`` is not applied.
+    The unit of length of an STL or OBJ file counts as metre in a URDF. The scale of a ``<mesh>`` is
+    not applied.
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
         return None
@@ -238,8 +240,8 @@ published meshes have a quarter of this size."""
 def read_mesh_file(path: Path, _changed: int) -> Mesh | Diagnostic:
     """Return the convex hull of a mesh file, or a diagnostic if the file is invalid. Cached.
 
-    A mesh without a hull, for example a flat mesh, is returned itself. The vertices are in the
-    file's unit of length, which counts as metre in a URDF.
+    A mesh without a hull, for example a flat mesh, is returned itself. The unit of length of an STL
+    or OBJ file counts as metre in a URDF.
 
     Args:
         path: The file.
@@ -285,9 +287,19 @@ def _read_binary_stl(path: Path) -> Mesh | None:
 
 
 def _load_mesh(path: Path, *, merge: bool) -> Any:
-    """Read all parts of a mesh file as one mesh of trimesh; ``merge`` merges equal vertices."""
+    """Read all parts of a mesh file as one mesh of trimesh; ``merge`` merges equal vertices.
+
+    Raises:
+        UnreadableError: If a COLLADA file is broken, or describes too large a mesh.
+        InputError: If a COLLADA file cannot be read, or is larger than `MAX_MESH_BYTES`.
+    """
     import trimesh  # slow to import; yourdfpy depends on it
 
+    if path.suffix.lower() == ".dae":
+        mesh = read_merged_mesh(read_input(path, MAX_MESH_BYTES), ".dae")
+        if merge:
+            mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        return mesh
     return trimesh.load(path, force="mesh", process=merge, skip_materials=True)
 
 
@@ -303,7 +315,7 @@ def read_mesh_integrals(
 
     Returns:
         Volume; CoM, shape (3,); integral of x x^T about the CoM, shape (3, 3); in powers of the
-        file's unit of length. None if the surface is not closed, or the file is unreadable.
+        unit of `mesh_hull`. None if the surface is not closed, or the file is unreadable.
     """
     try:
         mesh = _load_mesh(path, merge=True)

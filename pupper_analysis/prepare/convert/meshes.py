@@ -7,7 +7,6 @@ deferred (`DeferredMeshes`). Files that cannot be read are omitted and reported.
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,17 +20,13 @@ from pupper_analysis.base.array_types import Array, IntArray
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import InputError
 from pupper_analysis.base.inputs import read_input
+from pupper_analysis.models.mesh_limits import MAX_MESH_BYTES
+from pupper_analysis.models.mesh_scenes import UnreadableError, read_merged_mesh
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import flat_mesh
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml import add_element, make_unique_name
-from pupper_analysis.prepare.convert.mesh_limits import (
-    MAX_MESH_BYTES,
-    MAX_MESH_VERTICES,
-    check_collada,
-    check_gltf,
-)
 
 _PACKAGE_PREFIX = "package://"
 """Prefix of a file of a ROS package, as in ``package://go2_description/meshes/calf.dae``."""
@@ -432,22 +427,6 @@ accepted."""
 _CONVERTIBLE_SUFFIXES: Final = (".dae", ".glb", ".off", ".ply")
 """Suffixes of the mesh formats that are converted; no archives, whose content is unbounded."""
 
-_LIMIT_CHECKS: Final = {".dae": check_collada, ".glb": check_gltf}
-"""{suffix: function that rejects small files which describe large meshes}. In the other formats,
-the number of vertices is bounded by the size of the file."""
-
-
-class UnreadableError(Exception):
-    """Error of a mesh file that cannot be used.
-
-    Attributes:
-        reason: Reason, equal for files with the same problem.
-    """
-
-    def __init__(self, reason: Diagnostic) -> None:
-        self.reason = reason
-        super().__init__(str(reason))
-
 
 def convert_to_obj(path: Path) -> bytes:
     """Convert a mesh file to the text of an OBJ file, with all parts merged.
@@ -471,26 +450,8 @@ def _convert_content(data: bytes, ending: str) -> bytes:
     Raises:
         UnreadableError: If the mesh is broken, or has too many vertices or parts.
     """
-    import trimesh  # comes with yourdfpy, and is slow to import
-
-    try:
-        reason = _LIMIT_CHECKS[ending](data) if ending in _LIMIT_CHECKS else None
-        if reason is not None:
-            raise UnreadableError(reason)
-        scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], skip_materials=True)
-        count = sum(
-            len(scene.geometry[scene.graph[node][1]].vertices)
-            for node in scene.graph.nodes_geometry
-        )
-        _check_count(count, MAX_MESH_VERTICES)
-        for shape in scene.geometry.values():
-            shape.visual = None  # otherwise textures of all parts are merged: 200 MB per mesh
-        mesh = scene.to_mesh()
-        return format_obj(mesh.vertices, mesh.faces, mesh.metadata.get("name"))
-    except UnreadableError:
-        raise
-    except Exception as error:  # the readers raise many types for broken files
-        raise UnreadableError(diagnose("mesh-broken")) from error
+    mesh = read_merged_mesh(data, ending)
+    return format_obj(mesh.vertices, mesh.faces, mesh.metadata.get("name"))
 
 
 def format_obj(vertices: Array, faces: IntArray, name: str | None) -> bytes:
@@ -530,9 +491,3 @@ def read_mesh_file(path: Path) -> bytes:
                 diagnose("mesh-too-large", most=MAX_MESH_BYTES // 10**6)
             ) from error
         raise UnreadableError(diagnose("mesh-broken")) from error
-
-
-def _check_count(vertices: int, maximum: int) -> None:
-    """Raise `UnreadableError` for a mesh with more than ``maximum`` vertices."""
-    if vertices > maximum:
-        raise UnreadableError(diagnose("mesh-has-too-many-vertices", most=maximum))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -74,3 +75,27 @@ def test_a_mesh_that_vanishes_after_its_path_was_found_is_no_mesh(tmp_path: Path
     dae = find_mesh_problem(tmp_path / "a.dae")
     assert dae is not None
     assert "No such file" in str(dae)
+
+
+def test_collada_file_is_read_in_metres_with_all_parts(tmp_path: Path) -> None:
+    """Reference: closed form of a box of 0.1 x 0.2 x 0.3 m; each part is open.
+
+    The file is in cm. Each part is half of the surface; a node moves both parts by 0.5 m along x.
+    """
+    box = trimesh.creation.box((10.0, 20.0, 30.0))
+    halves = (box.faces[:6], box.faces[6:])
+    parts = [trimesh.Trimesh(box.vertices, half, process=False) for half in halves]
+    text = trimesh.exchange.dae.export_collada(parts).decode()
+    text = re.sub(r"(<node [^>]*>)", r"\1<translate>50 0 0</translate>", text)
+    text = text.replace("<up_axis>", '<unit name="centimeter" meter="0.01"/><up_axis>')
+    (tmp_path / "a.dae").write_text(text)
+    path = tmp_path / "robot.urdf"
+    path.write_text(URDF.replace("a.obj", "a.dae"))
+    shape = read_urdf_model(read_urdf(path)).links["base"].shapes[0]
+    assert shape.points is not None
+    np.testing.assert_allclose(np.ptp(shape.points, axis=0), [0.1, 0.2, 0.3])
+    solid = shape.read_solid()
+    assert solid is not None
+    assert solid.mass == pytest.approx(0.1 * 0.2 * 0.3)
+    np.testing.assert_allclose(solid.lever, [0.5, 0, 0], atol=1e-9)
+    assert shape.compute_volume() == pytest.approx(0.006)

@@ -20,6 +20,7 @@ import trimesh
 from lxml import etree
 
 import pupper_analysis as pa
+from pupper_analysis.models import mesh_scenes
 from pupper_analysis.models.urdf_file import urdf_from
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.prepare.convert import meshes
@@ -147,7 +148,7 @@ def test_each_instance_of_a_mesh_is_converted_and_counted(
     scene.export(tmp_path / "many.glb")
     converted = trimesh.load(io.BytesIO(convert_to_obj(tmp_path / "many.glb")), file_type="obj")
     assert len(converted.faces) == 10 * len(BOX.faces)
-    monkeypatch.setattr(meshes, "MAX_MESH_VERTICES", 9 * len(BOX.vertices))
+    monkeypatch.setattr(mesh_scenes, "MAX_MESH_VERTICES", 9 * len(BOX.vertices))
     with pytest.raises(UnreadableError, match="vertices"):
         convert_to_obj(tmp_path / "many.glb")
 
@@ -175,11 +176,15 @@ def test_small_files_with_large_meshes_are_refused_before_memory_is_allocated(
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB on Linux
 
 
-def test_instances_of_collada_nodes_are_all_converted(tmp_path: Path) -> None:
-    """Reference: eight times the volume of the box [m^3]."""
-    (tmp_path / "eight.dae").write_text(nest_nodes(3))
+@pytest.mark.parametrize("unit", [1.0, 0.01])
+def test_instances_of_collada_nodes_are_all_converted_to_metres(
+    tmp_path: Path, unit: float
+) -> None:
+    """Reference: eight times the volume of the box, in the unit that the file states [m]."""
+    stated = f'<unit name="u" meter="{unit}"/><up_axis>'
+    (tmp_path / "eight.dae").write_text(nest_nodes(3).replace("<up_axis>", stated))
     converted = trimesh.load(io.BytesIO(convert_to_obj(tmp_path / "eight.dae")), file_type="obj")
-    assert converted.volume == pytest.approx(8 * BOX.volume)
+    assert converted.volume == pytest.approx(8 * BOX.volume * unit**3)
 
 
 def test_a_collada_node_that_contains_itself_is_refused(tmp_path: Path) -> None:
@@ -269,27 +274,6 @@ def test_missing_collision_mesh_is_a_failure_and_a_missing_visual_mesh_is_not(
     for kind, codes in (("visual", []), ("collision", ["collision-meshes-lost"])):
         found = with_shapes(tmp_path, format_shape(kind, '<mesh filename="gone.stl"/>', "0 0 0"))
         assert [message.code for message in found.failures] == codes
-
-
-def test_part_that_is_instanced_in_nested_nodes_is_written_each_time(tmp_path: Path) -> None:
-    """Reference: volume.
-
-    Three nested nodes that each instance the previous node twice give 8 boxes.
-    """
-    file = trimesh.exchange.dae.export_collada(BOX).decode()
-    shape = file[file.index("<instance_geometry") :].split('"')[1]
-    nodes = f'<node id="n0"><instance_geometry url="{shape}"/></node>'
-    for level in range(3):
-        twice = 2 * f'<instance_node url="#n{level}"/>'
-        nodes += f'<node id="n{level + 1}">{twice}</node>'
-    scene = '<node id="root"><instance_node url="#n3"/></node>'
-    (tmp_path / "eight.dae").write_text(
-        f"{file[: file.index('<library_visual_scenes')]}<library_nodes>{nodes}</library_nodes>"
-        f'<library_visual_scenes><visual_scene id="s">{scene}</visual_scene>'
-        '</library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>'
-    )
-    converted = trimesh.load(io.BytesIO(convert_to_obj(tmp_path / "eight.dae")), file_type="obj")
-    assert converted.volume == pytest.approx(8 * BOX.volume)
 
 
 def test_mesh_that_is_visual_and_collides_is_compiled_once(

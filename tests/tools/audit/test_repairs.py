@@ -467,7 +467,7 @@ def test_tensor_of_zeros_becomes_that_of_the_solid_sphere(tmp_path: Path) -> Non
     assert set(repair) == {"ixx", "iyy", "izz"}  # the products are zero already
 
 
-@pytest.mark.parametrize(("mesh", "faces"), [("b.stl", 12), ("b.stl", 11)])
+@pytest.mark.parametrize(("mesh", "faces"), [("b.stl", 12), ("b.stl", 11), ("b.dae", 12)])
 def test_impossible_tensor_becomes_that_of_the_solid_mesh(
     tmp_path: Path, mesh: str, faces: int
 ) -> None:

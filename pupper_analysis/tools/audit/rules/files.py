@@ -138,7 +138,7 @@ def find_mesh_problem(path: Path) -> Diagnostic | None:
                 start = file.read(_PROLOGUE_BYTES)
     except OSError as error:  # for example deleted since the path was found
         return diagnose("no-mesh", problem=describe_os_error(error))
-    if ending == ".dae":
+    if ending == ".dae":  # not every reader accepts the same COLLADA files
         return None if b"COLLADA" in start else diagnose("mesh-no-collada")
     if ending not in MESH_SUFFIXES:
         return None

@@ -1,0 +1,93 @@
+"""Reading of mesh files with several parts, such as COLLADA, as one mesh in metres.
+
+Input is the content of a file in a format other than STL and OBJ. Files that are small, but
+describe large meshes, are refused before they are read (`mesh_limits`).
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Final
+
+from lxml import etree
+
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.mesh_limits import MAX_MESH_VERTICES, check_collada, check_gltf
+
+if TYPE_CHECKING:
+    import trimesh
+
+_LIMIT_CHECKS: Final[Mapping[str, Callable[[bytes], Diagnostic | None]]] = {
+    ".dae": check_collada,
+    ".glb": check_gltf,
+}
+"""{suffix: function that rejects small files which describe large meshes}. In the other formats,
+the number of vertices is bounded by the size of the file."""
+
+
+class UnreadableError(Exception):
+    """Error of a mesh file that cannot be used.
+
+    Attributes:
+        reason: Reason, equal for files with the same problem.
+    """
+
+    def __init__(self, reason: Diagnostic) -> None:
+        self.reason = reason
+        super().__init__(str(reason))
+
+
+def read_merged_mesh(data: bytes, ending: str) -> trimesh.Trimesh:
+    """Read all parts of a mesh file as one mesh, without materials.
+
+    A COLLADA file states the length of its unit, which is applied, as RViz and Gazebo do. The axis
+    that points up is not applied, as in RViz.
+
+    Args:
+        data: Content of the file.
+        ending: Suffix of the file: .dae, .glb, .off or .ply.
+
+    Raises:
+        UnreadableError: If the mesh is broken, or has too many vertices or parts.
+    """
+    import trimesh  # comes with yourdfpy, and is slow to import
+
+    try:
+        reason = _LIMIT_CHECKS[ending](data) if ending in _LIMIT_CHECKS else None
+        if reason is not None:
+            raise UnreadableError(reason)
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], skip_materials=True)
+        count = sum(
+            len(scene.geometry[scene.graph[node][1]].vertices)
+            for node in scene.graph.nodes_geometry
+        )
+        _check_count(count, MAX_MESH_VERTICES)
+        for shape in scene.geometry.values():
+            shape.visual = None  # otherwise textures of all parts are merged: 200 MB per mesh
+        mesh = scene.to_mesh()
+        unit = _read_collada_unit(data) if ending == ".dae" else 1.0
+        return mesh if unit == 1 else mesh.apply_scale(unit)
+    except UnreadableError:
+        raise
+    except Exception as error:  # the readers raise many types for broken files
+        raise UnreadableError(diagnose("mesh-broken")) from error
+
+
+def _check_count(vertices: int, maximum: int) -> None:
+    """Raise `UnreadableError` for a mesh with more than ``maximum`` vertices."""
+    if vertices > maximum:
+        raise UnreadableError(diagnose("mesh-has-too-many-vertices", most=maximum))
+
+
+def _read_collada_unit(data: bytes) -> float:
+    """Return the length of the unit of a COLLADA file [m]; 1 if the file does not state it.
+
+    Only the first <asset> counts, which precedes all meshes: the rest of the file is not parsed.
+    """
+    for _, asset in etree.iterparse(
+        io.BytesIO(data), tag="{*}asset", resolve_entities=False, no_network=True, huge_tree=True
+    ):
+        unit = asset.find("{*}unit")
+        return 1.0 if unit is None else float(unit.get("meter", "1"))
+    return 1.0
