@@ -373,7 +373,7 @@ KINDS = {
     ),
     "CoM outside": Kind(displace_com, ("com-outside-shapes", "mirror-com")),
     "mesh path broken": Kind(break_mesh_path, ("mesh-missing",), "itself"),
-    "joint displaced": Kind(displace_joint, ("mirror-position",), "limbs"),
+    "joint displaced": Kind(displace_joint, ("mirror-position", "joint-off-links"), "limbs"),
 }
 """{name of the kind: planting function and rules that name the cause}."""
 

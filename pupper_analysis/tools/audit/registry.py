@@ -290,8 +290,8 @@ def compute_hull_distance(points: Array, point: Array) -> float:
     """Compute a lower bound of the distance between a point and the convex hull of points.
 
     Args:
-        points: Points, shape (n, 3) [m].
-        point: Point, shape (3,) [m].
+        points: Points, shape (n, 3) [m], or (n, 2) in a plane.
+        point: Point, shape (3,) or (2,) [m].
 
     Returns:
         Largest signed distance [m] to the planes of the hull's faces: positive outside the hull,
@@ -305,4 +305,4 @@ def compute_hull_distance(points: Array, point: Array) -> float:
         faces = ConvexHull(points).equations
     except (QhullError, ValueError):
         return float(np.max(np.maximum(points.min(0) - point, point - points.max(0))))
-    return float(np.max(faces[:, :3] @ point + faces[:, 3]))
+    return float(np.max(faces[:, :-1] @ point + faces[:, -1]))

@@ -951,6 +951,7 @@ _PROPOSALS: Final[Mapping[str, Callable[[RobotModel, CheckFinding], Iterator[Val
     "axis-zero": _repair_axis_of_zeros,
     "mirror-axis": _repair_axis_sense,
     "mirror-position": _repair_joint_place,
+    "joint-off-links": _repair_joint_place,
     "mirror-shapes": _repair_collision,
     "collision-off-visual": _repair_collision,
     "moving-link-without-collision": _repair_collision,

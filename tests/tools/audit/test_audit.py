@@ -784,7 +784,8 @@ def test_findings_are_sorted_and_become_json(tmp_path: Path) -> None:
 
 
 def test_every_rule_has_a_test() -> None:
-    apart = {"mesh-unreadable", "mesh-mirrored", "base-fused", "hull-below-foot"}  # not by an edit
+    by_meshes = {"mesh-unreadable", "mesh-mirrored", "joint-off-links"}
+    apart = {"base-fused", "hull-below-foot"} | by_meshes  # not by an edit of the own models
     assert {case.rule for case in CASES} | apart == set(CHECKS)
 
 
@@ -1269,3 +1270,49 @@ def test_excluded_contact_with_the_ground_is_named(tmp_path: Path) -> None:
     )
     (finding,) = find_findings(audit_model(path), "ground-not-met")
     assert "excluded" in finding.message
+
+
+def write_chain(folder: Path, origins: dict[int, str], shape: str) -> Path:
+    """Write a chain of bars of 100 x 40 x 40 mm along x; hinges about y at the ends connect them.
+
+    Args:
+        folder: Folder of the file.
+        origins: {number of a hinge from 1: other origin}.
+        shape: Content of ``<geometry>`` of each bar.
+    """
+    inertial = '<inertial><mass value="0.1"/><inertia ixx="4e-5" iyy="1e-4" izz="1e-4" ixy="0" '
+    links = "".join(
+        f'<link name="l{n}">{inertial}ixz="0" iyz="0"/></inertial><visual><origin xyz="0.05 0 0"/>'
+        f"<geometry>{shape}</geometry></visual></link>"
+        for n in range(6)
+    )
+    joints = "".join(
+        f'<joint name="j{n}" type="revolute"><origin xyz="{origins.get(n, "0.1 0 0")}"/>'
+        f'<parent link="l{n - 1}"/><child link="l{n}"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1" effort="2" velocity="9"/></joint>'
+        for n in range(1, 6)
+    )
+    path = folder / "chain.urdf"
+    path.write_text(f'<robot name="chain">{links}{joints}</robot>')
+    return path
+
+
+@pytest.mark.parametrize(
+    ("origins", "message"),
+    [
+        ({}, None),
+        ({3: "0.1 0 0.05"}, "its axis passes 30 mm beside the shapes of link 'l2'"),
+        ({3: "0.1 0.1 0"}, "the shapes of its links 'l2' and 'l3' are 60 mm apart at zero angles"),
+        ({3: "0.1 0 0.05", 4: "0.1 0 0.05"}, None),  # of several, each may be simplified
+    ],
+)
+def test_only_hinge_beside_its_links_is_found_by_meshes(
+    origins: dict[int, str], message: str | None, tmp_path: Path
+) -> None:
+    """Reference: distances between the bars, and from the axis to the bars, in closed form."""
+    trimesh.creation.box((0.1, 0.04, 0.04)).export(tmp_path / "bar.stl")
+    path = write_chain(tmp_path, origins, '<mesh filename="bar.stl"/>')
+    found = find_findings(audit_model(path), "joint-off-links")
+    assert [(f.element, f.message) for f in found] == ([("joint 'j3'", message)] if message else [])
+    path = write_chain(tmp_path, origins, '<box size="0.1 0.04 0.04"/>')
+    assert not find_findings(audit_model(path), "joint-off-links")

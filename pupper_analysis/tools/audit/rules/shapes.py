@@ -22,10 +22,11 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.qhull import ConvexHull, QhullError
 from pupper_analysis.models.loading import CheckFinding
-from pupper_analysis.models.shapes import Shape
-from pupper_analysis.models.stated.model import Link, RobotModel, UrdfModel
+from pupper_analysis.models.shapes import COMPARISON_DIRECTIONS, Mesh, Shape
+from pupper_analysis.models.stated.model import HINGE_JOINT, Link, RobotModel, UrdfModel
 from pupper_analysis.models.urdf_tree import origin_of
 from pupper_analysis.tools.audit.registry import (
+    compute_hull_distance,
     list_extent_points,
     list_known_points,
     list_link_points,
@@ -402,9 +403,9 @@ DENSITY_OF_STEEL, MIN_DENSITY_RATIO = 7900.0, 5.0
 is reported. Chosen, not tuned: motors and gears fill a part of a hull."""
 
 MIN_OTHER_LINKS = 3
-"""Smallest number of other links with known density for which a median density is computed, and of
-other drawn links with which a single link without collision shapes is reported. Chosen, not
-tuned."""
+"""Smallest number of other links with known density for which a median density is computed, of
+other drawn links with which a single link without collision shapes is reported, and of other hinges
+with which a single hinge beside its links is reported. Chosen, not tuned."""
 
 
 def compute_median_density(robot: RobotModel, name: str) -> float | None:
@@ -484,6 +485,84 @@ def collision_off_visual(robot: UrdfModel) -> Iterator[CheckFinding]:
         if gap is not None and gap > max(MIN_GAP_FRACTION * size, POSITION_TOLERANCE):
             message = diagnose("collision-off-visual", gap=Quantity(gap, "m"))
             yield CheckFinding("link", body.name, message, "collision")
+
+
+@rule
+def joint_off_links(robot: RobotModel) -> Iterator[CheckFinding]:
+    """Find the only hinge whose axis passes outside one of the two links, or whose links are apart.
+
+    A link is the convex hull of its shapes, with all fixed links, at zero joint angles. Both links
+    must have visual meshes, since boxes and rods may show a part of a link only, and all sizes must
+    be known. Two lengths are compared with `MAX_HINGE_OFFSET` and `MAX_HINGE_FRACTION` times the
+    extent of the smaller link:
+
+    - Distance between the axis and the hull of a link. The position along the axis is free.
+    - Distance between both hulls.
+
+    The larger length is reported. Nothing is reported for robots with several such hinges, whose
+    meshes are simplified, and for robots with fewer than `MIN_OTHER_LINKS` other hinges.
+    """
+    hulls: dict[str, Mesh | None] = {}
+    found, num_hinges = [], 0
+    for joint in robot.joints.values():
+        if joint.kind != HINGE_JOINT or not joint.axis.any():
+            continue
+        names = (robot.find_moving_body(joint.parent), joint.child)
+        for name in names:
+            if name not in hulls:
+                hulls[name] = _make_drawn_hull(robot, name)
+        parent, child = (hulls[name] for name in names)
+        if parent is None or child is None:
+            continue
+        num_hinges += 1
+        plane = np.linalg.svd(joint.axis[None])[2][1:]  # two unit vectors normal to the axis
+        offsets = {
+            name: compute_hull_distance(hull.vertices @ plane.T, plane @ joint.position)
+            for name, hull in zip(names, (parent, child), strict=True)
+        }
+        link, gap = max(offsets, key=lambda name: offsets[name]), _measure_hull_gap(parent, child)
+        size = min(_compute_extent(hull.vertices) for hull in (parent, child))
+        if max(offsets[link], gap) <= max(MAX_HINGE_OFFSET, MAX_HINGE_FRACTION * size):
+            continue
+        if gap > offsets[link]:
+            ends = {"parent": names[0], "child": names[1]}
+            message = diagnose("links-of-hinge-apart", gap=Quantity(gap, "m"), **ends)
+        else:
+            message = diagnose("axis-off-link", offset=Quantity(offsets[link], "m"), link=link)
+        found.append(CheckFinding("joint", joint.name, message, "origin"))
+    if len(found) == 1 and num_hinges > MIN_OTHER_LINKS:
+        yield found[0]
+
+
+MAX_HINGE_OFFSET, MAX_HINGE_FRACTION = 0.005, 0.2
+"""Largest distance between a hinge's axis and a link, and between the two links of the hinge, that
+is not reported: the larger of a length [m] and a fraction of the extent of the smaller link.
+Chosen, not tuned."""
+
+
+def _make_drawn_hull(robot: RobotModel, name: str) -> Mesh | None:
+    """Return the convex hull of a link and all fixed links, in the base frame [m].
+
+    None without visual mesh, with a shape of unknown size, or for flat shapes.
+    """
+    link, group = robot.links[name], robot.fixed_group(name)
+    shapes = [shape for part in group for shape in part.shapes]
+    points = list_extent_points(group, link)
+    if points is None or not any(s.kind == "mesh" and not s.collides for s in shapes):
+        return None
+    hull = Mesh(link.pose.point(points), np.zeros((0, 3), dtype=int)).hull()
+    return hull if len(hull.faces) else None
+
+
+def _measure_hull_gap(first: Mesh, second: Mesh) -> float:
+    """Return a lower bound of the distance between two convex hulls [m]; negative if they overlap.
+
+    The bound is the largest gap along `COMPARISON_DIRECTIONS`.
+    """
+    gaps = (second.vertices @ COMPARISON_DIRECTIONS.T).min(axis=0) - (
+        first.vertices @ COMPARISON_DIRECTIONS.T
+    ).max(axis=0)
+    return float(gaps.max())
 
 
 MIN_GAP_FRACTION = 0.1
