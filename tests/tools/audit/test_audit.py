@@ -1316,3 +1316,22 @@ def test_only_hinge_beside_its_links_is_found_by_meshes(
     assert [(f.element, f.message) for f in found] == ([("joint 'j3'", message)] if message else [])
     path = write_chain(tmp_path, origins, '<box size="0.1 0.04 0.04"/>')
     assert not find_findings(audit_model(path), "joint-off-links")
+
+
+@pytest.mark.parametrize(("bare", "names"), [((5,), ["l5"]), ((4, 5), []), ((), [])])
+def test_lost_shape_of_a_light_link_is_found_although_a_tool_has_shapes(
+    bare: tuple[int, ...], names: list[str], tmp_path: Path
+) -> None:
+    """As the last wrist link of UR5: 1 % of the mass, with a fixed tool that collides."""
+    shape = '<box size="0.1 0.04 0.04"/>'
+    path = write_chain(tmp_path, {}, shape)
+    visual, solid = "</visual></link>", f"<collision><geometry>{shape}</geometry></collision>"
+    head, *links, tail = path.read_text().replace('"0.1"', '"9"', 5).split(visual)
+    text = head + "".join(
+        f"</visual>{'' if n in bare else solid}</link>{link}"
+        for n, link in enumerate([*links, tail])
+    )
+    tool = f'<link name="tool">{solid}</link><joint name="fixed" type="fixed"><parent link="l5"/>'
+    path.write_text(text.replace("</robot>", f'{tool}<child link="tool"/></joint></robot>'))
+    found = find_findings(audit_model(path), "moving-link-without-collision")
+    assert [finding.element for finding in found] == [f"link {name!r}" for name in names]
