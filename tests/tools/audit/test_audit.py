@@ -785,7 +785,11 @@ def test_findings_are_sorted_and_become_json(tmp_path: Path) -> None:
 
 def test_every_rule_has_a_test() -> None:
     by_meshes = {"mesh-unreadable", "mesh-mirrored", "joint-off-links"}
-    apart = {"base-fused", "hull-below-foot"} | by_meshes  # not by an edit of the own models
+    apart = {
+        "base-fused",
+        "hull-below-foot",
+        "axis-sign-odd",
+    } | by_meshes  # not by an edit of the own models
     assert {case.rule for case in CASES} | apart == set(CHECKS)
 
 
@@ -1318,6 +1322,25 @@ def test_only_hinge_beside_its_links_is_found_by_meshes(
     assert not find_findings(audit_model(path), "joint-off-links")
 
 
+def test_hinge_beside_its_links_is_found_in_an_mjcf_on_the_world(tmp_path: Path) -> None:
+    """Reference: 30 mm, as for the URDF. The first of six hinges has no parent body."""
+    trimesh.creation.box((0.1, 0.04, 0.04)).export(tmp_path / "bar.stl")
+    bodies = ""
+    for number in reversed(range(6)):
+        place = f"{min(number, 1) / 10} 0 {0.05 if number == 3 else 0}"
+        bodies = (
+            f'<body name="l{number}" pos="{place}"><joint name="j{number}" axis="0 1 0"/>'
+            '<geom type="mesh" mesh="bar" pos="0.05 0 0" contype="0" conaffinity="0" mass="0.1"/>'
+            f"{bodies}</body>"
+        )
+    path = tmp_path / "chain.xml"
+    asset = '<asset><mesh name="bar" file="bar.stl"/></asset>'
+    path.write_text(f"<mujoco>{asset}<worldbody>{bodies}</worldbody></mujoco>")
+    (found,) = find_findings(audit_model(path), "joint-off-links")
+    assert found.element == "joint 'j3'"
+    assert found.message == "its axis passes 30 mm beside the shapes of link 'l2'"
+
+
 @pytest.mark.parametrize(("bare", "names"), [((5,), ["l5"]), ((4, 5), []), ((), [])])
 def test_lost_shape_of_a_light_link_is_found_although_a_tool_has_shapes(
     bare: tuple[int, ...], names: list[str], tmp_path: Path
@@ -1335,3 +1358,22 @@ def test_lost_shape_of_a_light_link_is_found_although_a_tool_has_shapes(
     path.write_text(text.replace("</robot>", f'{tool}<child link="tool"/></joint></robot>'))
     found = find_findings(audit_model(path), "moving-link-without-collision")
     assert [finding.element for finding in found] == [f"link {name!r}" for name in names]
+
+
+def test_only_opposite_axis_of_a_serial_chain_is_noted(tmp_path: Path) -> None:
+    """With another opposite axis, or a second hinge at a link, the sign may be a choice."""
+    path = write_chain(tmp_path, {}, '<box size="0.1 0.04 0.04"/>')
+    text = path.read_text()
+    axes = {"j2": '<child link="l2"/><axis xyz="0 ', "j4": '<child link="l4"/><axis xyz="0 '}
+    once = text.replace(f"{axes['j4']}1", f"{axes['j4']}-1")
+    twice = once.replace(f"{axes['j2']}1", f"{axes['j2']}-1")
+    branched = once.replace('<parent link="l4"/>', '<parent link="l3"/>')
+    messages = []
+    for changed in (text, once, twice, branched):
+        path.write_text(changed)
+        found = find_findings(audit_model(path), "axis-sign-odd")
+        messages.append([(f.element, str(f.severity), f.message) for f in found])
+    said = (
+        "its axis is (0, -1, 0) in its frame, opposite to those of the 4 other joints of the chain"
+    )
+    assert messages == [[], [("joint 'j4'", "note", said)], [], []]

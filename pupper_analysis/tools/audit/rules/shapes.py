@@ -544,9 +544,13 @@ Chosen, not tuned."""
 def _make_drawn_hull(robot: RobotModel, name: str) -> Mesh | None:
     """Return the convex hull of a link and all fixed links, in the base frame [m].
 
-    None without visual mesh, with a shape of unknown size, or for flat shapes.
+    None for the world of an MJCF, without visual mesh, with a shape of unknown size, or for flat
+    shapes.
     """
-    link, group = robot.links[name], robot.fixed_group(name)
+    link = robot.links.get(name)
+    if link is None:
+        return None
+    group = robot.fixed_group(name)
     shapes = [shape for part in group for shape in part.shapes]
     points = list_extent_points(group, link)
     if points is None or not any(s.kind == "mesh" and not s.collides for s in shapes):
