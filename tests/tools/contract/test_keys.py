@@ -214,6 +214,47 @@ def test_gains_for_standing_are_not_compared(tmp_path: Path, trainer: Path) -> N
         assert gains == {5.0}
 
 
+MOTOR_GROUPS = """
+Tron2Cfg:
+  init_state:
+    joint_names: [proximal_pitch_L_Joint, proximal_yaw_L_Joint, knee_L_Joint, wheel_L_Joint]
+  control:
+    leg_joint_stiffness: 159.67
+    leg_joint_damping: 10.16
+    light_joint_stiffness: 53.22
+    light_joint_damping: 3.39
+    wheel_joint_damping: 0.6
+    action_scale_pos: 0.25
+    action_scale_vel: 1.0
+    leg_joint_torque_limit: 140.0
+    light_joint_torque_limit: 40.0
+    wheel_joint_torque_limit: 22.0
+"""
+
+
+def test_numbers_of_motor_groups_are_those_of_their_joints(tmp_path: Path) -> None:
+    """As in limx tron2_rl_deploy: legs, light motors (yaw) and wheels, which have a velocity."""
+    path, names = tmp_path / "params.yaml", ("pitch", "yaw", "knee", "wheel")
+    joints = "".join(
+        f'<body><joint name="{"proximal_" * (name in names[:2])}{name}_L_Joint" axis="0 1 0"/>'
+        '<geom size="0.1"/></body>' for name in names
+    )  # fmt: skip
+    mjcf = tmp_path / "robot.xml"
+    mjcf.write_text(f"<mujoco><worldbody>{joints}</worldbody></mujoco>")
+    path.write_text(MOTOR_GROUPS)
+    found = read_contract(mjcf, path, stand=False)
+    stated = {
+        "kp": (159.67, 53.22, 159.67),
+        "kd": (10.16, 3.39, 10.16, 0.6),
+        "effort": (140.0, 40.0, 140.0, 22.0),
+        "action scale": (0.25, 0.25, 0.25),
+    }
+    order = ("proximal_pitch_L_Joint", "proximal_yaw_L_Joint", "knee_L_Joint", "wheel_L_Joint")
+    for quantity, numbers in stated.items():
+        expected = dict(zip(order, numbers, strict=False))  # the wheel has no angle
+        assert values(found, "params.yaml", quantity) == expected, quantity
+
+
 def test_policies_of_one_file_are_compared_with_the_trainer_only(
     tmp_path: Path, trainer: Path
 ) -> None:
