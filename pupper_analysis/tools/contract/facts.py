@@ -159,6 +159,8 @@ class ObservedTerm:
         place: File and line.
         history: Number of time steps of the term in an observation; 0 if not stated.
         clip: Lower and upper bound before scaling; None if not stated.
+        frame_order: ``oldest first`` or ``newest first`` if the observation is a sequence of
+            frames with all terms; empty if not stated.
     """
 
     name: str
@@ -166,6 +168,7 @@ class ObservedTerm:
     place: Place
     history: int = 0
     clip: tuple[float, float] | None = None
+    frame_order: str = ""
 
     @property
     def scale(self) -> float | None:

@@ -723,6 +723,9 @@ def convert_deployment(deployment: Deployment, inputs: int, outputs: int) -> Sta
         elif any(term.history for term in deployment.observations):
             put("history", histories[0], place)
         put("observation", entries, place)
+        if order := deployment.observations[0].frame_order:
+            put("layout", BY_FRAME, place)
+            put("newest-first", order == "newest first", place)
     else:
         _put_known_layout(deployment, inputs, len(joints) or outputs, put)
     file = str(deployment.files[0]) if deployment.files else ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from collections import deque
 from dataclasses import replace
@@ -196,6 +197,55 @@ def test_files_of_trainers_and_controllers_are_read(
         terms = ["angular-velocity", "joint-positions", "last-action"]
         assert [term.name for term in contract.terms] == terms
         assert contract.terms[0].scale == 0.25
+
+
+STACKED = """
+policy:
+  policy_dt: 0.02
+  joint_ids_map: [6, 7, 8, 9, 10, 11, 0, 1, 2, 3, 4, 5]
+  stiffness: {kp}
+  damping: {kd}
+  actions:
+    JointPositionAction: {{process_order: [scale, offset], scale: 0.75, offset: {angles}}}
+  observations:
+    stack: {{length: 2, order: {order}_first}}
+    terms:
+      base_ang_vel_B: {{process_order: [scale, clip], scale: 0.25, min: -2.0, max: 2.0}}
+      projected_gravity:
+      velocity_commands: {{process_order: [clip, scale], min: -1, max: 1, scale: [2.0, 2.0, 0.25]}}
+      joint_pos: {{process_order: [offset], offset: {reference}}}
+      last_action:
+"""
+
+
+@pytest.mark.parametrize("order", ["oldest", "newest"])
+def test_terms_in_frames_are_read_as_legged_rl_deploy_reads_them(
+    tmp_path: Path, order: str
+) -> None:
+    """References: ``Processor::process`` and ``PolicySlot``: the offset is added, a term without a
+    table is unchanged, gains are in the policy's order, and the bounds follow the scale.
+    """
+    policy, deploy = write_policy(tmp_path), tmp_path / "config.yaml"
+    kp = [5.0, 6.0, 7.0] * 2 + [8.0, 9.0, 10.0] * 2
+    reference = [-angle / 2 for angle in ANGLES]
+    text = STACKED.format(kp=kp, kd=[0.25] * 12, angles=ANGLES, reference=reference, order=order)
+    deploy.write_text(text)
+    contract = Policy.load(
+        policy, deployment=read_deployment(load("v3"), [deploy], policy)
+    ).contract
+    assert [term.name for term in contract.terms] == [
+        "angular-velocity", "gravity", "command", "joint-positions", "last-action"
+    ]  # fmt: skip
+    assert contract.terms[0].scale == 0.25
+    assert [term.clip for term in contract.terms[:3]] == [
+        (-8.0, 8.0), (-math.inf, math.inf), (-1.0, 1.0)
+    ]  # fmt: skip
+    assert (contract.history, contract.layout) == (2, "by-frame")
+    assert contract.newest_first is (order == "newest")
+    assert contract.default == pytest.approx(np.divide(ANGLES, 2))
+    assert contract.offset == pytest.approx(ANGLES)
+    assert contract.kp == pytest.approx(kp)
+    assert contract.rate == pytest.approx(50.0)
 
 
 def test_histories_that_do_not_fit_the_network_are_refused(tmp_path: Path) -> None:

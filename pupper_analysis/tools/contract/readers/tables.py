@@ -282,6 +282,7 @@ def _read_view(
         *sizes,
         *_list_table_statements(view, joint_names.texts, indices, is_standing_table),
     ]
+    statements += _list_reference_angles(view.get("observations", "terms"))
     action_tables = _list_position_tables(view.get("actions"))
     for rule in (KeyRule("action scale", ("scale",)), KeyRule("action offset", ("offset",))):
         for action in action_tables:
@@ -318,7 +319,7 @@ def _read_view(
         order=joint_names.texts,
         order_place=joint_names.place,
         motors=tuple(indices),
-        observations=(*named_terms, *list_observation_terms(view.get("observations"))),
+        observations=(*named_terms, *_list_view_observations(view)),
         notes=tuple(notes),
         name_lists={} if joint_names.texts else _collect_name_lists(view),
     )
@@ -387,7 +388,10 @@ def _list_table_statements(
     """
     valid_names = set(order) | {"", ".*"}
     # Listed in the robot's motor order: see unitree_rl_lab, articulation.h, "sdk order".
-    is_complete = sorted(motors) == list(range(len(motors)))
+    # legged_rl_deploy, whose terms are in a table ``terms``, lists gains in the policy's order.
+    in_motor_order = (
+        sorted(motors) == list(range(len(motors))) and not view.get("observations", "terms").table
+    )
     # Source: rl_sar, ReadYaml: the robot's table is for standing up; the policy's table overrides.
     is_for_standing = is_standing_table or (
         view.get("fixed_kp").is_present and not view.get("rl_kp").is_present
@@ -399,7 +403,7 @@ def _list_table_statements(
         for statement in rule.list_statements(node) if rule.accepts(node) else ():
             if (
                 rule.path[-1] in ("stiffness", "damping")
-                and is_complete
+                and in_motor_order
                 and statement.index in motors
             ):
                 statement = replace(statement, index=motors.index(statement.index or 0))
@@ -418,6 +422,64 @@ def _list_position_tables(node: LocatedValue) -> list[LocatedValue]:
         for key, one in node.table.items()
         if isinstance(one.value, dict) and "Velocity" not in key and "Effort" not in key
     ]
+
+
+def _list_view_observations(view: _View) -> Iterator[ObservedTerm]:
+    """Yield the observation terms of a deployment.
+
+    In files of legged_rl_deploy, ``terms`` contains the terms, and ``stack`` the number and order
+    of the frames. Each frame contains all terms. A term without a table is neither scaled nor
+    clipped.
+    """
+    terms, stack = view.get("observations", "terms"), view.get("observations", "stack")
+    if not terms.table or terms.get("func").is_present:
+        yield from list_observation_terms(view.get("observations"))
+        return
+    frames, order = stack.get("length").number, str(stack.get("order").value)
+    for name, term in terms.table.items():
+        operations = term.get("process_order").texts
+        scales = tuple(item.number for item in term.get("scale").items)
+        known = tuple(number for number in scales if number is not None)
+        is_known = not scales or len(known) == len(scales)
+        yield ObservedTerm(
+            str(name),
+            (known or (1.0,)) if is_known else None,
+            term.place,
+            int(frames or 0),
+            _read_bounds(term, known or (1.0,), operations),
+            order.replace("_", " ") if stack.table else "",
+        )
+
+
+def _read_bounds(
+    term: LocatedValue, scales: Sequence[float], operations: Sequence[str]
+) -> tuple[float, float] | None:
+    """Return the bounds ``min`` and ``max`` of an observation term, before scaling.
+
+    None if the bounds are not numbers or not applied, or if the scale before the bounds differs by
+    element.
+    """
+    low, high = term.get("min").number, term.get("max").number
+    if low is None or high is None or "clip" not in operations:
+        return None
+    if "scale" not in operations[: operations.index("clip")]:
+        return low, high
+    return (low / scales[0], high / scales[0]) if len(set(scales)) == 1 and scales[0] > 0 else None
+
+
+def _list_reference_angles(terms: LocatedValue) -> Iterator[Statement]:
+    """Yield the default angles that an observation term subtracts from the joint positions.
+
+    In files of legged_rl_deploy, the offset is added, so a default angle is the negative offset.
+    """
+    for name, term in terms.table.items():
+        is_position = OBSERVATION_ALIASES.get(str(name), name) == "joint_pos"
+        # An offset that is added after the scale is no angle.
+        if is_position and term.get("process_order").texts[:1] == ("offset",):
+            for statement in term.get("offset").make_statements("default angle", ()):
+                if statement.value is not None:
+                    value = -statement.value
+                    yield replace(statement, value=value, origin=Origin.DERIVED)
 
 
 def list_observation_terms(terms: LocatedValue) -> Iterator[ObservedTerm]:
