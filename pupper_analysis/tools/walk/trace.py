@@ -21,11 +21,11 @@ import numpy as np
 
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.arrays import rotations_from_quaternions
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.base.inputs import MAX_FILE_BYTES, decode_input, read_input
 from pupper_analysis.base.results import Result
-from pupper_analysis.models.places import make_input_error
+from pupper_analysis.models.places import Place, make_file_error, make_input_error, quote_short
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.walk.contract import BY_FRAME, PolicyContract
 from pupper_analysis.tools.walk.policy import Policy
@@ -78,13 +78,18 @@ _SIGNALS = {
 """{array of a trace in an npz file: prefix of its columns in a CSV file}."""
 
 
-_NUM_COLUMNS = {"angular_velocity": 3, "gravity": 3, "quaternion": 4}
+_NUM_COLUMNS = {"angular_velocity": 3, "gravity": 3, "quaternion": 4, "commands": 3}
 """{array of a trace: number of columns}, for arrays whose size does not depend on the robot."""
 
 _NUM_UNKNOWN_SAMPLES = {"last-action": 1, "second-last-action": 2}
 """{term: number of samples at the start of a trace that are not compared}. At the start the term
 contains actions before the trace, which are unknown. A trace may begin while the policy already
 runs.
+"""
+
+_MAX_MAGNITUDE = 1e30
+"""Largest magnitude of a number of a trace, in the unit of the array. A larger number is refused,
+like one that is not finite. Chosen, not tuned: the square of a larger float32 is not finite.
 """
 
 MAX_NORM_DEVIATION = 0.05
@@ -130,24 +135,46 @@ def read_trace(path: str | Path) -> Trace:
 
     Raises:
         ModelError: If the file cannot be read, ``time``, ``observations`` or ``actions`` is
-            missing, an array has an invalid shape, or a number is not finite. Also if the norm of a
-            quaternion differs from 1 by more than `MAX_NORM_DEVIATION`, times do not ascend, or
-            there are fewer than `MIN_SAMPLES` samples.
+            missing, an array has an invalid shape, or the magnitude of a number is not at most
+            `_MAX_MAGNITUDE`. Also if the norm of a quaternion differs from 1 by more than
+            `MAX_NORM_DEVIATION`, times do not ascend, or there are fewer than `MIN_SAMPLES`
+            samples. The error contains the line of a CSV file.
     """
-    path = Path(path)
+    path, lines = Path(path), list[int]()
     try:
         data = read_input(path, MAX_FILE_BYTES)
-        arrays, joints = _read_npz(path, data) if path.suffix == ".npz" else _read_csv(path, data)
+        if path.suffix == ".npz":
+            arrays, joints = _read_npz(path, data)
+        else:
+            arrays, joints, lines = _read_csv(path, data)
     except InputError as error:
         raise make_input_error(path, error) from error
+
+    def make_error(row: int, problem: Diagnostic) -> ModelError:
+        """Return the error for a sample, with the line of a CSV file."""
+        return make_file_error(Place(path, lines[row] if lines else None), problem)
+
     for name in ("time", "observations", "actions"):
         if name not in arrays:
             raise ModelError(path, diagnose("trace-lacks", name=name))
-    time = arrays.pop("time").ravel()
-    if len(time) < MIN_SAMPLES or not (np.diff(time) > 0).all():
-        raise ModelError(path, diagnose("trace-times", count=len(time), least=MIN_SAMPLES))
     for name, array in arrays.items():
-        if array.ndim != 2 or len(array) != len(time) or not np.isfinite(array).all():
+        bad = np.argwhere(~(np.abs(array) <= _MAX_MAGNITUDE))
+        if len(bad):
+            sample, column = int(bad[0][0]), int(bad[0][1]) if array.ndim == 2 else 0
+            number = float(array[tuple(bad[0])])
+            problem = diagnose(
+                "trace-number", name=name, sample=sample, column=column, number=number
+            )
+            raise make_error(sample, problem)
+    time = arrays.pop("time").ravel()
+    if len(time) < MIN_SAMPLES:
+        raise ModelError(path, diagnose("trace-short", count=len(time), least=MIN_SAMPLES))
+    for row in np.flatnonzero(np.diff(time) <= 0)[:1] + 1:
+        before, after = float(time[row - 1]), float(time[row])
+        problem = diagnose("trace-times", sample=int(row), before=before, after=after)
+        raise make_error(int(row), problem)
+    for name, array in arrays.items():
+        if array.ndim != 2 or len(array) != len(time):
             raise ModelError(path, diagnose("trace-array", name=name, count=len(time)))
         size = _NUM_COLUMNS.get(name, array.shape[1])
         if array.shape[1] != size:
@@ -156,9 +183,8 @@ def read_trace(path: str | Path) -> Trace:
     norms = np.linalg.norm(arrays.get("quaternion", np.ones((1, 1))), axis=1)
     worst = int(np.argmax(abs(norms - 1)))
     if abs(norms[worst] - 1) > MAX_NORM_DEVIATION:
-        raise ModelError(
-            path, diagnose("trace-quaternion", time=float(time[worst]), norm=float(norms[worst]))
-        )
+        problem = diagnose("trace-quaternion", time=float(time[worst]), norm=float(norms[worst]))
+        raise make_error(worst, problem)
     return Trace(path, time, arrays, joints)
 
 
@@ -176,37 +202,47 @@ def _read_npz(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
             stated = {name: file[name] for name in file.files}
         joints = tuple(str(name) for name in stated.pop("joints", np.array([], dtype=str)))
         known = {name: array for name, array in stated.items() if name in ("time", *_SIGNALS)}
+        for name, array in known.items():
+            if np.iscomplexobj(array):
+                raise TypeError(f"{name}: complex numbers")
         return {name: np.asarray(array, dtype=np.float64) for name, array in known.items()}, joints
     except _DAMAGE_ERRORS as error:
         raise ModelError(path, diagnose("trace-unreadable", problem=str(error))) from error
 
 
-def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...]]:
-    """Return {array: values} of a CSV file, and the joint names in the columns ``q_JOINT``.
+def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...], list[int]]:
+    """Return {array: values} of a CSV file, the joint names, and the line of each sample.
 
-    The names are empty if the columns are numbered, or absent. Numbered columns of a signal are
-    sorted by their numbers.
+    The joint names are those of the columns ``q_JOINT``; empty if the columns are numbered, or
+    absent. Numbered columns of a signal are sorted by their numbers. Separators are commas,
+    semicolons or tabs. Blank lines are left out.
 
     Raises:
-        ModelError: If the file is no table of numbers, signals have different joints, or columns of
-            other signals are not numbered.
+        ModelError: If the file is no table of numbers, a column is repeated, or signals have
+            different joints. Also if ``time`` is missing, or the columns of another signal are not
+            numbered consecutively.
         InputError: If the text cannot be decoded.
     """
-    text = decode_input(path, data)
-    header, _, body = text.partition("\n")
-    names = [name.strip() for name in header.split(",")]
-    if not body.strip():
+    lines = [
+        (line, text)
+        for line, text in enumerate(decode_input(path, data).splitlines(), 1)
+        if text.strip()
+    ]
+    if len(lines) < 2:
         raise ModelError(path, diagnose("trace-unreadable", problem="no numbers"))
-    try:
-        table = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2)
-    except ValueError as error:
-        raise ModelError(path, diagnose("trace-unreadable", problem=str(error))) from error
-    if table.shape[1:] != (len(names),):
-        problem = f"{len(names)} names, {table.shape[1]} columns"
-        raise ModelError(path, diagnose("trace-unreadable", problem=problem))
-    arrays = {"time": table[:, names.index("time")]} if "time" in names else {}
+    header, separator = Place(path, lines[0][0]), max(",;\t", key=lines[0][1].count)
+    (_, names), *samples = (
+        (line, [cell.strip().strip('"') for cell in text.split(separator)]) for line, text in lines
+    )
+    if "time" not in names:
+        raise make_file_error(header, diagnose("trace-lacks", name="time"))
+    for name in names:
+        if names.count(name) > 1:
+            raise make_file_error(header, diagnose("trace-column-twice", name=name))
+    table = np.array([_parse_numbers(Place(path, line), names, cells) for line, cells in samples])
+    arrays = {"time": table[:, names.index("time")]}
     joints = tuple(name[2:] for name in names if name.startswith("q_"))
-    is_numbered = all(name.isdecimal() for name in joints)
+    is_numbered = all(map(_is_number, joints))
     if is_numbered:
         joints = tuple(sorted(joints, key=int))
     for signal, prefix in _SIGNALS.items():
@@ -214,13 +250,47 @@ def _read_csv(path: Path, data: bytes) -> tuple[dict[str, Array], tuple[str, ...
                    if name.startswith(f"{prefix}_")}  # fmt: skip
         if not columns:
             continue
-        is_of_joints = prefix in ("q", "v", "target")
-        numbers = [name for name in columns if name.isdecimal()]
-        order = list(joints if is_of_joints else sorted(numbers, key=int))
-        if set(order) != set(columns):
-            raise ModelError(path, diagnose("trace-lacks", name=f"{prefix}_..."))
+        if prefix in ("q", "v", "target"):
+            order, absent = (
+                joints,
+                [f"{prefix}_{joint}" for joint in joints if joint not in columns],
+            )
+            absent += [f"q_{key}" for key in columns if key not in joints]
+        else:
+            order = tuple(sorted(filter(_is_number, columns), key=int))
+            first = int(order[0]) if order else 0
+            numbers = set(map(int, order))
+            absent = [
+                f"{prefix}_{first + k}" for k in range(len(columns)) if first + k not in numbers
+            ]
+        if absent:
+            raise make_file_error(header, diagnose("trace-lacks", name=absent[0]))
         arrays[signal] = table[:, [columns[key] for key in order]]
-    return arrays, () if is_numbered else joints
+    return arrays, () if is_numbered else joints, [line for line, _ in samples]
+
+
+def _is_number(name: str) -> bool:
+    """Return True if a name consists of at most nine digits, as the number of a column."""
+    return name.isdecimal() and len(name) <= 9
+
+
+def _parse_numbers(place: Place, names: Sequence[str], cells: Sequence[str]) -> list[float]:
+    """Return the numbers of a line of a CSV file.
+
+    Raises:
+        ModelError: If the line has another number of cells than the header, or a cell is no number.
+    """
+    if len(cells) != len(names):
+        problem = diagnose("trace-cells", cells=len(cells), columns=len(names))
+        raise make_file_error(place, problem)
+    numbers = list[float]()
+    for name, cell in zip(names, cells, strict=True):
+        try:
+            numbers.append(float(cell))
+        except ValueError:
+            problem = diagnose("trace-cell", name=name, cell=quote_short(cell))
+            raise make_file_error(place, problem) from None
+    return numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -371,8 +441,12 @@ def _make_signals(robot: Robot, policy: Policy, trace: Trace) -> dict[str, Array
     for name in ("positions", "velocities", "targets"):
         if name not in arrays:
             continue
-        if arrays[name].shape[1] != len(columns) or not set(wanted) <= set(columns):
-            raise ModelError(trace.path, diagnose("trace-joints", names=tuple(wanted[:4])))
+        if missing := tuple(joint for joint in wanted if joint not in columns):
+            raise ModelError(trace.path, diagnose("trace-joints", names=missing))
+        if (found := arrays[name].shape[1]) != len(columns):
+            wanted_count = len(columns)
+            problem = diagnose("trace-columns", name=name, found=found, wanted=wanted_count)
+            raise ModelError(trace.path, problem)
         values = contract.signs * arrays[name][:, [columns.index(joint) for joint in wanted]]
         if name == "positions":
             signals["joint-positions"] = values - contract.default

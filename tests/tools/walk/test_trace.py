@@ -252,10 +252,15 @@ def test_csv_and_npz_give_equal_results(
     ("changed", "message"),
     [
         ({"observations": None}, "no observations"),
-        ({"time": np.zeros(120)}, "ascending"),
+        ({"time": np.zeros(120)}, "sample 1 is at 0 s after 0 s"),
+        ({"time": np.zeros(3)}, "at least 20 samples, and has 3"),
         ({"actions": np.zeros((120, 11))}, "numbers in an observation"),
-        ({"positions": np.full((120, 12), math.nan)}, "finite"),
-        ({"joints": np.array(["a"] * 12)}, "columns"),
+        ({"positions": np.full((120, 12), math.nan)}, "column 0 of positions is nan at sample 0"),
+        ({"actions": np.full((120, 12), 1e200)}, r"column 0 of actions is 1e\+200 at sample 0"),
+        ({"actions": np.zeros((120, 12), dtype=complex)}, "actions: complex numbers"),
+        ({"joints": np.array(["a"] * 12)}, "no columns of leg_front_r_1, .* and 8 more"),
+        ({"velocities": np.zeros((120, 6))}, "velocities of the trace must have 12 columns"),
+        ({"commands": np.zeros((120, 2))}, "commands of the trace must have 3 columns"),
         ({"quaternion": np.zeros((120, 3))}, "must have 4 columns, and has 3"),
         ({"quaternion": np.zeros((120, 4))}, "has norm 0 in place of 1"),
         ({"gravity": np.ones((120, 2))}, "must have 3 columns"),
@@ -283,6 +288,41 @@ def test_file_that_is_no_trace_is_refused(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(data)
         with pytest.raises(ModelError, match="trace"):
             read_trace(tmp_path / name)
+
+
+CSV_COLUMNS = ("time", *(f"obs_{k}" for k in range(12)), "action_0", "q_a", "v_a")
+
+
+@pytest.mark.parametrize(
+    ("line", "old", "new", "message"),
+    [
+        (1, "time,", "t,", "the trace has no time"),
+        (1, "obs_1,", "obs_0,", "two columns obs_0"),
+        (1, "obs_7,", "obs_12,", "no obs_7"),
+        (1, "obs_7,", f"obs_{'9' * 5000},", "no obs_7"),
+        (1, "v_a", "v_b", "no v_a"),
+        (1, "q_a", "p_a", "no q_a"),
+        (4, "2,", "nan,", "column 0 of time is nan at sample 2"),
+        (4, ",7,", ",inf,", "column 7 of observations is inf at sample 2"),
+        (4, ",7,", ",seven,", "'seven' in column obs_7 is no number"),
+        (4, ",7,", ",7,7,", "the line has 17 cells, the header 16"),
+        (4, "2,", "1,", "sample 2 is at 1 s after 1 s"),
+        (4, "2,", "-5,", "sample 2 is at -5 s after 1 s"),
+    ],
+)
+def test_refusal_of_a_csv_file_names_the_line(
+    tmp_path: Path, line: int, old: str, new: str, message: str
+) -> None:
+    lines = [",".join(CSV_COLUMNS), *(f"{k},{','.join(map(str, range(15)))}" for k in range(30))]
+    path = tmp_path / "trace.csv"
+    for separator in ",;\t":
+        path.write_text("\n".join(lines).replace(",", separator))
+        assert read_trace(path).arrays["observations"][0].tolist() == [*range(12)]
+    lines[line - 1] = lines[line - 1].replace(old, new, 1)
+    path.write_text("\n".join(lines))
+    with pytest.raises(ModelError, match=message) as caught:
+        read_trace(path)
+    assert f"trace.csv:{line}: " in str(caught.value)
 
 
 def test_numbered_columns_of_joints_are_read_in_the_order_of_their_numbers(tmp_path: Path) -> None:
