@@ -13,8 +13,15 @@ from pathlib import Path
 
 from pupper_analysis.base.diagnostics import Diagnostic, Severity, diagnose
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.models.places import Place, make_file_error
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.contract.facts import Fact, ObservedTerm, Role
+from pupper_analysis.tools.contract.facts import (
+    Fact,
+    JointSource,
+    ObservedTerm,
+    Role,
+    find_quantity_kind,
+)
 from pupper_analysis.tools.contract.findings import find_disagreements, find_lost_quantities
 from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, assign_joints
 from pupper_analysis.tools.contract.reading import (
@@ -79,7 +86,8 @@ def read_deployment(
 
     Raises:
         ModelError: If a file cannot be read, or states nothing about joints of the robot, if a file
-            contains several policies and no name is passed, or if a source is a folder.
+            contains several policies and no name is passed, or if a source is a folder. Also if a
+            value that `contract` compares, such as a gain, is no number.
     """
     requests, folders = split_arguments(sources)
     if folders:
@@ -88,6 +96,7 @@ def read_deployment(
     if errors:
         raise errors[0]
     for source in read:
+        _check_numbers(source)
         peers = [one.name for one in read if (one.path, one.role) == (source.path, source.role)]
         if len(peers) > 1:
             named = [name.rpartition(":")[2].rpartition("/")[2] for name in peers]
@@ -106,7 +115,7 @@ def read_deployment(
         if placed_source.source.role is not Role.POLICY:
             robot_source = replace(placed_source.source, name=robot.name, order=joints.order)
             notes += check_source(placed_source, robot_source)
-    notes += find_lost_quantities(placed)
+    notes += [note for note in find_lost_quantities(placed) if note not in notes]
     placed.sort(key=lambda one: _PRECEDENCE.index(one.source.role))
     findings = find_disagreements(placed, joints)
     differing = [one for one in findings if one.severity is Severity.ERROR]
@@ -172,3 +181,14 @@ def _describe_order_place(placed_source: PlacedSource) -> str:
     """Return ``file:line`` of a joint order, or the file if no line states the order."""
     place = placed_source.source.order_place
     return str(placed_source.source.path) if place is None else place.path
+
+
+def _check_numbers(source: JointSource) -> None:
+    """Raise a ModelError, with the line, if a value that `contract` compares is no number.
+
+    Without the error, a policy would run with the number of another file.
+    """
+    for quantity, message in source.unread.items():
+        if find_quantity_kind(quantity).severity is not None:
+            place = Place(source.path, message.sources[0].line)
+            raise make_file_error(place, replace(message, values={**message.values, "file": None}))

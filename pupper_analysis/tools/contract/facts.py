@@ -241,6 +241,7 @@ class JointSource:
         name_lists: {key: list of texts} of other keys, which may state the order of the lists.
         unlimited: {joint: file and line of its actuator} of a model's joints with an actuator but
             without an effort limit.
+        unread: {quantity: reason} of values that are no numbers.
     """
 
     name: str
@@ -256,6 +257,7 @@ class JointSource:
     notes: tuple[Diagnostic, ...] = ()
     name_lists: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     unlimited: Mapping[str, Place] = field(default_factory=dict)
+    unread: Mapping[str, Diagnostic] = field(default_factory=dict)
 
     def make_fact(self, statement: Statement, joint: str = "") -> Fact:
         """Create a `Fact` from a `Statement`: a number of this file, for a joint of the robot.

@@ -45,7 +45,8 @@ class PlacedSource:
         names: {name in the source: joint}.
         unknown: Names that match no joint of the robot.
         notes: Assumptions.
-        unread: {quantity: reason} of lists that are not assigned to joints.
+        unread: {quantity: reason} of values that are no numbers, and of lists that are not
+            assigned to joints.
         unplaced: {quantity: keys that match no joint}.
     """
 
@@ -286,7 +287,7 @@ def assign_joints(
     }
     _add_policy_step(facts)
     num_joints = len(order) or len(model.order)
-    unread = _describe_unread_lists(source, unread_counts, num_joints)
+    unread = {**source.unread, **_describe_unread_lists(source, unread_counts, num_joints)}
     unknown = _list_unknown_names(source, model, names, matched)
     motor_notes = [
         diagnose("contract-order-of-motors", file=source.name, what=Term(quantity))

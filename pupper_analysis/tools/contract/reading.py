@@ -14,7 +14,7 @@ from pathlib import Path
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import InputError, ModelError, PupperAnalysisError
 from pupper_analysis.base.inputs import GENERATED_FOLDERS, MAX_FILE_BYTES, check_input
-from pupper_analysis.models.places import make_input_error
+from pupper_analysis.models.places import Place, make_file_error, make_input_error
 from pupper_analysis.tools.contract.facts import JointSource, Request, Role, load_readers
 from pupper_analysis.tools.contract.orders import PlacedSource, RobotJoints, assign_joints
 from pupper_analysis.tools.contract.readers import tables
@@ -42,12 +42,23 @@ def read_sources(requests: Sequence[Request]) -> tuple[list[JointSource], list[M
         except InputError as error:
             raise make_input_error(request.path, error) from error
         try:
-            read += select_configurations(request, read_file(request))
+            sources = select_configurations(request, read_file(request))
+            _check_orders(sources)
+            read += sources
         except ModelError as error:
             errors.append(error)
     if errors and not read:
         raise errors[0]
     return read, errors
+
+
+def _check_orders(sources: Sequence[JointSource]) -> None:
+    """Raise a ModelError, with the line, if a source lists a joint name more than once."""
+    for source in sources:
+        repeated = [name for name in dict.fromkeys(source.order) if source.order.count(name) > 1]
+        if repeated:
+            place = source.order_place or Place(source.path)
+            raise make_file_error(place, diagnose("contract-joint-twice", names=repeated))
 
 
 def make_names_distinct(read: Sequence[JointSource]) -> list[JointSource]:

@@ -5,6 +5,7 @@ References: the numbers written into the files.
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -380,6 +381,54 @@ def test_keys_of_no_joint_are_a_warning_if_another_source_states_the_joints(
     assert (warning.code, warning.severity) == ("contract-quantity-lost", "warning")
     assert "thigh0" in str(warning)
     assert not lost.passed
+
+
+PLAIN = f"""joint_names: {format_list(JOINTS)}
+step_dt: 0.02
+stiffness: {format_list([5.0] * 12)}
+default_joint_pos: {format_list(ANGLES)}
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[5.0", "['5.0'", "bad.yaml:3: kp is '5.0', which is no finite number, and was not read"),
+        ("[5.0", "[5.0 Nm", "bad.yaml:3: kp is '5.0 Nm'"),
+        ("[5.0", "[true", "bad.yaml:3: kp is 'True'"),
+        ("[5.0", "[null", "bad.yaml:3: kp is 'None'"),
+        ("[5.0", "[[5.0]", r"bad.yaml:3: kp is '\[...\]'"),
+        ("0.26", ".nan", "bad.yaml:4: default angle is '.nan'"),
+        ("0.02", "'0.02'", "bad.yaml:2: policy step is '0.02'"),
+        ("0.02", "0x1", "bad.yaml:2: policy step is '0x1'"),
+    ],
+)
+def test_value_that_is_no_number_is_a_warning_if_another_source_states_it(
+    tmp_path: Path, trainer: Path, old: str, new: str, message: str
+) -> None:
+    """Such a value vanished without a word, and the files agreed."""
+    assert compare(tmp_path, "bad.yaml", PLAIN, trainer).passed
+    found = compare(tmp_path, "bad.yaml", PLAIN.replace(old, new, 1), trainer)
+    (warning,) = found.unread
+    assert re.match(message, str(warning))
+    assert not found.passed
+    # The name of a parameter is no number, and is meant to be none.
+    assert not compare(tmp_path, "bad.yaml", PLAIN.replace("0.02", "dt"), trainer).unread
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("leg_front_r_2", "leg_front_r_1", "names leg_front_r_1 more than once"),
+        ("joint_names: [", "joint_names: [3, ", "the joint names are no list of names"),
+    ],
+)
+def test_list_of_joints_that_is_not_valid_is_named_with_its_line(
+    tmp_path: Path, trainer: Path, old: str, new: str, message: str
+) -> None:
+    found = compare(tmp_path, "bad.yaml", PLAIN.replace(old, new, 1), trainer)
+    (text,) = [str(note) for note in (*found.unread, *found.notes) if message in str(note)]
+    assert "bad.yaml:1" in text
 
 
 def test_unreadable_source_is_named_and_the_others_are_compared(

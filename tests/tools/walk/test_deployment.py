@@ -255,6 +255,24 @@ def test_histories_that_do_not_fit_the_network_are_refused(tmp_path: Path) -> No
         Policy.load(policy, deployment=read_deployment(load("v3"), [deploy], policy))
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("5.0,", "'5.0',", "deploy.yaml:3: kp is '5.0', which is no finite number$"),
+        ("'0.02'", "0.02 s", "deploy.yaml:2: policy step is '0.02 s'"),
+        ("leg_front_r_2", "leg_front_r_1", "deploy.yaml:1: the list of joints names leg_front_r_1"),
+    ],
+)
+def test_deployment_with_a_value_that_is_no_number_is_refused(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    """The walk used the number of the policy file or of the robot instead."""
+    deploy = tmp_path / "deploy.yaml"
+    deploy.write_text(make_deploy(step_dt="'0.02'").replace(old, new, 1).replace("'0.02'", "0.02"))
+    with pytest.raises(ModelError, match=message):
+        read_deployment(load("v3"), [deploy])
+
+
 def test_disagreement_of_deployment_and_policy_is_a_remark(tmp_path: Path) -> None:
     """The number of the deployment is simulated."""
     policy, deploy = tmp_path / "policy.onnx", tmp_path / "deploy.yaml"

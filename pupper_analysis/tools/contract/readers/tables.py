@@ -7,17 +7,19 @@ nested tables (`_split_document`). Other readers use `read_table` for tables in 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.inputs import read_text
-from pupper_analysis.models.places import Place
+from pupper_analysis.models.places import Place, quote_short
 from pupper_analysis.tools.contract.facts import (
     FIELD_TABLE,
     KEY_ALIASES,
     OBSERVATION_ALIASES,
+    QUANTITIES,
     JointSource,
     LocatedValue,
     ObservedTerm,
@@ -277,6 +279,8 @@ def _read_view(
     notes = (
         [diagnose("contract-motors-unread", file=name)] if motors.is_present and not indices else []
     )
+    if isinstance(joint_names.value, list) and joint_names.value and not joint_names.texts:
+        notes.append(diagnose("contract-names-unread", file=str(joint_names.place)))
     is_standing_table = name.rpartition(":")[2].rpartition("/")[2] in KEY_ALIASES["starting"]
     statements = [
         *sizes,
@@ -322,6 +326,48 @@ def _read_view(
         observations=(*named_terms, *_list_view_observations(view)),
         notes=tuple(notes),
         name_lists={} if joint_names.texts else _collect_name_lists(view),
+        unread=_describe_unread_values(view),
+    )
+
+
+def _describe_unread_values(view: _View) -> dict[str, Diagnostic]:
+    """Return {quantity: message} of the values under known keys that are no numbers.
+
+    Examples are numbers in quotation marks, ``15 deg``, and an empty element of a list of numbers.
+    Other texts may be names of parameters, and are left out.
+    """
+    unread = dict[str, Diagnostic]()
+    for rule in view.rules:
+        node = view.get(*rule.path)
+        if not rule.accepts(node):
+            continue
+        is_list = isinstance(node.value, list)
+        nodes = node.items if is_list else list(node.table.values()) or [node]
+        for item in nodes:
+            is_missing = is_list and len(nodes) > 1 and not isinstance(item.value, str)
+            if item.number is None and (is_missing or _is_like_number(item)):
+                value = "[...]" if isinstance(item.value, list | dict) else str(item.value)
+                place = item.place if item.is_present else node.place
+                unread[rule.quantity] = diagnose(
+                    "contract-value-unread",
+                    file=str(place),
+                    what=Term(rule.quantity) if rule.quantity in QUANTITIES else rule.quantity,
+                    value=quote_short(value),
+                    sources=place.source,
+                )
+                break
+    return unread
+
+
+_NUMBER_START = re.compile(r"[-+]?\.?\d|[-+]?\.?(nan|inf)$", re.IGNORECASE)
+"""Pattern of the start of a text that is meant as a number."""
+
+
+def _is_like_number(node: LocatedValue) -> bool:
+    """Return True for a truth value, and for a text that is meant as a number."""
+    value = node.value
+    return isinstance(value, bool) or (
+        isinstance(value, str) and _NUMBER_START.match(value) is not None
     )
 
 
