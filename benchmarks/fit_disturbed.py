@@ -156,6 +156,12 @@ class Disturbance:
         bits: Resolution of the encoders [bit].
         seconds: Time of the measurement after the release [s].
         added: Known mass that is added for some stands, relative to the robot's mass.
+        belt: Compliance of the belts, relative to 1 / kp; the encoder is on the side of the motor.
+        drift: Relative decrease of all kp from the first to the last stand.
+        integral: Rate of an integral action [1/s], relative to kp.
+        command_step: Resolution of the commands [rad].
+        nonlinearity: Amplitude of an encoder error with two periods per turn [rad].
+        sag: Relative decrease of all torques if all motors have full torque.
     """
 
     stiction: float = 0.02
@@ -176,6 +182,12 @@ class Disturbance:
     bits: int = 14
     seconds: float = 4.0
     added: float = 0.0
+    belt: float = 0.0
+    drift: float = 0.0
+    integral: float = 0.0
+    command_step: float = 0.0
+    nonlinearity: float = 0.0
+    sag: float = 0.0
 
 
 PLAIN = Disturbance()
@@ -209,6 +221,12 @@ DISTURBANCES: Mapping[str, Disturbance] = {
     "dropped from 3 cm": replace(PLAIN, drop=0.03),
     "12 bits": replace(PLAIN, bits=12),
     "read after 2 s": replace(PLAIN, seconds=2.0),
+    "belt of 10 kp": replace(PLAIN, belt=0.1),
+    "kp drifts by 5 %": replace(PLAIN, drift=0.05),
+    "integral action 1 % per s": replace(PLAIN, integral=0.01),
+    "commands of 0.3 deg": replace(PLAIN, command_step=math.radians(0.3)),
+    "encoder off by 0.2 deg": replace(PLAIN, nonlinearity=math.radians(0.2)),
+    "supply sags by 10 %": replace(PLAIN, sag=0.1),
 }
 """{name: disturbance}."""
 
@@ -303,6 +321,7 @@ class Rig:
             )
         self.limits = np.where(np.isfinite(true.effort_limits), true.effort_limits, 1e6)
         self.height = math.nan  # of the base (m), in the stand that was taken last
+        self.progress = 0.0  # of the stands, from 0 to 1
         self.wiring, self.signs = np.arange(true.nu), np.ones(true.nu)
         if other.swapped:
             one, two = last_joints(stated)[:2]
@@ -367,20 +386,28 @@ class Rig:
         said = np.array([one.command[name] for name in true.joint_names])
         command = (self.signs * said)[self.wiring] - offset  # of each motor, true
         data = self._release_robot(one, command)
-        limits, kp = self.limits, self.kp
+        if other.command_step:
+            command = (
+                np.round((command + offset) / other.command_step) * other.command_step - offset
+            )
+        limits, kp = self.limits, self.kp * (1 - other.drift * self.progress)
+        sum_limits = float(np.minimum(limits, self.weight * true.stand_height).sum())
+        torque, integral = np.zeros(true.nu), np.zeros(true.nu)
         bristle, friction = data.qpos[self.qpos].copy(), self.friction
         side = np.zeros(true.nu)
 
         def simulate(first: np.ndarray, last: np.ndarray, seconds: float) -> None:
             """Simulate the servos while the command moves from one position to another."""
-            nonlocal bristle, side
+            nonlocal bristle, side, torque, integral
             steps = max(1, int(seconds / TIMESTEP))
             for step in range(1, steps + 1):
                 q = data.qpos[self.qpos]
-                motor = q + other.backlash / 2 * side
+                motor = q + other.backlash / 2 * side + other.belt * torque / kp
                 error = first + step / steps * (last - first) - motor
                 error = np.sign(error) * np.maximum(np.abs(error) - other.deadband, 0.0)
-                torque = np.clip(kp * error, -limits, limits)
+                integral += other.integral * TIMESTEP * error
+                torque = np.clip(kp * (error + integral), -limits, limits)
+                torque *= 1 - other.sag * float(np.abs(torque).sum()) / sum_limits
                 side += 0.02 * (np.clip(torque / (0.05 * friction + 1e-9), -1, 1) - side)
                 stretch = q - bristle
                 held = np.clip(stretch / BRISTLE_DEFLECTION, -1, 1)
@@ -388,8 +415,14 @@ class Rig:
                 data.qfrc_applied[self.dofs] = torque - friction * held
                 mujoco.mj_step(model, data)
 
+        def read() -> np.ndarray:
+            """Return the positions of the motors (nu,) [rad]."""
+            return np.asarray(
+                data.qpos[self.qpos] + other.backlash / 2 * side + other.belt * torque / kp
+            )
+
         simulate(command, command, other.seconds)
-        readings = [data.qpos[self.qpos] + other.backlash / 2 * side]
+        readings = [read()]
         if not self.single:
             lead = command - readings.pop()
             for ratio in LEAD_RATIOS:
@@ -397,26 +430,31 @@ class Rig:
                 simulate(command, beyond, RAMP_SECONDS)
                 simulate(beyond, command, RETURN_SECONDS)
                 simulate(command, command, REST_SECONDS)
-                readings.append(data.qpos[self.qpos] + other.backlash / 2 * side)
+                readings.append(read())
         if not np.isfinite(data.qpos).all() or np.abs(data.qvel).max() > 0.02:
             return None
         self.height = float(data.qpos[self.every[2]])
+        on = self._find_carrying_feet(data)
+        if on is None or len(on) < 3:
+            return None
+        shown = [q + offset + other.nonlinearity * np.sin(2 * q) for q in readings]
+        step = 2 * math.pi / 2**other.bits
+        mean = np.mean([np.round(angles / step) * step for angles in shown], axis=0)
+        back = np.empty_like(mean)
+        back[self.wiring] = mean
+        return self.signs * back, tuple(foot for foot in true.feet if foot not in on)
+
+    def _find_carrying_feet(self, data: mujoco.MjData) -> set[str] | None:
+        """Return the feet that carry load; None if another part of the robot touches the ground."""
         carry, force = Counter[str](), np.zeros(6)
         for number in range(data.ncon):
             contact = data.contact[number]
-            mujoco.mj_contactForce(model, data, number, force)
-            feet = {true.foot_geoms.get(int(geom)) for geom in contact.geom} - {None}
-            if not feet:  # it lies on something else
+            mujoco.mj_contactForce(self.model, data, number, force)
+            feet = {self.robot.foot_geoms.get(int(geom)) for geom in contact.geom} - {None}
+            if not feet:
                 return None
-            carry[feet.pop()] += force[0]
-        on = {foot for foot, value in carry.items() if value > 0.005 * self.weight}
-        if len(on) < 3:
-            return None
-        step = 2 * math.pi / 2**other.bits
-        read = np.mean([np.round((q + offset) / step) * step for q in readings], axis=0)
-        back = np.empty_like(read)
-        back[self.wiring] = read
-        return self.signs * back, tuple(foot for foot in true.feet if foot not in on)
+            carry[str(feet.pop())] += force[0]
+        return {foot for foot, value in carry.items() if value > 0.005 * self.weight}
 
     def _release_robot(self, one: PlannedStand, command: np.ndarray) -> mujoco.MjData:
         """Return the state above the ground in the commanded posture, with gravity and cable."""
@@ -474,7 +512,8 @@ def last_joints(robot: Robot) -> list[int]:
 def true_values(rig: Rig) -> dict[str, float]:
     """Return {name of an estimate: true value} of a simulated robot."""
     truth, robot = dict(rig.planted.truth), rig.planted.stated
-    truth |= {f"kp {n}": float(k) for n, k in zip(robot.joint_names, rig.kp, strict=True)}
+    mean_kp = rig.kp * (1 - rig.other.drift / 2)
+    truth |= {f"kp {n}": float(k) for n, k in zip(robot.joint_names, mean_kp, strict=True)}
     truth["mass"] = rig.robot.total_mass  # of what was weighed; a pack is the load
     truth["load scale"] = rig.other.pack - rig.other.cable[1]
     base = robot.base
@@ -492,9 +531,11 @@ def true_values(rig: Rig) -> dict[str, float]:
 def measure_stands(rig: Rig, plan: StandPlan) -> MeasuredStands | None:
     """Simulate the planned stands, and return the measurements; None if fewer than five succeed."""
     place = np.zeros(3) if plan.place is None else np.array(plan.place.offset)
-    taken = [
-        (one, found) for one in plan.stands if (found := rig.simulate_stand(one, place)) is not None
-    ]
+    taken = []
+    for number, one in enumerate(plan.stands):
+        rig.progress = number / max(1, len(plan.stands) - 1)
+        if (found := rig.simulate_stand(one, place)) is not None:
+            taken.append((one, found))
     if len(taken) < 5:
         return None
     names, robot = rig.robot.joint_names, rig.robot
@@ -653,7 +694,7 @@ def evaluate_fit(
         code = getattr(getattr(error, "cause", None), "code", type(error).__name__)
         return Row(name, title, seed, len(stands), "refused", code)
     stated = resolve_servo_gains(robot, kp, None if kp is None else 0.0).kp
-    factor = float(np.exp(np.log(rig.kp / stated).mean()))
+    factor = float(np.exp(np.log(rig.kp * (1 - rig.other.drift / 2) / stated).mean()))
     carried = truth["mass"] / robot.total_mass * (1 + truth["load scale"])
     truth["kp over mass"] = factor / carried
     derived = [replace(fit.total_mass, name="mass")]
