@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pinocchio as pin
@@ -576,6 +576,24 @@ def test_exchange_that_shows_in_an_excluded_stand_alone_is_named(
     assert failure.code == "joints-exchanged"
     named = {*failure.values["joints"], *failure.values["others"]}
     assert named == {robot.joint_names[0], robot.joint_names[6]}
+
+
+@pytest.mark.filterwarnings("error")
+def test_trial_masses_that_overflow_are_rejected_without_a_warning(
+    robot: Robot, stands: MeasuredStands, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with exchanged plugs, whose trial steps are long. Reference: chi2 is infinite."""
+
+    def evaluate(table: ParameterTable, linearise: Any, start: np.ndarray, **_: object) -> None:
+        trial = start + 1000 * table.stated * (np.array([p.kind for p in table]) == "mass")
+        assert linearise(trial, start).chi2 == math.inf
+        assert math.isfinite(linearise(start, start).chi2)
+        raise FitError(diagnose("fit-does-not-converge", steps=1))
+
+    monkeypatch.setattr(fit_module, "estimate_parameters", evaluate)
+    monkeypatch.setattr(fit_module, "find_wiring", lambda *_: None)
+    with pytest.raises(FitError):
+        fit_stands(robot, stands.select_rows(range(7)))
 
 
 def test_plugs_are_not_doubted_if_an_exchange_explains_less(

@@ -907,7 +907,12 @@ def _estimate_from_stands(
     logarithms = LogCoordinates(table)
 
     def linearise(y: Array, noise_coordinates: Array) -> LinearisedResiduals:
-        """Return the linearised residuals at the log coordinates ``y`` of the parameters."""
+        """Return the linearised residuals at the log coordinates ``y`` of the parameters.
+
+        ``chi2`` is infinite beyond `_MAX_LOG_FACTOR`.
+        """
+        if logarithms.compute_largest_exponent(y) > _MAX_LOG_FACTOR:
+            return replace(LinearisedResiduals.empty(len(y)), chi2=math.inf)
         x = logarithms.to_parameters(y)
         noise_point = x if y is noise_coordinates else logarithms.to_parameters(noise_coordinates)
         return logarithms.transform_linearised(
@@ -928,6 +933,12 @@ def _estimate_from_stands(
         raise
     return logarithms.transform_posterior(posterior)
 
+
+_MAX_LOG_FACTOR = 20.0
+"""Largest natural logarithm of (mass or kp / stated value) at which the equations of stands are
+evaluated. A larger trial step, for example with exchanged plugs, is rejected, since the equations
+overflow. Chosen, not tuned: a factor of 5e8 belongs to no robot.
+"""
 
 _MIN_DECREASE = 2e-3
 """Predicted decrease of the cost below which the iteration has converged. The value corresponds to
@@ -1259,6 +1270,15 @@ class LogCoordinates:
         coordinates, stated = vector.copy(), self._stated[self._factors]
         coordinates[self._factors] = stated * (1 + np.log(vector[self._factors] / stated))
         return coordinates
+
+    def compute_largest_exponent(self, coordinates: Array) -> float:
+        """Return the largest log(x / x0) of the masses and kp for coordinates, shape (n,).
+
+        x is the value of the parameter and x0 the stated value. The result is minus infinity
+        without masses and kp.
+        """
+        ratios = coordinates[self._factors] / self._stated[self._factors]
+        return float(np.max(ratios - 1, initial=-np.inf))
 
     def compute_rates(self, coordinates: Array) -> Array:
         """Return the derivatives dx/dy of the parameters x by the coordinates y, shape (n,).
