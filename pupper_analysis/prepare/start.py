@@ -25,7 +25,11 @@ import pinocchio as pin
 
 from pupper_analysis.base.array_types import Array
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.base.errors import PupperAnalysisError, UnknownNameError
+from pupper_analysis.base.errors import (
+    PupperAnalysisError,
+    StanceUnreachableError,
+    UnknownNameError,
+)
 from pupper_analysis.models.additions import StartKeyframe
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import JointKind, compile_spec, list_free_joints, silence_mujoco
@@ -46,6 +50,7 @@ from pupper_analysis.stance.search import (
     search_from_joints,
     solve_constraints,
 )
+from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.solver import SearchContext
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
@@ -356,18 +361,17 @@ def _find_level_soles(robot: Robot, pose: Array) -> Robot | None:
         length * np.linspace(_MAX_HEIGHT_FRACTION, _MIN_HEIGHT_FRACTION, _NUM_HEIGHTS), 3
     )
     heights = heights[heights > 0]
-    for margin in _JOINT_MARGINS:
+
+    def level_at_heights(margin: float) -> list[Robot]:
+        """Return robots with level soles at the heights; joints are ``margin`` from the limits."""
         guesses = [(height, _level_soles(robot, pose, height, margin)) for height in heights]
-        found = _choose_middle_start(
-            [
-                _set_start(replace(robot, nominal=joints), joints, float(height))
-                for height, joints in guesses
-                if joints is not None
-            ]
-        )
-        if found is not None:
-            return found
-    return None
+        return [
+            _set_start(replace(robot, nominal=joints), joints, float(height))
+            for height, joints in guesses
+            if joints is not None
+        ]
+
+    return _choose_start(level_at_heights(margin) for margin in _JOINT_MARGINS)
 
 
 _REFINED_TOLERANCE, _MAX_REFINEMENTS = 1e-15, 4
@@ -464,16 +468,46 @@ def _set_start(robot: Robot, joints: Array, height: float) -> Robot:
     return replace(robot, home=np.concatenate([robot.home[:7], joints]), stand_height=height)
 
 
-def _choose_middle_start(starts: Sequence[Robot]) -> Robot | None:
-    """Return the first robot with a nominal stand, tried from the middle of a sequence outwards.
+def _choose_start(runs: Iterable[Sequence[Robot]]) -> Robot | None:
+    """Choose the start pose from runs of poses at successive base heights.
 
-    The robots differ in the start pose, from which the nominal stand (that of the default
-    `StandTask`) is solved. A start may fail: the stand needs the CoM in the centre of the feet, and
-    bending straight legs moves the CoM. None if all fail.
+    Each run is tried from the middle outwards. The first robot with a nominal stand (default
+    `StandTask`) on soft ground is returned. Without such a robot, the result is the first robot
+    with a nominal stand on rigid ground. A start may fail: the stand needs the CoM in the centre of
+    the feet, and bending straight legs moves the CoM.
+
+    Args:
+        runs: Robots that differ in the start pose; later runs are used only if necessary.
+
+    Returns:
+        The robot; None if all fail.
     """
-    middle = len(starts) // 2
-    ordered = sorted(range(len(starts)), key=lambda number: abs(number - middle))
-    return next((starts[n] for n in ordered if solve_nominal_stand(starts[n]) is not None), None)
+    on_rigid_ground: Robot | None = None
+    for starts in runs:
+        middle = len(starts) // 2
+        for number in sorted(range(len(starts)), key=lambda number: abs(number - middle)):
+            stand = solve_nominal_stand(starts[number])
+            if stand is None:
+                continue
+            if _is_within_reach_on_soft_ground(starts[number], stand):
+                return starts[number]
+            on_rigid_ground = on_rigid_ground or starts[number]
+    return on_rigid_ground
+
+
+def _is_within_reach_on_soft_ground(robot: Robot, stand: Stand) -> bool:
+    """Return True if the legs can be extended by the depth at which the feet penetrate the ground.
+
+    The result is False near the largest height that the legs reach. Other errors on soft ground,
+    such as depths that do not converge, do not count.
+    """
+    try:
+        solve_stand_on_soft_ground(robot, stand, explain=False)
+    except StanceUnreachableError:
+        return False
+    except PupperAnalysisError:
+        return True
+    return True
 
 
 def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
@@ -483,8 +517,8 @@ def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
     2. The pose with the most consecutive stands is used.
     3. The nominal stand is that at the middle height, or else the nearest valid stand.
 
-    The required distances from the joint limits are reduced (`_JOINT_MARGINS`) until a stand is
-    found.
+    The required distances from the joint limits are reduced (`_JOINT_MARGINS`) until a stand on
+    soft ground is found. Without such a stand, the first stand on rigid ground is used.
 
     Args:
         robot: Robot with feet.
@@ -493,24 +527,23 @@ def _search_poses(robot: Robot, poses: Sequence[Array]) -> Robot | None:
     Returns:
         Robot with the nominal stand; None if there is no stand.
     """
-    for margin in _JOINT_MARGINS:
+
+    def find_run(margin: float) -> list[Robot]:
+        """Return the robots of the longest run; joints are ``margin`` [rad, m] from the limits."""
         best: tuple[list[Stand], Robot] = [], robot
         for pose in poses:
             placed = _set_start(replace(robot, nominal=pose), pose, robot.stand_height)
             stands = _find_longest_run(placed, pose, margin, len(best[0]))
             best = max(best, (stands, placed), key=lambda found: len(found[0]))
         stands, placed = best
-        found = _choose_middle_start(
-            [
-                _set_start(
-                    placed, stand.joint_positions(robot), round(float(stand.task.height or 0.0), 3)
-                )
-                for stand in stands
-            ]
-        )
-        if found is not None:
-            return found
-    return None
+        return [
+            _set_start(
+                placed, stand.joint_positions(robot), round(float(stand.task.height or 0.0), 3)
+            )
+            for stand in stands
+        ]
+
+    return _choose_start(find_run(margin) for margin in _JOINT_MARGINS)
 
 
 def _spread_feet(robot: Robot, pose: Array) -> Array:

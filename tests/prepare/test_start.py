@@ -20,8 +20,9 @@ from pupper_analysis.base.errors import StanceUnreachableError
 from pupper_analysis.prepare import start
 from pupper_analysis.prepare.start import clip_to_limits
 from pupper_analysis.robot.servos import list_position_servos
+from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from tests.support import random_legged
-from tests.support.legged import biped, quadruped, rewrite_file
+from tests.support.legged import biped, edit_pair, quadruped, rewrite_file
 from tests.support.slips import standing
 from tests.support.variants import load, stand_of
 
@@ -149,6 +150,24 @@ def test_soles_of_legs_with_five_joints_are_level_in_the_nominal_stand(
     assert np.abs(np.array(corners)[:, 2]).max() < 1e-6
     area = shapely.MultiPoint(np.array(corners)[:, :2]).convex_hull
     assert area.contains(shapely.Point(data.subtree_com[0][:2]))
+
+
+def test_searched_start_pose_lets_the_feet_penetrate_soft_ground(tmp_path: Path) -> None:
+    """With 0.2 rad to the limits, only the highest stand is found: nearly straight legs.
+
+    It is 22 mm below straight legs; the feet penetrate this ground by 32 mm.
+    """
+    pair = quadruped(tmp_path, floor=True, keyframe="")
+    edit_pair(pair, {'lower="-2.6" upper="-0.4"': 'lower="-1.15" upper="0"'}, {})
+    rewrite_file(pair.mjcf, ('range="-2.6 -0.4"', 'range="-1.15 0"'))
+    rewrite_file(pair.mjcf, ('type="plane"', 'type="plane" solref="0.11 1" priority="1"'))
+    robot = pa.load_robot(*pair)
+    assert "start-pose-found" in {note.code for note in robot.notes}
+    stand = solve_stand_on_soft_ground(robot)
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_forward(model, data)
+    assert -data.contact.dist.min() == pytest.approx(0.032, abs=0.001)
 
 
 @pytest.mark.slow
