@@ -23,7 +23,9 @@ from pupper_analysis.prepare.self_check import compare_nominal_stand
 from pupper_analysis.present.verdict import format_verdict
 from pupper_analysis.robot.as_published import OwnCommands
 from pupper_analysis.robot.robot import PublishedFile
+from pupper_analysis.robot.servos import find_servos_used
 from pupper_analysis.robot.tool import with_payload
+from pupper_analysis.simulation.rollout import make_stand_start
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import legged, random_legged
@@ -353,6 +355,40 @@ def test_forces_that_relax_slowly_after_the_nudge_are_no_difference(tmp_path: Pa
     assert published is not None
     assert not published.differs
     assert all(10 < run.duration < 40 for run in published.runs)
+
+
+@pytest.mark.slow
+def test_a_file_that_hops_after_an_upward_nudge_differs_by_its_time_step(tmp_path: Path) -> None:
+    """The file has 2 ms; added servos shorten the step of the prepared robot to 1 ms.
+
+    Reference: MuJoCo with both time steps, in the eighth second after a nudge of 0.05 m/s.
+    """
+    drawn = random_legged.draw_robot(931404)
+    drawn = replace(drawn, base="free", keyframe=True, floor=True, motors="position")
+    pair = random_legged.write_robot(drawn, tmp_path)
+    robot = pa.load_robot(pair.urdf, pair.mjcf)
+    stand = pa.solve_stand(robot, pa.StandTask(height=0.7 * robot.base_height))
+    begun = make_stand_start(robot, pa.solve_stand_as_simulated(robot, stand))
+    speeds = []
+    for timestep in (0.002, 0.001):
+        model = begun.drive.model
+        model.opt.timestep = timestep
+        data = mujoco.MjData(model)
+        mujoco.mj_setState(model, data, begun.start, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
+        data.ctrl[:] = begun.ctrl
+        data.qvel[2] = 0.05
+        mujoco.mj_step(model, data, nstep=round(7 / timestep))
+        fastest = 0.0
+        for _ in range(round(1 / timestep)):
+            mujoco.mj_step(model, data)
+            fastest = max(fastest, float(np.abs(data.qvel).max()))
+        speeds.append(fastest)
+    assert speeds[0] > 0.05
+    assert speeds[1] < 1e-6
+    published = self_check.compare_as_published(robot, stand, find_servos_used(robot))
+    assert published is not None
+    assert published.differs
+    assert [cause.code for cause in published.causes] == ["timestep"]
 
 
 @pytest.mark.slow
