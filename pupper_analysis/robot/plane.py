@@ -256,7 +256,7 @@ class Contact:
             torque.
         place: Target point (x, y, z) in the world (m), which is projected to the plane. By default,
             the nominal position of the foot, or the position of the hand with the joints at home.
-        offset: Centre (x, y, z) of the contact sphere in the frame of the hand's link (m).
+        offset: Centre (x, y, z) of the contact sphere in the named frame of the hand (m).
         radius: Radius of the contact sphere of a hand (m). By default, the radius of the largest
             sphere inside a shape of the hand. If the centre is outside of all shapes, the default
             is 1 cm.
@@ -383,7 +383,7 @@ class Weld:
     Attributes:
         place: World position (x, y, z) of the fixed point of another part (m). By default, the
             position with the joints at home.
-        offset: Fixed point (x, y, z) of another part, in the frame of its link (m).
+        offset: Fixed point (x, y, z) of another part, in the named frame of the part (m).
     """
 
     plane: ClassVar[None] = None

@@ -123,8 +123,8 @@ class Tool(Result):
 
 
 FramePoint = Sequence[float] | Sequence[str | float] | Tool
-"""Point of a robot: (x, y, z) [m] in the base frame; (frame, x, y, z) [m] from the origin of the
-frame, in the axes of its URDF link; or a `Tool`."""
+"""Point of a robot: (x, y, z) [m] in the base frame; (frame, x, y, z) [m] in the axes of a named
+frame, from its origin; or a `Tool`."""
 
 
 @check_arguments
@@ -140,24 +140,41 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
     Raises:
         UnknownNameError: If there is no such frame; the message lists links and sites.
     """
-    link = _find_end_link(robot) if name is None else name
-    if link in robot.structure.links:
-        return Tool(link, link, np.zeros(3), _find_chain(robot, link))
+    return _find_frame(robot, _find_end_link(robot) if name is None else name)[0]
+
+
+def _find_frame(robot: Robot, name: str) -> tuple[Tool, Array]:
+    """Find a named frame of a robot.
+
+    Args:
+        robot: The robot.
+        name: Name of a link of the URDF, or of a site, body or geom of the MJCF.
+
+    Returns:
+        Origin of the frame; rotation (3, 3) from the axes of the frame to the axes of the tool's
+        link. The frame of a mesh geom is the frame that MuJoCo's compiler computes.
+
+    Raises:
+        UnknownNameError: If there is no such frame; the message lists links and sites.
+    """
+    if name in robot.structure.links:
+        return Tool(name, name, np.zeros(3), _find_chain(robot, name)), np.eye(3)
     model, data = robot.mj_model, robot.compute_kinematics()
-    for kind, places, bodies in (
-        (mujoco.mjtObj.mjOBJ_SITE, data.site_xpos, model.site_bodyid),
-        (mujoco.mjtObj.mjOBJ_BODY, data.xpos, range(model.nbody)),
-        (mujoco.mjtObj.mjOBJ_GEOM, data.geom_xpos, model.geom_bodyid),
+    for kind, places, rotations, bodies in (
+        (mujoco.mjtObj.mjOBJ_SITE, data.site_xpos, data.site_xmat, model.site_bodyid),
+        (mujoco.mjtObj.mjOBJ_BODY, data.xpos, data.xmat, range(model.nbody)),
+        (mujoco.mjtObj.mjOBJ_GEOM, data.geom_xpos, data.geom_xmat, model.geom_bodyid),
     ):
-        frame_id = mujoco.mj_name2id(model, kind, link)
+        frame_id = mujoco.mj_name2id(model, kind, name)
         if frame_id >= 0:
-            carrier, offset = _express_in_link(
-                robot, int(bodies[frame_id]), np.array(places[frame_id])
+            link, position, rotation = _express_in_link(
+                *(robot, int(bodies[frame_id])),
+                *(np.array(places[frame_id]), rotations[frame_id].reshape(3, 3)),
             )
-            return Tool(link, carrier, offset, _find_chain(robot, carrier))
+            return Tool(name, link, position, _find_chain(robot, link)), rotation
     sites = [model.site(index).name for index in range(model.nsite)]
     known = dict.fromkeys([*robot.structure.links, *filter(None, sites)])
-    raise UnknownNameError(robot.name, "frame", link, tuple(known))
+    raise UnknownNameError(robot.name, "frame", name, tuple(known))
 
 
 def find_place(robot: Robot, point: FramePoint) -> Tool:
@@ -171,8 +188,8 @@ def find_place(robot: Robot, point: FramePoint) -> Tool:
         point: One of three forms:
 
             - (x, y, z) [m] in the base frame.
-            - ``(frame, x, y, z)``: position [m] relative to the origin of a link, site, body or
-              geom, in the axes of its URDF link.
+            - ``(frame, x, y, z)``: position [m] expressed in the frame of a link, site, body or
+              geom: from the origin of the frame, in the axes of the frame.
             - A `Tool`, which is returned unchanged.
 
     Raises:
@@ -183,7 +200,8 @@ def find_place(robot: Robot, point: FramePoint) -> Tool:
     if not isinstance(point, Tool):
         frame, at = split_place(point)
         if frame:
-            return find_tool(robot, frame).translated(at)
+            tool, rotation = _find_frame(robot, frame)
+            return tool.translated(rotation @ check_point(at))
         return Tool(robot.base, robot.base, check_point(at), ())
     if point.link not in robot.structure.links:
         raise UnknownNameError(robot.name, "link", point.link, tuple(robot.structure.links))
@@ -223,13 +241,24 @@ def check_point(point: ArrayLike) -> Array:
     return np.array([check_length("point", value) for value in place])
 
 
-def _express_in_link(robot: Robot, body: int, world: Array) -> tuple[str, Array]:
-    """Return the link that moves with a body, and a point (3,) [m] expressed in the link frame.
+def _express_in_link(
+    robot: Robot, body: int, position: Array, rotation: Array
+) -> tuple[str, Array, Array]:
+    """Express the pose of a frame in the link that moves with a body.
 
-    ``world`` is the point in the world frame, at the neutral configuration.
+    Args:
+        robot: The robot.
+        body: Body id of the MuJoCo model.
+        position: Origin of the frame in the world frame, shape (3,) [m], at the neutral
+            configuration.
+        rotation: Rotation from the axes of the frame to world axes, shape (3, 3).
+
+    Returns:
+        Name of the link; origin (3,) [m] and rotation (3, 3) of the frame in the link frame.
     """
     link, config = _find_carrying_link(robot, body), Configuration(robot, robot.neutral())
-    return link, config.frame_rotation(link).T @ (world - config.frame_position(link))
+    to_link = config.frame_rotation(link).T
+    return link, to_link @ (position - config.frame_position(link)), to_link @ rotation
 
 
 def _find_carrying_link(robot: Robot, body: int) -> str:
@@ -309,8 +338,8 @@ def with_payload(
     Args:
         robot: The robot.
         mass: Mass of the payload [kg], finite and >= 0.
-        point: Position of the payload: (x, y, z) [m] in the base frame; (frame, x, y, z) [m] from
-            the origin of a link, site, body or geom, in the axes of its URDF link, for example
+        point: Position of the payload: (x, y, z) [m] in the base frame; (frame, x, y, z) [m]
+            expressed in the frame of a link, site, body or geom, for example
             ``("right_hand", 0.0, 0.0, 0.05)``; or a ``Tool``.
 
     Returns:

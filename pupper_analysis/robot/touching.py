@@ -34,7 +34,7 @@ from pupper_analysis.robot.joints import default_positions
 from pupper_analysis.robot.plane import Bar, Contact, Weld
 from pupper_analysis.robot.robot import Robot, Touching
 from pupper_analysis.robot.structure import Kinematics
-from pupper_analysis.robot.tool import Tool, find_tool
+from pupper_analysis.robot.tool import Tool, find_place, find_tool
 
 _CACHE_SIZE = 8
 """Maximum number of cached robots with contacts. If there are more, the least recently used robot
@@ -268,7 +268,8 @@ def _add_hands(robot: Robot, hands: Mapping[str, Touching]) -> Robot:
     geom_names = (str(robot.mj_model.geom(geom).name) for geom in robot.foot_geoms)
     model_geom = next(filter(None, geom_names), None)
     for name, touching in hands.items():
-        tool = _find_frame(robot, name).translated(touching.offset or (0.0, 0.0, 0.0))
+        offset = touching.offset or (0.0, 0.0, 0.0)
+        tool = find_place(robot, (_find_frame(robot, name).name, *offset))
         _refuse_foot_link(robot, name, tool)
         frame = f"{name} (contact)"
         while frame in used_names or frame in urdf.links:

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool, with_payload
+from pupper_analysis.robot.touching import with_contacts
 from tests.support.engines import evaluate_mujoco, load_by_mujoco
 from tests.support.repository import ROOT
 from tests.support.states import random_state
@@ -135,3 +137,74 @@ def test_tool_on_a_body_with_two_hinges_moves_with_both(tmp_path: Path) -> None:
     assert tool.chain == ("pan", "tilt")
     position = tool.position(Configuration(robot, np.array([0.0, tilt])))
     assert position == pytest.approx([0.5 * np.cos(tilt), 0.0, -0.5 * np.sin(tilt)], abs=1e-12)
+
+
+TURNED_INERTIAL = """<inertial><mass value="1"/>
+<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>"""
+
+TURNED_URDF = f"""<robot name="arm"><link name="stem">{TURNED_INERTIAL}</link>
+<link name="arm">{TURNED_INERTIAL}</link>
+<joint name="pan" type="revolute"><parent link="stem"/><child link="arm"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="9" velocity="9"/></joint>
+<link name="flange"/><joint name="bolt" type="fixed"><parent link="arm"/><child link="flange"/>
+<origin xyz="0.2 0.1 0.3" rpy="0.4 -0.7 1.2"/></joint></robot>"""
+
+TURNED_MJCF = """<mujoco><compiler angle="radian"/><worldbody><body name="stem">
+<inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/><body name="arm">
+<joint name="pan" axis="0 0 1" range="-1 1"/>
+<inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+<body name="plate" pos="0.1 0 0.2" euler="0.9 0.5 0.1"><geom name="cover" type="box" mass="0"
+size="0.1 0.1 0.1" pos="0.1 0.2 0" euler="-0.8 0.3 0.6"/>
+<site name="palm" pos="0.2 0 0.1" euler="0.3 1.1 -0.6"/></body></body></body></worldbody>
+<actuator><position joint="pan" kp="100" kv="10"/></actuator></mujoco>"""
+
+
+def load_turned_arm(folder: Path) -> pa.Robot:
+    """Write and load an arm with frames that are rotated against its only moving link."""
+    (folder / "arm.urdf").write_text(TURNED_URDF)
+    (folder / "arm.xml").write_text(TURNED_MJCF)
+    return pa.load_robot(folder / "arm.urdf", folder / "arm.xml")
+
+
+@pytest.mark.parametrize("frame", ["palm", "plate", "cover", "flange"])
+def test_a_place_in_a_named_frame_is_along_the_axes_of_this_frame(
+    tmp_path: Path, frame: str
+) -> None:
+    """Reference: MuJoCo's pose of the site, body or geom; Pinocchio's pose of the URDF link.
+
+    The payload adds m p to the mass moment, which locates the payload in both models.
+    """
+    robot = load_turned_arm(tmp_path)
+    mass, offset = 2.0, np.array([0.03, -0.05, 0.07])
+    data = mujoco.MjData(robot.mj_model)
+    data.qpos[:] = robot.neutral()
+    mujoco.mj_kinematics(robot.mj_model, data)
+    if frame == "flange":
+        pin_data = robot.pin_model.createData()
+        pin.framesForwardKinematics(robot.pin_model, pin_data, pin.neutral(robot.pin_model))
+        pose = pin_data.oMf[robot.pin_model.getFrameId(frame)]
+        rotation, position = pose.rotation, pose.translation
+    else:
+        kind = {"palm": data.site, "plate": data.body, "cover": data.geom}[frame](frame)
+        rotation, position = kind.xmat.reshape(3, 3), kind.xpos
+    expected = position + rotation @ offset
+    loaded = with_payload(robot, mass, (frame, *offset))
+    moments = [
+        Configuration(each, each.neutral()).center_of_mass() * each.total_mass
+        for each in (robot, loaded)
+    ]
+    np.testing.assert_allclose(moments[1] - moments[0], mass * expected, atol=1e-9)
+    loaded_data = mujoco.MjData(loaded.mj_model)
+    mujoco.mj_forward(loaded.mj_model, loaded_data)
+    np.testing.assert_allclose(loaded_data.body("payload").xpos, expected, atol=1e-9)
+
+
+def test_a_hand_touches_at_its_offset_along_the_axes_of_the_named_site(tmp_path: Path) -> None:
+    """Reference: MuJoCo's pose of the site, and the position of the contact point of the hand."""
+    robot, offset = load_turned_arm(tmp_path), (0.03, -0.05, 0.07)
+    held = with_contacts(robot, {"base": pa.Weld(), "palm": pa.Weld(offset=offset)})
+    data = robot.compute_kinematics()
+    expected = data.site("palm").xpos + data.site("palm").xmat.reshape(3, 3) @ offset
+    config = Configuration(held, held.neutral())
+    contact = config.foot_positions()["palm"] - config.frame_position("stem")
+    np.testing.assert_allclose(contact, expected, atol=1e-9)
