@@ -122,7 +122,22 @@ def add_line(cause: Cause, mjcf: MjcfFile) -> Cause:
     """
     if cause.code not in _XML_SECTIONS or not cause.elements:
         return cause
-    return replace(cause, line=mjcf.place(_XML_SECTIONS[cause.code], cause.elements[0]).line)
+    section, element = _XML_SECTIONS[cause.code], cause.elements[0]
+    line = mjcf.place(section, element).line
+    if line is None and section == "equality":
+        numbers = (
+            number
+            for number, equality in enumerate(mjcf.spec.equalities)
+            if element == _name_bodies((equality.name1, equality.name2))
+        )
+        number = next(numbers, None)
+        line = None if number is None else mjcf.place_by_number(section, number).line
+    return replace(cause, line=line)
+
+
+def _name_bodies(names: Iterable[str]) -> str:
+    """Return the names of two bodies as the name of a constraint without a name."""
+    return " and ".join(name or "world" for name in names)
 
 
 def list_difference_causes(published: PublishedModel, robot: Robot) -> list[CauseCandidate]:
@@ -495,7 +510,7 @@ def _list_equality_causes(model: mujoco.MjModel) -> Iterator[CauseCandidate]:
             ends = [int(model.site_bodyid[end]) for end in ends]
         if any(model.body_weldid[end] == 0 or model.body_mocapid[end] >= 0 for end in ends):
             name = mujoco.mj_id2name(model, _OBJECT_TYPE.mjOBJ_EQUALITY, number)
-            both = " and ".join(_list_element_names(model, _OBJECT_TYPE.mjOBJ_BODY, ends))
+            both = _name_bodies(_list_element_names(model, _OBJECT_TYPE.mjOBJ_BODY, ends))
             kind = kinds[int(model.eq_type[number])]
             yield from _yield_if_any(kind, (name or both,), "eq_active0", number)
 

@@ -531,12 +531,14 @@ def simulate_prediction(
     torque_deviations = find_torque_deviations(low, high)
     moved, stiction = np.abs(data.qpos[addresses] - qpos[-robot.nu :]), np.zeros(robot.nu)
     error, collapses, alike = None, not float(moved.max()) <= MIN_POSTURE_DEVIATION, True
+    lifted = False
     if robot.floating:
         com = float(start.subtree_com[published.base_body][2])
         predicted = InitialHeight(com, 0.0, published.ground_height or 0.0)
         duration = SETTLING_TIME + nudged_time
         motion = measure_motion(model, start, data, published.base_body, duration, predicted)
         error, collapses = motion.end_height - motion.height, motion.collapses
+        lifted = motion.is_lifted
         alike = abs(error) <= HEIGHT_RTOL * motion.height
     else:  # dry friction may hold a joint elsewhere after a nudge
         with contextlib.suppress(ModelError):
@@ -561,6 +563,7 @@ def simulate_prediction(
         worst_joint=_worst_joint(robot, moved, torque_deviations, collapses=collapses),
         joint_error_unit=find_worst_unit(robot, moved),
         _keeps_moving=torque_change > TORQUE_RTOL,
+        _is_lifted=lifted,
     )
 
 

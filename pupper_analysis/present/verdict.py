@@ -425,6 +425,7 @@ def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
         message = diagnose(
             "fails-in-mujoco",
             collapses=fed is Ending.COLLAPSES,
+            lifted=fed is Ending.LIFTED,
             disagrees=fed is Ending.DISAGREES,
             fails=fed is Ending.FAILS,
             failures=_select_stated_failures(verdict),
@@ -449,16 +450,28 @@ def _make_simulation_clauses(verdict: Verdict) -> Iterator[Clause]:
     if fed is Ending.HOLDS and alone is not None and alone is not Ending.HOLDS:
         collapses = alone is Ending.COLLAPSES
         failures = join_ground_touches(verdict.failures_alone)
-        yield Clause(False, diagnose("fails-alone", collapses=collapses, failures=failures))
+        lifted = alone is Ending.LIFTED
+        message = diagnose(
+            "fails-alone",
+            collapses=collapses,
+            lifted=lifted,
+            fails=not (collapses or lifted),
+            failures=failures,
+        )
+        yield Clause(False, message)
 
 
 def _select_stated_failures(verdict: Verdict) -> tuple[Diagnostic, ...]:
     """Return the failures of the simulation with feed-forward that the verdict states.
 
     If the robot stands in MuJoCo, but URDF and MJCF describe different robots, only this difference
-    is stated. The difference is the cause of the deviations of torques and forces.
+    is stated. The difference is the cause of the deviations of torques and forces. If the robot is
+    lifted, only the feet without load are stated.
     """
     failures = join_ground_touches(verdict.failures)
+    if verdict.with_feedforward is Ending.LIFTED:
+        idle = tuple(failure for failure in failures if failure.code == "foot-idle")
+        return idle or failures
     causes = tuple(failure for failure in failures if failure.code == TWO_ROBOTS_CODE)
     return causes if causes and verdict.with_feedforward is Ending.DISAGREES else failures
 
@@ -491,7 +504,7 @@ def join_ground_touches(failures: Iterable[Diagnostic]) -> tuple[Diagnostic, ...
 def make_published_clauses(published: Published | None) -> Iterator[Clause]:
     """Yield statements on simulations of the published file that deviate from the computed stand.
 
-    The first statement is on the worst of these simulations: a collapse, or the deviations in
+    The first statement is on the worst of these simulations: a rise, a collapse, or deviations in
     torque, joint position [rad, m] and CoM height [m]. If no simulation deviates, this statement is
     omitted. Each cause is a further statement. If ``published`` is None, nothing is yielded.
     """
@@ -499,7 +512,8 @@ def make_published_clauses(published: Published | None) -> Iterator[Clause]:
         return
     run = published.worst
     if run is not None and run.collapses:
-        yield Clause(False, diagnose("collapses-as-published"))
+        code = "lifted-as-published" if run.is_lifted else "collapses-as-published"
+        yield Clause(False, diagnose(code))
     elif run is not None:
         height = None if run.height_error is None else Quantity(run.height_error, "m")
         torque = Quantity(run.torque_error, "1")
@@ -530,6 +544,8 @@ _CAUSES = (
     "forcerange-cuts-off",
     "actuatorfrcrange-cuts-off",
     "motors-overloaded",
+    "weld-holds-it",
+    "connect-holds-it",
 )
 """Codes of statements that explain a bad verdict. These statements follow directly after the first
 statement, in the order of the verdict. For example, a range in the file that limits motors precedes
@@ -612,7 +628,7 @@ def _make_creep_clauses(verdict: Verdict) -> Iterator[Clause]:
     the creep was not measured, or if the robot collapses.
     """
     creep = verdict.creep
-    if creep is None or verdict.with_feedforward is Ending.COLLAPSES:
+    if creep is None or verdict.with_feedforward in (Ending.COLLAPSES, Ending.LIFTED):
         return
     message = diagnose(
         "stand-creeps",

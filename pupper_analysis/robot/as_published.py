@@ -18,7 +18,7 @@ from enum import StrEnum
 from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.base.units import DAMPING_UNIT, HINGE_UNITS, POSITION_UNIT, STIFFNESS_UNIT
 from pupper_analysis.models.transmission import Drive, MadeServo
-from pupper_analysis.robot.fall import FALLEN_TILT, MAX_HEIGHT_LOSS_RATIO, BodyMotion
+from pupper_analysis.robot.fall import BodyMotion
 
 
 class ServoSource(StrEnum):
@@ -220,13 +220,11 @@ class OwnRun(BodyMotion):
 
     @property
     def is_lifted(self) -> bool:
-        """True if the robot ends upright, with its CoM far above the initial height.
+        """True if a robot on the ground ends upright, with its CoM far above the initial height.
 
         The increase exceeds ``MAX_HEIGHT_LOSS_RATIO`` (30 %) of the initial CoM height.
         """
-        gain = self.end_height - self.height
-        upright = not self.diverged and self.lean <= FALLEN_TILT
-        return self.standing and upright and gain > MAX_HEIGHT_LOSS_RATIO * self.height
+        return self.standing and super().is_lifted
 
     @property
     def is_tilted(self) -> bool:
@@ -294,11 +292,17 @@ class PublishedRun:
     worst_joint: str = ""
     joint_error_unit: str = HINGE_UNITS.position
     _keeps_moving: bool = False
+    _is_lifted: bool = False
 
     @property
     def keeps_moving(self) -> bool:
         """True if motor torques still vary at the end of this run, as with chattering contacts."""
         return self._keeps_moving
+
+    @property
+    def is_lifted(self) -> bool:
+        """True if the robot ends this run upright, with its CoM more than 30 % higher."""
+        return self._is_lifted
 
     @property
     def agrees_with_equilibrium(self) -> bool:

@@ -162,6 +162,13 @@ class BodyMotion:
         """
         return self.collapses and not self.diverged and not self._has_collapsed(0.0)
 
+    @property
+    def is_lifted(self) -> bool:
+        """Whether the robot ends upright, with its CoM far above the initial height."""
+        return not self.diverged and is_lifted(
+            self.lean, self.height - self.end_height, self.height
+        )
+
     def _has_collapsed(self, away: float) -> bool:
         """Return the result of the function `has_collapsed` for this motion.
 
@@ -450,6 +457,21 @@ def _lies_on_trunk(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> boo
 def horizontal_distance(start: Array, end: Array) -> float:
     """Return the horizontal distance [m] between two positions, shape (3,)."""
     return float(np.linalg.norm((end - start)[:2]))
+
+
+def is_lifted(leaning: float, lost: float, size: float) -> bool:
+    """Return True if a robot is upright, and its CoM is far above the initial height.
+
+    Such a robot also counts as collapsed (`has_collapsed`). The usual cause is a constraint that
+    ties the robot to the world.
+
+    Args:
+        leaning: Tilt of the base relative to the start [rad]. Limit: ``FALLEN_TILT`` (0.5 rad).
+        lost: Height loss of the CoM [m], negative if the CoM rises. The CoM must rise by more than
+            ``MAX_HEIGHT_LOSS_RATIO`` (0.3) times ``size``.
+        size: Initial height of the CoM above the ground [m].
+    """
+    return leaning <= FALLEN_TILT and -lost > MAX_HEIGHT_LOSS_RATIO * size
 
 
 def has_collapsed(leaning: float, lost: float, away: float, size: float) -> bool:

@@ -28,6 +28,7 @@ from pupper_analysis.robot.fall import (
     FALLEN_TILT,
     has_collapsed,
     horizontal_distance,
+    is_lifted,
     tilt_between,
 )
 from pupper_analysis.robot.robot import Robot
@@ -207,6 +208,17 @@ class StandReference:
         return has_collapsed(
             self.tilt(state), float(self.com_position[2] - position[2]), distance, self.com_height
         )
+
+    def is_lifted(self, state: Array) -> bool:
+        """Return True if a robot is upright and far above the expected stand (`fall.is_lifted`).
+
+        Args:
+            state: State of a simulation (mjSTATE_FULLPHYSICS).
+        """
+        if self.robot.is_base_fixed:
+            return False
+        lost = float(self.com_position[2] - self._locate_com_point(state)[2])
+        return is_lifted(self.tilt(state), lost, self.com_height)
 
 
 @dataclass(frozen=True, eq=False)

@@ -90,6 +90,7 @@ class Ending(StrEnum):
     DISAGREES = "stands, and not as predicted"
     FAILS = "fails"
     COLLAPSES = "collapses"
+    LIFTED = "is lifted"
     UNTRIED = "was not simulated"
 
 
@@ -109,6 +110,7 @@ class Outcome:
         creep: Mean speeds over at most the last 10 s; None if not measured.
         notes: Observations that do not decide, such as a mode that the simulation refutes.
         stays: Whether the robot stands still on its feet, even if not as predicted.
+        is_lifted: Whether the robot ends upright, with its CoM more than 30 % above the stand.
     """
 
     passed: bool
@@ -121,6 +123,7 @@ class Outcome:
     creep: Creep | None = None
     notes: tuple[Diagnostic, ...] = ()
     stays: bool = False
+    is_lifted: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,17 +326,19 @@ def find_overloaded_motors(statics: GravityCompensation) -> tuple[str, ...]:
 
 
 def classify_ending(run: Outcome) -> Ending:
-    """Classify how a simulation ended: the robot holds, stands differently, fails or collapses.
+    """Classify how a simulation ended: the robot holds, stands differently, rises or fails.
 
     Returns:
         ``HOLDS`` if the simulation passed. ``DISAGREES`` if the robot stands still on the feet, but
-        not as predicted (``Outcome.stays``). ``COLLAPSES`` if the robot collapsed. Otherwise
-        ``FAILS``.
+        not as predicted (``Outcome.stays``). ``LIFTED`` if the robot ended upright, but far above
+        the stand. ``COLLAPSES`` if the robot collapsed otherwise, else ``FAILS``.
     """
     if run.passed:
         return Ending.HOLDS
     if run.stays:
         return Ending.DISAGREES
+    if run.is_lifted:
+        return Ending.LIFTED
     return Ending.COLLAPSES if run.collapses else Ending.FAILS
 
 

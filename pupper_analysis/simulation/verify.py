@@ -172,6 +172,7 @@ class StandVerification(Outcome, SimulationSettings, Pictured, Tabular):
         collapses: Whether the simulation diverged, or the robot has fallen over, sunk, been thrown
             up or left its place at the end; for a fixed base, whether a joint ends far from the
             stand.
+        is_lifted: Whether the robot ends upright, with its CoM more than 30 % above the stand.
         base_height: Settled height of the base (m).
         height_deviation: Standard deviation of the base's height in the last second before the
             nudge (m).
@@ -610,6 +611,7 @@ def _compare_with_prediction(
     joints = settled[:, 1 + robot.mj_convention.qpos_index[-robot.nu :]]
     joint_deviations = np.abs(joints - stand.joint_positions(robot)).max(axis=0)
     torque_deviation = float(np.abs(record.torques - prediction.joint_torques).max())
+    has_diverged = monitor.has_diverged(states, timestep)
     predicted = robot.per_foot(prediction.contact_forces)
     normals = stand.lift_directions(robot)
     errors = [
@@ -626,7 +628,7 @@ def _compare_with_prediction(
         passed=True,
         failures=(),
         stays=True,
-        collapses=reference.has_collapsed(states[-1]) or monitor.has_diverged(states, timestep),
+        collapses=reference.has_collapsed(states[-1]) or has_diverged,
         feedforward=True,
         integrator=drive.integrator,
         timestep=timestep,
@@ -664,6 +666,7 @@ def _compare_with_prediction(
         height=monitor.base_heights(robot, states[::step]).copy(),
         motion_time=states[::frame, 0].copy(),
         motion=np.round(states[::frame, 1 + robot.mj_convention.qpos_index], 6),
+        is_lifted=reference.is_lifted(states[-1]) and not has_diverged,
     )
 
 

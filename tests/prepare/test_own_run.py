@@ -25,7 +25,7 @@ from pupper_analysis.prepare.self_check import name_remaining_cause
 from pupper_analysis.present.verdict import split_verdict_lines, verdict_clauses
 from pupper_analysis.robot.as_published import OwnCommands
 from pupper_analysis.robot.fall import BodyMotion
-from pupper_analysis.simulation.verdict import Verdict, VerdictCode
+from pupper_analysis.simulation.verdict import Ending, Verdict, VerdictCode
 from tests.prepare.test_planted import stands
 from tests.support.legged import edited_by
 from tests.support.slips import standing
@@ -139,18 +139,21 @@ def test_a_tilt_of_more_than_ten_degrees_fails(tmp_path: Path, angle: float, fai
 @pytest.mark.slow
 def test_a_robot_that_a_weld_hoists_is_lifted_and_the_weld_is_named(tmp_path: Path) -> None:
     """By hand: the weld holds the base 0.3 m above the keyframe, without tilt."""
-    weld = '<equality><weld name="hoist" body1="trunk" relpose="0 0 -0.65 1 0 0 0"/></equality>'
+    weld = '<equality><weld body1="trunk" relpose="0 0 -0.65 1 0 0 0"/></equality>'
     robot = load_slip(tmp_path, lambda text: text.replace("</mujoco>", f"{weld}</mujoco>"))
     own = own_run(robot)
     assert own is not None
     assert own.is_lifted
     verdict = judge_nominal_stand(robot)
     assert not verdict.passed
-    assert "weld-holds-it" in codes(verdict)
-    messages = " ".join(str(clause.message) for clause in verdict_clauses(verdict))
-    assert "hoist" in messages
-    assert "is LIFTED" in messages
-    assert " s: COLLAPSES" not in messages
+    assert verdict.with_feedforward is Ending.LIFTED
+    messages = [str(clause.message) for clause in verdict_clauses(verdict)]
+    assert messages[0].startswith("is LIFTED in MuJoCo: foot")
+    lines = (tmp_path / "robot.xml").read_text().splitlines()
+    line = next(number for number, text in enumerate(lines, 1) if "<weld " in text)
+    assert messages[1].endswith(f"trunk and world (line {line})")  # a weld without a name
+    assert "COLLAPSES" not in " ".join(messages)
+    assert sum("is LIFTED" in message for message in messages) == 3  # prepared robot and two runs
 
 
 @pytest.mark.slow

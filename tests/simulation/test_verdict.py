@@ -29,7 +29,7 @@ from pupper_analysis.robot.as_published import (
     ServoSource,
     ServosUsed,
 )
-from pupper_analysis.robot.fall import has_collapsed
+from pupper_analysis.robot.fall import has_collapsed, is_lifted
 from pupper_analysis.simulation.verdict import (
     Ending,
     Question,
@@ -47,6 +47,7 @@ def run(loss: float = 0.001, *, passed: bool = True, stays: bool = False) -> Any
         failures=() if passed else (diagnose("base-sags", height=Quantity(0.08, "m")),),
         duration=12.0,
         collapses=has_collapsed(0.0, loss, 0.0, 0.2),
+        is_lifted=is_lifted(0.0, loss, 0.2),
         torque_error=1e-8,
         force_error=2e-8,
         stability=None,

@@ -78,6 +78,7 @@ def run(shift: float, *, passed: bool) -> Stub:
         kp=np.array([5.0, 6.0]),
         kd=np.array([0.1, 0.1]),
         collapses=False,
+        is_lifted=False,
         stays=passed,
         base_height=0.12111 + shift,
         height_deviation=0.00002222 + shift,
